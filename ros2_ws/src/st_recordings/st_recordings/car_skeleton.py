@@ -27,7 +27,7 @@ from .runs.errors import RunError
 from .runs.ins_log import SPEEDS
 
 FILL_IN = "FILL_IN"
-"""Placeholder for what only the owner of the car can state; no reader of these files accepts it as a value."""
+"""Placeholder for values that only the owner of the car knows; readers of these files reject it."""
 MEASUREMENT_HINTS = {
     "mass": "four wheel scales, with driver and equipment",
     "yaw_inertia": "at first from a comparable car, later identified",
@@ -41,9 +41,9 @@ MEASUREMENT_HINTS = {
 }
 """Quantities that cannot be taken from another car, and how each is measured."""
 ASSUMED_UNCERTAINTIES = {"cg_height": 0.1}
-"""SI, one standard deviation of a value taken from another car; passenger cars have 0.45 to 0.65 m."""
+"""One standard deviation [SI] of a value taken from another car; the CG height of passenger cars is 0.45 to 0.65 m."""
 STABILITY_SPEEDS = tuple(0.5 * k for k in range(1, 81))
-"""m/s, at which the models have to be stable with the integration step."""
+"""Speeds [m/s] at which the models must be stable with the integration step."""
 ASSUMED_ZERO = ("cg_to_ins_y", "steering_wheel_offset")
 NOT_FITTED = ("minimum_slip_speed", "length", "width", *OPTIONAL_QUANTITIES)
 _VEHICLE_ROW = re.compile(r'^(?P<indent> *)(?P<key>\w+): \{value: (?P<value>\S+), unit: (?P<unit>.+?), source: ".*"\}$')
@@ -100,7 +100,7 @@ name: FILL_IN
 def write_skeleton(folder: Path) -> list[Path]:
     """Writes vehicle.yaml, signals.yaml, can.dbc, rt.dbc and car.yaml to a new or empty folder; returns their paths.
 
-    Raises RunError for a folder that is not empty, or cannot be written.
+    Raises RunError if the folder is not empty or cannot be written.
     """
     vehicle, signals, dbc = ((config("car/leaf") / name).read_text(encoding="utf-8")
                              for name in ("vehicle.yaml", "signals.yaml", "can.dbc"))
@@ -141,7 +141,7 @@ def problems(folder: str) -> list[str]:
 
 
 def remarks(folder: str) -> list[str]:
-    """Lines about a valid car: what is unusual for a road car, and the uncertainties that are used."""
+    """Lines about a valid car: values unusual for a road car, and the uncertainties used."""
     car = load_car(folder)
     file = car.vehicle
     vehicle = read_vehicle(file)
@@ -152,7 +152,7 @@ def remarks(folder: str) -> list[str]:
 
 
 def uncertainties(vehicle: VehicleParameters) -> list[str]:
-    """One line for each quantity with a stated or default uncertainty; the last line lists the others."""
+    """One line per quantity with a stated or default uncertainty; the last line lists the free quantities."""
     quantities = {**VEHICLE_QUANTITIES,
                   **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
     lines, without = [], []
@@ -202,7 +202,7 @@ def _fill_in_hint(key: str) -> str:
 
 def _bus_problems(car: Car) -> list[str]:
     existing = [file for file in (car.dbc, car.signals) if file.exists()]
-    if not existing:  # CSV files and bags of such a car can be read
+    if not existing:  # Such a car can only be used with CSV files and bags.
         return []
     if len(existing) == 1:
         missing = car.signals if car.dbc.exists() else car.dbc
@@ -224,7 +224,7 @@ def _bus_problems(car: Car) -> list[str]:
 
 
 def _unused_speeds(car: Car) -> list[str]:
-    """A line about the speed signals of the DBC, if the table names none."""
+    """A line that suggests speed signals of the DBC, if the signal table names none."""
     if not car.signals.exists():
         return []
     table = load_table(car.dbc, car.signals)
@@ -239,7 +239,7 @@ def _unused_speeds(car: Car) -> list[str]:
 
 
 def _unfilled_keys(document: Any, top_key: str = "") -> Iterator[str]:
-    """Yields the top-level keys under which a placeholder is left."""
+    """Yields the top-level keys that still contain a placeholder."""
     if isinstance(document, dict):
         for key, value in document.items():
             if str(key).startswith(FILL_IN):
@@ -253,7 +253,7 @@ def _unfilled_keys(document: Any, top_key: str = "") -> Iterator[str]:
 
 
 def _template_row(line: str) -> str:
-    """A line for the vehicle file of a new car, from that of the Leaf."""
+    """A line for the vehicle file of a new car, made from the same line of the Leaf's file."""
     row = _VEHICLE_ROW.match(line)
     if row is None:
         return line

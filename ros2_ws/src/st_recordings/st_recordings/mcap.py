@@ -1,4 +1,4 @@
-"""Writes a bag: a directory NAME/ with NAME_0.mcap and metadata.yaml, as `ros2 bag record` of ROS 2 Jazzy makes it.
+"""Writes a bag: a directory NAME/ with NAME_0.mcap and metadata.yaml, like `ros2 bag record` of ROS 2 Jazzy.
 
 Imports no ROS; message definitions come from the installed interface packages (bag_metadata.py) or from the caller.
 `recover` (recovery.py) repairs a bag whose writer was killed.
@@ -28,11 +28,11 @@ from .syncing import Syncer
 __all__ = ["BagWriter", "Qos", "RecoveryError", "RecoveryReport", "recover"]
 
 CHUNK_SIZE = 1024 * 1024
-"""Bytes that are compressed together; at high rates a chunk is full before FLUSH_PERIOD has passed."""
+"""Bytes compressed together; at high data rates a chunk is full before FLUSH_PERIOD has passed."""
 FLUSH_PERIOD = 0.5
-"""s. A killed process loses at most the last second: half of it here, half by delays of the caller."""
+"""s. A killed process loses at most one second: half of it due to this period, half due to delays of the caller."""
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Errors after which the newest chunks are dropped until the index fits; after others all written data is kept."""
+"""Errors after which the newest chunks are dropped until the index fits; other errors keep all written data."""
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 _MESSAGE_HEAD_LENGTH = 22  # bytes of the head after opcode and length
 
@@ -75,7 +75,7 @@ class BagWriter:
         self._contents = Contents()
         self._compressor = zstandard.ZstdCompressor()
         self._start_chunk()
-        # The file first: of two writers that start at once only one can create it, and the other changes nothing.
+        # Create the file first: of two writers that start together only one succeeds, and the other changes nothing.
         self._file = _LockedFile(self.path)
         self._information().save(self.directory)
         header = RecordBuilder()
@@ -97,7 +97,7 @@ class BagWriter:
                   type_hash: str = "") -> int:
         """Adds a topic of type "pkg/msg/Type" and returns its id for `write`.
 
-        definition, type_hash: default to those of the installed package; raises UnknownTypeError without one.
+        definition, type_hash: default: from the installed package; raises UnknownTypeError if there is none.
         """
         definition = definition or bag_metadata.definition(type_name)
         type_hash = type_hash or bag_metadata.type_hash(type_name)
@@ -110,14 +110,14 @@ class BagWriter:
         new.append(Channel(len(self._topics), name, "cdr", metadata, self._schemas[type_name]))
         if not (self.closed or self.error):
             try:
-                # Outside of chunks, so that a damaged chunk loses only its own messages.
+                # Definitions are outside of chunks, so that a damaged chunk loses only its own messages.
                 self._contents.append_definitions(self._file, new)
             except OSError as error:
                 self._stop(error)
         return len(self._topics)
 
     def write(self, topic: int, data: bytes, log_time_ns: int, publish_time_ns: int | None = None) -> None:
-        """Adds a serialised (CDR) message. log_time_ns: when received. publish_time_ns: when sent, default the same."""
+        """Adds a serialised (CDR) message. log_time_ns: reception. publish_time_ns: sending, default log_time_ns."""
         if self.closed or self.error:
             self.lost += 1
             return
@@ -137,8 +137,8 @@ class BagWriter:
             self.flush()
 
     def flush_when_due(self) -> None:
-        """Writes the messages of the last FLUSH_PERIOD, which then survive the end of this process, and checks that the
-        file is still found under its name. To be called at least twice a second.
+        """Writes pending messages every FLUSH_PERIOD, so that they survive the end of this process, and checks that the
+        file still exists under its name. Call it at least twice a second.
         """
         now = time.monotonic()
         if now >= self._next_flush:
@@ -242,12 +242,12 @@ class BagWriter:
 
 
 class _LockedFile:
-    """The storage file: unbuffered, so that an error is raised by the call that caused it, and locked."""
+    """The locked storage file; unbuffered, so that an error is raised by the call that caused it."""
 
     def __init__(self, path: Path):
         self.descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
-        # Held until the process ends, however it ends: `recover` refuses a bag that is still being written.
-        # Some network and USB file systems have no locks; the recording matters more.
+        # The lock is held until the process ends: `recover` refuses a bag that is still being written.
+        # Some network and USB file systems have no locks; recording continues without one.
         with contextlib.suppress(OSError):
             fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._length = 0
@@ -269,7 +269,7 @@ class _LockedFile:
         self._length = length
 
     def is_at(self, path: Path) -> bool:
-        """Whether this file is found under the path."""
+        """Whether the path leads to this file."""
         try:
             return os.path.samestat(os.stat(path), os.fstat(self.descriptor))
         except OSError:

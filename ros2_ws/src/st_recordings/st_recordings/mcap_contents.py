@@ -1,7 +1,7 @@
 """Inventory of an MCAP file, record by record, and the index section that closes a file.
 
-The layout is that of https://mcap.dev/spec. A file cut by a crash or a full disk has all its chunks but no index, and
-the library's own writer cannot add one.
+The layout is specified at https://mcap.dev/spec. A file cut by a crash or a full disk has all its chunks but no index,
+and the writer of the mcap library cannot add one.
 """
 
 import struct
@@ -32,7 +32,7 @@ from mcap.records import (
 from mcap.stream_reader import get_chunk_data_stream
 
 DROPPABLE_CHUNKS = 100
-"""Number of newest chunks that can be dropped when the disk is full."""
+"""Number of most recent chunks that can be dropped when the disk is full."""
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
@@ -92,7 +92,7 @@ class _ChunkEntry:
 
 
 class Contents:
-    """The running inventory of one file: the content of its index section. Times are log times [ns]."""
+    """The inventory of one file, kept up to date: the content of its index section. Times are log times [ns]."""
 
     def __init__(self) -> None:
         self.schemas: dict[int, Schema] = {}
@@ -122,9 +122,9 @@ class Contents:
         return (min(times), max(times)) if times else (0, 0)
 
     def add(self, record: Record, offset: int) -> None:
-        """Adds one record of the data section, at `offset` of the file to be indexed.
+        """Adds one record of the data section. offset: its position in the file to be indexed.
 
-        Raises DamagedError for invalid content, which is not added.
+        Raises DamagedError for invalid content, and does not add it.
         """
         try:
             self._add(record, offset)
@@ -191,7 +191,7 @@ class Contents:
 
     def _add_chunk(self, chunk: Chunk, messages: dict[int, MessageIndex], offset: int, length: int) -> None:
         if self._chunks:
-            self._chunks[-1].messages = {}  # its index is in the file; only that of the newest may be incomplete
+            self._chunks[-1].messages = {}  # its index is in the file; only the newest chunk's may be incomplete
         index = ChunkIndex(
             chunk_length=length, chunk_start_offset=offset,
             compression=chunk.compression, compressed_size=len(chunk.data),
@@ -242,7 +242,7 @@ class Contents:
         self._metadata_indexes = [i for i in self._metadata_indexes if i.offset < length]
 
     def end_offset(self) -> int:
-        """End of the newest record that was appended; 0 without any."""
+        """End of the last record that was appended; 0 if there is none."""
         ends = [self._definitions_end, *(i.offset + i.length for i in self._metadata_indexes)]
         if self._chunks:
             newest = self._chunks[-1].index
@@ -250,11 +250,11 @@ class Contents:
         return max(ends)
 
     def last_chunk_offset(self) -> int | None:
-        """Start of the newest chunk; None without one that can be dropped."""
+        """Start of the newest chunk; None if no chunk can be dropped."""
         return self._chunks[-1].index.chunk_start_offset if self._chunks else None
 
     def finish(self, stream: WritableStream) -> None:
-        """Appends what is missing after the last record: index of the last chunk, end of data, summary, footer."""
+        """Appends the missing end of the file: message indexes of the last chunk, end of data, summary, footer."""
         if self._chunks:
             newest = self._chunks[-1]
             for channel_id in newest.messages.keys() - newest.index.message_index_offsets.keys():

@@ -1,7 +1,7 @@
 """Repairs a bag or an MCAP file that was cut by a crash, a kill or a full disk.
 
-Every whole chunk is kept byte for byte; what is missing after it (indexes, summary, footer, metadata.yaml) is rebuilt.
-The original is kept as NAME.mcap.cut. A bag that needs no repair is left alone.
+Every complete chunk is kept byte for byte. Missing indexes, summary, footer and metadata.yaml are rebuilt.
+The original is kept as NAME.mcap.cut. A bag that needs no repair is not changed.
 """
 
 import fcntl
@@ -36,7 +36,7 @@ class RecoveryError(ValueError):
 
 @dataclass
 class FileReport:
-    """Result for one file. messages, kept_bytes: kept; lost_bytes: truncated or damaged, not kept."""
+    """Result for one file. messages, kept_bytes: amounts kept. lost_bytes: truncated or damaged bytes."""
 
     path: Path
     intact: bool = False  # closed and without damage, therefore left unchanged
@@ -46,7 +46,7 @@ class FileReport:
     damaged_records: int = 0
     start_ns: int = 0
     end_ns: int = 0
-    original: Path | None = None  # where the cut file was moved
+    original: Path | None = None  # new path of the cut file
 
 
 @dataclass
@@ -87,11 +87,11 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
     """Makes a cut bag directory or .mcap file readable.
 
     Args:
-        path: bag directory or one .mcap file (its metadata.yaml is left alone then).
+        path: bag directory, or one .mcap file (then metadata.yaml is not changed).
         output: new directory or file to write instead of repairing in place; must not exist. The original is untouched.
 
     Raises:
-        RecoveryError: no MCAP file there, still being recorded, output exists, or disk full; the original is untouched.
+        RecoveryError: no MCAP file, still being recorded, output exists, or disk full; the original is unchanged.
     """
     path = Path(path)
     target = Path(output) if output is not None else path
@@ -180,7 +180,7 @@ def _is_closed(stream: BinaryIO, size: int, contents: Contents, found: FileRepor
 
 
 def _good_records(stream: BinaryIO, size: int, contents: Contents, found: FileReport) -> Iterator[bytes]:
-    """Yields the undamaged records of the data section and adds them to `contents`, at their offset in a new file."""
+    """Yields the undamaged records of the data section and adds them to `contents` at their new offsets."""
     kept = end = len(MAGIC)
     found.damaged_records = 0
     chunk_left_out = False
@@ -262,7 +262,7 @@ def _qos_entries(text: str) -> list[Any]:
 
 
 def _metadata_matches(folder: Path, information: BagInformation) -> bool:
-    """Whether the metadata.yaml names the same files, topics and counts; other entries may differ between recorders."""
+    """Whether metadata.yaml lists the same files, topics and counts; other entries vary between recorders."""
     expected, found = information.document()["rosbag2_bagfile_information"], read_information(folder)
     try:
         counts = {t["topic_metadata"]["name"]: t["message_count"] for t in found["topics_with_message_count"]}

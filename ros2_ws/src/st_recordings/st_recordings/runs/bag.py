@@ -31,11 +31,11 @@ from .run_types import SteeringField, drive_log
 
 KNOWN_TOPICS = ("/ins/", "/vehicle/", "/can/", "/predictor/", "/evaluator/", "/identifier/", "/view/", "/tf",
                 "/diagnostics", "/clock", "/rosout", "/parameter_events", "/events/")
-"""Prefixes of topics that the suite publishes itself, and of those that every ROS system has."""
+"""Prefixes of topics that the suite or any ROS system publishes."""
 SUITE_RECORDS = {"recording", "configuration"}  # metadata records with which recorder and evaluator begin
 CLOSING_RECORD = "rosbag2"  # the metadata record that a recorder writes when it ends a recording
 PREFERRED_TOPICS = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}
-"""End of the name of the topic to read where several have the type."""
+"""Type -> end of the name of the topic to read if several topics have this type."""
 _ODOMETRY_FIELDS = ("header.stamp", "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation.x",
                     "pose.pose.orientation.y", "pose.pose.orientation.z", "pose.pose.orientation.w",
                     "twist.twist.linear.x", "twist.twist.linear.y", "twist.twist.angular.z")
@@ -46,9 +46,9 @@ _STEERING_FIELDS = ("header.stamp", "steering_wheel_angle", "road_wheel_angle", 
 class BagDrive:
     """The drive in a recording.
 
-    topics: type -> topic that was read. records: metadata records, name -> {key: text}. auxiliary: what else was
-    recorded, for checks. frame: frame_id of the first odometry. unknown: "topic (type)" of topics neither read nor of
-    the suite. origin: of the map frame, latitude, longitude [rad], height [m]; None where it was not recorded.
+    topics: type -> topic that was read. records: metadata records, name -> {key: text}. auxiliary: further recorded
+    data, for checks. frame: frame_id of the first odometry. unknown: "topic (type)" of topics that were not read and do
+    not belong to the suite. origin: latitude, longitude [rad] and height [m] of the map origin; None if not recorded.
     """
 
     log: DriveLog
@@ -67,12 +67,12 @@ def definitions_folder() -> Path:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is a rosbag2 directory or a storage file of one."""
+    """Whether a path is a rosbag2 directory or storage file."""
     return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in EXTENSIONS
 
 
 def has_odometry(path: Path) -> bool:
-    """Whether a bag lists odometry, or what it can be reconstructed from; True where that cannot be decided."""
+    """Whether a bag contains odometry, or raw data to reconstruct it from; True if that cannot be decided."""
     if path.is_dir() and (path / "metadata.yaml").is_file():
         try:
             types = {t["topic_metadata"]["type"] for t in read_information(path)["topics_with_message_count"]}
@@ -99,9 +99,9 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
              splits: Sequence[Path] = ()) -> BagDrive:
     """Odometry and steering of a recording, or their reconstruction from its raw packets and frames.
 
-    steering: where the steering angle is, if not in st_msgs/Steering. odometry: the topic to read, where several are of
-    type nav_msgs/Odometry. splits: files of one recording in order; default those of path.
-    Raises RunError for a file that is not a bag, was not closed, or lacks one of the two.
+    steering: field with the steering angle, if it is not in st_msgs/Steering. odometry: the topic to read if several
+    have the type nav_msgs/Odometry. splits: files of one recording in order, by default the files of `path`.
+    Raises RunError for a file that is not a bag, was not closed, or lacks odometry or steering.
     """
     storage, records = open_bag(path, splits), records_of(path)
     all_topics = storage.topics()
@@ -146,7 +146,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
 
 
 def read_odometry(path: Path, odometry: str | None = None) -> InsLog:
-    """The INS part of a bag, for a run with its steering in a CAN log. Raises RunError."""
+    """The INS part of a bag, for a run whose steering is in a CAN log. Raises RunError."""
     storage = open_bag(path)
     store = _store_of(storage, storage.topics(), None)
     topic = _find_topic(path, storage.topics(), ODOMETRY, odometry)
@@ -163,10 +163,10 @@ def _store_of(storage: Storage, topics: Sequence[Topic], steering: SteeringField
 
 def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
                                 columns: dict[str, dict[str, np.ndarray]]) -> list[str]:
-    """Replaces invalid stamps by the times of reception; returns a note on each.
+    """Replaces invalid stamps by the times of reception; returns a note on each topic.
 
-    A driver or simulator may leave header.stamp at 0 or at one value, or stamp two topics with unrelated clocks; the
-    times of reception are still correct.
+    A driver or simulator may leave header.stamp at a constant value such as 0, or stamp two topics with unrelated
+    clocks; the times of reception are still correct.
     """
     notes = []
     for kind, topic in topics.items():
@@ -189,7 +189,7 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
 
 
 def _log_times(storage: Storage, topic: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Time of reception of each message; the stamps if not every message was read."""
+    """Time of reception of each message; the header stamps if some messages were not read."""
     times = np.array([log_ns for log_ns, _ in storage.timed_messages(topic)], np.int64)
     return times if len(times) == len(columns["header.stamp"]) else columns["header.stamp"]
 
@@ -210,14 +210,14 @@ def read_fields(path: Path, storage: Storage, topic: Topic, fields: Sequence[str
 
 
 def records_of(path: Path) -> dict[str, dict[str, str]]:
-    """Metadata records of an MCAP recording, as the recorder and `st import` write them; empty for other storage."""
+    """Metadata records of an MCAP recording, written by the recorder or `st import`; empty for other storage."""
     records = _read_records(path)
     records.pop(CLOSING_RECORD, None)
     return records
 
 
 def was_interrupted(path: Path) -> bool:
-    """Whether the recorder of the suite did not end this recording: full disk, kill, `st recover` afterwards."""
+    """Whether the recorder of the suite was stopped before it closed the recording, for instance by a full disk."""
     records = _read_records(path)
     return bool(SUITE_RECORDS & records.keys()) and CLOSING_RECORD not in records
 
@@ -236,7 +236,7 @@ def _read_records(path: Path) -> dict[str, dict[str, str]]:
 
 
 def _find_topic(path: Path, topics: Sequence[Topic], type_name: str, name: str | None = None) -> Topic:
-    """The topic of a type: the named one, else the preferred one. Raises RunError."""
+    """The topic of a type: the one with the given name, or else the preferred one. Raises RunError."""
     found = [t for t in topics if t.type_name == type_name and t.count]
     if name is not None:
         named = next((t for t in topics if t.name.lstrip("/") == name.lstrip("/") and t.count), None)

@@ -1,7 +1,7 @@
 """The storages of rosbag2 behind one interface: the topics of a recording, and the messages of a topic.
 
-MCAP and sqlite3 are read here, because a library that parses every definition in a bag stops at the first one that it
-does not support; other formats of rosbag2 (compressed files and messages) are read by rosbags.
+This module reads MCAP and sqlite3 itself, because rosbags parses every definition in a bag and fails at the first
+unsupported one. rosbags reads the other formats of rosbag2 (compressed files and messages).
 """
 
 import sqlite3
@@ -51,14 +51,14 @@ class Storage(ABC):
 
     @abstractmethod
     def definitions(self) -> dict[str, tuple[str, str]]:
-        """Type -> (ros2msg or ros2idl, definition), as far as they are in the recording."""
+        """Type -> (ros2msg or ros2idl, definition), for the definitions in the recording."""
 
     def messages(self, topic: str) -> Iterator[bytes]:
         """Yields the serialised messages, in the order of the file."""
         return (data for _, data in self.timed_messages(topic))
 
     def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
-        """Numeric fields (cdr.Layout) of all messages, by topic and field; without topics of varying layout."""
+        """Numeric fields (cdr.Layout) of all messages, by topic and field. Topics with varying layout are omitted."""
         found = {}
         for topic, names in fields.items():
             rows = [np.frombuffer(data, np.uint8) for data in self.messages(topic.name)]
@@ -72,7 +72,7 @@ class Storage(ABC):
 
 
 def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage:
-    """The storage of a bag. Raises RunError for other files and for a file that was not closed."""
+    """Opens the storage of a bag. Raises RunError for other files and for a file that was not closed."""
     if path.is_dir() and read_information(path).get("compression_mode"):
         return RosbagsStorage(path, store)
     suffixes = {f.suffix.lower() for f in files}
@@ -90,14 +90,14 @@ def _listed_files(directory: Path) -> list[str]:
 
 
 def storage_files(directory: Path) -> list[Path]:
-    """Storage files of a bag directory in the order of recording: that of metadata.yaml, else by their numbers."""
+    """Storage files of a bag directory in recording order, from metadata.yaml or else by number."""
     files = sorted((f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS), key=natural_order)
     order = {name: k for k, name in enumerate(_listed_files(directory))}
     return sorted(files, key=lambda f: order.get(f.name, -1)) if {f.name for f in files} <= order.keys() else files
 
 
 def missing_files(directory: Path) -> str:
-    """A note on files that metadata.yaml lists and the directory lacks; empty where none is missing."""
+    """A note on files that metadata.yaml lists but the directory lacks; empty if none is missing."""
     listed = _listed_files(directory)
     missing = [name for name in listed if not (directory / name).is_file()]
     if not missing:
@@ -106,8 +106,8 @@ def missing_files(directory: Path) -> str:
 
 
 def missing_before(file: Path) -> str:
-    """A note on files of one recording that are missing before this one: drive_1, drive_3 without metadata.yaml. Their
-    gap must fit files as long as the two next to it, else they are recordings that were numbered."""
+    """A note on files missing before this one in a numbered recording without metadata.yaml (drive_1, drive_3).
+    The time gap must fit missing files as long as their neighbours; else these are separate recordings."""
     stem, _, number = file.stem.rpartition("_")
     numbers = {int(end): other for other in file.parent.iterdir() if other.suffix == file.suffix
                and other.stem.rpartition("_")[0] == stem and (end := other.stem.rpartition("_")[2]).isdigit()}
@@ -200,7 +200,7 @@ class McapStorage(Storage):
 
     @staticmethod
     def stream(file: Path) -> Iterator[Any]:
-        """Yields (schema, channel, message) one by one, also of a file without an index."""
+        """Yields (schema, channel, message) one by one, even if the file has no index."""
         try:
             with file.open("rb") as stream:
                 yield from NonSeekingReader(stream).iter_messages(log_time_order=False)
@@ -286,7 +286,7 @@ class RosbagsStorage(Storage):
 
 
 class _GatheredFields:
-    """Fields of the messages of one topic, part by part. is_uniform: whether all have the layout of the first."""
+    """Fields of the messages of one topic, in parts. is_uniform: whether all messages have the layout of the first."""
 
     def __init__(self, type_name: str, fields: Sequence[str], store: Typestore):
         self._type_name, self._fields, self._store = type_name, fields, store
@@ -302,7 +302,7 @@ class _GatheredFields:
             try:
                 example = self._store.deserialize_cdr(first, self._type_name)
                 self._layout = Layout(self._store, self._type_name, example)
-            except Exception:  # rosbags passes on those of struct and numpy; reading one by one reports it
+            except Exception:  # rosbags passes on exceptions of struct and numpy; reading one by one reports the error
                 self.is_uniform = False
                 return
         layout = self._layout
@@ -315,7 +315,7 @@ class _GatheredFields:
 
 
 def recorded_parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, Any]]:
-    """Parameters by node, from the metadata records of a recording; empty where it has none."""
+    """Parameters by node, from the metadata records of a recording; empty if it has none."""
     try:
         document = yaml.safe_load(records.get("configuration", {}).get("parameters.yaml", "")) or {}
         return {node: dict(section["ros__parameters"]) for node, section in document.items()}
@@ -324,8 +324,8 @@ def recorded_parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, d
 
 
 def recorded_text(records: Mapping[str, Mapping[str, str]], file: str) -> str | None:
-    """The text of a configuration file named in the parameters; None where the recording does not include it."""
+    """The text of a configuration file named in the parameters; None if the recording does not include it."""
     parts = Path("/", file).parts
-    # The records name files by as much of the end of their path as distinguishes them.
+    # The records name each file by the shortest end of its path that is unique.
     return next((text for key, text in records.get("configuration", {}).items()
                  if file and parts[-len(Path(key).parts):] == Path(key).parts), None)

@@ -16,7 +16,7 @@ MF4_EXTENSIONS = (".mf4", ".mdf")
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", length of the head, version, length of the object, kind
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
-# Months as Vector's tools write them in the language of the computer, by their first letters.
+# First letters of month names, which Vector's tools write in the language of the computer.
 _MONTHS = {"jan": 1, "gen": 1, "feb": 2, "fév": 2, "fev": 2, "mar": 3, "mär": 3, "mrz": 3, "apr": 4, "avr": 4, "abr": 4,
            "may": 5, "mai": 5, "mag": 5, "maj": 5, "jun": 6, "giu": 6, "jul": 7, "lug": 7, "aug": 8, "aoû": 8, "ago": 8,
            "sep": 9, "set": 9, "oct": 10, "okt": 10, "ott": 10, "out": 10, "nov": 11, "dec": 12, "dez": 12, "déc": 12,
@@ -29,23 +29,23 @@ _SCREEN_LINE = re.compile(
 UNSTAMPED_LINE = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
 """A line of candump without -l and without -t."""
 _ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)(?=\s)")
-# Bytes of a Windows code page in a text that is UTF-8 otherwise.
+# Error handler for Windows-1252 bytes in a text that is otherwise UTF-8
 _CP1252_FALLBACK = "single_track_cp1252"
 codecs.register_error(_CP1252_FALLBACK, lambda error: (
     error.object[error.start:error.end].decode("cp1252", "replace"), error.end))  # type: ignore[attr-defined]
 
 
 class Lines:
-    """The lines of a text log in any encoding, as the file object that python-can reads from.
+    """The lines of a text log in any encoding, for use as the file object of python-can.
 
-    position: number of the last line read. last: its text. `unread` puts a line in front of the others.
+    position: number of the last line read. last: its text. `unread`: makes a line the next one.
     """
 
     def __init__(self, file: Path, convert: Callable[[str], str] = str):
         self._convert, self._unread = convert, list[str]()
         with file.open("rb") as stream:
             head = stream.read(1 << 16)
-        # Comments and dates have umlauts of a Windows code page, also after the head.
+        # Comments and dates may contain Windows-1252 characters, even after the first 64 KiB.
         is_utf8 = head.startswith(head.decode("utf-8", "ignore").encode())
         codec = "utf-16" if head[:2] in _UTF16_MARKS else "utf-8-sig" if is_utf8 else "cp1252"
         self._stream = file.open(encoding=codec, errors=_CP1252_FALLBACK)
@@ -71,7 +71,7 @@ class Lines:
 
 @dataclass(frozen=True)
 class Format:
-    """A text or binary log. extensions: lower case. matches: whether the first bytes of a file are of this format.
+    """A log format. extensions: lower case. matches: whether the first bytes of a file have this format.
     messages: yields python-can messages in the order of the file and appends notes, without the file's name."""
 
     name: str
@@ -84,7 +84,7 @@ def _text_reader(make: Callable[[Lines, list[str]], Any], converter: Callable[[]
                  restart: str = "") -> Callable[[Path, list[str]], Iterator[Any]]:
     """A reader of text that continues after a line it cannot read.
 
-    converter: makes the function that converts each line of one file. restart: a line its header parser may consume.
+    converter: makes the function that converts the lines of a file. restart: line that the header parser may consume.
     """
     def messages(file: Path, notes: list[str]) -> Iterator[Any]:
         lines, bad = Lines(file, converter()), list[int]()
@@ -96,7 +96,7 @@ def _text_reader(make: Callable[[Lines, list[str]], Any], converter: Callable[[]
                     yield next(remaining)
                 except StopIteration:
                     break
-                except Exception:  # readers of python-can pass on those of int() and indexing
+                except Exception:  # python-can passes on exceptions of int() and indexing
                     if bad and bad[-1] == lines.position:
                         break  # no progress: the end of a file with an incomplete header
                     bad.append(lines.position)
@@ -153,7 +153,7 @@ def _asc(lines: Lines, notes: list[str]) -> Any:
 
 
 class _AscLines:
-    """Converts lines to what python-can reads: times since the start, English months, a 24-hour clock."""
+    """Converts lines to the form python-can reads: times since the start, English months, a 24-hour clock."""
 
     def __init__(self) -> None:
         self._relative, self._seconds = False, 0.0
@@ -198,7 +198,7 @@ def _blf(file: Path, notes: list[str]) -> Iterator[Any]:
     from can.io import blf
 
     class Reader(blf.BLFReader):
-        """Refuses an object of length 0, at which python-can's reader would loop forever."""
+        """Rejects objects of length 0, for which python-can's reader would loop forever."""
 
         def _parse_data(self, data: bytes) -> Iterator[Any]:
             at = data.find(b"LOBJ", 0, 8)
@@ -252,7 +252,7 @@ EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSI
 
 
 def is_can_log(file: Path) -> bool:
-    """Whether a file found in a folder is a CAN log: other programs write .log files too. True if undecided."""
+    """Whether a file in a folder is a CAN log, since other programs also write .log files. True if undecided."""
     if file.suffix.lower() != ".log":
         return True
     try:

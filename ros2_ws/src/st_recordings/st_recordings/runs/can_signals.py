@@ -1,5 +1,4 @@
-"""Signals of the suite decoded from the frames of a log, as columns, as the live CAN bridge would have published them.
-"""
+"""Decodes the signals of the suite from the frames of a log into columns, with the rules of the live CAN bridge."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -22,8 +21,8 @@ from .ins_log import SPEEDS, car_speed, series
 class Signal:
     """One signal of the table in one message, SI, sign as in the table.
 
-    time_ns: when the frame was logged, strictly increasing. valid: False where a counter or checksum set to `warn` was
-    wrong. rows: of its frames in Frames.
+    time_ns: time at which the frame was logged, strictly increasing. valid: False if a counter or checksum set to
+    `warn` was wrong. rows: indices of its frames in Frames.
     """
 
     name: str
@@ -36,7 +35,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class CanSignals:
-    """Decoded signals by (signal, message). faults: message -> what was wrong and how often.
+    """Decoded signals by (signal, message). faults: message -> description and number of faults.
 
     rejected: message -> log times [ns] of its frames that are not used, because of an implausible value or a check.
     """
@@ -67,12 +66,12 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
     """Decodes and checks every message of the table; frames rejected by a check set to `drop` are left out.
 
     The rules are those of the live decoder: length, checksum, counter, range and rate (canedge_bridge.decode). Where
-    time does not rise (two buses with the same message), the first frame of each instant is kept.
+    time does not increase (the same message on two buses), the first frame of each instant is kept.
     """
     signals: dict[tuple[str, str], Signal] = {}
     faults: dict[str, str] = {}
     rejected: dict[str, np.ndarray] = {}
-    # One message at a time: all signals at once would take more memory than anything else.
+    # One message at a time, because decoding all signals at once would dominate memory use.
     order = np.argsort(frames.id, kind="stable")
     sorted_ids = frames.id[order]
     for message, spec in table.messages.items():
@@ -110,7 +109,7 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
 
 
 def _length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: int) -> str:
-    """Describes frames of another length than in the DBC; empty for none."""
+    """Describes frames whose length differs from the DBC; empty if there are none."""
     found = [f"{share(int(count), len(lengths), 'frames')} have {size} bytes"
              for size, count in zip(*np.unique(lengths, return_counts=True), strict=True) if size != spec.dbc.length]
     if not found:
@@ -137,13 +136,13 @@ def steering_of(signals: CanSignals, file: Path | str, table: SignalTable) -> Si
 
 def speeds_of(signals: CanSignals, to_reference: Callable[[np.ndarray], np.ndarray] = np.asarray
               ) -> tuple[Series | None, Series | None]:
-    """(speed of the car by its wheels, forward speed that the INS sends on CAN).
+    """(speed of the car from its wheels, forward speed that the INS sends on CAN).
 
     to_reference: converts times of the log.
     """
     wheels = {name: (to_reference(signal.time_ns[signal.valid]), signal.values[signal.valid])
               for name in SPEEDS if (signal := signals.first_of(name)) is not None}
-    ins = signals.all_of("ins_velocity_x")  # in the frames of either orientation of the axes
+    ins = signals.all_of("ins_velocity_x")  # sent in different messages for the two axis conventions
     if not ins:
         return car_speed(wheels), None
     order = np.argsort(np.concatenate([signal.rows[signal.valid] for signal in ins]), kind="stable")
@@ -200,7 +199,7 @@ def plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, values
     """Whether each frame is in range, within the rate limit, and not isolated among implausible ones
     (canedge_bridge.decode.Plausibility).
 
-    Unlike the live decoder it uses the frames that follow: the first ones after implausible ones are accepted too.
+    Unlike the live decoder it also uses later frames, and so accepts the first frames after implausible ones.
     """
     physical = values / signal.factor
     in_range = (physical >= signal.minimum) & (physical <= signal.maximum)
@@ -219,7 +218,7 @@ def plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, values
     possible = in_range & reached
     earlier = np.maximum.accumulate(np.where(possible, frames, -1))
     accepted = -1
-    for frame in np.flatnonzero(in_range & ~reached).tolist():  # jumps, and frames without a usable one before them
+    for frame in np.flatnonzero(in_range & ~reached).tolist():  # jumps, and frames without a usable predecessor
         last = max(accepted, int(earlier[frame]))
         is_comparable, is_close = within_reach(frame, last) if last >= 0 else (False, False)
         if is_close or not (is_comparable or comparable[frame]):
@@ -233,7 +232,7 @@ def plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, values
 
 
 def checksum_matches(check: CheckSpec, payload: np.ndarray, arbitration_id: int) -> np.ndarray:
-    """Whether the checksum of each frame is right. The two common rules are computed in columns, others per frame."""
+    """Whether the checksum of each frame is correct. The two common rules are vectorised, others run per frame."""
     found = (payload[:, check.field.byte] >> check.field.shift) & check.field.mask
     if check.rule is RULES["xor_nibble"]:
         value = np.bitwise_xor.reduce(payload, axis=1)
@@ -248,10 +247,10 @@ def checksum_matches(check: CheckSpec, payload: np.ndarray, arbitration_id: int)
 
 def counter_faults(field: Field, payload: np.ndarray, time_ns: np.ndarray, unreadable: np.ndarray,
                    restart_after: float) -> np.ndarray:
-    """Where the counter did not rise by one, as CounterCheck finds it; it also counts the `unreadable` frames."""
+    """Whether each counter did not increase by one. As in CounterCheck, `unreadable` frames also count."""
     value = ((payload[:, field.byte] >> field.shift) & field.mask).astype(np.int64)
     index = np.arange(len(value))
-    # The last readable frame before each.
+    # index of the last readable frame before each frame
     before = np.concatenate(([-1], np.maximum.accumulate(np.where(unreadable, -1, index))[:-1]))
     expected = value[before] + (index - before)
     wrong = (before >= 0) & ~unreadable & (((value - expected) & field.mask) != 0)

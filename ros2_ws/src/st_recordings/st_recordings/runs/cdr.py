@@ -1,7 +1,7 @@
 """Converts ROS messages between columns and serialised bytes (CDR) without a Python object per message, and reads
 columns directly from the chunks of an MCAP file.
 
-Messages of one type with the same texts and sequence lengths are rows of bytes of one layout. The offset of each number
+Messages of one type whose texts and sequence lengths are equal have the same byte layout. The offset of each number
 follows from the definition and one example.
 """
 
@@ -38,17 +38,17 @@ WHEEL_FIELDS = {"wheel_speed_front_left": "front_left", "wheel_speed_front_right
                 "wheel_speed_rear_left": "rear_left", "wheel_speed_rear_right": "rear_right",
                 "vehicle_speed": "vehicle_speed"}
 DAMAGE = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, OSError, OverflowError, MemoryError, McapError)
-"""Exceptions on reading an MCAP file that is damaged or contradicts its index."""
+"""Exceptions raised by reading an MCAP file that is damaged or contradicts its index."""
 _DTYPES = {"float64": "<f8", "float32": "<f4", "int64": "<i8", "uint64": "<u8", "int32": "<i4", "uint32": "<u4",
            "int16": "<i2", "uint16": "<u2", "int8": "i1", "uint8": "u1", "byte": "u1", "char": "u1", "bool": "?"}
-_ENCAPSULATION = 4  # bytes before the body; alignment counts from their end
+_ENCAPSULATION = 4  # bytes before the body; alignment is relative to the body
 _RECORD_HEAD = 9  # bytes of an MCAP record: opcode, length
 _MESSAGE_HEAD = _RECORD_HEAD + 22  # channel, sequence, log time, publish time
 
 
 @cache
 def typestore(definitions: Path) -> Typestore:
-    """The types of ROS 2 Jazzy and those of the .msg files in a folder <package>/msg."""
+    """Message types of ROS 2 Jazzy and of the .msg files in a folder <package>/msg."""
     store = get_typestore(Stores.ROS2_JAZZY)
     package = definitions.parent.name
     types: dict[str, Any] = {}
@@ -59,10 +59,10 @@ def typestore(definitions: Path) -> Typestore:
 
 
 def with_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]], types: Iterable[str]) -> Typestore:
-    """The store with some types as a recording defines them; the same store if none differs.
+    """The store with the given types replaced by the recorded definitions; the same store if none differs.
 
-    definitions: of the recording (bag_storage.Storage.definitions). A definition that cannot be parsed is ignored: the
-    type is then that of the store, or unknown.
+    definitions: definitions in the recording (bag_storage.Storage.definitions). One that cannot be parsed is ignored;
+    the type then remains as in the store, or unknown.
     """
     recorded: dict[str, Any] = {}
     for name in types:
@@ -89,7 +89,7 @@ def _normalised(fields: Any) -> list[tuple[str, Any]]:
 
 @dataclass(frozen=True)
 class Field:
-    """A number, or a row of `count` numbers, at a byte of the message."""
+    """One number, or `count` consecutive numbers, at byte `offset` of the message."""
 
     offset: int
     dtype: str
@@ -101,10 +101,10 @@ class Field:
 
 
 class Layout:
-    """The bytes of a message of one type, with the texts and sequence lengths of an example.
+    """Byte layout of the messages of one type that have the texts and sequence lengths of an example.
 
-    template: the example, serialised. fields: path, as "pose.pose.position.x", -> bytes of the number; a time is one
-    field under its own path ("header.stamp"): ns in columns, sec and nanosec in the message.
+    template: the example, serialised. fields: path, such as "pose.pose.position.x", -> position of the number. A time
+    is one field with its own path ("header.stamp"): ns in columns, sec and nanosec in the message.
     """
 
     def __init__(self, store: Typestore, type_name: str, example: Any):
@@ -121,7 +121,7 @@ class Layout:
             self._fixed[field.offset : field.offset + field.width] = False
 
     def _walk(self, type_name: str, value: Any, path: str, at: int) -> int:
-        """Adds the fields of a (nested) message at a byte; returns its end. Both count from after the encapsulation."""
+        """Adds the fields of a (nested) message at byte `at`; returns its end. Both are relative to the body."""
         if type_name in ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"):
             at = _aligned(at, 4)
             self.fields[path] = Field(at + _ENCAPSULATION, "<i4", 2)
@@ -153,7 +153,7 @@ class Layout:
         return field.offset - _ENCAPSULATION + field.width
 
     def rows(self, n: int, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Serialised messages, (n, length) uint8; fields without a column are as in the example.
+        """Serialised messages, (n, length) uint8; fields without a column have the values of the example.
 
         columns: path -> (n,) or (n, count); times in ns.
         """
@@ -176,14 +176,14 @@ class Layout:
         return values if field.count > 1 else values[:, 0]
 
     def fits(self, buffer: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> bool:
-        """Whether the messages at `starts`, of `sizes` bytes, have the example's texts and sequence lengths, and so
-        this layout. The middleware pads messages to a multiple of four bytes."""
+        """Whether the messages at `starts`, of `sizes` bytes, have this layout: the texts and sequence lengths of the
+        example. The middleware pads messages to a multiple of four bytes."""
         sized = ((sizes >= len(self.template)) & (sizes < len(self.template) + 4)).all()
         return bool(sized) and all((buffer[starts + k] == self.template[k]).all() for k in np.nonzero(self._fixed)[0])
 
 
 def field_of(message: Any, path: str) -> Any:
-    """A field of a deserialised message by its path; a time in ns."""
+    """The field of a deserialised message at a path; times in ns."""
     for part in path.split("."):
         message = getattr(message, part)
     return message.sec * 1_000_000_000 + message.nanosec if path.endswith("stamp") else message
@@ -206,7 +206,7 @@ class Block:
 def summary_of(path: Path) -> Summary | None:
     """Channels, schemas and chunks of a file that was closed.
 
-    None for a file without an index of its messages: cut, not MCAP, written without message index, or without channels
+    None for a file without a complete index: truncated, not MCAP, or written without message index or without channels
     and schemas after the data.
     """
     try:
@@ -237,7 +237,7 @@ def blocks(path: Path, summary: Summary, channels: Collection[int]) -> Iterator[
 
 
 def _uncompressed_chunks(stream: BinaryIO, chunks: Sequence[ChunkIndex]) -> Iterator[tuple[ChunkIndex, bytes]]:
-    """Yields chunks with their content; a thread is one chunk ahead, as decompression releases the interpreter."""
+    """Yields chunks with their content. A thread decompresses one chunk ahead, since this releases the GIL."""
     with ThreadPoolExecutor(1) as pool:
         pending: deque[tuple[ChunkIndex, Future[bytes]]] = deque()
         for chunk in chunks:

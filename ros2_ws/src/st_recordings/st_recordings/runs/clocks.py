@@ -12,7 +12,7 @@ from .can_signals import CanSignals, Signal
 from .ins_log import InsLog
 
 # Delays [s]: (expected, standard deviation), or bounds.
-INS_ON_CAN = (0.002, 0.002)  # from the measurement of an INS value to its frame in the log; default
+INS_ON_CAN = (0.002, 0.002)  # default, from the measurement of an INS value to its frame in the log
 WHEEL_SPEED = (0.015, 0.015)  # wheel speeds are counted over a period before they are sent
 # Slip of driven or braked wheels per acceleration [s^2/m]: at speed v its effect is that of a delay of this times v. A
 # braked rear axle has 0.003, a driven one 0.007, one that rolls freely 0.
@@ -22,15 +22,15 @@ STEERING_LEAD = (-0.06, 0.06)  # yaw follows the steering wheel by the response 
 NO_INS_FRAMES = "the log has no INS frames that the DBC describes (RT_..., rt.dbc of `st car new`)"
 
 MIN_VARIATION = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}
-"""Minimum standard deviation for information on the offset [m/s, rad/s, rad, 1/m]."""
+"""Minimum standard deviation of a signal that is used for alignment [m/s, rad/s, rad, 1/m]."""
 MIN_CURVATURE_SPEED = 3.0  # m/s; at lower speed, yaw rate divided by speed is noise
 MIN_MOVING_SPEED = 1.0  # m/s
 TIME_FRAME_RESOLUTION = {"RT_MilliTime": 0.001, "RT_DateTime": 0.01}  # s
-MAX_METHOD_DIFFERENCE = 0.01  # s, between time frame and shared signals
-MAX_CLOCK_ERROR = 60.0  # s, of the logger's own clock, where the signals allow several offsets
-MIN_RELATIVE_PEAK = 0.97  # of the correlation there, relative to the best one
-CHECK_SEARCH = 2.0  # s, around the time frame's own offset
-# Signals of the log -> channel whose limits of plausibility apply.
+MAX_METHOD_DIFFERENCE = 0.01  # s, between the offsets from the time frame and from the shared signals
+MAX_CLOCK_ERROR = 60.0  # s, error of the logger's clock assumed if the signals allow several offsets
+MIN_RELATIVE_PEAK = 0.97  # ratio of the correlation near the logger's clock to the best one
+CHECK_SEARCH = 2.0  # s, search range around the offset from the time frame
+# Signal of the log -> channel whose plausibility limits apply
 CHANNELS = {"ins_velocity_x": "velocity_x", "ins_yaw_rate": "yaw_rate", "ins_yaw": "yaw",
             "vehicle_speed": "velocity_x", "wheel_speed_rear_left": "velocity_x",
             "wheel_speed_rear_right": "velocity_x", "steering_wheel_angle": "steering_wheel_angle"}
@@ -41,9 +41,9 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
                  steering_sign: int = 1) -> tuple[Alignment, list[SharedSignal]]:
     """(alignment of the log to the INS, the signals it is based on or can be checked with).
 
-    Uses `offset` [s] (INS minus CAN clock) if given; else the INS's own time frame on CAN, checked against the shared
-    signals; else these; else a substitute, never better than doubtful. search: bounds of the offset [s]. latency: of
-    INS values on CAN, and its standard deviation [s]. steering_sign: +1 where the decoded sensor is left positive.
+    Uses the first available of: `offset` [s] (INS minus CAN clock); the INS time frame on CAN, checked against shared
+    signals; shared signals; substitutes (doubtful at best). search: bounds of the offset [s]. latency: delay of INS
+    values on CAN and its standard deviation [s]. steering_sign: +1 if the decoded sensor is left positive.
     """
     ins, can, notes = without_implausible(ins, can)
     pairs, warning = shared_signals(ins, can, latency), ""
@@ -84,7 +84,7 @@ def shared_signals(ins: InsLog, can: CanSignals, latency: tuple[float, float] = 
 
 
 def substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1) -> tuple[list[SharedSignal], str]:
-    """(pair for a log without INS frames: wheel speed, else steering against curvature; a warning).
+    """(signal pair for a log without INS frames: wheel speed, or else curvature against steering; a warning).
 
     steering_sign: +1 where the decoded sensor is left positive.
     """
@@ -113,9 +113,9 @@ def substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1) -> 
 
 
 def without_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, list[str]]:
-    """(both recordings with NaN for values that no working sensor gives, a note on each such signal).
+    """(both recordings with NaN for implausible values, a note on each such signal).
 
-    One sentinel or spike is larger than all motion, and shifts or hides the peak at the offset.
+    A single sentinel value or spike can exceed all motion, and then shifts or hides the correlation peak.
     """
     notes: list[str] = []
 
@@ -154,7 +154,7 @@ def _is_moving(time_ns: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray
 
 
 def _opposite_sign_note(pairs: list[SharedSignal], result: Alignment, search: tuple[float, float] | None) -> str:
-    """Reports that the opposite sign of the steering would explain a refusal; empty where it does not."""
+    """A note if the opposite steering sign would avoid the refusal; else empty."""
     if result.verdict is not Verdict.REFUSED or pairs[0].min_deviation != MIN_VARIATION["curvature"]:
         return ""
     opposite = align([replace(pairs[0], other=-pairs[0].other)], search=search)
@@ -163,7 +163,7 @@ def _opposite_sign_note(pairs: list[SharedSignal], result: Alignment, search: tu
 
 
 def _nearest_to_logger_clock(pairs: list[SharedSignal], result: Alignment) -> Alignment:
-    """Of several offsets that fit equally well, the one near the logger's own clock, if it is one of them."""
+    """Selects the offset near the logger's clock if it is one of several that fit equally well."""
     near = align(pairs, search=(-MAX_CLOCK_ERROR, MAX_CLOCK_ERROR))
     if near.verdict is Verdict.REFUSED or not near.peak or not result.peak or (
             near.peak[1] < MIN_RELATIVE_PEAK * result.peak[1]):
@@ -178,9 +178,9 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
                                  TIME_FRAME_RESOLUTION.get(frames.message, 0.01), *latency)
     if not pairs:
         return result
-    # Near the offset of the time frame only: repeated laps fit at many offsets.
+    # Search only near the offset of the time frame, because repeated laps fit at many offsets.
     offset = result.offset_at_ns(result.at_ns) * 1e-9
-    # The first message of velocity, yaw rate and yaw; a second one of the same adds no information.
+    # One message each for velocity, yaw rate and yaw; a second one adds no information.
     distinct = list({pair.name.partition(" (")[0]: pair for pair in reversed(pairs)}.values())[::-1]
     check = align(distinct, search=(offset - CHECK_SEARCH, offset + CHECK_SEARCH))
     if check.verdict is Verdict.REFUSED:

@@ -52,9 +52,9 @@ def unit_named(kind: str, text: str) -> str | None:
 
 @dataclass(frozen=True)
 class Channel:
-    """A channel. kind: of quantity, a key of UNITS. meaning: for the user. names: of its column, preferred ones first.
+    """A channel. kind: kind of quantity, a key of UNITS. meaning: description for users. names: possible names of its
 
-    Names are compared by letters and digits only, ignoring case.
+    column, preferred ones first, compared by letters and digits only, ignoring case.
     """
 
     kind: str
@@ -145,12 +145,12 @@ AMBIGUOUS = {normalised(name) for name in
 """Names that some files use for the steering wheel and others for the road wheels."""
 
 MAX_NAME_LENGTH = 200
-"""Characters of the name of a column; a longer one means no channel."""
+"""Characters of a column name; a longer text is not the name of a channel."""
 PATH_RANK = 1000
-"""Added to the rank of a name that is the end of a path, as /ins/odometry/twist/twist/linear/x of PlotJuggler."""
+"""Added to the rank of a name that ends a path, such as /ins/odometry/twist/twist/linear/x from PlotJuggler."""
 _OTHER_QUANTITY = re.compile(r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command|plan|pred|std|cov|var|err|max|min|"
                              r"engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
-"""In a path: its end is not the measured quantity of this car."""
+"""Words in a path that show that its end is not the measured quantity of this car."""
 
 _CHANNEL_OF = {normalised(name): (channel, rank) for channel, about in COLUMNS.items()
                for rank, name in enumerate(about.names)}
@@ -158,9 +158,9 @@ _CHANNEL_OF = {normalised(name): (channel, rank) for channel, about in COLUMNS.i
 
 @dataclass(frozen=True)
 class Layout:
-    """Columns as a run.yaml or an option names them. columns: channel -> name of the column. units: channel -> unit.
+    """Columns as named in a run.yaml or by an option. columns: channel -> column name. units: channel -> unit.
 
-    source: the file or option to name in an error about them.
+    source: the file or option that error messages name.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -170,7 +170,7 @@ class Layout:
 
 @dataclass(frozen=True)
 class ColumnSource:
-    """The column of a channel: its number and name, its unit, and whether header or run.yaml state that unit."""
+    """The column of a channel: its number, name and unit. stated: whether header or run.yaml state the unit."""
 
     column: int
     name: str
@@ -186,7 +186,7 @@ class ColumnSource:
 def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, ColumnSource]:
     """The channels that a header names. Raises RunError if a column that the layout names is missing."""
     found: dict[str, tuple[int, ColumnSource]] = {}
-    ambiguous: set[str] = set()  # channels that two topics have: which one is meant is unknown
+    ambiguous: set[str] = set()  # channels found in two topics, of which either may be meant
     for number, name in enumerate(names):
         if meaning := _meaning(name):
             channel, rank, unit = meaning
@@ -216,7 +216,7 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
 
 
 def stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
-    """Numbers of the columns of a ROS stamp, header.stamp.sec and header.stamp.nanosec, or secs and nsecs."""
+    """Column numbers of the two parts of a ROS stamp: header.stamp.sec and header.stamp.nanosec, or secs and nsecs."""
     plain = [normalised(name) for name in names]
     for number, name in enumerate(plain):
         stem = re.fullmatch(r"(.*?)n(?:ano)?secs?", name)
@@ -227,7 +227,7 @@ def stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
 
 
 def _column_number(names: Sequence[str], named: str) -> int | None:
-    """Number of the column of a name: an exact match, else ignoring case, else other characters, else also the unit."""
+    """Column number of a name: exact match, else ignoring case, else also punctuation, else also the unit."""
     for form in (str, str.lower, normalised, lambda name: normalised(_splits(name)[0][0])):
         for number, name in enumerate(names):
             if form(name) == form(named):
@@ -236,7 +236,7 @@ def _column_number(names: Sequence[str], named: str) -> int | None:
 
 
 def with_units(file: Path, sources: dict[str, ColumnSource], layout: Layout) -> dict[str, ColumnSource]:
-    """Sources with the units of the layout. Raises RunError for a unit of a channel without a column."""
+    """Sources with the units in the layout. Raises RunError if a channel with a unit has no column."""
     for channel, unit in layout.units.items():
         if channel not in sources:
             raise RunError(layout.source or file, f"units: {channel}: {file.name} has no column for it",
@@ -246,7 +246,7 @@ def with_units(file: Path, sources: dict[str, ColumnSource], layout: Layout) -> 
 
 
 def doubtful_steering(names: Sequence[str]) -> str | None:
-    """The first column that may be either steering angle; None without one."""
+    """The first column that may be the steering wheel or the road wheel angle; None if there is none."""
     return next((name for name in names for base, _ in _splits(name) if normalised(base) in AMBIGUOUS), None)
 
 
@@ -256,8 +256,8 @@ def _source(number: int, name: str, channel: str, unit: str | None) -> ColumnSou
 
 
 def _meaning(name: str) -> tuple[str, int, str | None] | None:
-    """(channel, rank among its names, stated unit) that the name of a column means; None for another column."""
-    # "%time" and "field.x" of `rostopic echo -p`, "vx\\CCP:1" of ETAS, "Speed (m/s) *gps" of RaceChrono.
+    """(channel, rank among its names, stated unit) of a column name; None for other columns."""
+    # "%time" and "field.x" from `rostopic echo -p`, "vx\\CCP:1" from ETAS, "Speed (m/s) *gps" from RaceChrono
     name = re.sub(r"\\.*$| \*\w+$", "", name.lstrip("%# ").removeprefix("field."))
     for base, unit in _splits(name):
         if normalised(base) in _CHANNEL_OF:
@@ -265,7 +265,7 @@ def _meaning(name: str) -> tuple[str, int, str | None] | None:
             known = unit_named(COLUMNS[channel].kind, unit)
             if known or not unit:
                 return channel, rank, known
-    end = re.match(r"[^\W\d][^/.(\[]*[/.](..+)|/(..+)", name[:MAX_NAME_LENGTH])  # no number: 0.123
+    end = re.match(r"[^\W\d][^/.(\[]*[/.](..+)|/(..+)", name[:MAX_NAME_LENGTH])  # but not a number such as 0.123
     rest = end[1] or end[2] if end else ""
     if len(normalised(re.split(r"[(\[]", rest)[0])) > 1 and not _OTHER_QUANTITY.search(name) and (
             meaning := _meaning(rest)) and meaning[0] != "t":
@@ -274,7 +274,7 @@ def _meaning(name: str) -> tuple[str, int, str | None] | None:
 
 
 def unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSource]) -> dict[str, str]:
-    """Channel -> sentence on its column, of the channels whose column is not used because its unit is not known."""
+    """Channel -> message, for the channels whose column is not used because its unit is not known."""
     sentences = {}
     for name in names:
         base, unit = _splits(name)[0]
@@ -288,7 +288,7 @@ def unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSource]) -> 
 
 def _splits(name: str) -> list[tuple[str, str]]:
     """Ways to split a column's name into name and unit, the whole name first: yaw_rate_deg_s -> yaw_rate, deg_s."""
-    if len(name) > MAX_NAME_LENGTH:  # text that is no header; splitting it takes quadratic time
+    if len(name) > MAX_NAME_LENGTH:  # not a header; splitting it would take quadratic time
         return [(name, "")]
     bracketed = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]\s*", name)
     if bracketed:

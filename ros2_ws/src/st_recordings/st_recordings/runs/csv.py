@@ -25,26 +25,26 @@ COLUMN_ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.
 STEERING_ADVICE = ("name its column, --steering-field NAME --steering-is wheel (or road), with --steering-sign -1 if "
                    "right is positive; or give the CAN log that has the steering as well")
 RELATED = {"time": "t", "x": "longitude", "y": "latitude", "yaw": COMPASS}
-"""Channel -> the channel it is computed from, if it has no column of its own."""
+"""Channel -> the channel from which it is computed if it has no column."""
 QUATERNION = [f"orientation_{axis}" for axis in "xyzw"]
 MIN_COURSE_SPEED = 1.0
 """m/s; at this speed a velocity noise of 0.05 m/s changes the course by 3 degrees."""
 MIN_DISTANCE_SAMPLES = 20
-"""Samples of a drive whose distance is compared with its speed."""
+"""Least number of samples for comparing the driven distance with the integrated speed."""
 MAX_HELD_SHARE = 0.3
-"""Fraction of the rows of a moving car with an unchanged position, above which positions have a lower rate than the
-rows."""
+"""Fraction of rows of a moving car with an unchanged position, above which positions are assumed to have a lower rate
+than the rows."""
 MIN_INTERVAL_RATIO = 1.5
-"""Ratio of the median time between two numbers of a channel to that of another, above which its rate is lower."""
+"""A channel has a lower rate than another if its median sample interval is longer by more than this ratio."""
 MIN_LOST_INTERVAL = 2.5
-"""Ratio of the time between two rows to the median one, above which rows between them are missing."""
+"""Rows are missing between two rows if their time difference exceeds this multiple of the median."""
 MAX_LATE_SHARE = 0.1
-"""Fraction of the new positions that follow missing rows, above which the stamps jitter and no row is missing."""
+"""If a larger fraction of new positions follows missing rows, the time stamps jitter and no row is missing."""
 MAX_ROUNDED_STEP = 1.01
-"""Ratio of the steps of a position to the smallest one, up to which they are steps of its rounding."""
+"""Position steps within this ratio of the rounding unit are due to rounding."""
 MIN_REGULAR_SHARE = 0.9
-"""Fraction of the distances between known samples of a channel [rows] that are multiples of the median distance, above
-which the blanks are due to its lower rate."""
+"""Blanks of a channel are due to its lower rate if more than this fraction of the distances between its samples [rows]
+are multiples of the median distance."""
 
 
 def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layout | None = None) -> LoadedRun:
@@ -53,7 +53,7 @@ def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layou
 
 
 def with_steering(layout: Layout, steering: SteeringField | None) -> Layout:
-    """The layout with the steering column that an option names, unless that option is about a topic."""
+    """The layout with the steering column named by an option; unchanged if the option names a topic."""
     if steering is None or steering.topic:
         return layout
     channel = ROAD if steering.quantity == "road" else WHEEL
@@ -66,10 +66,10 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
              steering: SteeringField | None = None) -> LoadedRun:
     """The drive in a table. Raises RunError.
 
-    A row without a number in an INS channel is left out of the INS samples but not of the steering, and vice versa;
-    an acceleration becomes NaN. vehicle: for a file with the steering wheel angle alone. yaw_scale: correction
-    of yaw, applied before it is unwrapped. steering: its sign is applied. Provenance: columns (channel ->
-    column and unit), and the origin of the map for a table with latitude and longitude.
+    A row without a number in an INS channel is left out of the INS samples but not of the steering samples, and vice
+    versa; a missing acceleration becomes NaN. vehicle: needed for a file that has only the steering wheel angle.
+    yaw_scale: correction factor of yaw, applied before unwrapping. steering: its sign is applied. Provenance: columns
+    (channel -> column and unit), and the origin of the map for a table with latitude and longitude.
     """
     file = table.file
     _require_columns(table, (*INS_SIGNALS, ROAD))
@@ -107,7 +107,7 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
 
 
 def ins_of(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
-    """The INS part of a table, for a run with its steering in a CAN log. Channels that are not needed may be NaN.
+    """The INS part of a table, for a run whose steering is in a CAN log. Channels that are not needed may be NaN.
     Raises RunError."""
     _require_columns(table, needed, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)
@@ -155,7 +155,7 @@ def looks_like_a_drive(file: Path) -> bool:
 
 def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iterable[str],
                       completed: bool = True) -> list[str]:
-    """The needed channels that no column gives, directly or derived. completed: see `_complete_motion`."""
+    """The needed channels that no column gives, directly or derived. completed: count those `_complete_motion` adds."""
     found = set(sources)
     if found & {COMPASS, COURSE} or found.issuperset(QUATERNION):
         found.add("yaw")
@@ -171,7 +171,7 @@ def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iter
 
 
 def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
-    """Raises RunError for missing columns. can: line of a run.yaml with the CAN logs that belong to the table."""
+    """Raises RunError for missing columns. can: suggested run.yaml line with the CAN logs that belong to the table."""
     missing = _missing_channels(table.sources, table.names, ("t", *needed))
     if missing and _is_mostly_numbers(table.names):
         raise RunError(table.file, "its first line has numbers instead of the names of columns",
@@ -199,9 +199,9 @@ def _is_mostly_numbers(names: Sequence[str]) -> bool:
 
 
 def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray], tuple[float, float, float] | None]:
-    """(columns, origin of the map): yaw also from compass heading, quaternion or course, velocities from those east and
-    north or from the course, yaw rate from yaw, x and y from latitude and longitude, positions interpolated at every
-    row."""
+    """(columns with derived channels, origin of the map).
+    Derives missing channels: yaw from compass heading, quaternion or course; velocities from east and north velocity or
+    from the course; yaw rate from yaw; x and y from latitude and longitude. Interpolates positions at every row."""
     columns, origin = dict(table.columns), None
     _interpolate_lower_rates(table, columns, notes)
     if "yaw" not in columns and COMPASS in columns:
@@ -239,9 +239,9 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
 
 def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: np.ndarray,
                     longitude: np.ndarray) -> None:
-    """Raises RunError for latitude and longitude in radians without a unit, or exchanged: the distance is not that of
-    the speed, and exchanged it is, in the direction of the heading. Steps of a second: the noise of a receiver hardly
-    adds to it."""
+    """Raises RunError if latitude and longitude are in radians without a stated unit, or exchanged.
+    They are exchanged if only exchanged values agree with the integrated speed and the heading. Distances are compared
+    over steps of one second, in which receiver noise is small."""
     if "velocity_x" not in columns:
         return
     rows = np.flatnonzero(table.used & np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(
@@ -259,7 +259,7 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
     heading = next((angle[rows[::step]][:-1] for angle in ([columns["yaw"]] if "yaw" in columns else turned)), None)
 
     def compared(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
-        """(distance over the driven one, angle between course and heading [rad]), of the median step."""
+        """Medians over steps: (ratio of position distance to driven distance, angle of course to heading [rad])."""
         first, at = (float(one[rows[0]]), float(other[rows[0]]), 0.0), rows[::step]
         east, north, _ = (np.diff(v) for v in enu(first, one[at], other[at], np.zeros(len(at))))
         ratio = np.median((np.hypot(east, north) / np.maximum(np.diff(driven), 1e-9))[moving])
@@ -284,8 +284,8 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
 def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
     """Interpolates INS channels with a lower rate or other stamps at the rows of the channel with the highest rate.
 
-    Loggers write such tables with blanks. Missing numbers of a channel of the highest rate stay missing, as do
-    gaps in a channel.
+    Loggers write such tables with blank cells. Missing numbers of the channel with the highest rate, and gaps in other
+    channels, are not filled.
     """
     names = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, COMPASS, COURSE, "velocity_east", "velocity_north")
              if name in columns]
@@ -342,7 +342,7 @@ def _course_in_motion(table: Table, columns: Mapping[str, np.ndarray], notes: li
 
 
 def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Adds velocity_y, from the course or 0, and the yaw rate as the derivative of yaw, where a GNSS has neither."""
+    """Adds missing channels: velocity_y, from the course or 0, and the yaw rate as derivative of yaw."""
     if not columns.keys() >= {"velocity_x", "yaw"}:
         return
     if "velocity_y" not in columns:
@@ -358,7 +358,7 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[s
 
 
 def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Interpolates positions of a lower rate than the rows, where each is repeated until the next."""
+    """Interpolates positions that have a lower rate than the rows and are repeated until the next one."""
     if not columns.keys() >= {"x", "y", "velocity_x"}:
         return
     rows = np.flatnonzero(table.used & all_known(columns, ("x", "y", "velocity_x")))
@@ -377,7 +377,7 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
     if is_rounded or (moving & ~new).sum() <= MAX_HELD_SHARE * max(moving.sum(), 1):
         return
     fresh = np.concatenate(([True], new))
-    # The first new position after lost rows may belong to one of them: its time is unknown.
+    # The first new position after lost rows may have changed in one of them, so its time is unknown.
     after_gap = np.concatenate(([False], np.diff(seconds) > MIN_LOST_INTERVAL * np.median(np.diff(seconds))))
     if (fresh & after_gap).sum() <= MAX_LATE_SHARE * fresh.sum() and (fresh & ~after_gap).sum() > 2:
         fresh &= ~after_gap
@@ -394,7 +394,7 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
 
 
 def _has_steps_of_one_digit(values: np.ndarray) -> bool:
-    """Whether a position [unit of the file] changes by one unit of its last decimal at a time: it is rounded."""
+    """Whether a position [unit of the file] mostly changes by one unit of its last decimal, and is thus rounded."""
     size = np.abs(np.diff(values))
     size = size[size > 0]
     if not len(size):
@@ -405,7 +405,7 @@ def _has_steps_of_one_digit(values: np.ndarray) -> bool:
 
 def _use_steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,
                   steering: SteeringField | None, notes: list[str]) -> tuple[str, ...]:
-    """Steering channels to use; the road wheel angle is added where the table has only the steering wheel angle."""
+    """Steering channels to use; computes the road wheel angle if the table has only the steering wheel angle."""
     if steering is not None and not steering.topic:
         named, other = (ROAD, WHEEL) if steering.quantity == "road" else (WHEEL, ROAD)
         columns[named] = steering.sign * columns[named]
@@ -425,7 +425,7 @@ def _use_steering(table: Table, columns: dict[str, np.ndarray], vehicle: Vehicle
 
 def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[str, ...],
                    notes: list[str]) -> dict[str, int]:
-    """Channel -> rows without a usable number, with a note on each. Rows whose time is not used do not count."""
+    """Channel -> rows without a usable number; adds a note on each. Rows whose time is not used are not counted."""
     lost = {"time": table.rows_without_time, **{
         name: _lost_samples(columns[name][table.used]) for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering)
         if name in columns}}

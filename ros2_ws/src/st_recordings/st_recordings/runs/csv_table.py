@@ -27,27 +27,27 @@ from .columns import (
 from .errors import RunError, check_readable, share, short
 from .ins_log import LATEST_TIME, usable_rows
 
-MAX_UNIT_ROWS = 5  # below the header without a number: units, sources, types
-MAX_HEADER_LINES = 60  # exports of loggers have some lines of their own before the header
+MAX_UNIT_ROWS = 5  # rows below the header that contain no number: units, sources, types
+MAX_HEADER_LINES = 60  # loggers write some lines of metadata before the header
 MISSING = frozenset(("", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "none", "inf", "-inf", "+inf", "nil"))
 _GROUPED = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for mark in ",."}
 _GROUPED_CELL = re.compile(r"(?:^|[;\t])\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+\s*(?=[;\t\r\n]|$)", re.MULTILINE)
 _GROUPED_POINTS = re.compile(r"\.(?<=\d.)\d{3}\.\d{3}(?!\d)")  # 1.234.567; a fixed first character is quick
 _NUMERIC = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
-# 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12.5 PM; 11:12.5 of
-# a spreadsheet is minutes and seconds, 05/04/2026 may be in April or May.
+# 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12.5 PM. Spreadsheets
+# write minutes and seconds as 11:12.5. 05/04/2026 may be in April or May.
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
                     r"(?:0 days )?(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
                     r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
 _SLASHED = re.compile(r"(?<!\d)(\d\d?)/(\d\d?)/(\d{4})(?!\d)")
-_NAMED_MONTH = re.compile(r"(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4})(?!\d)")  # 04-May-2026 of MATLAB
+_NAMED_MONTH = re.compile(r"(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4})(?!\d)")  # 04-May-2026, as MATLAB writes it
 _WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-].*)")  # 0.02 sec, 12 km/h
 _FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # 1.5D-03
 DAY, HOUR = 86400.0, 3600.0  # s
-MAX_RADIANS = 6.4  # magnitude of a first heading, beyond which it is in degrees
+MAX_RADIANS = 6.4  # a first heading of larger magnitude is in degrees
 MAX_YAW_RATE = 3.0  # rad/s; faster ones are in deg/s
-ROLLOVER_STEP = 60.0  # s, between the last time before midnight, or before the end of a GPS week, and the next one
-_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # day number of 1970-01-01, and the program
+ROLLOVER_STEP = 60.0  # s, longest gap between two rows across midnight or across the end of a GPS week
+_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # (day number of 1970-01-01, program that counts so)
 _EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
 _THOUSANDS_SPACES = re.compile(r"[\u00a0\u202f\u2009'](?<=\d.)(?=\d{3}(?!\d))")
@@ -55,11 +55,11 @@ _THOUSANDS_SPACES = re.compile(r"[\u00a0\u202f\u2009'](?<=\d.)(?=\d{3}(?!\d))")
 
 @dataclass(frozen=True)
 class Table:
-    """A table of channels. names: of all columns. sources: column and unit by channel.
+    """A table of channels. names: names of all columns. sources: column and unit by channel.
 
-    columns: values in SI by channel, NaN for a missing number. time_ns: of all rows that have a time, in the order of
-    the file; rows_without_time: number of the others, which are left out. used: (n,) whether a row has a time later
-    than all before (ins_log.usable_rows). warnings name the file. texts: first cell of each channel without a number.
+    columns: values in SI by channel, NaN for a missing number. time_ns: times of all rows that have one, in the order
+    of the file; rows_without_time: number of rows left out for lack of a time. used: (n,) whether the time of a row is
+    later than all before (ins_log.usable_rows). warnings name the file. texts: first cell of channels without numbers.
     """
 
     file: Path
@@ -79,7 +79,7 @@ class Table:
 
 
 def read_text(file: Path, size: int = -1) -> str:
-    """Text of a UTF-8, UTF-16 (of spreadsheets) or Windows-1252 file, lines ended by \\n.
+    """Text of a UTF-8, UTF-16 (some spreadsheets) or Windows-1252 file, with \\n at the ends of lines.
 
     size: bytes to read, -1 for all. Raises RunError for a binary file.
     """
@@ -128,9 +128,9 @@ def read_table(file: Path, layout: Layout) -> Table:
 
 
 def join_tables(tables: Sequence[Table]) -> Table:
-    """One table of the parts of a recording, in order of their first times, with the channels that all of them have.
+    """Joins the parts of a recording in order of their first times, keeping the channels that all parts have.
 
-    Raises RunError for parts that overlap in time: each has its own clock then.
+    Raises RunError for parts that overlap in time, since each then has its own clock.
     """
     parts = sorted((table for table in tables if table.used.any()), key=lambda part: part.time_ns[part.used][0])
     if len(parts) < 2:
@@ -152,10 +152,10 @@ def join_tables(tables: Sequence[Table]) -> Table:
 
 def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: Layout, warnings: list[str],
              sources: dict[str, ColumnSource] | None = None, above: Sequence[str] = ()) -> Table:
-    """The table of rows of text. sources: by channel, default from the names. above: lines before the header, which
-    may give the units. Raises RunError."""
+    """Parses rows of text into a table. sources: column of each channel, by default found from the names.
+    above: lines before the header, which may give the units. Raises RunError."""
     body = body.replace("\u2212", "-")
-    if "D+" in body or "D-" in body or "d+" in body or "d-" in body:  # the search takes a third of the reading
+    if "D+" in body or "D-" in body or "d+" in body or "d-" in body:  # the substitution is slow
         body = _FORTRAN.sub("E", body)
     if sources is None:
         sources = _find_sources(file, names, body, delimiter, layout, warnings)
@@ -193,7 +193,7 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
 
 
 def _with_nanoseconds(rows: np.ndarray, names: list[str], column: int) -> np.ndarray:
-    """Times of a column, with the nanoseconds of a ROS stamp unless that column is the whole time."""
+    """Times of a column, plus the nanosecond column of a ROS stamp if the first contains whole seconds only."""
     stamps, pair = rows[:, column], stamp_columns(names)
     if pair is None or pair[0] != column or np.nan_to_num(stamps % 1.0).any():
         return stamps
@@ -218,9 +218,9 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
 
 def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[str, np.ndarray], time_ns: np.ndarray,
                   warnings: list[str]) -> dict[str, ColumnSource]:
-    """The sources, with degrees for a compass heading or course whose unit is not stated and whose values are no
-    radians: from -180 to 360, with a wrap of 360, or beyond 2 pi at the first row, unless they change as the yaw rate
-    in radians does. Its column is converted."""
+    """Detects compass headings and courses in degrees, converts their columns, and returns the updated sources.
+    If no unit is stated, values from -180 to 360 are degrees if they wrap by 360 or the first exceeds 2 pi, unless
+    their change agrees with the yaw rate in rad/s."""
     degree = UNITS["angle"]["deg"][0]
     # A derived yaw rate would hide that yaw is in degrees.
     for channel in ("compass_heading", "course", *(() if "yaw_rate" in sources else ("yaw",))):
@@ -245,7 +245,7 @@ def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[st
 
 def _usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_time: str | None,
                   warnings: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(whether each row has a time, those times [ns], whether each of them is used). Raises RunError without any."""
+    """(whether each row has a time, those times [ns], whether each of them is used). Raises RunError if none has."""
     has_time = np.abs(seconds) <= LATEST_TIME
     if first_time is not None and len(seconds) and not np.isfinite(seconds).any():
         raise RunError(file, f"no time in column {source.name} can be read, the first is {first_time!r}",
@@ -255,7 +255,7 @@ def _usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_t
         unit = _unit_of_step(seconds)
         raise RunError(file, f"times like {known.max():.3g} in column {source.name} are not in {source.unit}",
                        f"declare their unit in a run.yaml, as units: {{t: {unit}}}" if unit else "export seconds")
-    # A float of seconds since 1970 resolves microseconds.
+    # Seconds since 1970 as a float have a resolution of microseconds.
     time_ns = np.round(seconds[has_time] * 1e6).astype(np.int64) * 1000
     usable, notes = usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
     used = np.zeros(len(time_ns), dtype=bool)
@@ -281,8 +281,8 @@ def _unit_of_step(times: np.ndarray) -> str:
 
 
 def _header_line(lines: list[str], layout: Layout | None = None) -> int:
-    """Index of the line that names most channels, the first of several; if no line names two, of the first line with
-    the most frequent number of cells."""
+    """Index of the first line that names the most channels. If no line names two channels, index of the first line
+    with the most frequent number of cells."""
     counts, widths = [], []
     for line in lines[:MAX_HEADER_LINES]:
         names, _ = _split_header(line)
@@ -295,7 +295,7 @@ def _header_line(lines: list[str], layout: Layout | None = None) -> int:
 
 def _split_header(header: str) -> tuple[list[str], str]:
     """(names, delimiter)."""
-    delimiter = max(";\t|,", key=re.sub('"[^"]*"', "", header).count)  # of equally frequent ones the first
+    delimiter = max(";\t|,", key=re.sub('"[^"]*"', "", header).count)  # the first of equally frequent ones
     if delimiter not in header and len(header.split()) > 2:
         names = header.split()
         return names[names[0] in ("#", "%", "//"):], " "  # "# t x y" of numpy.savetxt
@@ -308,10 +308,10 @@ def _split_header(header: str) -> tuple[list[str], str]:
 
 def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequence[str], body: str, delimiter: str,
                     layout: Layout) -> tuple[dict[str, ColumnSource], str]:
-    """(sources with the units of a row above or below the names, the body from the first row with a number on).
+    """(sources with units from a row above or below the names, the body from its first row of data).
 
-    Of several rows without a number below the names, one gives the units; the others are types or sources. A row with
-    only markers of missing values is not a row of units. Raises RunError for a cell that is not a unit of its channel.
+    If several rows below the names contain no number, one gives the units; the others are types or sources. A row of
+    missing-value markers is not a row of units. Raises RunError for a cell that is not a unit of its channel.
     """
     def texts(line: str) -> dict[str, str]:
         cells = [cell.strip(' \r"') for cell in line.split(delimiter)]
@@ -342,14 +342,14 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
 
 
 def _with_units(sources: dict[str, ColumnSource], texts: Mapping[str, str], layout: Layout) -> dict[str, ColumnSource]:
-    """The sources with the units in texts by channel; those of the layout have priority."""
+    """The sources with the units that `texts` gives by channel; units in the layout have priority."""
     return {**sources, **{channel: replace(sources[channel], unit=unit, stated=True) for channel, text in texts.items()
                           if channel not in layout.units and (unit := unit_named(COLUMNS[channel].kind, text))}}
 
 
 def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter: str,
                          layout: Layout) -> tuple[dict[str, ColumnSource], str]:
-    """(sources with the units that follow the numbers in their cells, the body without them)."""
+    """(sources with the units written after the numbers in their cells, the body without these units)."""
     first = _first_row(body, delimiter)
     found = {channel: text for channel, source in sources.items() if source.column < len(first)
              and (text := _split_unit(channel, first[source.column]))}
@@ -364,7 +364,7 @@ def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter:
 
 
 def _split_unit(channel: str, cell: str) -> str:
-    """The unit after the number in a cell of a channel, as written; empty without one."""
+    """The unit written after the number in a cell of a channel; empty if there is none."""
     match = _WITH_UNIT.fullmatch(cell)
     return match[2] if match and unit_named(COLUMNS[channel].kind, match[2]) else ""
 
@@ -376,7 +376,7 @@ def _first_row(body: str, delimiter: str) -> list[str]:
 
 
 def with_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], tuple[float, float] | None]) -> str:
-    """The rows with their times as seconds; a time of day continues over midnight.
+    """Converts the times of the rows to seconds; a time of day continues past midnight.
 
     clock: reads a cell as (seconds, period after which they restart, 0 for never); None for an invalid cell.
     """
@@ -414,8 +414,8 @@ def _numbered_month(date: re.Match[str]) -> str:
 
 
 def _parse_stamp(text: str) -> tuple[float, float] | None:
-    """(seconds since 1970, of the day or of the hour, period after which they restart) of a date and time; UTC if it
-    has no zone."""
+    """(seconds, period after which they restart) of a date and time: since 1970 (period 0), midnight or the full hour.
+    A text without time zone is read as UTC."""
     match = _STAMP.fullmatch(text)
     if match is None:
         return None
@@ -437,7 +437,7 @@ def _parse_stamp(text: str) -> tuple[float, float] | None:
 
 
 def _seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list[str]) -> np.ndarray:
-    """Times [s] by their stated unit; else inferred: HHMMSS, or ms, us, ns or days since 1970."""
+    """Times [s], from the stated unit or an inferred format: HHMMSS, or ms, us, ns or days since 1970."""
     finite = times[np.isfinite(times)]
     median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
     steps = steps[steps > 0.0]  # a coarse clock repeats its times
@@ -476,10 +476,10 @@ def _is_hhmmss(times: np.ndarray) -> bool:
 
 
 def _with_decimal_points(file: Path, body: str, delimiter: str) -> str:
-    """The body with decimal points and without thousands separators.
+    """Converts all numbers to decimal points without thousands separators.
 
-    Whether comma or point is the decimal mark is decided from the whole file. Raises RunError if both readings of a
-    cell remain possible: 1,234 is 1.234 or 1234.
+    The whole file decides whether comma or point is the decimal mark. Raises RunError if a cell remains ambiguous:
+    1,234 may be 1.234 or 1234.
     """
     body = _THOUSANDS_SPACES.sub("", body)
     quoted = delimiter == "," and '"' in body
@@ -491,7 +491,7 @@ def _with_decimal_points(file: Path, body: str, delimiter: str) -> str:
     cells = {cell.strip(' \r"') for row in table for cell in row}
     commas = {cell for cell in cells if "," in cell}
     points = {cell for cell in cells if "." in cell}
-    # Decimal mark by the cells: the last of two different marks, ...
+    # The decimal mark is the last of two different marks in a cell, ...
     marks = {"," if cell.rfind(",") > cell.rfind(".") else "." for cell in commas & points}
     for mark, cells_with_mark, other in ((",", commas, "."), (".", points, ",")):
         single = {cell for cell in cells_with_mark if other not in cell}
@@ -522,7 +522,7 @@ def _cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[str]]:
 
 
 def _numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
-    """The numbers in the rows, (n, width), NaN where there is none. Rows of another width are left out."""
+    """The numbers in the rows, (n, width), NaN for missing ones. Rows of another width are left out."""
     lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}') and not _is_comment(line, delimiter)]
     try:
         return _parse_rows(lines, delimiter, width)
@@ -576,7 +576,7 @@ def all_known(columns: Mapping[str, np.ndarray], names: Iterable[str]) -> np.nda
 
 
 def rate_of(table: Table, angle: np.ndarray) -> np.ndarray:
-    """Yaw rate of a yaw angle [rad/s] at the used rows that have it; NaN elsewhere, and with fewer than three."""
+    """Yaw rate [rad/s] from a yaw angle, at used rows with an angle; NaN elsewhere, or if fewer than 3 have it."""
     rate = np.full(len(angle), np.nan)
     rows = np.flatnonzero(table.used & np.isfinite(angle))
     if len(rows) > 2:

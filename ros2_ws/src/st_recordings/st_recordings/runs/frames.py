@@ -1,4 +1,4 @@
-"""CAN frames of a log, or of st_msgs/CanFrames messages, as columns: a million frames are six arrays."""
+"""CAN frames of a log or of st_msgs/CanFrames messages, stored as six columns."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -46,9 +46,9 @@ class Frames:
 class CanLog:
     """One recording of one logger, in any number of files.
 
-    start_ns: start of the first session by its header, else the first frame. absolute: whether times are UTC (of
-    the logger's clock); otherwise they count from the start of the log. warnings: whole sentences. steps: of
-    the clock, as of `without_clock_steps`.
+    start_ns: start of the first session from its header, or else time of the first frame. absolute: whether times are
+    UTC on the logger's clock; otherwise they count from the start of the log. warnings: complete sentences.
+    steps: clock steps as returned by `without_clock_steps`.
     """
 
     frames: Frames
@@ -85,7 +85,7 @@ def merged(parts: Sequence[Frames]) -> Frames:
 
 
 def without_duplicates(frames: Frames) -> tuple[Frames, int]:
-    """(frames that differ from the one before in time or content, number of the others)."""
+    """(frames that differ from the previous one in time or content, number of duplicates)."""
     if len(frames) < 2:
         return frames, 0
     same = (frames.time_ns[1:] == frames.time_ns[:-1]) & (frames.id[1:] == frames.id[:-1])
@@ -159,7 +159,7 @@ def read_frames(messages: Iterable[bytes]) -> Frames:
 
 
 def _first_frame(message: bytes) -> tuple[int, int]:
-    """(where the first frame of a message begins, number of frames)."""
+    """(byte at which the first frame of a message begins, number of frames)."""
     if len(message) < _FRAME_ID_AT + 4:
         raise ValueError("a message is too short")
     text_end = _FRAME_ID_AT + 4 + _LENGTH.unpack_from(message, _FRAME_ID_AT)[0]

@@ -20,7 +20,7 @@ _VARIABLE_LENGTH_GROUP, _BUS_EVENT, _REMOTE_MASTER = 1, 2, 8  # flags of a chann
 VARIABLE_LENGTH, _MASTER, VIRTUAL = 1, 2, (3, 6)  # types of a channel
 _INTEGER_TYPES, _REAL_TYPES = range(4), range(6)  # data types: integers; integers and floating-point numbers
 _TEXT_AND_BYTE_TYPES = range(6, 13)  # data types of variable length
-_USES_INVALIDATION_BIT = 3  # flags of a channel: it uses the invalidation bits of its record
+_USES_INVALIDATION_BIT = 3  # channel flag: it uses the invalidation bits of its record
 _LINEAR_CONVERSIONS = (0, 1)  # conversions: none, offset and factor
 
 
@@ -29,7 +29,7 @@ class DamageError(ValueError):
 
 
 class _Block(NamedTuple):
-    """at, content, end: bytes in the file. links: bytes at which other blocks are, 0 for none."""
+    """at, content, end: byte positions in the file. links: byte positions of other blocks, 0 for none."""
 
     at: int
     name: bytes
@@ -42,8 +42,8 @@ class _Block(NamedTuple):
 class Layout:
     """Records of an unsorted data group.
 
-    start: byte of the first record. id_size: bytes of an identifier. fixed: identifier -> (size [bytes], whether the
-    payload is a record of its own). variable: identifiers of these payloads.
+    start: position of the first record. id_size: bytes of an identifier. fixed: identifier -> (size [bytes], whether
+    the payload is a separate record). variable: identifiers of such payload records.
     """
 
     start: int
@@ -54,10 +54,10 @@ class Layout:
 
 def check_blocks(data: Buffer) -> Layout | None:
     """The layout of the records of an unsorted file; None for a sorted one. Raises DamageError for a missing or invalid
-    block that leads to the frames.
 
-    asammdf does not validate these: a channel outside its record crashes the process, a record of a gigabyte is
-    allocated, circular links are followed forever. Names, comments and sources are not needed and may be missing. The
+    block that leads to the frames.
+    asammdf does not validate these blocks: it crashes for a channel outside its record, allocates a record of a
+    gigabyte, and follows circular links forever. Names, comments and sources are not needed and may be missing. The
     data block of an unfinalised file has no length, so its end is not checked.
     """
     if len(data) < 64 + 104:
@@ -71,10 +71,10 @@ class _BlockWalk:
     def __init__(self, data: Buffer):
         self._data, self._size = data, len(data)
         self._is_unfinished = data[:8] == _UNFINISHED_MARK
-        # asammdf completes the unfinished parts from version 4.10 on.
+        # Since MDF 4.10 the file lists its unfinished parts, and asammdf completes them.
         self._unfinished_parts = struct.unpack_from("<H", data, 60)[0] if data[8:12] >= b"4.10" else 0
         self._visited: set[int] = set()
-        self.layouts: list[Layout | None] = []  # of the data groups
+        self.layouts: list[Layout | None] = []  # one per data group
         header = self._block(64, (b"##HD",), links=6, content=32)
         for link, name in ((1, b"##FH"), (3, b"##AT"), (4, b"##EV")):
             self._chain(header.links[link], name)
@@ -83,7 +83,7 @@ class _BlockWalk:
             at = self._data_group(at)
 
     def _block(self, at: int, names: tuple[bytes, ...], links: int = 0, content: int = 0) -> _Block:
-        """The block at a byte, which has one of the names and at least these numbers of links and bytes of content."""
+        """Reads the block at a byte; checks its name and its least numbers of links and of content bytes."""
         if at + _HEADER > self._size:
             raise DamageError(f"its index points to byte {at}, beyond its end at {self._size}")
         self._mark_visited(at)
@@ -107,13 +107,13 @@ class _BlockWalk:
         self._visited.add(at)
 
     def _chain(self, at: int, name: bytes) -> None:
-        """Visits a chain of blocks that are not read, to refuse a circular one."""
+        """Visits a chain of blocks that are not read, to reject circular chains."""
         while at and at + _HEADER + 8 <= self._size and self._data[at : at + 4] == name:
             self._mark_visited(at)
             at = struct.unpack_from("<Q", self._data, at + _HEADER)[0]
 
     def _data_group(self, at: int) -> int:
-        """Checks a data group; returns where the next one is."""
+        """Checks a data group; returns the position of the next one."""
         block = self._block(at, (b"##DG",), links=4, content=8)
         id_size = self._data[block.content]
         if id_size not in (0, 1, 2, 4, 8):
@@ -131,7 +131,7 @@ class _BlockWalk:
         return block.links[0]
 
     def _channel_group(self, at: int, layout: Layout) -> tuple[int, int]:
-        """Adds the records of a channel group to the layout; returns (where the next one is, bytes they claim)."""
+        """Adds the records of a channel group to the layout; returns (position of the next group, their bytes)."""
         block = self._block(at, (b"##CG",), links=6, content=32)
         record, count, flags, _, _, size, invalid = struct.unpack_from("<QQHHIII", self._data, block.content)
         if record in layout.fixed or record in layout.variable:
@@ -191,7 +191,7 @@ class _BlockWalk:
                 self._time_conversion(block.links[4])
 
     def _time_conversion(self, at: int) -> None:
-        # asammdf ignores an invalid conversion, and microseconds would become seconds.
+        # asammdf ignores an invalid conversion, so that microseconds would be read as seconds.
         self._visited.discard(at)  # groups share a conversion
         block = self._block(at, (b"##CC",), links=4, content=24)
         kind, _, _, _, values = struct.unpack_from("<BBHHH", self._data, block.content)
@@ -203,7 +203,7 @@ class _BlockWalk:
                 raise DamageError(f"the block at byte {at} gives invalid times ({offset:g} + {factor:g} x)")
 
     def _records_size(self, at: int, kind: bytes) -> int:
-        """Bytes of records at a link: in a block, packed or not, or in a list of such blocks."""
+        """Bytes of records at a link: one block, compressed or not, or a list of such blocks."""
         size, lists, waiting = 0, 0, [at]
         while waiting:
             at = waiting.pop()

@@ -1,7 +1,7 @@
 """Reads CANedge2 logs (MDF 4.11) with asammdf: both record layouts, finalised or not, complete or truncated.
 
-Layout 1 (seen in firmware 01.04): one group for all buses, the bus is in each record, the payload in a hidden group
-(VLSD). Layout 2 (from firmware 01.07): one group per bus and kind of frame, classic payloads are in the record.
+Layout 1 (found with firmware 01.04): one group for all buses, the bus in each record, payloads in a hidden group
+(VLSD). Layout 2 (from firmware 01.07): one group per bus and kind of frame, classic payloads in the records.
 """
 
 import io
@@ -20,21 +20,21 @@ from .errors import RunError, check_readable, share, short
 from .mdf_blocks import VARIABLE_LENGTH, VIRTUAL, DamageError
 
 RECORDS_AT_ONCE = 1 << 20
-LATEST_START, LONGEST_SESSION = 4 * 10**9, 1e9  # s; their sum fits into 64 bits as ns
+LATEST_START, LONGEST_SESSION = 4 * 10**9, 1e9  # s; their sum in ns fits into 64 bits
 MDF_OPTIONS: dict[str, Any] = {"process_bus_logging": False}  # frames as they are, not decoded
 VENDOR_SUFFIXES = (".mfc", ".mfe", ".mfm")
 _FLAGS_OF_KIND = {"CAN_DataFrame": 0, "CAN_RemoteFrame": frames.REMOTE, "CAN_ErrorFrame": frames.ERROR}
-_TIME_CHANNELS = (2, 3)  # types of a channel: master, virtual master
+_TIME_CHANNELS = (2, 3)  # channel types of time: master, virtual master
 FD_LENGTHS = np.array([*range(9), 12, 16, 20, 24, 32, 48, 64], np.uint8)  # bytes by data length code, ISO 11898-1
 _BUS = re.compile(r"CAN[ _]?(\d+)")
 _SPLIT = re.compile(r"^(\d{8})(-[0-9A-Fa-f]{8})?$")
 
 
 def session_of(path: Path) -> tuple[str, int]:
-    """(session, split) of a file: files with the same session are one recording, cut into splits.
+    """(session, split) of a file; the files of a session are consecutive parts of one recording.
 
-    They follow from the logger's own tree LOG/<device>/<8-digit session>/<8-digit split>[-hex].MF4, or from a flat copy
-    named <anything>_<8-digit session>_<8-digit split>; any other file is a session of its own.
+    Both follow from the logger's folders LOG/<device>/<8-digit session>/<8-digit split>[-hex].MF4, or from a copy named
+    <anything>_<8-digit session>_<8-digit split>. Any other file is a separate session.
     """
     match = _SPLIT.match(path.stem)
     if match and re.fullmatch(r"\d{8}", path.parent.name):
@@ -46,7 +46,7 @@ def session_of(path: Path) -> tuple[str, int]:
 
 
 def reject_vendor_container(path: Path) -> None:
-    """Raises RunError for a compressed or encrypted container of the logger vendor, known by name or content."""
+    """Raises RunError for a compressed or encrypted container of the logger vendor, recognised by name or content."""
     if path.suffix.lower() in VENDOR_SUFFIXES or _head(path).startswith(b"Generic File"):
         kinds = {".mfc": "compressed", ".mfe": "encrypted", ".mfm": "compressed and encrypted"}
         kind = kinds.get(path.suffix.lower(), "compressed or encrypted")
@@ -55,10 +55,10 @@ def reject_vendor_container(path: Path) -> None:
 
 
 def read_mf4(path: Path) -> frames.CanLog:
-    """All CAN frames of one file, in order of time; the warnings do not name the file.
+    """All CAN frames of one file, in order of time. The warnings do not name the file.
 
-    A file that ends in the middle of a record (usual when the ignition is switched off) is read up to there, with a
-    warning. Raises RunError for a file that is not MF4, has no CAN frames, or is truncated in its block structure.
+    A file that ends in the middle of a record, as is usual when the ignition is switched off, is read up to there,
+    with a warning. Raises RunError for a file that is not MF4, has no CAN frames, or has a truncated block structure.
     """
     check_readable(path)
     reject_vendor_container(path)
@@ -163,10 +163,10 @@ def _frame_channel(log: Any, group: int) -> str | None:
 
 
 def _has_payloads(log: Any, group: int) -> bool:
-    """Whether every frame of a group has its payload: in layout 1 the two are written one after the other.
+    """Whether every frame of a group has its payload, which layout 1 stores separately from the frame.
 
-    asammdf looks for payloads wherever the frames point to and allocates the longest it finds: terabytes, for one wrong
-    byte. So offsets and lengths are checked first, with private functions of asammdf.
+    asammdf follows the offsets in the frames and allocates the longest payload it finds, terabytes for one wrong byte.
+    So offsets and lengths are checked first, with private functions of asammdf.
     """
     if _frame_channel(log, group) is None or not log.groups[group].channel_group.cycles_nr:
         return True
@@ -201,7 +201,7 @@ def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[frames.Frames
         raise DamageError("its records have no time channel")
     count = content.channel_group.cycles_nr
     for first in range(0, count, RECORDS_AT_ONCE):
-        # Not more than exist: asammdf allocates the requested number. Times out of range are rejected in _frames.
+        # asammdf allocates the requested number of records, so no more than exist. _frames rejects times out of range.
         with np.errstate(all="ignore"):
             signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=False, record_offset=first,
                              record_count=min(RECORDS_AT_ONCE, count - first))
@@ -209,10 +209,10 @@ def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[frames.Frames
 
 
 def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[str, Any]) -> frames.Frames:
-    """Columns of some frames of a group; every column is checked, because a file can describe any layout.
+    """Columns of some frames of a group. Every column is checked, because a file can describe any layout.
 
-    channels: by short name. A virtual channel takes no bytes of the record, its value is its conversion; firmware 01.07
-    and later stores bus, IDE and direction in this way. Lengths of CAN FD frames come from a table of their code.
+    channels: by short name. A virtual channel takes no bytes of the record; its conversion gives a constant. Firmware
+    01.07 and later stores bus, IDE and direction in this way. The length code of a CAN FD frame gives its length.
     """
     rows, n = signal.samples, len(signal.samples)
     members = {m.rsplit(".", 1)[-1]: m for m in rows.dtype.names or ()}
@@ -269,7 +269,7 @@ def _lengths(stored: np.ndarray, channel: Any) -> np.ndarray:
 
 
 def _bus_of(log: Any, group: int) -> int:
-    """Bus of a group without it in its records (layout 2): from the name of the group, as CAN1_Rx."""
+    """Bus of a group whose records do not contain it (layout 2), from the name of the group, such as CAN1_Rx."""
     channel_group = log.groups[group].channel_group
     source = channel_group.acq_source
     for text in (channel_group.acq_name, getattr(source, "name", None), getattr(source, "path", None)):

@@ -28,17 +28,17 @@ from .run_types import LoadedRun, ReadSettings, RunSource, drive_log, signal_fil
 from .sources import find_runs
 
 MAX_LOG_GAP = 10.0
-"""s without a frame, after which a log may be of another drive."""
+"""Gap [s] between frames after which a log may continue with another drive."""
 MAX_PARTS = 20
-"""Number of parts of a log that are tried, the longest first."""
+"""Maximum number of parts of a log for which alignment is tried, the longest first."""
 
 
 @dataclass(frozen=True)
 class RawRun:
     """Complete content of aligned INS and CAN files, as `st import` writes it.
 
-    dbc: of the CAN frames. steering: None for `st align`. shared: signals in both, for the alignment and its check.
-    latency: text on the delay of INS frames.
+    dbc: file that describes the CAN frames. steering: None for `st align`. shared: signals in both recordings, for the
+    alignment and its check. latency: description of the delay of INS frames.
     """
 
     name: str
@@ -60,7 +60,7 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
              needs_steering: bool = True) -> RawRun:
     """Reads and aligns the INS recording and CAN logs of a run.
 
-    keep_frames: False drops the raw frames once they are decoded; they take most of the memory.
+    keep_frames: False discards the raw frames after decoding, since they take most of the memory.
     Raises RunError; a refused alignment is returned as such.
     """
     if source.problem is not None:
@@ -106,8 +106,8 @@ def _parts_of(can: CanLog) -> list[tuple[int, int]]:
 
 def _alignable_part(ins: InsLog, signals: CanSignals, parts: Sequence[tuple[int, int]], options: Mapping[str, Any]
                     ) -> tuple[tuple[int, int], Alignment, list[SharedSignal]] | None:
-    """(start and end, alignment and shared signals) of the longest part of a log that can be aligned: a logger's clock
-    was set, or logs of several drives were joined."""
+    """((start, end), alignment, shared signals) of the longest part of a log that can be aligned, for a log of several
+    drives or with a clock that was set."""
     for part in parts[:MAX_PARTS] if len(parts) > 1 else ():
         alignment, shared = align_clocks(ins, signals.between(*part), **options)
         if alignment.verdict is not Verdict.REFUSED:
@@ -139,7 +139,7 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
     wheel = settings.steering_sign * steering.values[good]
     accelerations = dict(zip(OPTIONAL_INS_SIGNALS, ins.acceleration, strict=False))
     missing = {name: int(np.isnan(values).sum()) for name, values in accelerations.items()}
-    missing = {name: count for name, count in missing.items() if count < len(ins.time_ns)}  # else it was not recorded
+    missing = {name: count for name, count in missing.items() if count < len(ins.time_ns)}  # all missing: not recorded
     warnings += [f"{source.where}: {name}: {share(count, len(ins.time_ns), 'samples')} have no value; "
                  f"it is {'unknown there' if is_mostly_known(accelerations[name]) else 'not used'}"
                  for name, count in missing.items() if count]
@@ -162,7 +162,7 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
 
 
 def _refused_steering(run: RawRun, settings: ReadSettings) -> tuple[Finding, ...]:
-    """Finding of the steering frames that the decoder rejected; empty without any."""
+    """A finding on steering frames that the decoder rejected; empty if there are none."""
     assert run.steering is not None
     message = run.steering.message
     if message not in run.signals.rejected or not len(run.ins.time_ns):
@@ -183,7 +183,7 @@ def _steering_clock(run: RawRun, settings: ReadSettings, time_ns: np.ndarray) ->
 
 
 def alignment_summary(alignment: Alignment) -> dict[str, Any]:
-    """The alignment in Python types for reports and metadata; units in the keys."""
+    """The alignment in Python types for reports and metadata; the keys contain the units."""
     return {
         "method": alignment.method, "verdict": str(alignment.verdict), "reasons": list(alignment.reasons),
         "at_ns": alignment.at_ns, "offset_s": alignment.offset_ns * 1e-9, "drift_ppm": alignment.drift_ppm,
@@ -193,7 +193,7 @@ def alignment_summary(alignment: Alignment) -> dict[str, Any]:
 
 
 def clock_settings(source: RunSource, settings: ReadSettings) -> dict[str, Any]:
-    """Arguments of `align_clocks` from the settings, else from the run's run.yaml. Raises RunError."""
+    """Arguments of `align_clocks`, from the settings or else from the run.yaml. Raises RunError."""
     if settings.search and settings.search[0] >= settings.search[1]:
         raise RunError("--search", "{:g} is not below {:g}".format(*settings.search))
     offset = settings.offset if settings.offset is not None else source.settings.get("offset")
@@ -215,7 +215,7 @@ def read_pair(files: Sequence[Path], settings: ReadSettings) -> RawRun:
 def _pair_source(files: Sequence[Path]) -> RunSource:
     tables = [f for f in files if f.suffix.lower()[1:] in TABLE_KEYS]
     logs = [f for f in files if f.suffix.lower() in EXTENSIONS]
-    if len(tables) == 1 and len(logs) == len(files) - 1 and logs:  # for other verbs, a table is a whole drive
+    if len(tables) == 1 and len(logs) == len(files) - 1 and logs:  # other commands read a table as a complete drive
         return RunSource(tables[0].stem, tables[0].suffix.lower()[1:], (tables[0],), tuple(logs))
     runs = find_runs(files)
     for run in runs:

@@ -1,5 +1,5 @@
-"""Reconstructs odometry and steering of a bag from raw packets and frames, as the bridges would have published them;
-reads steering from topics of any type, and further channels for the checks.
+"""Reconstructs odometry and steering of a bag from raw packets and frames, as the bridges would have published them.
+Also reads steering from topics of any type, and further channels for the checks.
 """
 
 import math
@@ -27,7 +27,7 @@ from .ncom import ins_quality, to_body
 from .run_types import SteeringField
 
 ORIGIN_TOPIC, ORIGIN_TYPE = "ins/origin", "sensor_msgs/msg/NavSatFix"
-RECONSTRUCTED = " (reconstructed)"  # appended to the name of the topic that odometry or steering was computed from
+RECONSTRUCTED = " (reconstructed)"  # appended to the name of the raw topic from which odometry or steering is computed
 _AUXILIARY_FIELDS = {WHEEL_SPEEDS: ("header.stamp", *WHEEL_FIELDS.values(), "valid"),
                      INS_ON_CAN: ("header.stamp", "velocity_x"), NCOM: ("raw_packet",)}
 _STATUS_FIELDS = ("header.stamp", "navigation_status", "position_mode", "position_accuracy_north",
@@ -38,7 +38,7 @@ class Reconstruction:
     """Odometry, steering and speeds of one recording, computed from raw packets and frames."""
 
     def __init__(self, path: Path, storage: Storage, records: Mapping[str, Mapping[str, str]], store: Typestore):
-        """records: metadata records with the parameters of the nodes, DBC, table and vehicle."""
+        """records: metadata records with node parameters, DBC, signal table and vehicle file."""
         self._path, self._storage, self._store = path, storage, store
         self._records, self._nodes = records, recorded_parameters(records)
         self._topics = storage.topics()
@@ -53,7 +53,7 @@ class Reconstruction:
 
     @property
     def bus_is_described(self) -> bool:
-        """Whether the recording includes the DBC and table of its frames."""
+        """Whether the recording includes CAN frames with their DBC and signal table."""
         return self.has(CAN_FRAMES) and None not in self._descriptions()
 
     def map_frame(self) -> str:
@@ -62,7 +62,7 @@ class Reconstruction:
     def odometry(self, fields: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Fields of nav_msgs/Odometry: stamp, position x, y, quaternion x, y, z, w, velocity x, y, yaw rate.
 
-        Raises RunError for damaged packets, or where none has a fix and a time.
+        Raises RunError for damaged packets, or if no packet has a fix and a time.
         """
         bridge = self._nodes.get("oxts_bridge", {})
         columns = self._storage.columns({self.topic(NCOM): ("header.stamp", "raw_packet")}, self._store)
@@ -156,7 +156,7 @@ class Reconstruction:
 
 
 def auxiliary_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, ...]]:
-    """Topics for the checks, one of a type, and their fields. Packets only if no other topics have their content."""
+    """Topics for the checks, one per type, and their fields. Raw packets only if no other topics have their content."""
     by_type = {topic.type_name: topic for topic in topics if topic.count}
     fields = {by_type[name]: fields for name, fields in _AUXILIARY_FIELDS.items() if name in by_type}
     if NCOM in by_type and INS_ON_CAN in by_type and INS_STATUS in by_type:
@@ -167,9 +167,9 @@ def auxiliary_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, ...]]:
 def auxiliary_data(storage: Storage, topics: Sequence[Topic], columns: Mapping[Topic, Mapping[str, np.ndarray]],
                    stamps: Mapping[str, np.ndarray], missing: Mapping[str, int], store: Typestore,
                    reconstruction: Reconstruction) -> AuxiliaryData:
-    """Data of a bag for the checks; the speeds are reconstructed where no topic has them.
+    """Data of a bag for the checks; speeds are reconstructed if no topic has them.
 
-    columns: of the topics of `auxiliary_fields` that could be read. stamps, missing: of odometry and steering.
+    columns: readable topics of `auxiliary_fields`. stamps, missing: of odometry and steering (missing: counts).
     """
     by_type = {topic.type_name: fields for topic, fields in columns.items()}
     status = next((topic for topic in topics if topic.type_name == INS_STATUS and topic.count), None)
@@ -214,7 +214,7 @@ def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
 
 
 def _reported_quality(storage: Storage, topic: Topic, store: Typestore) -> InsQuality | None:
-    """Quality in st_msgs/InsStatus: about one message a second, with texts of varying length."""
+    """Quality from st_msgs/InsStatus, read one by one: about one message a second, with texts of varying length."""
     try:
         rows = [[field_of(message, field) for field in _STATUS_FIELDS]
                 for _, message in deserialise("", storage, topic, store)]
@@ -230,7 +230,7 @@ def _reported_quality(storage: Storage, topic: Topic, store: Typestore) -> InsQu
 
 
 def steering_topic(where: Any, topics: list[Topic], steering: SteeringField, store: Typestore) -> Topic:
-    """The named topic. Raises RunError where it is not in the bag, empty, or of an unknown type."""
+    """The topic named by the option. Raises RunError if it is not in the bag, is empty, or has an unknown type."""
     found = next((t for t in topics if t.name.lstrip("/") == steering.topic.lstrip("/") and t.count), None)
     if found is None:
         names = ", ".join(sorted(t.name for t in topics if t.count))[:300] or "no messages"
@@ -245,7 +245,7 @@ def steering_topic(where: Any, topics: list[Topic], steering: SteeringField, sto
 def steering_value(where: Any, message: Any, steering: SteeringField) -> float:
     """The steering angle in a message [rad], left positive.
 
-    Raises RunError with the existing fields where the path does not lead to a number.
+    Raises RunError, with the existing fields, if the path does not lead to a number.
     """
     value = message
     for part in steering.field.split("."):
@@ -273,7 +273,7 @@ def _is_list(value: Any) -> bool:
 
 
 def stamp_of(message: Any, log_ns: int) -> int:
-    """header.stamp [ns]; the log time where the message has no stamp, or an empty one."""
+    """header.stamp [ns]; the log time if the message has no stamp or a zero one."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     return (stamp.sec * 1_000_000_000 + stamp.nanosec if stamp else 0) or log_ns
 
@@ -283,7 +283,7 @@ def deserialise(where: Any, storage: Storage, topic: Topic, store: Typestore) ->
     for log_ns, data in storage.timed_messages(topic.name):
         try:
             message = store.deserialize_cdr(data, topic.type_name)
-        except Exception as error:  # rosbags passes on those of struct and numpy
+        except Exception as error:  # rosbags passes on exceptions of struct and numpy
             raise RunError(where, f"a message of {topic.name} is damaged ({type(error).__name__})",
                            "record it again, or repair the bag with `st recover`") from None
         yield log_ns, message
@@ -291,7 +291,7 @@ def deserialise(where: Any, storage: Storage, topic: Topic, store: Typestore) ->
 
 def steering_columns(where: Any, storage: Storage, topic: Topic, steering: SteeringField,
                      store: Typestore) -> dict[str, np.ndarray]:
-    """The fields of st_msgs/Steering from a topic of another type; NaN for what is not measured. Raises RunError."""
+    """The fields of st_msgs/Steering from a topic of another type; NaN if not measured. Raises RunError."""
     stamps, angles = [], []
     for log_ns, message in deserialise(where, storage, topic, store):
         stamps.append(stamp_of(message, log_ns))

@@ -17,14 +17,14 @@ from .frames import ERROR, EXTENDED, FD, FRAME_HEAD_LENGTH, REMOTE, Frames
 from .ncom import ACCURACIES, NcomLog, latest_values, status_values
 
 UNKNOWN_VARIANCE = 1e6
-"""As in oxts_bridge.convert: large enough that filters ignore it, finite so that none fails."""
+"""As in oxts_bridge.convert: so large that filters ignore the value, and finite so that they do not fail."""
 MAP_FRAME, INS_FRAME = "map", "ins_link"
 CAN_PERIOD_NS = 20_000_000
 """Time span of one can/frames message, as in the live bridge."""
 
 
 class Covariances:
-    """Covariances of the odometry from the accuracies in one file, each valid from its packet until the next."""
+    """Odometry covariances from the accuracies in one file; each is valid from its packet until the next."""
 
     def __init__(self, columns: Columns):
         self._accuracies = {}

@@ -1,4 +1,4 @@
-"""Reads a run.yaml: which files make a run, and how they are to be read, corrected and labelled."""
+"""Reads a run.yaml, which lists the files of a run and how to read, correct and label them."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -37,7 +37,7 @@ def read_run_file(path: Path) -> list[RunSource]:
 
 
 def described_by_each(file: Path) -> RunSource | None:
-    """The run of a recording that is named alone, by a run.yaml of its folder with `each`. Raises RunError."""
+    """The run of a single recording, described by a run.yaml with `each` in its folder. Raises RunError."""
     paths = [path for path in sorted(file.parent.glob(f"*{RUN_FILE}")) if is_run_file(path) and path.is_file()
              and re.search(r"^each\s*:", path.read_text("utf-8", "replace"), re.MULTILINE)]
     return next((run for path in paths for run in read_run_file(path) if file in run.files), None)
@@ -71,7 +71,7 @@ def _single_run(path: Path, content: Mapping[str, Any]) -> RunSource:
 
 
 def _runs_of_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
-    """One run of each file, with the CAN logs of its stem; a file NAME.csv with a NAME.run.yaml is read by that."""
+    """One run per file, with the CAN logs of its stem. NAME.run.yaml has priority for a file NAME.csv."""
     if keys := [key for key in content if key in _KEYS_OF_ONE_RUN]:
         raise RunError(path, f"{keys[0]} belongs to one run, and `each` describes several",
                        "write a NAME.run.yaml for that run")
@@ -82,7 +82,7 @@ def _runs_of_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
 
 
 def _run_of_own_file(path: Path, file: Path) -> RunSource | None:
-    """The run of a recording with a run.yaml of its own, of its stem or in its folder; path: of the one with `each`."""
+    """The run of a recording with its own run.yaml (same stem or folder). path: the run.yaml with `each`."""
     for own in (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE)):
         try:
             content = _content(own) if own.exists() and own != path else {"each": ""}
@@ -107,7 +107,7 @@ def _run_of_each(path: Path, content: Mapping[str, Any], file: Path) -> RunSourc
 
 def _run(path: Path, content: Mapping[str, Any], name: str, key: str, files: tuple[Path, ...],
          logs: Sequence[Path]) -> RunSource:
-    """key: that of the files, a name of _FILE_KEYS."""
+    """key: key of the files, one of _FILE_KEYS."""
     reader = reader_of(files[0], key)
     assert reader is not None  # every key belongs to one
     if reader.needs_can and not logs:
@@ -131,7 +131,7 @@ def logs_of(file: Path, files: Sequence[Path]) -> list[Path]:
 
 
 def _parts(path: Path, key: str, value: Any) -> tuple[Path, ...]:
-    """The file of the INS measurements; of a csv or vbo also a list or a pattern, the parts of one recording."""
+    """The files of the INS measurements; several (a list or pattern) only for parts of one csv or vbo recording."""
     if key not in TABLE_KEYS:
         return (_existing_file(path, key, value),)
     found = tuple(dict.fromkeys(_matching_files(path, key, value)))
@@ -147,7 +147,7 @@ def _can_logs(path: Path, value: Any) -> list[Path]:
 
 
 def _matching_files(path: Path, key: str, value: Any) -> list[Path]:
-    """Files and folders that a name or pattern, or a list of such, gives."""
+    """Files and folders that match a name or pattern, or a list of them."""
     entries = [value] if isinstance(value, str) else value
     if not isinstance(entries, list) or not all(isinstance(e, str) for e in entries):
         raise RunError(path, f"{key}: expected a file or a list of files")

@@ -1,4 +1,4 @@
-"""Groups files into runs: by stem, folder, list of files, the splits of a bag, or a run.yaml."""
+"""Groups files into runs, by stem, folder, list of files, parts of a split bag, or run.yaml."""
 
 import glob
 from collections.abc import Iterator, Sequence
@@ -19,14 +19,14 @@ from .run_file import RUN_FILE, RUN_SUFFIX, described_by_each, is_run_file, logs
 from .run_types import RunSource
 
 GENERIC_NAMES = ("run", "bag")
-"""File names without meaning (run.ncom with run.mf4, bag/ of st live): the run is named after the folder."""
+"""Generic file names (run.ncom with run.mf4, bag/ of st live), for which the run is named after the folder."""
 DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
 """Extensions that no recording has, such as those of README and LICENSE; ignored among recordings."""
 MAX_SPLIT_GAP = 5.0
-"""s, between the end of one file of a bag and the start of the next."""
+"""Longest gap [s] between the end of one file of a split bag and the start of the next."""
 TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".mat", ".parquet", ".feather", ".h5",
                     ".hdf5", ".tdms", ".json", ".erg", ".ld")
-"""Tables of other programs; a text table is read if it is renamed to .csv."""
+"""Extensions of tables of other programs; a text table can be read after renaming it to .csv."""
 TEXT_EXPORTS = (".txt", ".tsv", ".dat")
 """Tables that a program often exports along with its own file."""
 UNKNOWN_ADVICE = {
@@ -38,14 +38,14 @@ UNKNOWN_ADVICE = {
     **dict.fromkeys((".gz", ".zip", ".7z", ".bz2", ".xz", ".zst", ".zstd"), "unpack it first"),
     **dict.fromkeys(TABLE_EXTENSIONS, "rename it to .csv if it is a text table with a header line; else export one"),
 }
-"""Advice on a file that no reader supports, by extension."""
+"""Extension -> advice, for files that no reader supports."""
 
 
 def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
     """The runs in files and folders, in order of name; an entry that cannot be a run has a `problem`.
 
-    Files given one by one that belong together (one INS recording and CAN logs, or the splits of a bag) are one run.
-    Folders are searched with all subfolders; other files in them are ignored, and so are bags without odometry.
+    Individual files that belong together (one INS recording and CAN logs, or the parts of a split bag) form one run.
+    Folders are searched recursively; files that are not recordings and bags without odometry are ignored there.
     """
     runs: list[RunSource] = []
     loose: list[Path] = []
@@ -66,7 +66,7 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
         loose = [f for f in loose if not _is_document(f)] or loose
     described = [run for path in loose if (run := _described_by_each(path)) is not None]
     rest = [f for f in loose if not any(f in (*run.files, *run.can) for run in described)]
-    if any(f.suffix.lower() in CAN_EXTENSIONS for f in rest):  # other CAN logs than their own are named with them
+    if any(f.suffix.lower() in CAN_EXTENSIONS for f in rest):  # the user names other CAN logs than `each`
         described, rest = [], loose
     return _with_distinct_names([*runs, *described, *_from_files(rest, given=True)])
 
@@ -79,7 +79,7 @@ def _described_by_each(path: Path) -> RunSource | None:
 
 
 def _without_run(folder: Path) -> list[RunSource]:
-    """Problems of the files in a folder that are recordings, but no runs; else one of the folder."""
+    """Problems of recordings in a folder that form no run; if there are none, a problem of the folder."""
     bag = READERS["bag"]
     files = sorted(folder.rglob("*"))
     bags = [f for f in files if bag.accepts(f) and not any(bag.accepts(parent) for parent in f.parents)]
@@ -101,24 +101,24 @@ def _in_folder(folder: Path) -> list[RunSource]:
                 used.add(path)
                 files.append(path)
         elif is_run_file(path):
-            described = [run.run_file for run in runs]  # by a run.yaml with `each`, too
+            described = [run.run_file for run in runs]  # including those of a run.yaml with `each`
             found = _from_run_file(path)
             runs += [run for run in found if run.run_file not in described]
             used.update(file for run in found for file in (*run.files, *run.can))
-            # The files of a wrong run.yaml are no runs of their own: one mistake is reported once.
+            # The files of an invalid run.yaml are not separate runs, so that one mistake is reported once.
             if any(run.problem and run.run_file == path for run in found):
                 stem = path.name.removesuffix(RUN_SUFFIX)
                 used.update(f for f in path.parent.iterdir()
                             if f.is_file() and (path.name == RUN_FILE or f.stem == stem))
         else:
             files.append(path)
-    runs = [run for run in runs if not any({*run.files} < {*other.files} for other in runs)]  # of `each`, parts of one
+    runs = [run for run in runs if not any({*run.files} < {*other.files} for other in runs)]  # `each` lists its parts
     loose = [path for path in files if path not in used or path.is_dir()]
     return runs + _from_files([path for path in loose if _may_be_in_a_run(path, files)], given=False)
 
 
 def _may_be_in_a_run(path: Path, files: Sequence[Path]) -> bool:
-    """Whether a file found in a folder may be a recording or CAN log; tables and bags without a drive are not."""
+    """Whether a file in a folder may be a recording or CAN log; False for tables and bags without a drive."""
     reader = reader_of(path)
     if reader is None or reader.needs_can:
         return True
@@ -130,14 +130,14 @@ def _may_be_in_a_run(path: Path, files: Sequence[Path]) -> bool:
 
 
 def _is_document(file: Path) -> bool:
-    """Whether a file is no recording by its extension; a text file may be a table."""
+    """Whether a file is a document by its extension, and not a text table with a recording."""
     reader = reader_of(file)
     return file.suffix.lower() in DOCUMENT_EXTENSIONS and not (
         reader and (reader.has_drive(file) or reader.is_ins_only(file) or reader.is_incomplete(file)))
 
 
 def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
-    """Runs of single files. given: by the user, so that a file of unknown type is a problem."""
+    """Runs of single files. given: named by the user, so that an unknown file type is a problem."""
     readers = {f: reader for f in files if (reader := reader_of(f)) is not None}
     logs = [f for f in files if f not in readers and f.suffix.lower() in CAN_EXTENSIONS and (given or is_can_log(f))]
     runs = [_unknown_file(f) for f in files if given and f not in readers and f not in logs]
@@ -147,7 +147,7 @@ def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
     without_logs = []
     for file, reader in readers.items():
         own_logs = logs_of(file, logs)
-        # A table with a CAN log of the same stem and unknown columns is an INS recording, too.
+        # A table with unknown columns and a CAN log of the same stem is also an INS recording.
         if not reader.needs_can and not (logs and reader.is_ins_only(file)) and (
                 reader.kind != "csv" or not own_logs or reader.has_drive(file)):
             runs.append(_single_run(file, reader))
@@ -172,7 +172,7 @@ def _unknown_file(file: Path) -> RunSource:
 
 
 def _unmatched(recordings: Sequence[Path], readers: dict[Path, Reader], logs: Sequence[Path]) -> Iterator[RunSource]:
-    """INS recordings without CAN logs, and CAN logs without an INS recording."""
+    """Yields entries for INS recordings without CAN logs and CAN logs without an INS recording."""
     for file in recordings:
         if not readers[file].needs_can:
             yield _single_run(file, readers[file])  # its reader reports what is missing
@@ -195,7 +195,7 @@ def _unmatched(recordings: Sequence[Path], readers: dict[Path, Reader], logs: Se
 
 
 def _split_bags(files: Sequence[Path]) -> list[list[Path]]:
-    """Groups of bag files drive_0, drive_1, ..., each of which begins where the previous one ends."""
+    """Groups of bag files drive_0, drive_1, ... in which each file begins where the previous one ends."""
     groups: list[list[Path]] = []
     for file in sorted(files, key=lambda f: (f.parent, natural_order(f))):
         if groups and _follows(groups[-1][-1], file):

@@ -1,5 +1,5 @@
-"""Reads Racelogic VBOX files (.vbo): sections of text, a row per sample; position, speed and course of the GNSS, and
-channels of the CAN bus.
+"""Reads Racelogic VBOX files (.vbo): text in sections with one row per sample. The channels are position, speed and
+course from GNSS, and CAN signals.
 
 Source: Racelogic, VBO file format. Latitude and longitude are in minutes of arc, west positive; time is HHMMSS.ss UTC.
 """
@@ -21,7 +21,7 @@ _CREATED = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
 _STANDARD_CHANNELS = {"lat": ("latitude", "min"), "latitude": ("latitude", "min"), "long": ("longitude", "min"),
                       "longitude": ("longitude", "min"), "velocity": ("velocity_x", "km/h"),
                       "heading": ("course", "deg"), "time": ("t", "s")}
-# Units of Racelogic's loggers for other channels, where [channel units] gives none.
+# Units that Racelogic's loggers use for other channels if [channel units] gives none
 _DEFAULT_UNITS = {"angular rate": "deg/s", "acceleration": "g", "angle": "deg", "speed": "km/h", "length": "m"}
 HEADER_SIZE = 65536  # bytes that contain the column names
 MAX_DAMAGED_TIMES = 0.01  # largest fraction of invalid times with which the others are read as HHMMSS
@@ -29,7 +29,7 @@ TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dua
 MIN_HEADING_AGREEMENT = 0.5
 """Correlation of a yaw rate channel with the derivative of the heading below which it is not used."""
 MIN_TURN_RATE = 0.01
-"""rad/s, median of the heading's derivative below which it is not compared: equal to noise of 0.1 deg at 5 Hz."""
+"""rad/s; a heading is not compared if the median of its derivative is lower, which is noise of 0.1 deg at 5 Hz."""
 
 
 def read_vbo(file: Path, layout: Layout) -> Table:
@@ -75,7 +75,7 @@ def lacks_steering(file: Path) -> bool:
 
 
 def _sections(text: str) -> dict[str, str]:
-    """Section -> its text. Data of several files in one are concatenated; of other repeated sections one is used."""
+    """Section -> text. Repeated data sections (joined files) are concatenated; of others the first is used."""
     parts = _SECTION.split(text)
     sections: dict[str, str] = {}
     for name, content in zip(parts[1::2], parts[2::2], strict=True):
@@ -94,12 +94,12 @@ def _sources(file: Path, names: list[str], sections: dict[str, str], layout: Lay
     sources = {}
     for channel, source in find_columns(file, names, Layout(layout.columns, {}, layout.source)).items():
         if normalised(source.name) == "heading" and channel not in layout.columns:
-            continue  # also _heading, of a second solution, is the course
+            continue  # heading, or _heading of a second solution, is the course
         stated = unit_named(source.kind, units.get(source.name, ""))
         sources[channel] = replace(source, unit=stated or _DEFAULT_UNITS.get(source.kind, source.unit),
                                    stated=stated is not None)
     for number, name in enumerate(names):
-        first = names.index(name) == number  # of columns of one name
+        first = names.index(name) == number  # of several columns with the same name
         if first and (standard := _STANDARD_CHANNELS.get(name.lower())) and standard[0] not in layout.columns:
             channel, unit = standard
             kind = COLUMNS[channel].kind
@@ -113,7 +113,7 @@ def _sources(file: Path, names: list[str], sections: dict[str, str], layout: Lay
 
 
 def _units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
-    """Column -> unit, from [channel units], which belong to the last columns, and from velocity in [header]."""
+    """Column -> unit, from [channel units], which lists the last columns, and from velocity in [header]."""
     lines = [line.strip() for line in sections.get("channel units", sections.get("units", "")).splitlines()]
     while lines and not lines[-1]:
         lines.pop()
@@ -125,7 +125,7 @@ def _units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
 
 
 def _midnight(text: str) -> float:
-    """UTC [s] of the start of the day on which the file was created; 0 where it does not state the day."""
+    """UTC [s] of the start of the day on which the file was created; 0 if it does not state the day."""
     match = _CREATED.search(text[:2000])
     try:
         day, month, year = map(int, match.groups()) if match else (1, 1, 1970)
@@ -135,7 +135,7 @@ def _midnight(text: str) -> float:
 
 
 def _is_hhmmss(body: str, column: int) -> bool:
-    """Whether the times are HHMMSS, with minutes and seconds below 60; single damaged ones do not count."""
+    """Whether the times are HHMMSS, with minutes and seconds below 60 except for single damaged times."""
     cells = [line.split(" ")[column] for line in body.split("\n") if line.count(" ") >= column][:-1]
     clock = np.array([float(cell) for cell in cells if re.fullmatch(r"\d{1,15}(\.\d+)?", cell)])
     other = (clock % 100 >= 60) | (clock // 100 % 100 >= 60)
@@ -165,12 +165,12 @@ def _with_signs(table: Table) -> Table:
 
 
 def _compare_yaw_rate(table: Table, columns: dict[str, np.ndarray], derived: np.ndarray, notes: list[str]) -> None:
-    """Gives the yaw rate channel the sign of the heading's derivative, or replaces it by that."""
+    """Gives the yaw rate the sign of the derivative of the heading, or replaces it by this derivative."""
     both = np.isfinite(columns["yaw_rate"]) & np.isfinite(derived) & (np.abs(columns["velocity_x"]) > 3.0)
     measured, expected = columns["yaw_rate"][both], derived[both]
     if both.sum() <= 10 or np.median(np.abs(expected)) < MIN_TURN_RATE:
         return  # on a straight the derivative is noise
-    # Without subtracting means: both are constant in a steady turn.
+    # Means are not subtracted, because both are constant in a steady turn.
     agreement = measured @ expected / max(np.linalg.norm(measured) * np.linalg.norm(expected), 1e-12)
     if agreement < -MIN_HEADING_AGREEMENT:
         columns["yaw_rate"] = -columns["yaw_rate"]
