@@ -162,7 +162,7 @@ def test_what_does_not_load_is_loud_and_leaves_nothing_behind(tmp_path, files, m
 
 
 def test_confounded_effects_are_listed_on_both_sides(tmp_path):
-    """What an effect of one's own is hard to tell from, reaches the library's effect too."""
+    """An effect of one's own that lists an effect of the library is listed for that one too."""
     text = BANK_FROM_A_MAP.replace("kind, slot", 'confounded_with = ("road_bank",)\n        kind, slot')
     write(tmp_path, "a.py", text.format(name="mine"))
     assert "mine" not in confounded_effects("road_bank")
