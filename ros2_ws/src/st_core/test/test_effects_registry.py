@@ -66,6 +66,7 @@ def test_a_complete_effect_is_taken():
     ({"name": None}, "must be a subclass of Effect with a name"),
     ({"name": "friction"}, r"effect friction: registered already, by .*friction\.py"),
     ({"axle_force": staticmethod(len)}, "effect trial: unknown attribute axle_force, did you mean axle_forces?"),
+    ({"twins": ("road_bank",)}, "unknown attribute twins: remove it, or see the new names in CHANGELOG.md"),
     ({"acceleration": lambda instant, prepared, theta: (0.0, 0.0, 0.0)},
      "effect trial: acceleration must be a @staticmethod"),
     ({"physics": ""}, "effect trial: physics is not given"),

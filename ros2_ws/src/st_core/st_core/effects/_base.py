@@ -240,7 +240,8 @@ def _wrong_attributes(effect: type[Effect]) -> Iterator[str]:
         if key.startswith("_"):
             continue
         if key not in vars(Effect) and key not in Effect.__annotations__:
-            yield f"unknown attribute {key}{nearest(key, [*vars(Effect), *Effect.__annotations__])}"
+            known = nearest(key, [*vars(Effect), *Effect.__annotations__])
+            yield f"unknown attribute {key}{known or ': remove it, or see the new names in CHANGELOG.md'}"
         if key in HOOKS and not (isinstance(value, staticmethod) and isinstance(value.__func__, FunctionType)):
             yield f"{key} must be a @staticmethod"
 
