@@ -149,8 +149,10 @@ class Search:
                 return found
             path.add(key)
             self._visited.add(key)
+            scale = self.problem.loss.scale
             added = self._forward(found) if len(found.fit.names) < self.limits.max_effects else None
             if added is None:
+                self.problem.loss.scale = scale  # that of the losses in `found`; refused effects may have changed it
                 return found
             found.fit = self._rescale(self._backward(added, found.scores))
             found.order = [n for n in dict.fromkeys((*found.order, *added.names)) if n in found.fit.names]
@@ -184,14 +186,14 @@ class Search:
         return fit
 
     def _select(self, answers: list[Found]) -> Found:
-        """The set with the lowest held-out loss, normalised by the residual scale of the one with the smallest errors;
-        each effect costs `limits.negligible`."""
+        """The set with the lowest held-out loss, with the residual scale and the design effect of the one with the
+        smallest errors; each effect costs `limits.negligible`."""
         p = self.problem
-        if len(answers) > 1:
-            smallest = min(answers, key=lambda a: float(np.log(p.loss.scale_of(a.fit.vector)).sum()))
-            p.loss.rescale(smallest.fit.vector)
-            for a in answers:
-                a.fit = p.fit(a.fit.names, a.fit.slopes, iterations=2)
+        smallest = min(answers, key=lambda a: float(np.log(p.loss.scale_of(a.fit.vector)).sum()))
+        p.loss.rescale(smallest.fit.vector)
+        p.update_design_effect(smallest.fit.vector)
+        for a in answers:
+            a.fit = p.fit(a.fit.names, a.fit.slopes, iterations=2)
         price = self.limits.negligible * p.scored_count
         return min(answers, key=lambda a: float(a.fit.held_out.sum()) + price * len(a.fit.names))
 
