@@ -53,8 +53,9 @@ def axle_forces(model: str | Model, vehicle: VehicleParameters, slip: np.ndarray
         raise StCoreError(f"{base.name}: this model has no axle forces")
     if isinstance(model, AugmentedModel):
         model = model.only(e for e in model.effects if e.slot != "steering")
-    left, right = (_steady_forces(model, vehicle, side * np.asarray(slip, float)) for side in (-1.0, 1.0))
-    return 0.5 * (left[0] - right[0]), 0.5 * (left[1] - right[1])
+    slip = np.asarray(slip, float)
+    front, rear = (force.reshape(2, -1) for force in _steady_forces(model, vehicle, np.concatenate((-slip, slip))))
+    return 0.5 * (front[0] - front[1]), 0.5 * (rear[0] - rear[1])
 
 
 def axle_force(model: str | Model, vehicle: VehicleParameters, axle: str, slip: np.ndarray) -> np.ndarray:
