@@ -53,7 +53,7 @@ class MessageStatistics:
 
 @dataclass
 class FrameStatistics:
-    """Counts of frames that are not in the table."""
+    """Counts of frames that are not decoded: identifier not in the table, error frame, remote frame."""
 
     unknown: int = 0
     error: int = 0
@@ -71,7 +71,7 @@ class Plausibility:
         self._spec = spec
         self._period = period
         self._timeout_ns = int(timeout * 1e9)
-        self._previous: tuple[int, float] | None = None  # of the frame before, None if it was out of range
+        self._previous: tuple[int, float] | None = None  # time and value of the previous frame if in range
         self._accepted: tuple[int, float] | None = None
         self._recent: deque[bool] = deque(maxlen=PLAUSIBILITY_FRAMES)
         self._accepted_in_a_row = 0
@@ -146,9 +146,9 @@ class Decoder:
         return self._by_name[message].statistics
 
     def decode(self, frame: can.Message, time_ns: int | None = None) -> Decoded | None:
-        """The signals of a frame; None for one that is not in the table or is bad.
+        """The signals of a frame; None for a bad frame or one that is not in the table.
 
-        time_ns: when the frame was received [ns since 1970]; without it, the frame's own timestamp.
+        time_ns: when the frame was received [ns since 1970]; by default the frame's own timestamp.
         """
         if frame.is_error_frame:
             self.frames.error += 1
@@ -186,8 +186,8 @@ class Decoder:
         return Decoded(spec.name, time_ns, with_unix_time(values), not fault, fault)
 
     def _plausible(self, row: _Row, values: Mapping[str, float], time_ns: int) -> bool:
-        """Whether all values are plausible; False also while too many recent values of a signal are implausible, since
-        plausible ones are then coincidence."""
+        """Whether all values are plausible; also False while too many recent values of a signal are implausible,
+        because the plausible ones are then a coincidence."""
         possible = [check.accepts(values[name], time_ns) for name, check in row.plausibility if name in values]
         if not all(possible):
             row.statistics.implausible += 1
@@ -216,15 +216,15 @@ class Decoder:
             statistics.lost = row.counter.lost
             if not correct:
                 statistics.wrong_counter += 1
-                return f"{spec.counter.signal} did not rise by 1", counter_mode is Mode.DROP
+                return f"{spec.counter.signal} did not increase by 1", counter_mode is Mode.DROP
         return "", False
 
     def encode(self, message: str, values: Mapping[str, float], counter: int = 0) -> can.Message:
         """A frame with counter and checksum filled in.
 
         message: any message of the DBC. values: canonical names in SI, or DBC signals in their unit; ins_unix_time
-        for a time frame. Signals not given have the table's `fill`, else raw 0. A value outside the signal's range is
-        clipped, as a sensor does; angles of the INS are wrapped into the range.
+        for a time frame. Other signals have the `fill` value of the table, or raw 0. A value outside the signal's range
+        is clipped, as by a sensor; angles of the INS are wrapped into the range.
         Raises KeyError for an unknown message or signal, ValueError for a value that is not finite.
         """
         dbc = self.table.database.get_message_by_name(message)
@@ -304,7 +304,7 @@ def _modes(table: SignalTable, overrides: Mapping[str, str]) -> dict[str, tuple[
 class SteeringCalibration:
     """road_wheel_angle = (steering_sign * sensor - steering_wheel_offset) / steering_ratio
 
-    steering_sign: +1 where the sensor, as decoded, counts left turns positive, -1 where right turns; applied first.
+    steering_sign: +1 if the decoded sensor value is positive to the left, -1 if to the right; applied first.
     steering_wheel_offset [rad, left +]: signed sensor reading when driving straight. steering_ratio [1].
     Source: paper, section on the vehicle; offset and ratio of the Leaf are -2.7 deg and 17.3.
     """

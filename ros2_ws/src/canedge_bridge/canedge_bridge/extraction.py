@@ -47,7 +47,7 @@ def decode_frame(message: DbcMessage, data: bytes) -> Mapping[str, float]:
 
 
 def multiplexer_conditions(message: DbcMessage, signal: DbcSignal) -> list[tuple[DbcSignal, frozenset[int]]]:
-    """Conditions for a multiplexed signal to be in a frame: (selector, raw values it may have), from the inside out.
+    """Conditions for a multiplexed signal to be in a frame: (selector, allowed raw values), innermost selector first.
 
     All must hold; empty for a signal that is not multiplexed.
     """
@@ -70,11 +70,11 @@ class MessageColumns:
 
 def decode_log(database: Any, ids: np.ndarray, payload: np.ndarray, lengths: np.ndarray,
                messages: Iterable[str] | None = None) -> dict[str, MessageColumns]:
-    """Decoded frames by message name, each message in input order; messages without a frame are left out.
+    """Decoded frames by message name, each message in input order; messages without a frame are omitted.
 
     database: from `signals.load_dbc`. ids: (n,) integer, plus EXTENDED for 29-bit frames. payload: (n, 8 or more)
     uint8, bytes after the frame's end are ignored. lengths: (n,) bytes in the frame; a frame that is shorter than in
-    the DBC, or longer by more than padding, is left out, as in the live decoder. messages: only these.
+    the DBC, or longer by more than padding, is skipped, as in the live decoder. messages: names to decode, None: all.
     Raises KeyError for an unknown message name, ValueError for a wrong shape.
     """
     payload = np.ascontiguousarray(payload, dtype=np.uint8)

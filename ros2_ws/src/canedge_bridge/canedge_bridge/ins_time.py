@@ -1,4 +1,4 @@
-"""GPS time to UTC for the two time frames an OxTS unit can send on CAN (0x600 and 0x630), single frames or columns."""
+"""GPS time to UTC for the two time frames of an OxTS unit on CAN (0x600 and 0x630), as single frames or columns."""
 
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
@@ -31,8 +31,8 @@ def with_unix_time(values: Mapping[str, Any]) -> dict[str, Any]:
 def _from_milli_time(gps: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """UTC [s] of GPS time [s since 1980-01-06]; NaN at 0.
 
-    If the unit sends its offset, that takes precedence over the table of leap seconds. Only its magnitude is used: GPS
-    is ahead of UTC, and the sign in a real frame is not known.
+    An offset sent by the unit has precedence over the table of leap seconds. Only its magnitude is used: GPS is ahead
+    of UTC, and the sign in a real frame is not known.
     """
     as_unix = np.where(gps > 0, gps + GPS_EPOCH_UNIX, np.nan)
     return np.where(offset > 0, as_unix - offset, _to_utc(as_unix))
@@ -48,7 +48,7 @@ def _from_date_time(parts: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def _to_utc(gps_as_unix: np.ndarray) -> np.ndarray:
-    """GPS seconds on the Unix scale to UTC."""
+    """UTC [s since 1970] of GPS time that counts seconds from 1970."""
     return gps_as_unix - at_all_gps(gps_as_unix - GPS_EPOCH_UNIX)
 
 
@@ -62,7 +62,7 @@ def _day_number(year: np.ndarray, month: np.ndarray, day: np.ndarray) -> np.ndar
 
 
 def to_parts(unix_time: float, names: frozenset[str]) -> dict[str, float]:
-    """The parts of GPS time for a time frame with these signals, to a hundredth of a second in a date."""
+    """GPS time as the signals `names` of a time frame; a date and time are rounded to 0.01 s."""
     leap = at_unix(unix_time)
     if "gps_time" in names:
         return {"gps_time": unix_time + leap - GPS_EPOCH_UNIX, "gps_utc_offset": float(-leap)}  # as NCOM, UTC - GPS

@@ -43,12 +43,12 @@ _INS = {
 PARAMETERS = (
     Parameter("interface", "socketcan", "python-can interface: socketcan, udp_multicast (loopback only), ..."),
     Parameter("channel", "can0", "can0 for socketcan, group or group:port for udp_multicast"),
-    Parameter("bitrate", 0, "for interfaces that set it themselves; 0: the interface's default", "bit/s", 0, 8_000_000),
+    Parameter("bitrate", 0, "of interfaces that python-can configures; 0: their default", "bit/s", 0, 8_000_000),
     Parameter("dbc_file", "", "DBC of the bus"),
     Parameter("signals_file", "", "table from DBC signals to canonical names, signs, units and checks"),
     Parameter("vehicle_file", "", "vehicle parameters, for steering_ratio and steering_wheel_offset"),
     Parameter("needed_messages", [], "messages required on the bus, instead of those marked in the table"),
-    Parameter("checks", [], "MESSAGE=off|warn|drop, MESSAGE.counter=... or MESSAGE.checksum=..., instead of the table"),
+    Parameter("checks", [], "overrides of the table: MESSAGE=off|warn|drop, MESSAGE.counter=..., MESSAGE.checksum=..."),
     Parameter("steering_sign", 1, "+1: decoded sensor is left positive; -1: right positive", choices=(1, -1)),
     Parameter("steering_ratio", math.nan, "steering wheel to road wheel; NaN: from vehicle_file", "1", 1.0, 60.0),
     Parameter("steering_wheel_offset", math.nan, "signed sensor reading when driving straight, left +; NaN: from "

@@ -127,7 +127,7 @@ class Receiver:
             self._handle_silence()
             return
         now_ns = time.time_ns()
-        # python-can hands the kernel's nanoseconds over as a float: exact to 0.24 us.
+        # python-can converts the kernel's nanoseconds to a float with a resolution of 0.24 us.
         time_ns = round(frame.timestamp * 1e9)
         if abs(now_ns - time_ns) > _MAX_STAMP_OFFSET_NS:
             time_ns = now_ns
@@ -184,7 +184,7 @@ class Receiver:
             self._set_state(BusState.SILENT, f"no frame for more than {self._silence:g} s")
 
     def _handle_failure(self, error: Exception) -> None:
-        """Report a failure and wait. A socket recovers when its network is up again; other failures need a new one."""
+        """Report a failure and wait. A socket recovers when its network is up; other failures need a new socket."""
         with self._lock:
             self._status.failures += 1
         if _errno(error) == errno.ENETDOWN and self._bus is not None:

@@ -184,7 +184,7 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
         raise TableError(f"{path}: cannot be read: {error.strerror}") from None
     try:
         return cantools.database.load_string(text, "dbc", strict=False)
-    except Exception as error:  # cantools lets every exception of its parsers through
+    except Exception as error:  # cantools does not wrap the exceptions of its parsers
         reason = error
     try:
         reduced = _reduced(text, frozenset(messages))
@@ -247,7 +247,7 @@ def _check_layout(dbc: DbcMessage, dbc_path: Path) -> None:
     """Raises TableError for signals that overlap or lie outside their message, or cannot be scaled."""
     try:
         dbc.refresh(strict=True)
-    except Exception as error:  # as for load_dbc
+    except Exception as error:  # any type, as in load_dbc
         raise TableError(f"{dbc_path}: {dbc.name}: {one_line(error)}") from None
     for signal in dbc.signals:
         if signal.start < 0:
@@ -319,7 +319,7 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
             f"{dbc_path}: {spec.dbc.name} can only decode to {min(ends):g} .. {max(ends):g} {spec.unit}, but "
             f"{entry.origin} ({entry.path}.range) expects {low:g} .. {high:g}: its layout "
             f"({spec.dbc.length} bits, {order}, {'signed' if spec.dbc.is_signed else 'unsigned'}, "
-            f"factor {spec.dbc.scale:g}) decodes it incorrectly; if the sign has a signal of its own, name it as "
+            f"factor {spec.dbc.scale:g}) decodes it incorrectly; if another signal contains the sign, name it as "
             "sign_signal")
 
 

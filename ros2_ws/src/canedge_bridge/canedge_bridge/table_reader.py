@@ -11,7 +11,7 @@ from st_core.errors import ConfigurationError
 
 
 class TableError(ValueError):
-    """A DBC or signal table that cannot be used. Its text is the one line a user sees."""
+    """A DBC or signal table that cannot be used. Its text is a single line for the user."""
 
 
 def read_document(path: Path) -> Any:
@@ -107,7 +107,7 @@ class Entry:
         return int(self._number(key, value, minimum, maximum))
 
     def quantity(self, key: str, unit: str, minimum: float, maximum: float) -> float:
-        """`key: {value: 1.0, unit: s}`"""
+        """A number with its unit, `key: {value: 1.0, unit: s}`."""
         entry = self.entry(key)
         entry.allow_only("value", "unit")
         entry.choice("unit", (unit,))

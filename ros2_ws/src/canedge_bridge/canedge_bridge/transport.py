@@ -12,7 +12,7 @@ import msgpack
 from can.interfaces.udp_multicast.utils import pack_message
 
 _IFF_UP = 1
-DEFAULT_PORT = 43113  # python-can's
+DEFAULT_PORT = 43113  # as in python-can
 _LOOPBACK = socket.inet_aton("127.0.0.1")
 _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
 _IP_MULTICAST_ALL = 49  # linux/in.h; not in the socket module
@@ -43,8 +43,8 @@ def open_bus(interface: str, channel: str, filters: list[dict[str, Any]] | None 
     """A python-can bus.
 
     interface: `socketcan`, `virtual`, ... as in python-can; `udp_multicast` is confined to the loopback interface and
-    takes "group" or "group:port". filters: see `id_filters`; on socketcan and udp_multicast error frames pass them.
-    bitrate: bit/s for interfaces that set it themselves; 0: the interface's default (SocketCAN: set with `ip link`).
+    takes "group" or "group:port". filters: see `id_filters`; error frames pass them on socketcan and udp_multicast.
+    bitrate: bit/s, of interfaces that python-can configures (SocketCAN: set with `ip link`); 0: their default.
     Raises ValueError for an invalid channel, OSError or can.CanError if the bus cannot be opened.
     """
     check_channel(interface, channel)
@@ -128,7 +128,7 @@ class LoopbackMulticastBus(can.BusABC):
         return message, self._accepted is not None
 
     def _read(self) -> tuple[bytes | None, float] | None:
-        """(datagram, kernel receive time); (None, 0) for an own one; None if none is waiting."""
+        """(datagram, kernel receive time); (None, 0) for a datagram of this bus itself; None if none is waiting."""
         try:
             data, ancillary, _, address = self._receiver.recvmsg(_LARGEST_DATAGRAM, socket.CMSG_SPACE(_TIMESPEC.size))
         except BlockingIOError:
