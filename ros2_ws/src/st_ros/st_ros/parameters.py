@@ -16,15 +16,15 @@ BUILT_IN = ("use_sim_time", "start_type_description_service")
 
 
 class ConfigurationError(ValueError):
-    """A parameter, file or device that makes a start impossible. Its text is the one line a user sees."""
+    """A parameter, file or device that prevents a start. Its text is a single line for the user."""
 
 
 @dataclass(frozen=True)
 class Parameter:
     """One node parameter.
 
-    name: as in the YAML file. default: its type is the parameter's type; a float takes an integer too.
-    unit: SI, or that of the suffix of the name. minimum, maximum: inclusive. choices: allowed values.
+    name: as in the YAML file. default: its type is the parameter's type; a float also accepts an integer.
+    unit: SI, or as in the suffix of the name. minimum, maximum: inclusive. choices: allowed values.
     """
 
     name: str
@@ -65,13 +65,13 @@ class Parameter:
 def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
     """Declare all on the node and return their checked values as attributes.
 
-    `where` of the result begins a message about one of them: parameter file (if one was given) and node.
+    The additional attribute `where` is a prefix for messages about them: parameter file (if one was given) and node.
     Raises ConfigurationError naming the parameter file (if one was given), the key and the limit; also for an
     override of an undeclared parameter.
     """
     overrides = dict(node._parameter_overrides)
     arguments = list(getattr(node.context, "_cli_args", None) or sys.argv)
-    files = [arguments[i + 1] for i, word in enumerate(arguments[:-1]) if word == "--params-file"]
+    files = [arguments[i + 1] for i, option in enumerate(arguments[:-1]) if option == "--params-file"]
     origin = f"{files[-1]}: " if files else ""
     known = {p.name for p in parameters}
     for name in overrides:

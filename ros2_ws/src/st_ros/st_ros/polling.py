@@ -63,14 +63,14 @@ class PolledSubscription:
     def take(self, limit: int = 1000) -> Iterator[tuple[Any, int, int]]:
         """At most `limit` waiting messages, oldest first, as (message, received_ns, sent_ns).
 
-        received_ns: host UTC when it arrived here; sent_ns: when it was published (0: unknown).
+        received_ns: host UTC of its receipt; sent_ns: host UTC of its publication (0: unknown).
         """
         for message, info in self._waiting(limit):
             yield message, info["received_timestamp"], info["source_timestamp"]
 
     def take_numbered(self, limit: int = 1000) -> Iterator[tuple[Any, int, int | None]]:
-        """As `take`, with the sequence number of the publisher, from 1, in place of sent_ns; None where the middleware
-        does not report it."""
+        """As `take`, with the publisher's sequence number (from 1) in place of sent_ns; None if the middleware does not
+        report it."""
         for message, info in self._waiting(limit):
             yield message, info["received_timestamp"], info["publication_sequence_number"]
 
@@ -96,7 +96,7 @@ class PolledSubscription:
 
 
 def wait_for_any(node: Node, subscriptions: Sequence[PolledSubscription], seconds: float) -> None:
-    """Sleep until one of them has a message, at most `seconds`; no other callback of the node runs meanwhile."""
+    """Sleep until one subscription has a message, at most `seconds`; callbacks of the node do not run meanwhile."""
     waiting = rclpy_implementation.WaitSet(len(subscriptions), 0, 0, 0, 0, 0, node.context.handle)
     with waiting:
         waiting.clear_entities()
@@ -110,7 +110,7 @@ def _unused(message: Any) -> None:
 
 
 class OnDemandPublisher:
-    """A publisher that reports whether it has subscribers, so that a message without any is not filled.
+    """A publisher that reports whether it has subscribers, so that messages are only filled if there are any.
 
     publisher None: the topic is switched off.
     """

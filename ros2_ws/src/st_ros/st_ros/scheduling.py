@@ -15,14 +15,17 @@ _POLICIES = {os.SCHED_OTHER: "normal", os.SCHED_BATCH: "batch", os.SCHED_IDLE: "
              os.SCHED_RR: "round robin"}
 _REALTIME = (os.SCHED_FIFO, os.SCHED_RR)
 _GROUP = Path("/proc/self/autogroup")
-# The kernel takes one change of a group per tenth of a second from an ordinary user [s].
+# The kernel accepts one change of a group per 0.1 s from an ordinary user [1, s].
 _TRIES, _PAUSE = 5, 0.11
 
 
 @dataclass(frozen=True)
 class Scheduling:
-    """policy: its name. priority: of the real-time policies, else 0. autogroup: nice value of the session's group,
-    None without autogroups; with them it applies between sessions, `nice` within one."""
+    """Scheduling parameters of a process.
+
+    policy: name. priority: of a real-time policy, else 0. autogroup: nice value of the session's group, None without
+    autogroups; with them it applies between sessions, `nice` within a session.
+    """
 
     policy: str
     priority: int
@@ -38,7 +41,7 @@ class Scheduling:
 
 
 def current() -> Scheduling:
-    """Scheduling of this process at the moment."""
+    """Scheduling of this process at present."""
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     priority = os.sched_getparam(0).sched_priority if policy in _REALTIME else 0
     return Scheduling(_POLICIES.get(policy, f"policy {policy}"), priority, os.getpriority(os.PRIO_PROCESS, 0),
@@ -48,7 +51,8 @@ def current() -> Scheduling:
 def lower_priority(nice: int) -> None:
     """Lower the priority: a nice value of at least `nice` for the process, and for its session if it leads one.
 
-    nice: 5 leaves a third of an equal share, 10 a tenth, 15 a thirtieth. Never raises; `current` reports the result.
+    nice: 5 leaves a third of an equal share of CPU time, 10 a tenth, 15 a thirtieth. Never raises; `current` reports
+    the result.
     """
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, max(nice, os.getpriority(os.PRIO_PROCESS, 0)))

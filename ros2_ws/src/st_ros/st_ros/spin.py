@@ -17,7 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 from . import scheduling
 from .parameters import ConfigurationError
 
-WAKE_PERIOD = 0.1  # s, longest delay of a stop signal by the executor
+WAKE_PERIOD = 0.1  # s, longest time until the executor reacts to a stop signal
 # Longest wait at the end of a node until its subscribers acknowledged all messages [s]. Fast DDS detects what was lost
 # over UDP with its next heartbeat, every 3 s; ros2 launch kills after 5 s.
 FLUSH_TIMEOUT = 4.0
@@ -40,8 +40,8 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
         return 2
     try:
         node = make_node()
-        # Exempts the objects of the start, which live as long as the process, from garbage collection: a collection
-        # over them delayed a node by 26 to 75 ms.
+        # Excludes the objects created so far, which live as long as the process, from garbage collection: a collection
+        # that includes them delays a node by 26 to 75 ms.
         gc.collect()
         gc.freeze()
         if nice:
@@ -92,5 +92,5 @@ class _StopRequest:
 
 
 def _one_line(error: Exception) -> str:
-    # Without rcl's source locations.
+    """The message of an error without the source locations that rcl appends."""
     return " ".join(str(error).partition(", at /")[0].split())
