@@ -144,7 +144,7 @@ def _text(data: bytes) -> str | None:
     return "".join(chr(c) if 32 <= c < 127 else f"\\x{c:02x}" for c in data.split(b"\0")[0]) or None
 
 
-F = Field  # short for the table
+F = Field  # abbreviation in the table
 _FRESH_TEXT = "b6 < 150"
 FRESH = Validity(_FRESH_TEXT, lambda raw, data: data[6] < 150, flag=6)
 B6_ZERO = Validity("b6 = 0", lambda raw, data: data[6] == 0, flag=6)
@@ -162,7 +162,7 @@ LONG_RANGE = Validity(f"{_FRESH_TEXT} and b7 > 0", lambda raw, data: data[6] < 1
 
 
 def unless(*marks: int) -> Validity:
-    """Valid unless the number is one of the marks; the first is the one that encoders write."""
+    """Valid unless the number is one of the marks; the first mark is used for encoding."""
     return Validity(f"not {', '.join(map(str, marks))}", lambda raw, data: raw not in marks, marks[0])
 
 
@@ -357,7 +357,7 @@ TABLE: dict[int, list[Field]] = {
     64: [_byte("CpuPcbType", 0), _byte("GpsExternal.Type", 1), _byte("GpsExternal.Format", 2),
          _byte("DualPortRamStatus", 3), *_nibbles(4, "GpsPrimary.PosRate", "GpsPrimary.VelRate"),
          *_nibbles(5, "GpsPrimary.RawRate", "GpsSecondary.RawRate"),
-         # By the vendor's convention, a unit that sends this channel has GPS but not BeiDou; neither has a bit.
+         # By the vendor's convention, a unit that sends this channel has GPS but not BeiDou; no bit encodes either.
          F("GnssGpsEnabled", "constant", 6, offset=1), F("GnssBeiDouEnabled", "constant", 6, offset=0),
          *(F(name, f"ibits{bit}+1", 6, validity=INVERTED_B6) for bit, name in enumerate(
              ("GnssGlonassEnabled", "GnssGalileoEnabled", "RawRngEnabled", "RawDopEnabled", "RawL1Enabled",
@@ -442,7 +442,7 @@ def utc_offset(data: bytes) -> int | None:
 
 
 def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
-    """The 8 bytes of a channel; a missing field, None or NaN becomes invalid (0 where the field has no such code).
+    """The 8 bytes of a channel; a missing field, None or NaN is encoded as invalid (0 in fields without such a code).
 
     decode_channel(n, encode_channel(n, v)) equals v within the resolution of each field. Raises NcomError for an
     unknown channel or field, a value out of range, and an incomplete group of values that share a validity byte.

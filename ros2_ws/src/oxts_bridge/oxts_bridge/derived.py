@@ -108,7 +108,7 @@ def _add_speed_and_slip(out: dict, velocity: np.ndarray, heading: np.ndarray, ya
 
 
 def _forward_fill(changes: list[tuple[int, float]], count: int) -> np.ndarray:
-    """Column of a value that applies from each change on, NaN before the first."""
+    """Column of a value that is constant between changes, NaN before the first."""
     if not changes:
         return np.full(count, np.nan)
     where = np.array([index for index, _ in changes])
@@ -139,7 +139,7 @@ def _add_distances(out: dict, columns: Columns, seconds: np.ndarray) -> None:
 
 
 def _count_skipped_packets(columns: Columns, series: np.ndarray) -> int:
-    """Packets to skip: 1 if the first of the series sets the minute (the vendor's tools start after it), else 0."""
+    """1 if the first packet of the series sets the minute, which the vendor's tools skip; else 0."""
     if not len(series) or columns.channel[series[0]] != 0:
         return 0
     earlier = slice(0, series[0])

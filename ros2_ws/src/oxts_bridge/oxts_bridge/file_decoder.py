@@ -23,7 +23,7 @@ UNKNOWN_TIME = np.iinfo(np.int64).min
 
 # Packets per step: few right after a fault, then growing, so that a clean file takes a few large steps.
 _FIRST_ROWS, _MAX_ROWS = 64, 1 << 16
-# Packets timed one by one from a fault on, before columns are tried again.
+# Packets timed one by one after a fault, before the times of a whole column are computed again.
 _SINGLE_STEPS = 16
 
 _FIELDS = np.dtype({
@@ -213,9 +213,9 @@ def packet_times(ms: np.ndarray, minutes: np.ndarray,
                  hints: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray, int]:
     """GPS time [ms] (-1 unknown) and order (NEW, SAME, LATE) of the timed packets of a file, and the number of jumps.
 
-    The same as stepping a GpsClock through all of them. Once the clock has settled, packet times follow from counting
-    minute rollovers, up to the next late packet or a transmitted minute that disagrees with the count; from there the
-    clock is stepped again.
+    Equal to the times of a GpsClock that is stepped through all of them. Once the clock has settled, packet times
+    follow from counting minute rollovers, up to the next late packet or a transmitted minute that differs from the
+    count; from there the clock is stepped again.
 
     ms, minutes: of each packet, minutes -1 where it has no channel 0. hints: (index of the packet before which it
     was sent, minute) of status-only packets.

@@ -25,8 +25,8 @@ class Health:
     """Diagnostic checks from the counts of parser, status and source.
 
     Set by the node: navigation_status; last_packet_at: time of receipt on the monotonic clock [s]; minute_from_host:
-    whether the GPS minute is the host clock's; failures: packets that could not be published; incomplete: packets
-    without odometry because position, velocity, angles or rates are invalid although the status has a fix.
+    whether the GPS minute is taken from the host's clock; failures: packets that could not be published; incomplete:
+    packets without odometry because position, velocity, angles or rates are invalid although the status has a fix.
     """
 
     def __init__(self, parser: NcomParser, status: StatusTracker, origin: Origin, statistics: StreamStatistics,

@@ -251,7 +251,8 @@ class Origin:
 
 
 class ReconstructedOdometry(NamedTuple):
-    """One odometry message. stamp_ns: UTC since 1970. position: ENU from the origin [m]. velocity, rate: FLU."""
+    """One odometry message. stamp_ns: UTC since 1970. position: ENU from the origin [m]. velocity [m/s], rate [rad/s]:
+    FLU."""
 
     stamp_ns: int
     position: Vector
@@ -264,8 +265,8 @@ def reconstruct_odometry(packets: Iterable[tuple[int, bytes]], origin: Origin, l
                          by_receive_time: bool = False) -> Iterator[ReconstructedOdometry]:
     """Odometry from recorded packets, bit-identical to what the live node published; about 20 us per packet.
 
-    packets: (received [ns since 1970], 72 bytes), in order of receipt. origin: as configured in the node. live: from a
-    unit, not from a replayed file. by_receive_time: the node's parameter stamp_source was "receive".
+    packets: (time of receipt [ns since 1970], 72 bytes), in order of receipt. origin: as configured in the node.
+    live: from a unit, not from a replayed file. by_receive_time: the node's parameter stamp_source was "receive".
     """
     parser, status, minute = NcomParser(), StatusTracker(), HostMinute()
     for received_ns, raw in packets:

@@ -202,8 +202,8 @@ def encode(packet: Packet) -> bytes:
     """The 72 bytes of a packet, checksums filled. encode(decode(p)) == p if the checksums are correct.
 
     Values are rounded to the wire's unit (half to even) and limited to +/- 8388607 units; NaN becomes the invalid mark.
-    Angles are written as given: keep the heading within +/- pi, which is what units send. Raises NcomError for a
-    batch_s that is not 8 bytes or an integer field outside its range.
+    Angles are written as given: keep the heading within +/- pi, as units do. Raises NcomError for a batch_s that is not
+    8 bytes or an integer field outside its range.
     """
     if len(packet.batch_s) != 8:
         raise NcomError(f"batch_s has {len(packet.batch_s)} bytes, must have 8")
@@ -264,8 +264,9 @@ class Counters:
 def next_packet(data: bytes, at: int, in_sync: bool, counters: Counters) -> tuple[int, bool]:
     """(position of the next whole packet, else of the first byte to keep; whether a packet is expected there).
 
-    in_sync: a packet is expected at `at`. Counts checksum_errors and skipped_bytes. Out of sync, a packet needs all
-    three checksums and a known navigation status: one in 256 false sync bytes passes the final checksum.
+    in_sync: a packet is expected at `at`. Counts checksum_errors and skipped_bytes. Out of sync, a packet is accepted
+    only with all three checksums and a known navigation status, because the final checksum alone matches after one in
+    256 false sync bytes.
     """
     while at < len(data):
         if data[at] == SYNC:

@@ -61,7 +61,7 @@ _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.
 
 
 class OxtsBridge(LifecycleNode):
-    """Configured: the publishers exist. Active: the thread of the source decodes packets and publishes."""
+    """When configured, the publishers exist; when active, the thread of the source decodes packets and publishes."""
 
     def __init__(self) -> None:
         super().__init__("oxts_bridge")
@@ -228,7 +228,7 @@ class OxtsBridge(LifecycleNode):
 
 
 def check(settings: SimpleNamespace, node_name: str) -> None:
-    """Check what a single range cannot express. Raises ConfigurationError with the key and the required value."""
+    """Checks beyond the range of a single parameter. Raises ConfigurationError with the key and the required value."""
 
     def reject(key: str, reason: str) -> None:
         raise ConfigurationError(f"{node_name}.{key}: {reason}")

@@ -14,9 +14,9 @@ FIRST_MINUTE, LAST_MINUTE = 1_000, 30_525_000
 
 # Order of a packet relative to the newest one. SAME: equal time; DUPLICATE: equal bytes too.
 NEW, SAME, LATE, DUPLICATE = 0, 1, 2, 3
-# A packet up to this time behind is late, any other is ahead: milliseconds of the minute cannot resolve more.
+# A packet behind by up to this time is late, any other is ahead: milliseconds of the minute are unique up to a minute.
 HALF_MINUTE_MS = 30_000
-# More consecutive late packets, each later than the one before, mean that the clock was set back, not reordering.
+# More consecutive late packets, each later than the previous one, mean that the clock was set back, not reordering.
 LATE_RUN = 10
 # Longest pause on the receive clock across which the minute count is continued [ns].
 LONGEST_GAP_NS = 30_000_000_000
@@ -120,7 +120,7 @@ class GpsClock:
     def _step_back(self, ms: int, minute: int | None, behind: int) -> tuple[int | None, int]:
         """The time of a packet whose milliseconds are `behind` those of the newest one, and its order."""
         now = self._time()
-        if minute is not None and now is not None and minute * MINUTE_MS + ms > now:  # ahead by its minute
+        if minute is not None and now is not None and minute * MINUTE_MS + ms > now:  # newer by its own minute
             self.jumps += 1
             return self._restart(ms, minute), NEW
         if self._late_count and (ms - self._late_ms) % MINUTE_MS < HALF_MINUTE_MS:

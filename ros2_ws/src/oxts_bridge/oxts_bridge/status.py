@@ -41,7 +41,7 @@ class StatusTracker:
     def update(self, channel: int, data: bytes, gps_seconds: float | None = None,
                position: tuple[float, float, float] | None = None,
                decoded: Mapping[str, Value] | None = None) -> dict[str, Value]:
-        """Values that the 8 bytes of a channel set; empty if they repeat the previous ones.
+        """Values set by the 8 bytes of a channel; empty if they repeat the previous ones.
 
         gps_seconds: time of the packet, for wheel speed. position: its latitude, longitude [rad], altitude [m], for
         channel 25. decoded: decode_channel() of the bytes, if the caller has it.
@@ -81,7 +81,7 @@ class StatusTracker:
         return fields
 
     def update_from(self, received: Received) -> dict[str, Value]:
-        """Values that a packet sets; empty if its status channel is invalid or unchanged."""
+        """Values set by a packet; empty if its status channel is invalid or unchanged."""
         if not received.rule.status:
             return {}
         packet = received.packet
@@ -162,8 +162,9 @@ def up_time(code: int) -> int:
 class Event:
     """Edge of an event input or output.
 
-    channel: input or output and edge.  gps_ns: instant [ns since 1980-01-06].  count: of the unit, wraps after 255.
-    complete: the packet contains the pose at that instant; false for a repetition in a regular packet.
+    channel: status channel of the input or output and edge.  gps_ns: instant [ns since 1980-01-06].  count: event
+    counter of the unit, wraps after 255.  complete: the packet contains the pose at that instant; false for a
+    repetition in a regular packet.
     """
 
     channel: int

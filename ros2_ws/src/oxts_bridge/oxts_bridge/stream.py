@@ -1,4 +1,4 @@
-"""Timed NCOM packets from bytes in portions of any size. No input bytes make it raise an exception."""
+"""Parses a byte stream, in pieces of any size, into timed NCOM packets; never raises, whatever the bytes."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -44,7 +44,7 @@ class Received:
 
 
 class NcomParser:
-    """Streaming parser with its own clock; input: datagrams or pieces of a file, which may cut packets anywhere."""
+    """Streaming parser with its own clock, for datagrams or pieces of a file; packets may extend over several."""
 
     def __init__(self) -> None:
         self.clock = GpsClock()
@@ -157,7 +157,7 @@ class NcomParser:
 
 
 class HostMinute:
-    """The minute of live packets from the host's clock, for a stream without channel 0 (normally every 10th packet)."""
+    """Sets the GPS minute from the host's clock if a live stream has no channel 0 (normally every 10th packet)."""
 
     def __init__(self) -> None:
         self._untimed_since: int | None = None
@@ -176,7 +176,7 @@ class HostMinute:
 
 
 class StreamStatistics:
-    """Rate, gaps and delay of the packets of the series that are new."""
+    """Rate, gaps and delay of the new packets of the series."""
 
     def __init__(self) -> None:
         self.gaps = 0
@@ -225,7 +225,7 @@ class StreamStatistics:
 
 
 def _mask_invalid(packet: Packet, rule: Rule, kind: str) -> bool:
-    """Set NaN where the navigation status declares values invalid; whether the position was masked as impossible."""
+    """Set NaN where the navigation status declares values invalid; returns whether the position is impossible."""
     if kind == "empty" or not rule.imu:
         packet.acceleration = packet.angular_rate = _NO_VECTOR
     if kind == "empty" or rule.navigation == "none":
