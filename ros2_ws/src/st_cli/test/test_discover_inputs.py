@@ -163,7 +163,7 @@ def test_fourth_model_that_is_none(tmp_path):
     (tmp_path / "model.yaml").write_text("base: nonlinear\neffects: {no_such: {}}\n")
     with pytest.raises(SuiteError, match="no_such"):
         model_parameters(tmp_path / "model.yaml", None, LEAF)
-    with pytest.raises(SuiteError, match="used with a --model only"):
+    with pytest.raises(SuiteError, match="requires a model file"):
         model_parameters(None, tmp_path, LEAF)
     assert model_parameters(None, None, LEAF) == {}
 

@@ -170,7 +170,7 @@ def test_a_domain_is_claimed_once_at_a_time() -> None:
 
 @pytest.mark.parametrize(("text", "words"), [
     ("a: {ros__parameters: {x: 1}}\na: {ros__parameters: {x: 2}}\n", "a: given twice"),
-    ("a: {x: 1}\n", "not sections"),
+    ("a: {x: 1}\n", "expected sections"),
     ("a: {ros__parameters: {x: 1\n", "not valid YAML"),
 ])
 def test_a_parameter_file_that_contradicts_itself_is_refused(tmp_path: Path, text: str, words: str) -> None:

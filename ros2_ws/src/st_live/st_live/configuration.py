@@ -29,7 +29,7 @@ from .suite import Parameters, Suite, SuiteError, find_executable, free_udp_port
 T = TypeVar("T")
 REPLAY_NODES = ("recorder", "evaluator", "predictor")  # in the order of their start: subscribers first
 TRUNCATED = "{} is truncated: its recorder was killed; later data are not {}"
-LEAF_TIMEOUT = 20.0  # s until the virtual Leaf sends
+LEAF_TIMEOUT = 20.0  # s, longest wait for the first message of the virtual Leaf
 
 
 def vehicle_file(given: Path | None) -> Path:
@@ -40,16 +40,16 @@ def vehicle_file(given: Path | None) -> Path:
 
 
 def vehicle_name(vehicle: Path) -> str:
-    """Name of the car in results: its folder if the file is that of a car folder, else the file."""
+    """Name of the car in results: the folder of a vehicle.yaml in a car folder, else the name of the file."""
     return vehicle.parent.name if vehicle.name == "vehicle.yaml" else vehicle.stem
 
 
 def bridge_parameters(vehicle: Path, ins: dict[str, Any], bus: dict[str, Any], dbc: Path | None = None,
                       signals: Path | None = None) -> dict[str, dict[str, Any]]:
-    """Parameters of both bridges. ins: of oxts_bridge; bus: of canedge_bridge: interface, channel, steering.
+    """Parameters of both bridges. ins: of oxts_bridge; bus: of canedge_bridge (interface, channel, steering).
 
-    The transform base_link to ins_link is the lever arm of the vehicle file: base_link is the CG, at the height of the
-    INS, which the file does not give.
+    The transform base_link to ins_link is the lever arm of the vehicle file. The file gives no height difference, so
+    base_link is the CG projected to the height of the INS.
     """
     car = read_vehicle(vehicle)
     lever_arm = [float(car.cg_to_ins_x), float(car.cg_to_ins_y), 0.0]
@@ -64,7 +64,7 @@ def live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Par
                     record_all: bool = False) -> Parameters:
     """config/nodes.yaml with the parameters of a live run in `folder`.
 
-    model: of `model_parameters`. record_all: record also the topics that can be reconstructed from the others.
+    model: from `model_parameters`. record_all: also record the topics that can be reconstructed from the others.
     """
     from st_predictor.params import ALL_TOPICS  # needs ROS, which `load_model` does not
 
@@ -84,7 +84,7 @@ def live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Par
 
 
 def replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration) -> dict[str, dict[str, Any]]:
-    """Parameters of REPLAY_NODES: those in the recording, else of config/nodes.yaml."""
+    """Parameters of REPLAY_NODES: those in the recording, else those of config/nodes.yaml."""
     common = {"vehicle_file": str(vehicle), "use_sim_time": True}
     nodes = {node: {**recorded.nodes.get(node, {}), **common} for node in ("predictor", "evaluator")}
     merged = merge(config("nodes.yaml"), {
@@ -100,8 +100,8 @@ def replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfigurati
 def model_parameters(model: Path | None, effects: Path | None, vehicle: Path) -> Parameters:
     """Parameters of predictor and evaluator for a model file in addition to the three models; empty without a file.
 
-    effects: folder of own effects of the model file. Raises SuiteError, StCoreError and RunError for a file that
-    is not a model, or is of another car than the vehicle file.
+    effects: folder of user-defined effects of the model file. Raises SuiteError, StCoreError and RunError for a file
+    that is not a model, or belongs to another car than the vehicle file.
     """
     if model is None and effects is None:
         return {}
@@ -112,14 +112,14 @@ def model_parameters(model: Path | None, effects: Path | None, vehicle: Path) ->
 
 
 def load_model(model: Path | None, effects: Path | None, car: VehicleParameters, origin: str) -> Model:
-    """The model of a model file, by default the nonlinear one. effects: folder of own effects of the model file.
+    """The model of a model file, by default the nonlinear one. effects: folder of its user-defined effects.
 
-    origin: of the car, for messages. Raises SuiteError and StCoreError for a file that is not a model or is of another
-    car, and for effects without a model file.
+    origin: of the car, for messages. Raises SuiteError and StCoreError for a file that is not a model or belongs to
+    another car, and for effects without a model file.
     """
     if model is None:
         if effects is not None:
-            raise SuiteError(f"--effects {effects}: used with a --model only; give a model file")
+            raise SuiteError(f"--effects {effects}: requires a model file; add --model")
         return MODELS["nonlinear"]
     if effects is not None:
         load_folder(str(effects.absolute()))
@@ -187,8 +187,8 @@ def recordings_of(path: Path) -> tuple[Path, list[Path]]:
 class VirtualCar:
     """The virtual Leaf and the bridge parameters for its interfaces.
 
-    vehicle: file of bridges and nodes. options: of the command virtual_leaf, without those of the interfaces.
-    simulated: vehicle file of the simulated car itself, by default the same. Raises SuiteError for invalid options.
+    vehicle: vehicle file of bridges and nodes. options: of the command virtual_leaf, except those of the interfaces.
+    simulated: vehicle file of the simulated car, by default the same. Raises SuiteError for invalid options.
     """
 
     def __init__(self, vehicle: Path, options: Sequence[str], simulated: Path | None = None):
@@ -197,7 +197,7 @@ class VirtualCar:
         self.channel = f"239.74.163.2:{self.port}"
         interfaces = {"--vehicle": simulated or self.vehicle, "--config": project_root() / "config",
                       "--ncom-port": self.port, "--can-interface": "udp_multicast", "--can-channel": self.channel}
-        self._arguments = [*options, *(str(word) for pair in interfaces.items() for word in pair)]
+        self._arguments = [*options, *(str(part) for option in interfaces.items() for part in option)]
         try:
             check(self._arguments)
         except SimulationError as error:
@@ -209,9 +209,9 @@ class VirtualCar:
         return bridge_parameters(self.vehicle, {"udp_port": self.port, "bind_address": "127.0.0.1"}, bus)
 
     def start(self, suite: Suite) -> float:
-        """Start it and wait until it sends; returns the duration of the drive [s].
+        """Start the car and wait until it sends; returns the duration of the drive [s].
 
-        Raises SuiteError with its last output if it does not send.
+        Raises SuiteError with the last output of the car if it does not send.
         """
         arguments = [*self._arguments, "--output", str(suite.folder / "truth")]
         leaf = suite.start("virtual_leaf", [find_executable("st_sim", "virtual_leaf"), *arguments])

@@ -1,5 +1,5 @@
-"""Node of the command itself: receives statistics, tick counts and diagnostics, publishes /diagnostics_agg; and the
-terminal during a run."""
+"""Monitor node of a command (receives statistics, tick counts and diagnostics, publishes /diagnostics_agg), and the
+terminal view of a run."""
 
 import contextlib
 import math
@@ -83,7 +83,7 @@ class Monitor:
         return [name for name in self._node.get_node_names() if name != self._node.get_name()]
 
     def wait_for_nodes(self, names: set[str], timeout: float) -> set[str]:
-        """Wait until all are in the graph; returns those still missing."""
+        """Wait until all nodes are in the graph; returns the missing ones."""
         end = time.monotonic() + timeout
         while missing := names - set(self.node_names()):
             if time.monotonic() > end:
@@ -97,7 +97,7 @@ class Monitor:
         return max((s.received_at for n, s in self.state.health.items() if n.startswith(prefix)), default=float("-inf"))
 
     def add_status(self, status: Status) -> None:
-        """Add a status of the command to those received."""
+        """Add a status of the command itself to the received ones."""
         self._update_health({status.name: status})
 
     def _publish_aggregate(self) -> None:
@@ -126,7 +126,7 @@ class Monitor:
             self._executor.spin()
 
     def _set(self, **changes: Any) -> None:
-        with self._lock:  # called by its own thread and by that of the caller
+        with self._lock:  # called by the monitor's thread and by the caller's
             self.state = replace(self.state, **changes)
 
     def _read_predictions(self) -> None:
@@ -199,7 +199,7 @@ def ticks(state: SuiteState) -> Text:
 
 
 def health(state: SuiteState) -> Text:
-    """Every status that is not ok, worst first; one line when all are."""
+    """Every status that is not ok, worst first; a single line if all are ok."""
     now = time.monotonic()
     text = Text()
     for status in sorted(state.health.values(), key=lambda s: (-s.level, s.name)):

@@ -18,7 +18,7 @@ from .rerun_server import LOOPBACK, READY_TIMEOUT, STOP_TIMEOUT, check_new_rerun
 from .suite import Child, Processes, SuiteError
 
 PAGE = Path(__file__).with_name("passenger.html")
-# The page is one file: nothing else is loaded, from this host or another.
+# The page is a single file and loads nothing else, neither from this host nor from another.
 POLICY = ("default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "
           "img-src data:; base-uri 'none'; form-action 'none'")
 MAX_CLIENTS = 16

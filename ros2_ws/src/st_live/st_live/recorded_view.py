@@ -37,7 +37,7 @@ PLOTS = {
 WHITE = (255, 255, 255)
 RINGS = (10, 20, 30, 40, 50, 60)  # m around the car
 LIGHT_GREY = (228, 228, 228)
-GHOST_STRENGTH = 0.4  # 1: full colour, 0: white
+GHOST_STRENGTH = 0.4  # colour of earlier predictions; 1: full colour, 0: white
 GHOST_STRIDE, TRACK_STRIDE, RIBBON_STRIDE = 5, 2, 2  # every n-th point is drawn
 RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}
 # Half the line width in screen points, the same at every zoom.
@@ -209,7 +209,7 @@ class Scene:
             self._log_lines(f"{entity}/{level:.0%}", strips, [rgb(colour_of(model), strength)], radii, order=order)
 
     def _log_name(self, model: str) -> None:
-        """Show colour and name in the lower left corner: names at the paths would overlap where models agree."""
+        """Show colour and name in the lower left corner, because names at the paths would overlap if models agree."""
         if model not in self._named:
             corner = (-SIDEWAYS + 6.0, BEHIND - 7.0 - 5.0 * len(self._named))
             self._named.append(model)
@@ -225,7 +225,7 @@ class Scene:
 
 
 def draw(path: Path, file: Path, vehicle: Path | None = None) -> int:
-    """Draw a bag, or the bag in the folder of a run, into `file` (.rrd); returns the number of pictures.
+    """Draw a bag, or the bag in the folder of a run, as Rerun recording `file` (.rrd); returns the number of pictures.
 
     vehicle: file instead of the recorded one, for the outline. Raises RunError, ConfigurationError.
     """

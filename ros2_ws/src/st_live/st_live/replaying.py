@@ -1,4 +1,4 @@
-"""Plays a recording through the real nodes: predictor, evaluator and recorder run on its clock."""
+"""Plays a recording through the real nodes: predictor, evaluator and recorder, on the clock of the recording."""
 
 import json
 import sys
@@ -64,7 +64,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
 
 
 def describe_not_played(bag: Path, unknown: Sequence[str]) -> list[str]:
-    """Lines on the content that a replay leaves out: topics of unknown type, and the end of a truncated recording."""
+    """Lines about content that a replay omits: topics of unknown type, and the end of a truncated recording."""
     topics = [f"of unknown type and not played: {', '.join(unknown)}"] if unknown else []
     return topics + ([TRUNCATED.format(bag, "played")] if was_interrupted(bag) else [])
 

@@ -27,8 +27,8 @@ INPUTS_OF_MODE = {"hindsight": "measured inputs", "forecast": "inputs held"}
 def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Console) -> int:
     """Write and print the results of a run; returns the exit status.
 
-    0 if every process ended normally and a horizon was scored or the user ended the run; 130 if the user ended it
-    before the first data, else 1.
+    0 if every process ended normally, and a horizon was scored or the user ended the run; 130 if the user ended it
+    before the first data; else 1.
     """
     if outcome.interrupted and not outcome.statuses:
         console.print("ended before the first data")
@@ -136,9 +136,9 @@ def _draw_errors(axes: Axes, results: Results, mode: str, quantity: str) -> None
 
 
 def error_table(summary: dict[str, Any], title: str) -> Table:
-    """Mean | max | RMSE as in the paper, the smallest of each column and mode in bold.
+    """Mean | max | RMSE of the horizon-mean errors [m] as in the paper, the smallest of each column and mode in bold.
 
-    summary: as in summary.json: statistics of the horizon-mean errors, in m.
+    summary: as in summary.json.
     """
     table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1))
     for column in ("mode", "model", "starts", "longitudinal, m\nmean | max | RMSE", "lateral, m\nmean | max | RMSE"):

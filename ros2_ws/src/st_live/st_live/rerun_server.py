@@ -75,7 +75,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def rerun_environment(folder: Path) -> dict[str, str]:
-    """Environment of a Rerun that keeps its own files in `folder`, with usage data switched off."""
+    """Environment in which Rerun stores its own files in `folder` and sends no usage data."""
     (folder / "rerun").mkdir(parents=True, exist_ok=True)
     (folder / "rerun" / "analytics.json").write_text(json.dumps({
         "analytics_enabled": False, "analytics_id": "", "metadata": {},
@@ -102,8 +102,8 @@ class RecordingView:
         self.url = f"http://{LOOPBACK}:{self._page.server_port}/?url={quote(recording, safe='')}"
         self._processes = Processes(folder)
         self._processes.environment |= rerun_environment(folder / "settings")
-        # The executable, not the script `rerun`, which would leave the executable running when it is ended. With a URL
-        # it starts no server of its own for recordings, which would use 3 % of a core while idle.
+        # The executable, because it would keep running if the script `rerun` were started and ended instead. With a URL
+        # it starts no server for recordings, which would use 3 % of a core while idle.
         found = importlib.util.find_spec("rerun_cli")
         assert found and found.submodule_search_locations
         self._rerun = self._processes.start("rerun", [
@@ -140,7 +140,7 @@ def _listens(port: int) -> bool:
 
 
 def check_rerun(option: str) -> None:
-    """Raises SuiteError where rerun-sdk is not installed."""
+    """Raises SuiteError if rerun-sdk is not installed."""
     if importlib.util.find_spec("rerun") is None:
         raise SuiteError(f"{option}: {RERUN_MISSING}")
 

@@ -19,10 +19,10 @@ from .node import Monitor, Status, health, progress_view, ticks
 from .page import LiveView
 from .suite import REALTIME_PERMISSION, Parameters, Suite, SuiteError, chosen_domain_id, claimed_domain
 
-SILENCE_TIMEOUT = 8.0  # s without /diagnostics (published once a second), after which a running node is taken to hang
+SILENCE_TIMEOUT = 8.0  # s without /diagnostics (published once a second) after which a running node counts as hung
 FIRST_STATUS_TIMEOUT = 30.0  # s from a start to the first /diagnostics
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # s between a failure and the restart
-BACK_OFF_RESET_TIME = 60.0  # s without failure
+BACK_OFF_RESET_TIME = 60.0  # s without a failure after which the delay is BACK_OFF_FIRST again
 MAX_OWN_DELAY = 2.0  # s; if this process was delayed by more, silence of the nodes is not evaluated
 WARN, ERROR = 1, 2
 NODES = (  # package, executable, in the order of their start: subscribers first, so that they miss no message
@@ -42,7 +42,7 @@ LOG_PERIOD = 10.0  # s between lines if the output is not a terminal
 
 @dataclass
 class _Supervised:
-    """One node. restart_at: monotonic [s]; None while it runs. cause: of the last restart."""
+    """One node. restart_at: time of its restart [s, monotonic], None while it runs. cause: of the last restart."""
 
     package: str
     name: str
@@ -115,7 +115,10 @@ class Supervisor:
 
 @dataclass(frozen=True)
 class Outcome:
-    """statuses: exit statuses of the processes that ran to the end. health: text of the checks not OK at the end."""
+    """Outcome of a run.
+
+    statuses: exit statuses of the processes that ran to the end. health: text of the checks not OK at the end.
+    """
 
     statuses: dict[str, int]
     interrupted: bool
@@ -135,7 +138,7 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
 
     duration in s; None: until Ctrl-C, or until the end of the source, which returns its duration [s]. supervised: a
     node that ends or hangs is restarted; else it ends the run. realtime: real-time scheduling for bridges and
-    predictor, see suite.py. Raises SuiteError if a node does not start, or runs already.
+    predictor, see suite.py. Raises SuiteError if a node does not start or is already running.
     """
     console = console or Console()
     # A demo must not exchange messages with another suite on this computer; on the car the user's domain is used.
@@ -197,9 +200,9 @@ def start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]]
 
 def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
            duration: float | None, stop: "_StopRequest") -> str:
-    """Show the run until its duration is over or Ctrl-C.
+    """Show the run until its duration is over or until Ctrl-C.
 
-    Without a supervisor a process that ends also ends the run; the text returned names it and is empty otherwise.
+    Without a supervisor, a process that ends also ends the run and is named in the returned text, which else is empty.
     """
     started = time.monotonic()
     last_line = started

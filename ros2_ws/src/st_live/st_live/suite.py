@@ -184,9 +184,9 @@ def find_executable(package: str, executable: str) -> str:
 
 
 def merge(base: Path, overrides: Parameters) -> dict[str, dict[str, Any]]:
-    """Node parameters of a file with overrides on top; the file's sections are node names.
+    """Node parameters of a file, updated with `overrides`; each section of the file is a node.
 
-    Raises SuiteError naming the file if it cannot be read or has a key twice.
+    Raises SuiteError naming the file if it cannot be read or contains a key twice.
     """
     try:
         document = yaml_text.load(base.read_text(encoding="utf-8"))
@@ -194,7 +194,7 @@ def merge(base: Path, overrides: Parameters) -> dict[str, dict[str, Any]]:
     except (OSError, UnicodeDecodeError, ConfigurationError) as error:
         raise SuiteError(f"{base}: {error}") from None
     except (AttributeError, KeyError, TypeError, ValueError):
-        raise SuiteError(f"{base}: not sections `node: {{ros__parameters: {{name: value}}}}`") from None
+        raise SuiteError(f"{base}: expected sections `node: {{ros__parameters: {{name: value}}}}`") from None
     for node, values in overrides.items():
         merged.setdefault(node, {}).update(values)
     return merged
@@ -207,7 +207,7 @@ def free_udp_port() -> int:
 
 
 def chosen_domain_id() -> int | None:
-    """ROS_DOMAIN_ID of the user; None where it is not set. Raises SuiteError for an invalid one."""
+    """ROS_DOMAIN_ID of the user; None if it is not set. Raises SuiteError for an invalid one."""
     text = os.environ.get("ROS_DOMAIN_ID", "")
     if not text:
         return None

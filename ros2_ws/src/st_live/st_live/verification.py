@@ -1,4 +1,4 @@
-"""Compares predictions and scores recorded from the nodes with those of the library, start by start."""
+"""Compares predictions and scores recorded from the nodes with those of the library, for every start."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -214,7 +214,7 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: 
 
     result = None if replayed else _verify_with_progress(bag, vehicle, console, read)
     if result is None:
-        why = "--replay" if replayed else "it has no predictions"
+        why = "--replay" if replayed else "it contains no predictions"
         folder = new_folder(output, f"verify-{bag.stem}")
         console.print(f"{bag.name} is played through the nodes ({why}); recordings in {folder}", highlight=False)
         outcome, _ = replay_bag(recordings_of(bag)[0], folder, vehicle, 0.0, console, settings=read)

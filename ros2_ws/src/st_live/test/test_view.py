@@ -212,7 +212,7 @@ def test_a_course_replaces_held_inputs_while_it_is_used(driven: PassengerFrames)
                                                         longitudinal=[0.0, error], lateral=[0.0, 0.0]), 53.0)
     driven.take("predictor/linear/course", course, 53.0)
     frame = driven.frame(53.1)
-    assert frame["paths"]["linear"]["inputs"] == "remembered" and frame["paths"]["linear"]["band"][-1] == 1.0
+    assert frame["paths"]["linear"]["inputs"] == "of the course" and frame["paths"]["linear"]["band"][-1] == 1.0
     assert frame["errors"]["linear"]["longitudinal"] == 1.5
     driven.take("predictor/linear/prediction", held, 55.0)  # the driver has left the course
     frame = driven.frame(55.1)

@@ -1,7 +1,7 @@
 """Node passenger: serves the passenger's page of a running suite.
 
-It runs in its own process and subscribes best effort with short queues. No publisher waits for it or resends, so it may
-be slow, stopped or killed without delaying a prediction.
+It runs in its own process and subscribes best effort with short queues. Publishers neither wait for it nor resend, so
+it may be slow, stopped or killed without delaying a prediction.
 """
 
 import argparse
@@ -40,7 +40,7 @@ DIAGNOSTICS_TIMEOUT = 3.0  # s until a node counts as silent; nodes of the suite
 MISSED_REPORTS = 3  # reporting intervals until a node that reports less often counts as silent
 BAND_LEVEL = 0.9
 LEVELS = ("ok", "warning", "error", "error")  # of diagnostic_msgs; stale counts as an error
-INPUTS = {"forecast": "held", "course": "remembered", "plan": "planned"}  # by mode, the preferred last
+INPUTS = {"forecast": "held", "course": "of the course", "plan": "planned"}  # by mode, the preferred last
 # Topic -> method that takes its messages.
 TOPICS = {
     "predictor/status": "status", "ins/status": "ins_status", "ins/odometry": "odometry",
@@ -81,7 +81,7 @@ class PassengerFrames:
             else getattr(self, f"_take_{name}") for name in set(TOPICS.values())}
 
     def take(self, topic: str, message: Any, now: float) -> None:
-        """A message of one of TOPICS, received at `now`."""
+        """Process a message of one of TOPICS, received at `now`."""
         self._handlers[TOPICS[topic]](message, now)
 
     def frame(self, now: float) -> dict[str, Any]:

@@ -1,8 +1,8 @@
 """Plays odometry, steering and plans of a recording with /clock, in a process started by `st replay`.
 
 Messages are published byte for byte in the order of their log times (an external steering topic is converted to
-st_msgs/Steering); /clock advances in steps behind them. At a rate of 0 it plays as fast as predictor and evaluator
-follow: the clock waits for the newest stamps they publish.
+st_msgs/Steering); /clock follows them in steps. At a rate of 0 it plays as fast as predictor and evaluator can follow:
+the clock waits for the newest stamps they publish.
 """
 
 import argparse
@@ -40,7 +40,7 @@ DISCOVERY_TIMEOUT = 15.0  # s
 STATUS_PERIOD = 0.5  # s
 SUBSCRIBERS = 3  # predictor, evaluator, recorder
 PLAN, ORIGIN = "/plan/inputs", "/ins/origin"
-FEWER_SUBSCRIBERS = {PLAN: 2, ORIGIN: 1}  # predictor, recorder; recorder alone without a course
+FEWER_SUBSCRIBERS = {PLAN: 2, ORIGIN: 1}  # predictor and recorder; without a course, the recorder only
 # At rate 0: longest wait of the clock for predictor and evaluator [s]; shorter after a wait without progress
 # (standstill, no inputs).
 TIMEOUT, SHORT_TIMEOUT = 2.0, 0.005
@@ -106,7 +106,7 @@ class Player:
         self._node = Node("player")
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=DEPTH))
         self._followers = [] if self._rate > 0 else [
-            # One tick ahead, so that exactly one is due. It ends with a prediction, or with a status if there is none.
+            # A lead of one tick, so that exactly one is due; it ends with a prediction or, without one, with a status.
             Follower(self._node, {f"predictor/{options.models[-1]}/prediction": (Prediction, issued_at),
                                   "predictor/status": (PredictorStatus, header_stamp)}, 1.0 / options.tick_rate),
             Follower(self._node, {"evaluator/errors": (PredictionError, header_stamp)}, options.horizon + SCORE_DELAY),

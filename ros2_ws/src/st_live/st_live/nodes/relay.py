@@ -1,4 +1,4 @@
-"""Relay to Foxglove: topics of the suite over a WebSocket, byte for byte, for machines without foxglove_bridge."""
+"""Relays topics of the suite to Foxglove over a WebSocket, byte for byte, on computers without foxglove_bridge."""
 
 import argparse
 import sys
@@ -46,7 +46,7 @@ class RelayNode(Node):
         except UnknownTypeError:
             message_type = None
         if message_type is None:
-            print(f"{topic} is left out: type {type_name} is not installed", flush=True)
+            print(f"{topic} is not relayed: type {type_name} is not installed", flush=True)
             return None
         latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
         # No publisher waits for a viewer; only latched messages must arrive.
