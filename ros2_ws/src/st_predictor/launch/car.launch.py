@@ -21,7 +21,7 @@ DBC = LaunchConfiguration("dbc")
 SIGNALS = LaunchConfiguration("signals")
 PARAMETERS = LaunchConfiguration("parameters")
 OUTPUT = LaunchConfiguration("output")
-# launch passes only SIGINT on. With this prefix the kernel interrupts the nodes however launch ends.
+# launch only forwards SIGINT. With this prefix the kernel interrupts the nodes whenever launch ends.
 PARENT_DEATH = "setpriv --pdeathsig INT"
 
 
@@ -36,7 +36,7 @@ class CarFile(Substitution):
         return f"CarFile({self._name})"
 
     def perform(self, context):
-        # os.path.join drops what precedes an absolute path, so a folder may be given as the name.
+        # os.path.join discards the parts before an absolute path, so `car` may be an absolute folder.
         return os.path.join(CONFIG.perform(context), "car", CAR.perform(context) or "leaf", self._name)
 
 
@@ -45,7 +45,7 @@ def argument(name, description, default=None):
 
 
 def text(node, name, *value):
-    """One parameter as an override. It must name the node and come after --params-file, else the file wins."""
+    """Override of one parameter. To have precedence over the file, it must name the node and follow --params-file."""
     return ["-p", [f"{node}:{name}:='", *value, "'"]]
 
 
@@ -55,14 +55,15 @@ def number(node, name, value):
 
 def suite_node(package, executable, *overrides, **options):
     clock = number(executable, "use_sim_time", LaunchConfiguration("use_sim_time"))
-    words = ["--params-file", PARAMETERS, *(word for pair in (clock, *overrides) for word in pair)]
+    arguments = ["--params-file", PARAMETERS, *(part for override in (clock, *overrides) for part in override)]
     return Node(
         package=package, executable=executable, name=executable, exec_name=executable, output="screen",
-        ros_arguments=words, respawn=LaunchConfiguration("respawn"), respawn_delay=2.0, prefix=PARENT_DEATH, **options)
+        ros_arguments=arguments, respawn=LaunchConfiguration("respawn"), respawn_delay=2.0, prefix=PARENT_DEATH,
+        **options)
 
 
 def steering_of(context):
-    """Steering parameters: of the arguments, else of the car's car.yaml, else of the file of node parameters."""
+    """Steering parameters from the arguments, else from the car's car.yaml, else from the file of node parameters."""
     steering = {}
     if CAR.perform(context):
         steering = {"steering_sign": 1, "steering_latency": 0.0}
@@ -105,8 +106,8 @@ def can_bridge(context):
 
 
 def generate_launch_description():
-    # Started in a script's background, launch would inherit a SIGINT that is ignored: Ctrl-C would end the nodes and
-    # launch would start all of them again.
+    # In the background of a script launch inherits an ignored SIGINT: Ctrl-C would end the nodes, and launch would
+    # restart all of them.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if_markers = {"condition": IfCondition(LaunchConfiguration("markers"))}
@@ -117,23 +118,23 @@ def generate_launch_description():
     return LaunchDescription([
         SetEnvironmentVariable("FASTDDS_BUILTIN_TRANSPORTS", transports),
         argument("config_dir", "folder with nodes.yaml and car/ (config/ of the repository)"),
-        argument("car", "a name in config_dir/car, or an absolute folder like one there; empty: the Leaf", ""),
+        argument("car", "a folder in config_dir/car, or an absolute folder with the same files; empty: the Leaf", ""),
         argument("vehicle", "vehicle file", CarFile("vehicle.yaml")),
         argument("parameters", "node parameters", [CONFIG, "/nodes.yaml"]),
         argument("dbc", "DBC of the car's bus", CarFile("can.dbc")),
         argument("signals", "table from DBC signals to signal names", CarFile("signals.yaml")),
-        argument("steering_sign", "1: decoded sensor left positive, -1: right; empty: the car's, or the file's", ""),
+        argument("steering_sign", "1: decoded sensor left positive, -1: right; empty: of car.yaml, or parameters", ""),
         argument("steering_latency", "s, delay from wheel motion to the stamp of its frame; empty: as above", ""),
         argument("can_interface", "python-can interface", "socketcan"),
         argument("can_channel", "channel of that interface", "can0"),
         argument("ncom_port", "UDP port the INS sends NCOM to", "3000"),
         argument("ncom_address", "local address to listen on", "0.0.0.0"),
         argument("bands", "bands.yaml of st calibrate; empty: bands without calibration", ""),
-        argument("course", "course.yaml of st course build for this place; empty: none", ""),
+        argument("course", "course.yaml of st course build for this site; empty: none", ""),
         argument("output", "folder of the recordings, must not exist", f"runs/{datetime.now(UTC):%Y%m%d-%H%M%S}"),
         argument("bridges", "false: another source publishes odometry and steering", "true"),
         argument("markers", "true: car, errors and names as markers for RViz and Foxglove", "true"),
-        argument("identify", "true: track steering and stiffness while driving (published, never applied)", "false"),
+        argument("identify", "true: identify steering and stiffness online (published, never applied)", "false"),
         argument("respawn", "true: restart a node that ends; it records into NAME_2", "true"),
         argument("use_sim_time", "true: follow /clock", "false"),
         suite_node("st_predictor", "recorder",

@@ -1,4 +1,4 @@
-"""Predict and score from a bag: its INS and steering, this configuration, a new recording.
+"""Predictions and scores from the INS and steering data of a bag, with this configuration, in a new recording.
 
     ros2 launch st_predictor replay.launch.py config_dir:=/path/to/config bag:=runs/sim/bag
 """
@@ -18,13 +18,13 @@ CLOCK_RATE = "200"  # /clock messages per second; the predictor's ticks follow t
 
 ARGUMENTS = {
     "config_dir": (None, "folder with nodes.yaml and car/ (config/ of the repository)"),
-    "car": ("leaf", "a name in config_dir/car, or an absolute folder like one there"),
+    "car": ("leaf", "a folder in config_dir/car, or an absolute folder with the same files"),
     "vehicle": (PathJoinSubstitution([LaunchConfiguration("config_dir"), "car", LaunchConfiguration("car"),
                                       "vehicle.yaml"]), "vehicle file"),
     "bag": (None, "bag directory to play"),
     "speed": ("1.0", "playback speed relative to the recording"),
     "bands": ("", "bands.yaml of st calibrate; empty: bands without calibration"),
-    "course": ("", "course.yaml of st course build for this place; empty: none"),
+    "course": ("", "course.yaml of st course build for this site; empty: none"),
     "output": (f"runs/replay-{datetime.now(UTC):%Y%m%d-%H%M%S}", "folder of the new recordings, must not exist"),
 }
 
@@ -39,7 +39,7 @@ def generate_launch_description():
     )
     play = ExecuteProcess(
         cmd=["ros2", "bag", "play", value["bag"], "--clock", CLOCK_RATE, "--rate", value["speed"], "--regex", MEASURED],
-        output="screen", prefix="setpriv --pdeathsig INT", on_exit=Shutdown(reason="the bag is over"))
+        output="screen", prefix="setpriv --pdeathsig INT", on_exit=Shutdown(reason="end of the bag"))
     arguments = [
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()

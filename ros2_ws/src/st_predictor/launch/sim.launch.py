@@ -24,9 +24,9 @@ ARGUMENTS = {
     "ncom_port": ("3000", "UDP port on the loopback interface"),
     "ncom_rate": ("100", "NCOM packets per second: 100 or 250"),
     "can_channel": ("239.74.163.2", "multicast group on the loopback interface"),
-    "identify": ("false", "true: track steering and stiffness while driving"),
+    "identify": ("false", "true: identify steering and stiffness online"),
     "bands": ("", "bands.yaml of st calibrate; empty: bands without calibration"),
-    "course": ("", "course.yaml of st course build for this place; empty: none"),
+    "course": ("", "course.yaml of st course build for this site; empty: none"),
     "output": (f"runs/sim-{datetime.now(UTC):%Y%m%d-%H%M%S}", "folder of the recordings, must not exist"),
 }
 
@@ -50,7 +50,7 @@ def generate_launch_description():
             "--output", PathJoinSubstitution([value["output"], "truth"]),
         ],
         name="virtual_leaf", output="screen", prefix="setpriv --pdeathsig INT",
-        on_exit=Shutdown(reason="the drive is over"),
+        on_exit=Shutdown(reason="end of the drive"),
     )
     arguments = [
         DeclareLaunchArgument(name, default_value=default, description=text)

@@ -13,22 +13,21 @@ from st_core.timeseries import NANOSECOND, TimeSeries
 from st_core.vehicle import VehicleParameters
 
 HISTORY_SPAN = 60.0  # s, age of the oldest measurement used
-WINDOW = 30.0  # s of continuous driving that are checked: faults are reported and cleared within that time
-MIN_DRIVING, MIN_SPEED = 20.0, 1.0  # s of driving above a speed in m/s, required for a verdict
+WINDOW = 30.0  # s of continuous driving that are checked; a fault is reported and cleared within this time
+MIN_DRIVING, MIN_SPEED = 20.0, 1.0  # duration [s] of driving above a speed [m/s] that a verdict requires
 MAX_STEP = 0.25  # s between samples; longer gaps do not count as driving
 SAMPLE_NS = 20_000_000  # measurements are thinned out to this period
 PERIOD = 10.0  # s of measurement between checks
-CPU_SHARE = 0.018  # fraction of a core since the start; checks that would need more run less often than every PERIOD
-# A heading error and a wrong measuring point cannot be distinguished on a single bend, only on a whole drive. Gaps and
-# implausible samples are reported by the bridges; a change of unit would report them for WINDOW.
+CPU_SHARE = 0.018  # processor time as a fraction of a core; if checks take more, they run less often than every PERIOD
+# Checks that are not run live: a heading error and a wrong measuring point can only be distinguished on a whole drive,
+# not on a single bend. Gaps and implausible samples are reported by the bridges; here they would persist for WINDOW.
 NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
                       "out_of_range", "channel_wraps", "channel_jumps"))
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of one check. severity: of the worst finding, "" without any. values: of each finding, ± half interval.
-    """
+    """Result of one check. severity: of the worst finding, "" without any. values: value ± half interval by finding."""
 
     severity: str
     message: str
@@ -36,13 +35,13 @@ class Verdict:
 
 
 class Consistency:
-    """Checks the newest 30 s of a history periodically, or as much of the last minute as contains 20 s of driving.
+    """Periodically checks the newest 30 s of a history, or as much of the last minute as contains 20 s of driving.
 
-    Measurements before a position jump are not used. One check of half a minute may be wrong, so a fault is reported
-    when two successive checks find it, and cleared by the first check without it.
+    Measurements before a position jump are not used. A single check of half a minute may be wrong, so a fault is
+    reported when two successive checks find it, and cleared by the first check without it.
 
-    share: limit of the checks' processor time since the first poll, as a fraction of a core (the first check with a
-    finding compiles its trial). verdict: the newest one. seconds: processor time of all checks.
+    share: limit of the processor time of all checks since the first poll, as a fraction of a core (the first check with
+    a finding compiles code). verdict: the newest one. seconds: processor time of all checks.
     """
 
     def __init__(self, vehicle: VehicleParameters, share: float = CPU_SHARE):
@@ -71,7 +70,7 @@ class Consistency:
         self._checked_ns, self._checked_at = newest, now
         try:
             self._check(recent(history), self._began)
-        except Exception as error:  # must never stop the scoring of predictions
+        except Exception as error:  # a failed check must not stop the scoring of predictions
             self.verdict = Verdict("warning", f"check failed: {type(error).__name__}: {error}")
         return True
 
@@ -89,7 +88,7 @@ class Consistency:
 
 
 def recent(history: MeasurementHistory) -> DriveLog | float:
-    """The measurements to check, thinned out; or, if they are too few, the seconds of driving available."""
+    """The measurements to check, thinned out; if there are too few, the duration of driving available [s]."""
     newest = history.ins.newest or 0
     oldest = max(newest - round(HISTORY_SPAN / NANOSECOND), *history.ins.breaks, 0)
     times, rows = _since(history.ins, oldest)
@@ -107,7 +106,7 @@ def recent(history: MeasurementHistory) -> DriveLog | float:
 
 
 def _since(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
-    """(times, rows) since an instant, the first in each SAMPLE_NS."""
+    """(times, rows) since an instant, the first sample of each period SAMPLE_NS."""
     first = int(np.searchsorted(series.times, start_ns))
     times = series.times[first:]
     kept = np.flatnonzero(np.diff(times // SAMPLE_NS, prepend=-1))

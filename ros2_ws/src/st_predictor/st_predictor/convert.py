@@ -22,7 +22,7 @@ from st_ros.polling import from_nanoseconds, to_nanoseconds
 
 from .map_drawing import BAND_MODE, Path, ribbon
 
-QUATERNION_TOLERANCE = 0.01  # of the squared length; float32 costs 1e-7, an orientation that was not set has length 0
+QUATERNION_TOLERANCE = 0.01  # of the squared length; float32 rounding causes 1e-7, an unset orientation has length 0
 _NEVER_NS = 9_223_372_036 * 1_000_000_000  # rmw's value for "never"; rclpy returns this or more
 PLANNED_MODES: tuple[Mode, ...] = ("plan", "course")  # modes of st_msgs/PlannedPrediction
 
@@ -46,7 +46,7 @@ def ins_sample(message: Odometry, map_frame: str) -> InsSample | str:
 
 
 class PathBuilder:
-    """One nav_msgs/Path, refilled for every prediction: constructing 101 poses costs ten times as much."""
+    """One nav_msgs/Path, refilled for every prediction, because constructing 101 poses takes ten times as long."""
 
     def __init__(self, map_frame: str, points: int):
         self.message = PathMessage(poses=[PoseStamped() for _ in range(points)])
@@ -101,8 +101,8 @@ def planned_inputs(message: InputPlan, base_frame: str, vehicle: VehicleParamete
 
 def planned_message(start: Start, model: str, plan_ns: int, inputs: InputSequence, trajectory: Trajectory,
                     vehicle: VehicleParameters, map_frame: str, configuration_hash: str) -> PlannedPrediction:
-    """The message without issued_at and compute_time. plan_ns: stamp of the plan, 0 for a course; inputs: on the
-    half-step grid."""
+    """The message without issued_at and compute_time. plan_ns: stamp of the plan, 0 for a course. inputs: on the
+    half-step grid of the horizon."""
     message = PlannedPrediction(
         model=model, configuration_hash=configuration_hash, plan_stamp=from_nanoseconds(plan_ns),
         road_wheel_angle=_float64(inputs.road_wheel_angle), velocity_x_dot=_float64(inputs.velocity_x_dot))
@@ -173,7 +173,7 @@ def recorded_qos(profile: QoSProfile) -> Qos:
 
 
 def _nanoseconds(duration: Duration) -> int:
-    # 0 is rmw's "not specified", which offers the same as never.
+    # 0 is rmw's "not specified", which is equivalent to "never" in an offered QoS.
     return duration.nanoseconds if 0 < duration.nanoseconds < _NEVER_NS else INFINITE_NS
 
 

@@ -38,7 +38,7 @@ class Ribbon:
     right: np.ndarray
 
     def triangles(self, stride: int) -> np.ndarray:
-        """(k, 3, 2): the area as triangles between every `stride`-th point, the last of the path and the end."""
+        """(k, 3, 2): the area as triangles between every `stride`-th point, the last point of the path and the end."""
         last = len(self.left) - 1
         rows = np.unique(np.append(np.arange(0, last, stride), (last - 1, last)))
         left, right = self.left[rows], self.right[rows]

@@ -21,14 +21,14 @@ _DEFAULTS = PredictionSettings()
 
 _VEHICLE_FILE = Parameter("vehicle_file", "", "vehicle parameters, a file of config/vehicle/; required")
 _MODEL_FILE = Parameter("model_file", "", "model.yaml of a further model, named augmented; empty: none")
-_EFFECTS_DIRECTORY = Parameter("effects_directory", "", "folder of own effects that model_file uses; empty: none")
+_EFFECTS_DIRECTORY = Parameter("effects_directory", "", "folder of user-defined effects of model_file; empty: none")
 _BANDS_FILE = Parameter("bands_file", "", "bands.yaml of st calibrate for this car, models and settings; empty: none")
-_COURSE_FILE = Parameter("course_file", "", "course.yaml of st course build for this place; empty: none")
-_ADAPTIVE = Parameter("adaptive_bands", True, "bands follow the errors of this run; without bands_file the first "
+_COURSE_FILE = Parameter("course_file", "", "course.yaml of st course build for this site; empty: none")
+_ADAPTIVE = Parameter("adaptive_bands", True, "adapt the bands to the errors of this run; without bands_file the first "
                       "appear after two minutes of driving; false: only those of bands_file, as calibrated")
-_MAP_FRAME = Parameter("map_frame", "map", "frame the odometry must be in; odometry in another one is refused")
+_MAP_FRAME = Parameter("map_frame", "map", "required frame of the odometry; odometry in another frame is refused")
 _MAXIMUM_GAP = Parameter(
-    "maximum_gap", _DEFAULTS.maximum_gap, "longest time between samples that are interpolated", "s", 0.001, 10.0)
+    "maximum_gap", _DEFAULTS.maximum_gap, "longest interval between samples for interpolation", "s", 0.001, 10.0)
 _FILTER_CUTOFF = Parameter(
     "filter_cutoff", _DEFAULTS.filter_cutoff, "cutoff of the low-pass before v_x is differentiated", "Hz", 0.01, 1000.0)
 
@@ -43,18 +43,18 @@ PREDICTOR = (
     Parameter("horizon", _DEFAULTS.horizon, "how far ahead; a whole number of steps", "s", 0.01, 60.0),
     Parameter("step", _DEFAULTS.step, "integration step and spacing of the published points", "s", 0.001, 1.0),
     Parameter("rate", 10.0, "ticks per second, on the node's clock", "Hz", 0.1, 100.0),
-    Parameter("sample_wait", 0.015, "a tick waits at most this long for a sample of each input received after it was "
-              "due, and half a period at most; not in simulated time; 0: it does not wait", "s", 0.0, 0.1),
-    Parameter("compiled", True, "models as machine code where numba is installed; false: on Python floats"),
+    Parameter("sample_wait", 0.015, "longest wait of a tick, from its due time, for a new sample of each input; "
+              "at most half a period; not in simulated time; 0: no wait", "s", 0.0, 0.1),
+    Parameter("compiled", True, "models as machine code if numba is installed; false: interpreted Python"),
     Parameter("minimum_speed", _DEFAULTS.minimum_speed, "no prediction below it", "m/s", 0.0, 50.0),
     Parameter("stale_after", _DEFAULTS.stale_after, "no prediction from inputs older than this", "s", 0.001, 10.0),
     _MAXIMUM_GAP,
     _FILTER_CUTOFF,
     _MAP_FRAME,
-    Parameter("plan_frame", "base_link", "header.frame_id that a plan on plan/inputs must have; others are refused"),
+    Parameter("plan_frame", "base_link", "required header.frame_id of plans on plan/inputs; others are refused"),
 )
 
-_NUMBER = Parameter("number_when_taken", False, "record into NAME_2 if the directory holds a bag, instead of stopping")
+_NUMBER = Parameter("number_when_taken", False, "record into NAME_2 if the directory has a bag; false: stop")
 
 EVALUATOR = (
     _VEHICLE_FILE,
@@ -88,7 +88,7 @@ RECORDER = (
 
 MARKERS = (
     _VEHICLE_FILE,
-    Parameter("models", [*MODELS, "augmented"], "models to draw; one that does not predict is not drawn"),
+    Parameter("models", [*MODELS, "augmented"], "models to draw, if they predict"),
     Parameter("rate", 10.0, "drawings per second", "Hz", 0.1, 50.0),
     _MAP_FRAME,
 )
@@ -106,7 +106,7 @@ def load_vehicle(values: SimpleNamespace) -> VehicleParameters:
 def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile | None:
     """The model of the parameter `model_file`, None without one; the effects it uses are loaded first.
 
-    Raises ConfigurationError naming the file and the key, also when its values are of another car than `vehicle`.
+    Raises ConfigurationError naming the file and the key, also if the model belongs to another car than `vehicle`.
     """
     if values.effects_directory:
         translate_errors(values, lambda: load_folder(values.effects_directory), "effects_directory: ")
@@ -146,7 +146,7 @@ def prediction_settings(values: SimpleNamespace) -> PredictionSettings:
 
 
 def translate_errors(values: SimpleNamespace, make: Callable[[], T], prefix: str = "") -> T:
-    """The result of `make`; a ConfigurationError of st_core becomes that of st_ros, which ends the node with status 2.
+    """The result of `make`; a ConfigurationError of st_core is raised as one of st_ros, which ends the node (status 2).
 
     prefix: start of the message.
     """

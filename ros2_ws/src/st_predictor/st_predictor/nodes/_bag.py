@@ -16,7 +16,7 @@ MAX_SYNC_DELAY = 1.0  # unsynced data older than this raise a warning [s]; half 
 def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) -> BagWriter:
     """Writer of a new bag in the folder given by the parameter `output_directory`.
 
-    If that folder already holds files and `number_when_taken` is set (a restarted node): NAME_2, NAME_3, ...
+    If that folder already contains files and `number_when_taken` is set (a restarted node): NAME_2, NAME_3, ...
     Raises ConfigurationError naming the folder if it is not empty or cannot be written.
     """
     names = (f"{values.output_directory}_{number}" for number in itertools.count(2))
@@ -50,7 +50,7 @@ def recording_check(bag: BagWriter, stopped: str = "", resumed: bool = False) ->
         return Check("recording", diagnostics.WARN, f"{stopped}; recording resumed in {bag.directory}", values)
     level, text = diagnostics.OK, f"{bag.message_count} messages"
     if bag.syncer and bag.syncer.error:
-        # Recording continues: most data may still reach the disk, and a new bag would be on the same one.
+        # Recording continues: most data may still reach the disk, and a new bag would be on the same disk.
         level, text = diagnostics.ERROR, (f"writing to the disk failed: {bag.syncer.error} ({bag.path}); recorded data "
                                           "may be missing: use another disk")
     elif bag.syncer and (delay := bag.syncer.delay) > MAX_SYNC_DELAY:

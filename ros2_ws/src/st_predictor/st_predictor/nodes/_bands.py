@@ -78,7 +78,7 @@ class PredictionBands:
         return {} if self._reason else self._messages.fill()
 
     def observe_scores(self) -> None:
-        """Adapt to the predictions whose horizon has passed; call it at every tick, also at standstill."""
+        """Adapt to the errors of predictions whose horizon has passed; call it at every tick, also at standstill."""
         if self._adaptive:
             for score in self._scorer.poll():
                 self._adaptive.observe(score)
@@ -109,7 +109,7 @@ class PredictionBands:
 
 
 class BandMessages:
-    """Band messages that are reused, since constructing them takes ten times as long as filling them.
+    """Reused band messages, since constructing them takes ten times as long as filling them.
 
     half_widths: by model; the arrays are read at every `fill`.
     """

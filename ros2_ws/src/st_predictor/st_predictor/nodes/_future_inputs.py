@@ -1,4 +1,4 @@
-"""Future inputs that replace held ones: the newest plan of a motion planner, or those recorded on a course."""
+"""Future inputs in place of held ones: the newest plan of a motion planner, or those recorded on a course."""
 
 import time
 
@@ -73,8 +73,8 @@ class PlanInput:
 class CourseInput:
     """Predicts inputs from the course of the parameter `course_file`; without a course it returns None.
 
-    If the map origins of course and run (ins/origin) are known, the course is moved into the frame of this run; a
-    course of another place is not used.
+    If the map origins of course and run (ins/origin) are known, the course is shifted into the map frame of this run;
+    a course of another site is not used.
     """
 
     def __init__(self, node: Node, course: Course | None, vehicle: VehicleParameters, horizon: float, step: float):
@@ -127,7 +127,7 @@ class CourseInput:
             return Check("course", diagnostics.OK, f"inputs are held: {forecast.reason}", self._counts)
         shares = {"share of curvature": forecast.curvature_share, "share of speed": forecast.speed_share}
         text = ", ".join(f"{name} {share:.0%}" for name, share in shares.items())
-        return Check("course", diagnostics.OK, f"used, {text}; the rest is held inputs", self._counts | shares)
+        return Check("course", diagnostics.OK, f"used, {text}; the rest are held inputs", self._counts | shares)
 
 
 def _with_search_tree(course: Course) -> Course:

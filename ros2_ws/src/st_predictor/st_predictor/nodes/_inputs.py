@@ -1,4 +1,4 @@
-"""Odometry and steering inputs of predictor and evaluator, read from their queues when the node has time."""
+"""Odometry and steering inputs of predictor and evaluator, polled from their queues."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +16,7 @@ from st_ros.polling import UNRESOLVED_NODE, PolledSubscription, to_nanoseconds, 
 
 from .. import convert
 
-# s without a message until the accepted publisher counts as ended; another one of the same node name is its restart.
+# s without a message after which the accepted publisher counts as ended; a new one of the same node name replaces it.
 SILENCE_TIMEOUT = 1.0
 MAX_LOST = 1000  # largest gap in the accepted publisher's message numbers: four seconds at 250 Hz
 QUEUE_DEPTH = 4000  # queued messages per topic: 16 s at 250 Hz, so that a node starved of processor time loses nothing
@@ -89,7 +89,7 @@ class PublisherLock:
 class Inputs:
     """Passes every usable sample to `add_ins` and `add_steering`; `last_refusal`: why the newest one was refused.
 
-    on_change: called when `checks` has changed and should be published at once.
+    on_change: called after a change of `checks` that should be published at once.
     """
 
     def __init__(self, node: Node, map_frame: str, add_ins: Callable[[InsSample], bool],
@@ -106,7 +106,7 @@ class Inputs:
         self._arrived_ns = {"INS": 0, "steering": 0}  # newest message of each, by the host's UTC
 
     def wait(self, since_ns: int, longest: float) -> None:
-        """Process messages until each signal has one since `since_ns` (host UTC), for at most `longest` seconds."""
+        """Process messages until one of each signal is newer than `since_ns` (host UTC), at most `longest` seconds."""
         end = time.monotonic() + longest
         self.drain()
         while min(self._arrived_ns.values()) < since_ns and (left := end - time.monotonic()) > 0.0:
@@ -145,7 +145,7 @@ class Inputs:
             self._on_change()
 
     def explain(self, reason: str) -> str:
-        """The reason for no prediction, extended by the reason for which arriving messages are rejected."""
+        """The reason for no prediction, with the reason why arriving messages are refused."""
         for signal, refusal in self.last_refusal.items():
             if refusal and reason.startswith(signal):
                 return f"{reason}; messages arrive but are refused: {refusal}"
@@ -154,7 +154,7 @@ class Inputs:
     def checks(self) -> list[Check]:
         warnings = {topic: self._locks[signal].warning(_utc())
                     for signal, topic in (("INS", self._odometry.topic), ("steering", self._steering.topic))}
-        rejected = {f"{signal} messages of others": lock.rejected for signal, lock in self._locks.items()}
+        rejected = {f"{signal} messages of other publishers": lock.rejected for signal, lock in self._locks.items()}
         text = "; ".join(f"{topic} is {warning}" for topic, warning in warnings.items() if warning)
         return [
             Check("publishers", diagnostics.ERROR if text else diagnostics.OK, text or "one of each input", rejected),
@@ -175,7 +175,7 @@ class Inputs:
             self.received[signal] += 1
             self.last_refusal[signal] = ""
         else:
-            self._refuse(signal, "not finite, repeated, or older than the sample before")
+            self._refuse(signal, "not finite, repeated, or older than the previous sample")
 
     def _refuse(self, signal: str, reason: str) -> None:
         self.received[signal] += 1

@@ -35,7 +35,7 @@ LEVELS = {"warning": diagnostics.WARN, "error": diagnostics.ERROR}
 HISTORY_SPAN = 65.0  # measurements kept [s]: the longest horizon of a predictor plus the wait for late signals
 ERROR_DEPTH = 1000  # at the end of a run, the scores of the last horizon are published at once for every model and mode
 QUEUE_DEPTH = 500  # queued predictions per topic: 50 s at 10 Hz, 5 s of a fast replay
-# Tolerance for rounding on another computer; another vehicle file shifts a path by centimetres within a second [SI].
+# Tolerance for rounding on another computer [SI]; with another vehicle file a path differs by centimetres after 1 s.
 TRAJECTORY_TOLERANCE = 1.0e-6
 
 
@@ -118,7 +118,7 @@ class EvaluatorNode(Node):
         self._core.add_prediction(model, start_ns, trajectory, mode)
 
     def _check_configuration(self, model: str, message: Prediction, trajectory: Trajectory) -> None:
-        """Recompute one prediction of each configuration: hindsight must use the vehicle of the forecast."""
+        """Recompute one prediction of each configuration, because hindsight must use the vehicle of the forecast."""
         key, view = (message.configuration_hash, model), self._core.view(model)
         if key in self._configuration_mismatch:
             return
@@ -126,7 +126,7 @@ class EvaluatorNode(Node):
         inputs = ControlInput(message.road_wheel_angle, message.velocity_x_dot)
         horizon = trajectory.step * (len(trajectory.states) - 1)
         predicted = predict(view.model, self._vehicle, start, inputs, horizon, trajectory.step)
-        # A model with a memory of the steering depends on more than the held inputs and cannot be compared.
+        # A model with memory depends on earlier steering angles too and cannot be recomputed from the held inputs.
         self._configuration_mismatch[key] = not view.has_memory and not np.allclose(
             predicted.states, trajectory.states, rtol=0.0, atol=TRAJECTORY_TOLERANCE, equal_nan=True)
 

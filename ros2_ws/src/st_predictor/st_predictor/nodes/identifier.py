@@ -59,7 +59,7 @@ class IdentifierNode(Node):
         self._fit_in_background()
 
     def _fit_in_background(self) -> None:
-        """Run one fit at a time in its own thread, so that samples are still received."""
+        """Run one fit at a time in a separate thread, so that samples are received meanwhile."""
         if self._fit is not None and self._fit.done():
             self._core.store_fit(self._fit.result())
             self._fit = None
@@ -112,7 +112,7 @@ class IdentifierNode(Node):
 
     def _checks(self) -> list[Check]:
         seconds = self._core.driving_time
-        used = {"used [s]": round(seconds.used, 1), **{f"left out, {why} [s]": round(time, 1)
+        used = {"used [s]": round(seconds.used, 1), **{f"not used, {why} [s]": round(time, 1)
                                                       for why, time in seconds.rejected.items()}, **self._received}
         checks = [Check("driving", diagnostics.OK, f"{seconds.used:.0f} s of driving used", used)]
         for estimate in self._core.estimates():

@@ -1,6 +1,6 @@
 """Node markers: car, bands, errors and the models' names for RViz and Foxglove, and the errors of each model to plot.
 
-It subscribes best effort with short queues, so that a publisher never waits for it.
+It subscribes best effort with short queues, so that no publisher waits for it.
 """
 
 import numpy as np

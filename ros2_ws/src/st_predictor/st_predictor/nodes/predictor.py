@@ -30,9 +30,9 @@ MAX_OVERRUN_NS = 10_000_000_000  # a longer step is a jump of the clock, as in a
 # Queues are emptied this often between ticks, so that a tick has only a few milliseconds of input to process [s].
 DRAIN_PERIOD = 0.02
 STATUS_PERIOD = 1.0
-# Messages queued for a slow subscriber. Fast DDS resends the whole queue to a subscriber that was stopped: a recorder
-# stopped for 3 s then received nothing for 90 s at depth 50 (half a megabyte per topic), for 3 s at depth 10.
-# A fast replay makes 100 predictions a second: a recorder delayed by 0.5 s lost 50 of 590 at depth 10, none at 1000.
+# Messages queued for a slow subscriber. Fast DDS resends the whole queue to a subscriber that was stopped: after a stop
+# of 3 s a recorder received nothing for 90 s at depth 50 (half a megabyte per topic), and for 3 s at depth 10.
+# In a replay at 100 predictions per second, a recorder delayed by 0.5 s lost 50 of 590 at depth 10, none at 1000.
 LIVE_DEPTH, REPLAY_DEPTH = 10, 1000
 MAX_WAIT_SHARE = 0.5  # longest wait for samples as a fraction of the period, so that the next tick is not late
 JUMP_WARNING_DURATION = 10.0  # a position jump is reported as a warning for this long [s]
@@ -128,7 +128,7 @@ class PredictorNode(Node):
             file_hashes[loaded[-1].name] = file.hash
             self._hash[loaded[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
         self._bands = PredictionBands(values, self._vehicle, file_hashes, settings, loaded, runners)
-        return backend or "on Python floats"
+        return backend or "interpreted"
 
     def _make_publishers(self) -> None:
         qos = QoSProfile(depth=REPLAY_DEPTH if self.get_parameter("use_sim_time").value else LIVE_DEPTH)
@@ -153,7 +153,7 @@ class PredictorNode(Node):
         period_ns = round(self._period / NANOSECOND)
         next_due_ns = self.get_clock().now().nanoseconds + self._timer.time_until_next_call()
         missed = self._counter.count_missed(next_due_ns, period_ns)
-        # Just before the arrival of a sample, the newest state is one sample period older than just after it.
+        # Waiting for the next sample makes the newest state up to one sample period younger.
         self._inputs.wait(next_due_ns - period_ns, self._wait)
         began = time.perf_counter()
         start = self._find_start(self.get_clock().now().nanoseconds)
@@ -281,7 +281,7 @@ class PredictorNode(Node):
         ago = (self.get_clock().now().nanoseconds - history.jump.time_ns) * NANOSECOND
         text = f"jump of {history.jump.size:.2f} m not explained by velocity, {history.jumps} since the start"
         if ago < JUMP_WARNING_DURATION:
-            return Check("position", diagnostics.WARN, f"{text}; no prediction and no score spans it", values)
+            return Check("position", diagnostics.WARN, f"{text}; no prediction or score extends across it", values)
         return Check("position", diagnostics.OK, f"last {text}", values | {"age [s]": ago})
 
     def _steering_check(self) -> Check:

@@ -26,7 +26,7 @@ from .. import convert, params
 from ._bag import is_complete, open_bag, recording_check
 
 NICE = 5  # lower priority than bridges and predictor: a third of their CPU share under contention
-WORK_PERIOD = 0.05  # s between readings of the queues, in which each message has its time of arrival
+WORK_PERIOD = 0.05  # s between reads of the queues, which store the time of arrival of each message
 TOPIC_SCAN_PERIOD = 0.25  # s
 # After a full disk: interval between checks for free space [s], and the space needed for a new bag [bytes].
 RESUME_PERIOD, RESUME_SPACE = 5.0, 200_000_000
@@ -63,7 +63,7 @@ class PublisherWatchdog:
             names = {topic if info.node_name.startswith(UNRESOLVED_PREFIX) else info.node_name
                      for info in self._node.get_publishers_info_by_topic(topic)
                      if info.qos_profile.durability == DurabilityPolicy.VOLATILE}  # latched topics are published once
-            if len(names) == 1:  # on a topic of several publishers, a message does not name its publisher
+            if len(names) == 1:  # a message does not name its publisher
                 node_topics.setdefault(names.pop(), []).append(topic)
         self._since = {name: self._since.get(name, now) for name in node_topics}
         last = {name: max(self._since[name], self._node_times.get(name, 0.0),
