@@ -11,13 +11,13 @@ from .ncom_wire import Origin
 from .sensors import InsReading, WheelSpeeds
 
 STEERING_MESSAGE = "Leaf_Steering"
-VEHICLE_BUS, INS_BUS = 1, 2  # CANedge channels of the car and of the INS. On a live bus both share one channel
+VEHICLE_BUS, INS_BUS = 1, 2  # CANedge channels of the car and of the INS; on a live bus they share one channel
 
 FRAME_TIME = 0.00025  # s, duration of a frame at 500 kbit/s; frames of one instant are sent at this interval
 
 CAR_CAN_RATE = 1750  # frames per second on the Car-CAN of a Leaf (52 identifiers, counted in a recording)
 
-# Other identifiers of that recording and their periods [ms]; `--can-rate full` sends them with random contents.
+# Other identifiers of that recording and their periods [ms]; with `--can-rate full` they are sent with random data.
 _BACKGROUND = {
     **dict.fromkeys((0x174, 0x176, 0x180, 0x182, 0x1CA, 0x1CB, 0x1D5, 0x1D6, 0x215, 0x216, 0x245, 0x260), 10),
     **dict.fromkeys((0x280, 0x292, 0x2DE, 0x300), 20),
@@ -108,7 +108,7 @@ class Background:
             self._frames.append((period, index % period, Frame(message, VEHICLE_BUS)))
         decoded = 100 + 2 * 50 + 1000 / 60
         listed = sum(1000 / period for period, _, _ in self._frames)
-        # The recording has more identifiers than the list; further frames of the fastest ones replace those.
+        # The recording has more identifiers than the list; additional frames of the fastest ones replace them.
         extra = max(0, round((CAR_CAN_RATE - decoded - listed) / 100))
         self._frames += [(10, i % 10, self._frames[i % 12][2]) for i in range(extra)]
 

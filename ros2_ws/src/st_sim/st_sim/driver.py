@@ -21,7 +21,7 @@ MAX_STEERING_WHEEL_RATE, MAX_STEERING_WHEEL_ANGLE = 8.0, 9.5
 TREMOR_TIME = 0.4  # s, correlation time of random steering
 INTEGRAL_STEER, INTEGRAL_LIMIT = 0.015, 0.03  # 1/(m^2 s), 1/m
 SPEED_GAIN, SPEED_INTEGRAL = 1.2, 0.5  # 1/s, 1/s^2
-MIN_STEERING_SPEED = 0.5  # m/s. Below, the steering wheel is held, because the course angle is not defined
+MIN_STEERING_SPEED = 0.5  # m/s; at lower speed the steering wheel is held, because the course angle is undefined
 JERK = 10.0  # m/s^3, of the pedals
 MAX_BRAKING, MAX_DRIVE, HOLDING_BRAKE = 7.0, 3.5, 2.0  # m/s^2
 
@@ -88,7 +88,7 @@ class Driver:
             self.distance += math.cos(road.yaw) * (x - road.x) + math.sin(road.yaw) * (y - road.y)
 
     def _continue_from_here(self, s: tuple[float, ...]) -> None:
-        """Move the road to the car after a phase with a held steering wheel; its curvature continues."""
+        """Move the road to the car after a phase with a held steering wheel; the curvature is continuous."""
         course = s[YAW] + math.atan2(s[VY], s[VX])
         self.plan.path.anchor(self.distance, Pose(s[X], s[Y], course))
         self._steer_sum = 0.0

@@ -125,7 +125,7 @@ def tyre_force(tyre: TyreCoefficients, slip_angle: float, load: float, friction_
     curvature = p_ey1 + p_ey2 * excess
     if p_ey3 != 0.0:
         curvature *= 1.0 - p_ey3 * ((slip_angle > 0) - (slip_angle < 0))
-    # E > 1, at loads below those measured, would bend the curve back beyond the peak.
+    # E > 1, which is possible below the measured loads, would make the force decrease and reverse beyond the peak.
     curvature = min(curvature, 1.0)
     b_alpha = stiffness * sin(p_ky4 * atan(load * inverse_load)) / (shape * peak) * slip_angle
     return peak * sin(shape * atan(b_alpha - curvature * (b_alpha - atan(b_alpha)))), peak
@@ -175,7 +175,7 @@ def air_force(still_air: bool, drag_area: float, yaw: float, vx: float, vy: floa
     return 0.5 * AIR_DENSITY * airspeed * drag_area * along, side
 
 
-# long: one set of equations over two dozen shared symbols, evaluated twice per step of 2 ms.
+# long: one set of equations with two dozen shared symbols, evaluated twice per step of 2 ms.
 def derivative(s: Sequence[float], rack_target: float, drive_force: float, surroundings: tuple,  # noqa: PLR0915
                c: Constants) -> tuple[tuple, tuple]:
     """Time derivative of the state, and the wheel quantities that `Forces` contains.

@@ -9,7 +9,7 @@ import numpy as np
 from .settings import Settings
 
 WAVE_LENGTH = 80.0  # m, of the terrain along x
-PATCH_LENGTH, PATCH_PERIOD = 10.0, 40.0  # m, of other friction along x
+PATCH_LENGTH, PATCH_PERIOD = 10.0, 40.0  # m along x, of the patches with another friction
 GUST_TIME = 1.5  # s, correlation time of gusts
 
 

@@ -15,7 +15,7 @@ from .plant import Truth
 from .settings import Settings, SimulationError
 
 TRUTH_TOPIC = "/truth"
-CHUNK = 64 * 1024  # bytes, about 1 s of truth, which is lost if the process is killed
+CHUNK = 64 * 1024  # bytes, about 1 s of true states, which are lost if the process is killed
 
 _HISTORY = "<FHcomment><TX>created</TX><tool_id>virtual_leaf</tool_id><tool_vendor>st_sim</tool_vendor></FHcomment>"
 
@@ -71,7 +71,7 @@ class TruthFile:
         self._writer.add_metadata("run", {name: str(value) for name, value in about.items()})
 
     def write(self, truth: Truth) -> None:
-        """Add a record. A full disk ends the file, not the drive; the reason is in `fault`."""
+        """Add a record. A full disk ends the file, but not the drive; `fault` then contains the reason."""
         if self.fault:
             return
         time_ns = self._start_ns + round(truth.time * 1e9)

@@ -99,7 +99,7 @@ class NcomWire:
         return encode(packet)
 
 
-# Packets after which the channels repeat; channels whose values change; up time at the start [s].
+# Packets after which the sequence of channels repeats; channels with changing values; up time at the start [s].
 CYCLE = 200
 MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES = 0, 1, 2, 18, 23
 UP_TIME_AT_START = 1800.0
@@ -146,7 +146,7 @@ _CHANGING = (MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES)
 
 
 def schedule() -> list[int]:
-    """Channel number of each of CYCLE packets, by the periods above; free slots carry channel 0."""
+    """Channel number of each of CYCLE packets, by the periods above; free slots contain channel 0."""
     slots: list[int | None] = [None] * CYCLE
 
     def put(channels: tuple[int, ...], period: int) -> None:

@@ -43,7 +43,7 @@ def straight(length: float, speed: float) -> list[Piece]:
 def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> list[Piece]:
     """A turn by an angle [deg, left +]; its curvature rises and falls linearly over a length `blend` [m].
 
-    Raises ValueError if the blends alone exceed the angle.
+    Raises ValueError if the blends alone turn by more than the angle.
     """
     arc = math.radians(abs(angle_deg)) * radius - blend
     if arc < 0:

@@ -37,7 +37,7 @@ _SENSOR_GROUPS = ("ins", "can")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit status: 0, also after SIGINT or SIGTERM with files closed; 2, with a line on stderr, for a bad argument."""
+    """Exit status: 0, also after SIGINT or SIGTERM (files are closed); 2 for a bad argument, with a line on stderr."""
     stop = _stop_request()
     try:
         options = _parser().parse_args(arguments)
@@ -101,8 +101,8 @@ class _Run:
 
 
 def _bus(options: argparse.Namespace) -> tuple[Path, Path]:
-    """DBC and signal table of the Leaf, also for other cars: in the folder of the vehicle file, else in the given
-    config folder, else in those of the vehicle file, of the checkout and of the current folders."""
+    """DBC and signal table of the Leaf, also for other cars: from the folder of the vehicle file, else from the given
+    config folder, else from that of the vehicle file, of the checkout, or of the current or a parent folder."""
     folder, configs = options.vehicle.resolve().parent, [options.config]
     if not options.config:
         checkout, here = os.environ.get("ST_ENVIRONMENT"), Path.cwd()
@@ -187,7 +187,7 @@ def _live(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
 
 
 def _to_files(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
-    """Write files. Logger times are UTC of sending with the offset and drift of the logger's clock."""
+    """Write files. Times of the logger are the UTC of sending, with the offset and drift of its clock."""
     run = _prepare(options)
     start_ns = FILE_EPOCH_NS + options.seed * 3_600_000_000_000
     folder = make_folder("--to-files", options.to_files)
@@ -221,13 +221,13 @@ class _Parser(argparse.ArgumentParser):
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="virtual_leaf", description=__doc__)
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument("--scenario", default="S6", help=f"{', '.join(SCENARIOS)}, or a .yaml file; default S6")
-    what.add_argument("--drive", type=Path, metavar="FILE.csv", help="a recorded drive instead of a simulated one")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--scenario", default="S6", help=f"{', '.join(SCENARIOS)}, or a .yaml file; default S6")
+    source.add_argument("--drive", type=Path, metavar="FILE.csv", help="a recorded drive instead of a simulated one")
     parser.add_argument("--vehicle", type=Path, metavar="FILE.yaml", help="config/vehicle/<car>.yaml")
     parser.add_argument(
-        "--config", type=Path, metavar="DIR", help="folder with can/leaf_ze0.dbc and .yaml; default: the one --vehicle "
-        "is in, else that of the checkout")
+        "--config", type=Path, metavar="DIR", help="folder with can/leaf_ze0.dbc and .yaml; default: that of "
+        "--vehicle, else that of the checkout")
     parser.add_argument("--duration", type=float, metavar="S", help="default 60 s, a recorded drive to its end")
     parser.add_argument("--seed", type=_within(0, 2**31 - 1), default=0, help="seed of all random numbers")
     parser.add_argument("--plant", help="ideal, realistic (default) or FILE.yaml with {preset: ..., name: value}")

@@ -65,7 +65,7 @@ class RoadPlan:
 
 @dataclass(frozen=True)
 class Phase:
-    """Phase of a plan; steer as in Demand. Ends after `duration` [s] or below the speed `until` [m/s], 0 = rest."""
+    """Phase of a plan; steer as in Demand. It ends after `duration` [s] or at the speed `until` [m/s]; 0: at rest."""
 
     steer: str
     acceleration: float = 0.0
@@ -93,8 +93,8 @@ class PhasePlan:
         dt, self._last_time = time - self._last_time, time
         self._target = min(max(self._target + phase.acceleration * dt, 0.0), self._cruise)
         if phase.acceleration < 0:
-            # While the brake force builds up, the target must not fall too far below the speed: braking would exceed
-            # the demand.
+            # While the brake force builds up, the target must stay close to the speed, else braking would exceed the
+            # demand.
             self._target = max(self._target, speed - SPEED_SLACK)
         reached = phase.acceleration > 0 and self._target >= self._cruise
         return Demand(self._target, 0.0 if reached else phase.acceleration, phase.steer)
@@ -144,7 +144,7 @@ def _circle(lateral_acceleration: float) -> Plan:
 
 
 def _u_turns() -> Plan:
-    """Right, left, left; a lap ends rotated by 180 deg, so that two laps close."""
+    """Right, left, left; a lap turns by 180 deg, so that two laps close."""
     left = turn(8, 180, 4, 5)
     return RoadPlan([*straight(24, 6), *turn(8, -180, 4, 5), *straight(26, 6), *left, *straight(26, 6), *left,
                      *straight(2, 6)])

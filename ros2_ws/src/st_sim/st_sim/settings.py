@@ -51,34 +51,34 @@ _TABLE = (
     ("steering_lag", "steering", 0.0, 0.0, 0.5, "s", "first-order lag, steering wheel to rack"),
     ("steering_backlash", "steering", 0.0, 0.0, 0.3, "rad", "total play, at the steering wheel"),
     ("steering_compliance", "steering", 0.0, 0.0, 1e-5, "rad/N", "road-wheel angle lost per force of the front axle"),
-    ("roll_steer", "steering", 0.0, -0.5, 0.5, "1", "front steer left per roll right; < 0 understeers"),
-    ("rear_roll_steer", "steering", 0.0, -0.5, 0.5, "1", "rear steer left per roll right; > 0 understeers"),
-    ("ackermann", "steering", 1.0, -0.5, 1.5, "1", "share of the full Ackermann split; 0 = parallel wheels"),
+    ("roll_steer", "steering", 0.0, -0.5, 0.5, "1", "front steer (left +) per roll (right +); < 0: understeer"),
+    ("rear_roll_steer", "steering", 0.0, -0.5, 0.5, "1", "rear steer (left +) per roll (right +); > 0: understeer"),
+    ("ackermann", "steering", 1.0, -0.5, 1.5, "1", "fraction of the full Ackermann angle; 0: parallel wheels"),
     # Tyres.
     ("front_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "factor on the cornering stiffness of the front tyres"),
     ("rear_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "factor on the cornering stiffness of the rear tyres"),
     ("friction_factor", "tyre", 1.0, 0.05, 2.0, "1", "factor on the peak force of all tyres"),
     ("relaxation_length", "tyre", 0.0, 0.0, 2.0, "m", "rolled distance after which the force reaches 63 % of its step"),
-    ("combined_slip", "tyre", 0.0, 0.0, 1.0, "1", "1: friction ellipse, drive and brakes cost lateral force"),
+    ("combined_slip", "tyre", 0.0, 0.0, 1.0, "1", "1: friction ellipse, F_x reduces the lateral force"),
     ("wheel_slip_compliance", "tyre", 0.0, 0.0, 0.2, "1", "longitudinal slip per F_x / F_z, for wheel speeds"),
-    ("camber_thrust", "tyre", 0.0, -2.0, 2.0, "1/rad", "lateral force to the outside per load and body roll"),
+    ("camber_thrust", "tyre", 0.0, -2.0, 2.0, "1/rad", "outward lateral force per load and body roll"),
     # Body.
-    ("lateral_load_transfer", "body", 0.0, 0.0, 2.0, "1", "share of m a_y h / track"),
-    ("longitudinal_load_transfer", "body", 1.0, 0.0, 2.0, "1", "share of m a_x h / wheelbase"),
+    ("lateral_load_transfer", "body", 0.0, 0.0, 2.0, "1", "fraction of m a_y h / track"),
+    ("longitudinal_load_transfer", "body", 1.0, 0.0, 2.0, "1", "fraction of m a_x h / wheelbase"),
     ("roll_gradient", "body", 0.0, 0.0, 0.03, "rad s^2/m", "body roll per lateral acceleration"),
     ("pitch_gradient", "body", 0.0, 0.0, 0.03, "rad s^2/m", "body pitch per longitudinal acceleration"),
     ("mass_factor", "body", 1.0, 0.5, 2.0, "1", "factor on the mass"),
     ("yaw_inertia_factor", "body", 1.0, 0.5, 2.0, "1", "factor on the yaw inertia"),
-    ("cg_shift", "body", 0.0, -0.5, 0.5, "m", "true CG ahead of that in the vehicle file; the INS does not move"),
+    ("cg_shift", "body", 0.0, -0.5, 0.5, "m", "distance of the true CG ahead of that in the vehicle file"),
     ("drive_offset", "body", 0.0, -0.5, 0.5, "m", "offset of drive and brake force to the right: torque steer"),
-    ("drag_area", "body", 0.0, 0.0, 2.0, "m^2", "c_d A"),
-    ("rolling_resistance", "body", 0.0, 0.0, 0.1, "1", "force over load"),
+    ("drag_area", "body", 0.0, 0.0, 2.0, "m^2", "drag coefficient times frontal area"),
+    ("rolling_resistance", "body", 0.0, 0.0, 0.1, "1", "rolling resistance per load"),
     # Road and air.
-    ("bank_angle", "environment", 0.0, -0.3, 0.3, "rad", "road rises to the left of the car, everywhere"),
-    ("grade_angle", "environment", 0.0, -0.3, 0.3, "rad", "road rises ahead of the car, everywhere"),
-    ("hillside_slope", "environment", 0.0, -0.3, 0.3, "rad", "the ground is a plane that rises to the north"),
+    ("bank_angle", "environment", 0.0, -0.3, 0.3, "rad", "constant bank of the road, rising to the left of the car"),
+    ("grade_angle", "environment", 0.0, -0.3, 0.3, "rad", "constant grade of the road, rising ahead of the car"),
+    ("hillside_slope", "environment", 0.0, -0.3, 0.3, "rad", "slope of the ground, a plane that rises to the north"),
     ("terrain_wave", "environment", 0.0, 0.0, 0.2, "rad", "steepest slope of 80 m long waves, west to east"),
-    ("friction_patch", "environment", 1.0, 0.1, 2.0, "1", "friction on the first 10 m of every 40 m of x"),
+    ("friction_patch", "environment", 1.0, 0.1, 2.0, "1", "friction factor on the first 10 m of every 40 m of x"),
     ("wind_speed", "environment", 0.0, -40.0, 40.0, "m/s", "steady wind, towards north"),
     ("gust_speed", "environment", 0.0, 0.0, 20.0, "m/s", "standard deviation of gusts, correlated over 1.5 s"),
     # Driver.
@@ -88,18 +88,18 @@ _TABLE = (
     ("ins_latency", "ins", 0.0, 0.0, 0.5, "s", "delay from measurement to datagram; the stamp is not affected"),
     ("ins_time_error", "ins", 0.0, -0.5, 0.5, "s", "error added to the time stamp"),
     ("ins_misalignment", "ins", 0.0, -0.1, 0.1, "rad", "heading error of the unit, left +"),
-    ("ins_lever_error", "ins", 0.0, -1.0, 1.0, "m", "true position of the unit ahead of that in the vehicle file"),
+    ("ins_lever_error", "ins", 0.0, -1.0, 1.0, "m", "distance of the unit ahead of its position in the vehicle file"),
     ("yaw_rate_scale", "ins", 1.0, 0.8, 1.2, "1", "factor on the measured rates"),
     ("velocity_scale", "ins", 1.0, 0.8, 1.2, "1", "factor on the measured velocity"),
     ("lateral_acceleration_bias", "ins", 0.0, -2.0, 2.0, "m/s^2", "error added to the measured lateral acceleration"),
-    ("ins_packet_loss", "ins", 0.0, 0.0, 0.9, "1", "share of datagrams lost"),
-    ("ins_outage_every", "ins", 0.0, 0.0, 3600.0, "s", "silent for 1 s at every multiple; 0 never"),
+    ("ins_packet_loss", "ins", 0.0, 0.0, 0.9, "1", "fraction of datagrams lost"),
+    ("ins_outage_every", "ins", 0.0, 0.0, 3600.0, "s", "period of outages of 1 s; 0: none"),
     # CAN.
     ("steering_sensor_noise", "can", 0.0, 0.0, 0.1, "rad", "standard deviation at the steering wheel, before rounding"),
     ("steering_sensor_latency", "can", 0.0, 0.0, 0.5, "s", "delay from sample to frame"),
     ("wheel_speed_scale", "can", 1.0, 0.8, 1.2, "1", "factor on the four wheel speeds"),
-    ("can_frame_loss", "can", 0.0, 0.0, 0.9, "1", "share of frames lost; counters continue"),
-    ("can_outage_every", "can", 0.0, 0.0, 3600.0, "s", "silent for 1 s at every multiple; 0 never"),
+    ("can_frame_loss", "can", 0.0, 0.0, 0.9, "1", "fraction of frames lost; counters continue"),
+    ("can_outage_every", "can", 0.0, 0.0, 3600.0, "s", "period of outages of 1 s; 0: none"),
     ("logger_clock_offset", "can", 0.0, -10.0, 10.0, "s", "clock of the logger ahead of UTC, in files only"),
     ("logger_clock_drift", "can", 0.0, -1e-3, 1e-3, "1", "rate error of the clock of the logger, in files only"),
 )
@@ -108,8 +108,8 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType({row[0]: Setting(*row) for ro
 
 IDEAL: Settings = MappingProxyType({s.name: s.null for s in SETTINGS.values()})
 
-# Chosen so that the prediction errors of the paper's three models are those of the real car (test_pattern.py). Front
-# tyres are stiffer than in the file: its axle stiffness includes compliance, roll steer and load transfer.
+# Chosen so that the prediction errors of the paper's three models equal those of the real car (test_pattern.py). Front
+# tyres are stiffer than in the file, because its axle stiffness includes compliance, roll steer and load transfer.
 REALISTIC: Settings = MappingProxyType({
     **IDEAL, "steering_lag": 0.04, "steering_compliance": 1.5e-6, "roll_steer": -0.03, "ackermann": 0.6,
     "front_stiffness_factor": 1.35, "friction_factor": 1.12, "relaxation_length": 0.4, "combined_slip": 1.0,

@@ -1,4 +1,4 @@
-"""The virtual car, driven along a scenario by its driver model or by an external controller."""
+"""The virtual car, driven along a scenario by a driver model, or by an external controller."""
 
 from math import sin
 

@@ -35,7 +35,8 @@ class Kind(IntEnum):
 
 
 class Output(NamedTuple):
-    """due: time of sending [s since the start]. order: within one instant. payload: 72 bytes, a Frame or a Truth."""
+    """One output. due: time of sending [s since the start]. order: of outputs due at the same time. payload: 72 bytes,
+    a Frame or a Truth."""
 
     due: float
     order: int
@@ -153,7 +154,7 @@ class Report:
 
 
 class LiveOutput:
-    """UDP socket and CAN bus. Raises SimulationError naming the option that does not work."""
+    """UDP socket and CAN bus. Raises SimulationError naming the option that cannot be used."""
 
     def __init__(self, ncom_host: str, ncom_port: int, can_interface: str, can_channel: str):
         self.report = Report()
