@@ -150,7 +150,7 @@ def test_the_bag_of_a_corrected_run_holds_what_was_recorded(raw: Path, imported:
     (tmp_path / "raw.run.yaml").write_text("ins: run.ncom\ncan: run.mf4\n" + said)
     bag = tmp_path / "bag"
     run = CliRunner().invoke(app, ["import", str(tmp_path / "raw.run.yaml"), "--output", str(bag)])
-    assert run.exit_code == 0 and "repeat the corrections" in " ".join(run.output.split()), run.output
+    assert run.exit_code == 0 and "copy the corrections" in " ".join(run.output.split()), run.output
     recorded = read(find_runs([imported])[0], leaf).log
     np.testing.assert_array_equal(read(find_runs([bag])[0], leaf).log.x, recorded.x)
     (tmp_path / "bag.run.yaml").write_text("bag: bag\n" + said)

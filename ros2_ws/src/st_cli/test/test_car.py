@@ -221,7 +221,7 @@ def test_nothing_is_overwritten(new):
 def test_check_prints_the_uncertainty_in_force_and_what_is_unusual(new):
     fill_in(new)
     done = st_car("check", new)
-    assert "mass taken as +/- 3 % (" in done.stdout and "state `uncertainty` to change that" in done.stdout
+    assert "mass assumed +/- 3 % (" in done.stdout and "give `uncertainty` to change that" in done.stdout
     assert "cg_height +/- 0.1 m (from the file)" in done.stdout and "unusual" not in done.stdout
     file = new / "vehicle.yaml"
     file.write_text(file.read_text().replace("value: 2925.0, unit: kg m^2,",

@@ -249,7 +249,7 @@ REFUSED = [
     ("predictor", ["rate:=fast"], "rate: 'fast' is a str, not float"),
     ("predictor", [f"vehicle_file:={LEAF}", "horizon:=5.01"], "horizon: 5.01 s is not a whole number of steps"),
     ("predictor", [f"vehicle_file:={LEAF}", "models:=[linear, cubic]"], "unknown model 'cubic'; known are"),
-    ("evaluator", [f"vehicle_file:={LEAF}", f"output_directory:={ROOT}"], "has files already"),
+    ("evaluator", [f"vehicle_file:={LEAF}", f"output_directory:={ROOT}"], "contains files"),
     ("evaluator", [f"vehicle_file:={LEAF}", f"output_directory:={LEAF}/errors"], "output_directory:"),
     ("recorder", [], "output_directory: not set"),
     ("recorder", ["output_directory:=/proc/bag"], "output_directory: /proc/bag"),

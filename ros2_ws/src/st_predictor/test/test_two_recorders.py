@@ -49,7 +49,7 @@ def test_one_that_was_started_again_records_beside_the_first(tmp_path: Path) -> 
     found = {path.name: read_numbers(path) for path in tmp_path.iterdir()}
     assert found == {"bag": {"/a": [0]}, "bag_2": {"/a": [1]}, "bag_3": {"/a": [2]}}
     values.number_when_taken = False
-    with pytest.raises(ConfigurationError, match="has files already"):
+    with pytest.raises(ConfigurationError, match="contains files"):
         open_bag(values, {})
     values.number_when_taken, values.output_directory = True, str(tmp_path / "bag" / "metadata.yaml")
     with pytest.raises(ConfigurationError, match=r"metadata\.yaml"):

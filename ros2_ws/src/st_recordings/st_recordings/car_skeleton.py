@@ -61,8 +61,8 @@ messages:
       # steering_sign in car.yaml. sign_signal: NAME of the signal that is 1 for negative, if the sign has its own.
       FILL_IN_signal: {name: steering_wheel_angle, unit: deg, sign: 1, range: [-900, 900], max_rate: 2000}
 
-  # The speed of the car or of its wheels (vehicle_speed, wheel_speed_rear_left, ...), if the bus carries it: the clocks
-  # of INS and CAN log are aligned by it where no INS frames are on the bus, and `st check` compares it with the INS.
+  # The speed of the car or of its wheels (vehicle_speed, wheel_speed_rear_left, ...), if it is on the bus: it aligns
+  # the clocks of INS and CAN log if the bus has no INS frames, and `st check` compares it with the INS.
   # NAME_OF_MESSAGE:
   #   needed: false
   #   period: {value: 0.02, unit: s}
@@ -92,7 +92,7 @@ steering_latency: 0.0    # s, delay from steering wheel motion to the stamp of i
 VEHICLE_TEMPLATE = """\
 # Every value has a unit and a source. FILL_IN marks the values and sources that only you know.
 # The other values are assumptions to start with. uncertainty: one standard deviation, in the unit of the value;
-# st discover keeps the value near it. Without it a default is taken, which st car check prints.
+# st discover keeps the value near it. Without it a default is used, which st car check prints.
 name: FILL_IN
 """
 
@@ -152,7 +152,7 @@ def remarks(folder: str) -> list[str]:
 
 
 def uncertainties(vehicle: VehicleParameters) -> list[str]:
-    """One line per quantity with a stated or default uncertainty; the last line lists the free quantities."""
+    """One line per quantity with a given or default uncertainty; the last line lists the free quantities."""
     quantities = {**VEHICLE_QUANTITIES,
                   **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
     lines, without = [], []
@@ -168,9 +168,9 @@ def uncertainties(vehicle: VehicleParameters) -> list[str]:
             lines.append(f"{key} +/- {spread:.3g}{unit} (from the file)")
         elif default is not None:
             size = f"{100 * default.size:g} %" if default.relative else f"{spread:.3g}{unit}"
-            lines.append(f"{key} taken as +/- {size} ({default.source}); state `uncertainty` to change that")
+            lines.append(f"{key} assumed +/- {size} ({default.source}); give `uncertainty` to change that")
     free = [key for key in without if "." not in key and key not in NOT_FITTED]
-    return [*lines, f"free in st discover unless `uncertainty` is stated: {', '.join(free)}"] if free else lines
+    return [*lines, f"free in st discover unless `uncertainty` is given: {', '.join(free)}"] if free else lines
 
 
 def _vehicle_problems(file: Path) -> list[str]:

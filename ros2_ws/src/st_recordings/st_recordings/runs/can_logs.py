@@ -54,7 +54,7 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
         raise errors[0] if errors else RunError("CAN log", "no file given")
     used = tuple(log.files[0] for log in logs)
     if len({log.absolute for log in logs}) > 1:
-        raise RunError(used[0], "some logs of the run have UTC, others count from their own start",
+        raise RunError(used[0], "some logs of the run have UTC times, others count from their own start",
                        "read them in separate commands")
     warnings = [f"{log.files[0]}: {note}" for log in logs for note in log.warnings]
     frames, repeated = without_duplicates(merged([log.frames for log in logs]))

@@ -92,7 +92,8 @@ def substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1) -> 
     speed = can.first_of("vehicle_speed") or can.first_of("wheel_speed_rear_left")
     right = can.first_of("wheel_speed_rear_right")
     if speed is not None and speed.name != "vehicle_speed" and right and np.array_equal(speed.time_ns, right.time_ns):
-        speed = replace(speed, values=(speed.values + right.values) / 2.0)  # one wheel alone shows the yaw rate too
+        # The speed of a single wheel also depends on the yaw rate.
+        speed = replace(speed, values=(speed.values + right.values) / 2.0)
     if speed is not None:
         values = _without_standstill(ins, np.abs(velocity_x))
         delay, deviation = WHEEL_SPEED

@@ -138,7 +138,7 @@ COLUMNS: Mapping[str, Channel] = {
     "vehicle_speed": Channel("speed", "the car's own speed signal, or of all wheels; for checks", _words(
         "vehicle_speed car_speed can_speed speed_can abs_speed odometer_speed wheel_speed wheel_speeds")),
 }
-"""The one table of columns; docs/csv_columns.md is made from it (test_csv_columns.py)."""
+"""All known columns; docs/csv_columns.md is generated from this table (test_csv_columns.py)."""
 
 AMBIGUOUS = {normalised(name) for name in
              _words("steering_angle steering steer steer_angle steered_angle steering_position steering_pos")}

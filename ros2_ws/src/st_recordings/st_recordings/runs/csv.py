@@ -271,13 +271,13 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
     ratio, angle = compared(latitude, longitude)
     if not table.sources["latitude"].stated and 0.8 < ratio * 180.0 / np.pi < 3.0:
         raise RunError(table.file, f"{names[0]} and {names[1]} are in radians: read as degrees, they give 1/"
-                       f"{1.0 / ratio:.0f} of the distance that the car drives",
+                       f"{1.0 / ratio:.0f} of the driven distance",
                        "declare it in a run.yaml, as units: {latitude: rad, longitude: rad}")
     if abs(ratio - 1.0) > 0.05 and angle > 0.3 and np.abs(longitude[rows]).max() < np.pi / 2:
         ratio, angle = compared(longitude, latitude)
         if abs(ratio - 1.0) < 0.02 and angle < 0.1:
-            raise RunError(table.file, f"{names[0]} and {names[1]} are exchanged: only exchanged they give the "
-                           f"distance and the direction in which the car drives", f"exchange them in a run.yaml, as "
+            raise RunError(table.file, f"{names[0]} and {names[1]} are interchanged: only the other way round they "
+                           f"agree with the driven distance and the heading", f"exchange them in a run.yaml, as "
                            f"columns: {{latitude: '{names[1]}', longitude: '{names[0]}'}}")
 
 
@@ -314,8 +314,8 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
         columns[name][rows] = interpolated
         changed.append(f"{name} {share(len(samples), int(table.used.sum()), 'rows')}")
     if changed:
-        notes.append(f"{table.file}: lower rate, or stamps of their own: {', '.join(changed)}; the others were "
-                     "interpolated")
+        notes.append(f"{table.file}: channels with a lower rate or separate stamps: {', '.join(changed)}; the other "
+                     "rows were interpolated")
 
 
 def _course_in_motion(table: Table, columns: Mapping[str, np.ndarray], notes: list[str]) -> np.ndarray:

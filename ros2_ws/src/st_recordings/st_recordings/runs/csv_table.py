@@ -47,7 +47,7 @@ DAY, HOUR = 86400.0, 3600.0  # s
 MAX_RADIANS = 6.4  # a first heading of larger magnitude is in degrees
 MAX_YAW_RATE = 3.0  # rad/s; faster ones are in deg/s
 ROLLOVER_STEP = 60.0  # s, longest gap between two rows across midnight or across the end of a GPS week
-_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # (day number of 1970-01-01, program that counts so)
+_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # (day number of 1970-01-01, its program)
 _EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
 _THOUSANDS_SPACES = re.compile(r"[\u00a0\u202f\u2009'](?<=\d.)(?=\d{3}(?!\d))")
@@ -138,7 +138,7 @@ def join_tables(tables: Sequence[Table]) -> Table:
     for before, part in pairwise(parts):
         if part.time_ns[part.used][0] <= before.time_ns[before.used][-1]:
             raise RunError(part.file, f"it begins before the end of {before.file.name}: parts of one recording must "
-                           "follow each other on one clock", "list it as a run of its own")
+                           "follow each other on one clock", "list it as a separate run")
     first = parts[0]
     columns = {channel: np.concatenate([part.columns[channel] for part in parts]) for channel in first.columns
                if all(channel in part.columns for part in parts)}

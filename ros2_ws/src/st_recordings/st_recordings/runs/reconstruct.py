@@ -133,8 +133,8 @@ class Reconstruction:
         from .can_signals import load_signal_table
 
         if not self.bus_is_described:
-            raise RunError(self._path, "it has raw CAN frames, but not the DBC and table to decode them with",
-                           "record vehicle/steering too")
+            raise RunError(self._path, "it has raw CAN frames, but no DBC and signal table to decode them",
+                           "also record vehicle/steering")
         with tempfile.TemporaryDirectory() as folder:
             files = Path(folder, "can.dbc"), Path(folder, "signals.yaml")
             for file, text in zip(files, self._descriptions(), strict=True):

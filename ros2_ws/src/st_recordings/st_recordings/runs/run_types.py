@@ -114,7 +114,7 @@ class LoadedRun:
 
 
 def drive_log(where: Path, name: str, **columns: Any) -> DriveLog:
-    """The log of a run's columns. Raises RunError where DriveLog refuses them."""
+    """The log of a run's columns. Raises RunError if DriveLog rejects them."""
     try:
         return DriveLog(name, **columns)
     except StCoreError as error:

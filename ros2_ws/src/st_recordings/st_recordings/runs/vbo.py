@@ -174,7 +174,7 @@ def _compare_yaw_rate(table: Table, columns: dict[str, np.ndarray], derived: np.
     agreement = measured @ expected / max(np.linalg.norm(measured) * np.linalg.norm(expected), 1e-12)
     if agreement < -MIN_HEADING_AGREEMENT:
         columns["yaw_rate"] = -columns["yaw_rate"]
-        notes.append(f"{table.file}: the yaw rate counts right turns positive; its sign was changed")
+        notes.append(f"{table.file}: the yaw rate is positive in right turns; its sign was changed")
     elif agreement < MIN_HEADING_AGREEMENT:
         notes.append(f"{table.file}: the yaw rate channel does not agree with the heading (correlation "
                      f"{agreement:.2f}); the derivative of the heading is used")

@@ -82,8 +82,8 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
         raise RunError(directory, writer.error, "free some space and import again")
     warnings = [*drive.warnings, *uncovered_time]
     if drive.auxiliary.corrected:
-        warnings.append(f"{directory}: contains the data as recorded; repeat the corrections of its run.yaml in a "
-                        "run.yaml of the bag (bag: ...)")
+        warnings.append(f"{directory}: contains the uncorrected data; copy the corrections of the run.yaml to a "
+                        "run.yaml for the bag (bag: ...)")
     return Imported(directory, counts, (blocks.end_ns - blocks.start_ns) * 1e-9, run, tuple(warnings), findings)
 
 
@@ -134,7 +134,7 @@ def _between(time_ns: np.ndarray, start_ns: int, end_ns: int) -> slice:
 
 
 def _monotonic_times(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
-    """Monotonic times of the packets; a packet without a time near the fixes gets that of the one before."""
+    """Monotonic times of the packets; a packet without a time near the fixes gets that of the previous one."""
     known = utc_ns != file_decoder.UNKNOWN_TIME
     near = known & (utc_ns >= fix_ns[0] - TIME_MARGIN_NS) & (utc_ns <= fix_ns[-1] + TIME_MARGIN_NS)
     first = int(utc_ns[near].min()) if near.any() else int(fix_ns[0])
