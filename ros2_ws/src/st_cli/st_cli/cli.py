@@ -33,7 +33,7 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode="rich",
     pretty_exceptions_show_locals=False,
-    help="Single-track predictor suite: where will the car be in five seconds, and how wrong was that?",
+    help="Single-track predictor suite: where will the car be in five seconds, and how wrong was that prediction?",
     epilog="In a checkout also: ./st test, ./st shell, ./st bench, ./st docs.",
 )
 COMMAND_OPTIONS: dict[Callable, dict[str, Any]] = {

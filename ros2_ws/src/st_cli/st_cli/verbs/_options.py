@@ -52,18 +52,18 @@ MinimumSpeed = Annotated[float, typer.Option(help="No prediction starts below th
 BandsFile = Annotated[Path | None, typer.Option(
     "--bands", help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True, dir_okay=False)]
 CourseFile = Annotated[Path | None, typer.Option(
-    "--course", help="Course of `st course build` for this place: also forecasts with its steering and speed. "
-    "Replay: default the recorded one.", exists=True, dir_okay=False)]
+    "--course", help="Course of `st course build` for this site: also forecast with its steering and speed. "
+    "Replay: default the recorded course.", exists=True, dir_okay=False)]
 Adaptive = Annotated[bool | None, typer.Option(
-    "--adaptive/--no-adaptive", help="Bands follow the errors of the run; without --bands the first appear after "
+    "--adaptive/--no-adaptive", help="Adapt the bands to the errors of the run; without --bands the first appear after "
     "two minutes of driving. Default: as in config/nodes.yaml (yes).")]
 View = Annotated[bool, typer.Option("--view", help="Show the path ahead and its error live in the browser.")]
 ViewAddress = Annotated[str | None, typer.Option(
     "--view-address", help="HOST or HOST:PORT of this computer for --view; default 127.0.0.1, this computer only. "
     "0.0.0.0:8080: open to every device in the same network, such as a phone.")]
-ViewSave = Annotated[Path | None, typer.Option(help="After the run, draw it into this file (.rrd), for `st view`.")]
+ViewSave = Annotated[Path | None, typer.Option(help="After the run, save its view to this file (.rrd), for `st view`.")]
 Offset = Annotated[float | None, typer.Option(
-    help="INS minus CAN clock, s, set by hand; default: estimated from the signals.")]
+    help="INS minus CAN clock, s; default: estimated from the signals.")]
 InsCanLatency = Annotated[tuple[float, float] | None, typer.Option(
     help="Latency of the INS's own CAN frames and its standard deviation, s; default 0.002 0.002.")]
 Dbc = Annotated[Path | None, typer.Option(
@@ -77,11 +77,11 @@ SteeringTopic = Annotated[str | None, typer.Option(
     "--steering-topic", help="Bags of other recorders: the topic with the steering angle, of any type defined in the "
     "bag. Default: the one of type st_msgs/Steering.")]
 SteeringPath = Annotated[str | None, typer.Option(
-    "--steering-field", help="Path of the number in its messages: data (default), drive.steering_angle, ... Without "
+    "--steering-field", help="Field of the number in its messages: data (default), drive.steering_angle, ... Without "
     "--steering-topic: the column of a CSV or VBO.")]
 SteeringIs = Annotated[Literal["road", "wheel"], typer.Option(
-    "--steering-is", help="Angle that the number is: of the road wheels at the front (road), or of the steering wheel "
-    "(wheel), converted with ratio and offset of the vehicle file.")]
+    "--steering-is", help="Meaning of the number: angle of the front road wheels (road), or of the steering wheel "
+    "(wheel), which is converted with ratio and offset of the vehicle file.")]
 SteeringUnit = Annotated[Literal["rad", "deg"] | None, typer.Option(
     "--steering-unit", help="Unit of the number; default: rad in a topic, that of the header in a table.")]
 OdometryTopic = Annotated[str | None, typer.Option(
@@ -111,7 +111,7 @@ def report_errors(verb: str, *more: type[Exception]) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """Options on how recordings are read, as given by the user. One field per option."""
+    """Options for reading recordings, as given by the user. One field per option."""
 
     car: CarName = None
     vehicle: VehicleFile = None
@@ -128,7 +128,7 @@ class ReadOptions:
     odometry_topic: OdometryTopic = None
 
     def resolve(self, **others: Any) -> "tuple[Path | None, ReadSettings]":
-        """(vehicle file or None if none was named; how recordings are read). others: of ReadSettings.
+        """(vehicle file, None if none was named; settings for reading). others: further fields of ReadSettings.
 
         Raises RunError for a car that cannot be read.
         """
@@ -154,7 +154,7 @@ class ReadOptions:
 
 BAG_INPUTS = ("car", "vehicle", "steering_sign", "steering_topic", "steering_field", "steering_is", "steering_unit",
               "odometry_topic")
-"""The options that concern a bag with odometry and steering."""
+"""Options that apply to a bag with odometry and steering."""
 
 
 def reads_recordings(*names: str, **changed: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -198,7 +198,7 @@ class NamedCar:
 def resolve_car(car: str | None, vehicle: Path | None, dbc: Path | None = None, signals: Path | None = None,
                 steering_sign: int | None = None, steering_latency: float | None = None,
                 complete: bool = False) -> NamedCar:
-    """The parts of a car, each of which its own option replaces.
+    """The parts of a car; the option of a part replaces it.
 
     Raises RunError for a car that cannot be read and, if `complete`, for one without DBC or signal table.
     """
@@ -212,7 +212,7 @@ def resolve_car(car: str | None, vehicle: Path | None, dbc: Path | None = None, 
     named = load_car(car)
     for file, option in ((dbc or named.dbc, "--dbc"), (signals or named.signals, "--signals")):
         if complete and not file.is_file():
-            raise RunError(file, "does not exist, so the bus of this car is not described",
+            raise RunError(file, "does not exist; it has to describe the bus of this car",
                            f"write it, or name another with {option}")
     of_car: dict[str, Any] = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
     return NamedCar(vehicle or named.vehicle, dbc or named.dbc, signals or named.signals, of_car | from_options)
@@ -239,7 +239,7 @@ def report_default_car(verb: str, file: Path | str) -> None:
 
 
 def report_default_car_of_bag(verb: str, bag: Path, vehicle: Path | None) -> None:
-    """Print the same line for a recording without a vehicle file. Raises RunError if it cannot be read."""
+    """As `report_default_car`, for a recording without a vehicle file. Raises RunError if it cannot be read."""
     from st_live.configuration import recordings_of
     from st_recordings.recorded import recorded_configuration
     from st_recordings.runs.bag import records_of

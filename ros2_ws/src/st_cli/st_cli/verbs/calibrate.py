@@ -18,10 +18,10 @@ def calibrate(
     effects: shared.EffectsOfFile = None,
     output: Path = typer.Option(Path("bands.yaml"), help="File of the bands; it must not exist."),
     level: list[float] = typer.Option(
-        [0.5, 0.9], "--level", help="Share of paths to be entirely inside; repeatable. n runs allow at most n/(n + 1): "
-        "9 runs for 0.9."),
+        [0.5, 0.9], "--level", help="Fraction of paths entirely inside the band; repeatable. n runs allow at most "
+        "n/(n + 1): 9 runs for 0.9."),
     together: bool = typer.Option(
-        False, "--together", help="Recordings of one argument (one day or place) are dependent and count as one run."),
+        False, "--together", help="Recordings of one argument (one day or site) are dependent and count as one run."),
     acceleration: shared.Filtering = "causal",
     inputs: shared.Inputs = "interpolate",
     horizon: shared.Horizon = 5.0,
@@ -32,8 +32,8 @@ def calibrate(
 ) -> None:
     """Calibrate bands around the predicted path that contain the measured path of a new drive with a given probability.
 
-    For every model, without the driver (hindsight) and with held inputs (forecast). Test them on other drives with
-    `st evaluate --bands`. Exit status: 0 all runs used, 1 some not, 2 no bands could be made.
+    For every model, with measured inputs (hindsight) and with held inputs (forecast). Test them on other drives with
+    `st evaluate --bands`. Exit status: 0 all runs used, 1 some not, 2 no bands could be calibrated.
     """
     from rich.console import Console
     from st_offline.bands.calibration_command import Job, run_command
@@ -51,7 +51,7 @@ def calibrate(
 def course(
     what: Literal["build"] = typer.Argument(..., help="build.", show_default=False),
     runs: list[Path] = typer.Argument(
-        ..., help="Recordings of drives at one place: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.",
+        ..., help="Recordings of drives at one site: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.",
         show_default=False),
     output: Path = typer.Option(Path("course.yaml"), "--output", "-o", help="File of the course; it must not exist."),
     read_options: shared.ReadOptions = shared.ReadOptions(),

@@ -20,8 +20,8 @@ def check(
 ) -> None:
     """Find errors in recordings: units, signs, clocks, axes, projections, reference points, sensors.
 
-    Nothing is corrected; each finding names its correction. Exit status: 0 no error was found, 1 one was, or a run
-    could not be read, 2 nothing could be read.
+    Nothing is corrected; each finding names its correction. Exit status: 0 no error found, 1 an error was found or a
+    run could not be read, 2 nothing could be read.
     """
     from rich.console import Console
     from st_offline.checking.check_command import Job, run_command

@@ -1,4 +1,4 @@
-"""`st demo`: the whole live suite on this machine, with the virtual Leaf, or a recorded drive, as its source."""
+"""`st demo`: the whole live suite on this computer, with the virtual Leaf or a recorded drive as its source."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ def demo(
         None, help="Vehicle file; default the Leaf's. There is no --car, because the bus is always the Leaf's.",
         exists=True, dir_okay=False),
     plant_vehicle: Path | None = typer.Option(
-        None, help="Vehicle file of the virtual Leaf itself; default the same. --vehicle is that of the nodes.",
+        None, help="Vehicle file of the simulated car; default: --vehicle, which is the vehicle file of the nodes.",
         exists=True, dir_okay=False),
     duration: float | None = typer.Option(None, help="Seconds of driving; default 60, or the whole drive.", min=6.0),
     plant: str | None = typer.Option(None, help="ideal, realistic (default), or a file with plant settings."),
@@ -40,7 +40,7 @@ def demo(
     view_save: shared.ViewSave = None,
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/demo-<what>-<time>."),
 ) -> None:
-    """Drive the virtual Leaf, or a recorded drive, through bridges and nodes; show how well each model predicts."""
+    """Run the live suite on the virtual Leaf or on a recorded drive; show how well each model predicts."""
     from st_live import configuration, report, session
     from st_live.page import LiveView
     from st_live.suite import SuiteError
@@ -55,7 +55,7 @@ def demo(
         options += [name, str(value)] if value else []
     # The car drives on while the predictor stops, so that every tick up to the end has inputs.
     options += ["--duration", str(duration + RUN_ON_TIME)] if duration else []
-    options += [word for e in effect for word in ("--effect", e)]
+    options += [part for setting in effect for part in ("--effect", setting)]
     with shared.report_errors("demo", SuiteError):
         car = configuration.VirtualCar(configuration.vehicle_file(vehicle), options,
                                        plant_vehicle and plant_vehicle.absolute())

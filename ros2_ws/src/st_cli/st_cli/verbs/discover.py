@@ -14,8 +14,7 @@ REFERENCE = "--reference"
 
 
 class WithReferences(TyperCommand):
-    """`--reference a b c` takes all three, as `--reference a --reference b` does; the next option or -- ends the list.
-    """
+    """Command in which `--reference a b` means `--reference a --reference b`; the next option or -- ends the list."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         given = expand_references(args)
@@ -28,17 +27,17 @@ class WithReferences(TyperCommand):
                                      "before it, or put -- between", ctx) from None
 
 
-def expand_references(words: Sequence[str]) -> list[str]:
+def expand_references(arguments: Sequence[str]) -> list[str]:
     """The arguments with --reference before each path that follows it, up to the next option."""
     found: list[str] = []
     count = -1  # of the paths after --reference; -1: not after it
-    for word in words:
-        if word.startswith("-"):
-            count = 0 if word == REFERENCE else -1
+    for argument in arguments:
+        if argument.startswith("-"):
+            count = 0 if argument == REFERENCE else -1
         elif count >= 0:
             found += [REFERENCE] if count else []
             count += 1
-        found.append(word)
+        found.append(argument)
     return found
 
 
@@ -72,7 +71,7 @@ def discover(
 ) -> None:
     """Find errors of vehicle file, sensors and model; write corrected files and the reduction of the prediction error.
 
-    Exit status: 0 the answer uses all runs, 1 some could not be used, 2 the search could not be started.
+    Exit status: 0 the result uses all runs, 1 some could not be used, 2 the search could not be started.
     """
     from rich.console import Console
     from st_core.discovery import DiscoverySettings

@@ -1,4 +1,4 @@
-"""`st effects`: the library of physical effects, and the contract tests of a user's own."""
+"""`st effects`: the library of physical effects, and the contract tests of user-defined ones."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,14 +23,13 @@ def effects(
     files: list[Path] = typer.Argument(None, help="check: effect files (.py); all of the library without one."),
     car: CarName = None,
     vehicle: VehicleFile = None,
-    own: Path | None = typer.Option(None, "--effects", help="list: folder of own effects to list too.", exists=True,
+    own: Path | None = typer.Option(None, "--effects", help="list: folder of your own effects to include.", exists=True,
                                     file_okay=False),
 ) -> None:
     """List the effects: kind, slot, hooks, similar effects, channels needed; or check effect files of your own.
 
-    check: identical to the base model at null, finite within its bounds, equal on floats, batches, compiled and in
-    CasADi, symmetric in left and right, stable. Exit status: 0 all requirements met, 1 some not, 2 a file cannot be
-    loaded.
+    check: equal to the base model at null, finite within its bounds, equal for floats, batches, compiled and CasADi,
+    symmetric in left and right, stable. Exit status: 0 all requirements met, 1 some not, 2 a file cannot be loaded.
     """
     from st_core.effects import load_folder
 
@@ -55,7 +54,7 @@ def _print_library(console: Console) -> None:
     from st_core.effects import EFFECTS, confounded_effects
 
     for name, effect in sorted(EFFECTS.items(), key=lambda item: (item[1].kind, item[0])):
-        hooks = dict.fromkeys(word for hook, word in HOOK_LABELS.items() if getattr(effect, hook))
+        hooks = dict.fromkeys(label for hook, label in HOOK_LABELS.items() if getattr(effect, hook))
         lines = {"": effect.physics, "acts on": ", ".join((*hooks, *(f"signal {s}" for s in effect.signals))),
                  "excited by": effect.excited_by, "hard to separate from": ", ".join(sorted(confounded_effects(name))),
                  "needs": ", ".join(effect.needs)}

@@ -25,7 +25,7 @@ def evaluate(
     acceleration: shared.Filtering = "causal",
     inputs: shared.Inputs = "interpolate",
     table: Literal["means", "samples"] = typer.Option(
-        "means", help="Statistics shown: over the horizon means, as the paper, or over all samples."),
+        "means", help="Statistics shown: of the horizon means, as in the paper, or of all samples."),
     horizon: shared.Horizon = 5.0,
     step: shared.Step = 0.05,
     interval: float = typer.Option(0.1, help="Time between starts, s."),
@@ -35,14 +35,14 @@ def evaluate(
         None, help="Bands of `st calibrate` to test on these runs: coverage, scores, reliability.", exists=True,
         dir_okay=False),
     adaptive: bool = typer.Option(
-        False, "--adaptive", help="Also test bands that follow the scores of each run; they start from --bands, or "
+        False, "--adaptive", help="Also test bands that adapt to the errors of each run; they start from --bands, or "
         "without a calibration."
     ),
     course: Path | None = typer.Option(
         None, help="Course of `st course build`: also forecast with the inputs of its earlier drives.",
         exists=True, dir_okay=False),
     advise: float | None = typer.Option(
-        None, help="Permitted lateral error, m: also name the cheapest model and step within it, by speed and time "
+        None, help="Permitted lateral error, m: also report the cheapest model and step within it, by speed and time "
         "ahead, with cost, error and band width of each.", min=0.001),
     force: bool = typer.Option(False, "--force", help="Also evaluate runs in which `st check` finds an error."),
     workers: int = typer.Option(1, help="Number of runs evaluated in parallel (Dask).", min=1),
@@ -51,7 +51,7 @@ def evaluate(
 ) -> None:
     """Predict every 100 ms of each run with each model, score it against the measurement, write tables and figures.
 
-    Unusable runs are named and skipped. Exit status: 0 all runs evaluated, 1 some not, 2 none could be.
+    Unusable runs are reported and skipped. Exit status: 0 all runs evaluated, 1 some not, 2 none.
     """
     from rich.console import Console
     from st_offline.evaluation.evaluation_command import run_command
@@ -91,7 +91,7 @@ def make_task(read_options: shared.ReadOptions, model: Sequence[str], effects: P
 
 
 def read_model(name: str) -> str | tuple[str, str]:
-    """The name of a model, or (file, content), because remote workers may not see the file."""
+    """The name of a model, or (file, content), because remote workers may have no access to the file."""
     if not name.endswith((".yaml", ".yml")):
         return name
     try:
@@ -104,7 +104,7 @@ def resolve_vehicle(vehicle: Path | None, models: Sequence[str | tuple[str, str]
                     effects: Path | None = None) -> tuple["VehicleParameters", str]:
     """(car, its file): of the vehicle file, else embedded in a model file, else the Leaf.
 
-    effects: folder of own effects of the model files, which are loaded.
+    effects: folder of user-defined effects of the model files; they are loaded.
     """
     from st_core.effects import load_folder
     from st_core.model_file import ModelFile

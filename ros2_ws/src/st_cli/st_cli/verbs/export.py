@@ -18,9 +18,10 @@ def export(
     output: Path | None = typer.Option(None, help="Folder of the files; default runs/export-<time>."),
     substeps: int = typer.Option(1, help="Integration steps within one step h.", min=1, max=64),
     bands: Path | None = typer.Option(
-        None, help="Bands of `st calibrate`: also their half-widths as functions of state and inputs (CasADi).",
+        None, help="Bands of `st calibrate`; their half-widths are written as functions of state and inputs (CasADi).",
         exists=True, dir_okay=False),
-    free: list[str] = typer.Option([], help="Parameter left as an argument: road_bank.angle; repeatable."),
+    free: list[str] = typer.Option(
+        [], help="Parameter that stays an argument of the functions, such as road_bank.angle; repeatable."),
 ) -> None:
     """Write a model as functions: dynamics, Runge-Kutta step, Jacobians; with names, units and bounds.
 

@@ -9,7 +9,7 @@ from . import _options as shared
 
 @shared.reads_recordings()
 def identify(
-    what: str | None = typer.Argument(None, help="One of the experiments; without it they are listed."),
+    what: str | None = typer.Argument(None, help="Name of an experiment; without it all experiments are listed."),
     files: list[Path] = typer.Argument(None, help="Data of the experiment: tables (CSV) or recordings."),
     model: Path | None = typer.Option(
         None, help="Model file used to predict drives, instead of nonlinear; its effects are not changed.", exists=True,
@@ -21,8 +21,8 @@ def identify(
 ) -> None:
     """Identify parameters: value, uncertainty, verdict; a figure, a report, and a vehicle file with provenance.
 
-    The given vehicle file is not changed; the new one is vehicle.yaml in the output folder. Exit status: 0 something
-    was identified, 1 nothing could be, 2 the data cannot be used.
+    The given vehicle file is not changed; the new one is vehicle.yaml in the output folder. Exit status: 0 at least one
+    parameter was identified, 1 none, 2 the data cannot be used.
     """
     from rich.console import Console
     from rich.table import Table

@@ -12,7 +12,7 @@ def live(
     can_interface: str = typer.Option("socketcan", help="python-can interface."),
     can_channel: str = typer.Option("can0", help="Channel of that interface."),
     ncom_port: int = typer.Option(3000, help="UDP port to which the RT sends NCOM.", min=1, max=65535),
-    ncom_address: str = typer.Option("0.0.0.0", help="Local address to listen on; the RT broadcasts: all by default."),
+    ncom_address: str = typer.Option("0.0.0.0", help="Local address to listen on; default all, as the RT broadcasts."),
     ncom_sender: str = typer.Option("", help="Accept packets from this address only."),
     car: shared.CarName = None,
     vehicle: shared.VehicleFile = None,

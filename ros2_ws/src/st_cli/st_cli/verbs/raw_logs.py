@@ -1,4 +1,4 @@
-"""`st align`, `st import`, `st ncom`, `st recover`: raw logs and bags, before any model."""
+"""`st align`, `st import`, `st ncom`, `st recover`: commands for raw logs and bags."""
 
 import json
 from pathlib import Path
@@ -52,7 +52,7 @@ def align(
 
 
 def describe_alignment(alignment, start_ns: int, absolute: bool) -> str:
-    """Result in one sentence, for a title. start_ns: of the CAN log; absolute: whether INS time is UTC."""
+    """Result in one sentence, for a title. start_ns: start of the CAN log. absolute: whether INS time is UTC."""
     offset = (f"offset {_seconds(alignment.offset_at_ns(start_ns))} s" if absolute
               else f"CAN log starts at INS time {_seconds(alignment.to_reference_ns(start_ns))} s")
     if alignment.method == "by hand":
@@ -104,7 +104,7 @@ def report(pair, console) -> None:
 
 
 def _seconds(nanoseconds: int) -> str:
-    """All digits down to the microsecond, also of an offset of years, which a float would round."""
+    """Signed seconds with microseconds; exact also for an offset of years, which a float would round."""
     seconds, remainder = divmod(abs(nanoseconds), 10**9)
     return f"{'-' if nanoseconds < 0 else '+'}{seconds}.{remainder // 1000:06d}"
 
@@ -119,10 +119,10 @@ def import_(
     strict: bool = typer.Option(False, "--strict", help="Refuse runs with a doubtful alignment."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
-    """Write INS recording and CAN logs as one rosbag2 MCAP: aligned, in one time base, raw packets and frames kept.
+    """Write INS recording and CAN logs as one rosbag2 MCAP, aligned to one time base, with raw packets and frames.
 
-    `ros2 bag play` of it drives the live nodes, and every st verb reads it. Exit status 0: all runs written; 1: some
-    were not (each with its reason); 2: nothing could be done.
+    `ros2 bag play` sends it to the live nodes, and every st verb reads it. Exit status 0: all runs written; 1: some
+    not (with the reason); 2: none.
     """
     from rich.console import Console
     from st_recordings.paths import OutputError, new_folder

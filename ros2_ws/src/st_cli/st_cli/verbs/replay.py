@@ -1,4 +1,4 @@
-"""`st replay` and `st verify`: a recording through the real nodes, and against the library."""
+"""`st replay` and `st verify`: plays a recording through the real nodes, and compares it with the library."""
 
 from pathlib import Path
 
@@ -63,7 +63,7 @@ def verify(
     output: Path | None = typer.Option(None, help="Folder of that replay; default runs/verify-<time>."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
-    """Compare every prediction and score of the nodes with the library on the same measurements, start by start.
+    """Compare every prediction and score of the nodes with those of the library for the same measurements.
 
     A recording without predictions is played through the nodes first. Exit status: 0 all within the tolerance, 1 not,
     2 nothing to compare.

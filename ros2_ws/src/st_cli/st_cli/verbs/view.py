@@ -15,7 +15,7 @@ def view(
         dir_okay=False),
     save: Path | None = typer.Option(None, help="Only write the view to this file (.rrd)."),
 ) -> None:
-    """Look at a recorded run in the browser, forwards and backwards in time, until Ctrl-C."""
+    """Show a recorded run in the browser, forwards and backwards in time, until Ctrl-C."""
     import signal
     import tempfile
 
@@ -49,7 +49,7 @@ def view(
 
 def foxglove(
     port: int = typer.Option(8765, help="Port of the WebSocket.", min=1, max=65535),
-    host: str = typer.Option("127.0.0.1", help="Address to listen on; the default reaches this machine only."),
+    host: str = typer.Option("127.0.0.1", help="Address to listen on; default: from this computer only."),
     domain: int | None = typer.Option(None, help="ROS domain of the suite; `st demo` prints it.", min=0, max=232),
     vehicle: Path | None = typer.Option(None, help="Vehicle file, for the outline; default config/vehicle/leaf.yaml.",
                                         exists=True, dir_okay=False),
