@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rosbags.highlevel import AnyReader
-from st_core.palette import MEASURED_COLOUR, colour_of, rgb
+from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, colour_of, rgb
 from st_core.types import InsSample, map_to_body
 from st_core.vehicle import VehicleParameters
 from st_predictor import convert
@@ -49,12 +49,11 @@ Pose = tuple[float, float, float]
 PERIOD_NS = 100_000_000
 FLUSH_PERIOD = 5.0  # s between writes; few large chunks load quickly
 TEXT_PERIOD_NS = 1_000_000_000
-MODELS = ("kinematic", "linear", "nonlinear", "augmented")
 LEVELS = ("ok", "warning", "**error**", "stale")
 # Kind of message by topic.
 TOPICS = {
     "predictor/status": "status", "ins/odometry": "odometry", "vehicle/steering": "steering",
-    **{f"predictor/{model}/prediction": "prediction" for model in MODELS},
+    **{f"predictor/{model}/prediction": "prediction" for model in MODEL_COLOUR},
     "evaluator/errors": "error", "evaluator/summary": "summary", "/diagnostics": "diagnostics",
 }
 

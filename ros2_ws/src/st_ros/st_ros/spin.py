@@ -29,7 +29,7 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
     A node may have `finished: bool` (ends the spinning), `exit_status: int` (read at the end) and `close()` (called
     once before it is destroyed; it can still publish). Waits for acknowledgement at most `FLUSH_TIMEOUT`.
     """
-    stop = _StopRequest()
+    stop = StopRequest()
     node = executor = None
     status = 0
     try:
@@ -77,7 +77,7 @@ def flush(node: Node) -> None:
         publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
 
 
-class _StopRequest:
+class StopRequest:
     """SIGINT and SIGTERM as a flag; further signals are ignored, so that closing is not interrupted."""
 
     def __init__(self) -> None:

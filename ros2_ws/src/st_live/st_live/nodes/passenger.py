@@ -20,7 +20,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from st_core.palette import colour_of
+from st_core.palette import MODEL_COLOUR
 from st_core.types import InsSample, cg_to_ins_position, map_to_body
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import InsStatus, PlannedPrediction, Prediction, PredictionError, PredictorStatus, Steering
@@ -32,7 +32,6 @@ from st_ros.polling import PolledSubscription, steady_timer
 from ..page import PageServer
 from ..suite import VIEW_NICE
 
-MODELS = ("kinematic", "linear", "nonlinear", "augmented")
 TRACK_SPAN, TRACK_STEP = 20.0, 0.2  # s of measured track shown, and between its points
 PATH_STRIDE = 2  # every PATH_STRIDE-th point of a prediction is sent
 STALE = 1.0  # s; an older prediction or steering angle is not shown
@@ -45,8 +44,8 @@ INPUTS = {"forecast": "held", "course": "of the course", "plan": "planned"}  # b
 TOPICS = {
     "predictor/status": "status", "ins/status": "ins_status", "ins/odometry": "odometry",
     "vehicle/steering": "steering",
-    **{f"predictor/{model}/prediction": "prediction" for model in MODELS},
-    **{f"predictor/{model}/{mode}": mode for mode in convert.PLANNED_MODES for model in MODELS},
+    **{f"predictor/{model}/prediction": "prediction" for model in MODEL_COLOUR},
+    **{f"predictor/{model}/{mode}": mode for mode in convert.PLANNED_MODES for model in MODEL_COLOUR},
     "evaluator/errors": "error", "/diagnostics": "diagnostics",
 }
 PERIOD = 0.1  # s between frames
@@ -227,7 +226,7 @@ def main() -> int:
     options = parser.parse_args()
     car = read_vehicle(options.vehicle)
     settings = {"title": options.title, "car": {"length": car.length, "width": car.width},
-                "models": {model: colour_of(model) for model in MODELS}}
+                "models": MODEL_COLOUR}
     try:
         server = PageServer(options.address, options.port, settings)
     except OSError as error:

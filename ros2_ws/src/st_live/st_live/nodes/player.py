@@ -8,17 +8,14 @@ the clock waits for the newest stamps they publish.
 import argparse
 import json
 import math
-import signal
 import struct
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import rclpy
-from builtin_interfaces.msg import Time
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -91,7 +88,7 @@ def issued_at(data: bytes) -> int:
 
 class Player:
     def __init__(self, options: argparse.Namespace):
-        self.stop = False
+        self._stop = spin.StopRequest()
         self._bag, self._rate = options.bag, options.rate
         self._names = dict(zip((options.odometry, options.steering), INPUTS, strict=True))
         self._steering = options.steering
@@ -124,10 +121,10 @@ class Player:
             first = clock_ns = self._advance(reader.start_time, reader.start_time, time.monotonic())
             began, total = time.monotonic(), (reader.end_time - reader.start_time) * 1e-9
             for connection, log_ns, data in reader.messages(connections=connections):
-                while clock_ns + CLOCK_STEP_NS <= log_ns and not self.stop:
+                while clock_ns + CLOCK_STEP_NS <= log_ns and not self._stop.requested:
                     clock_ns = self._advance(clock_ns + CLOCK_STEP_NS, first, began)
                     self._report((clock_ns - first) * 1e-9, total)
-                if self.stop:
+                if self._stop.requested:
                     break
                 if self._field and connection.topic == self._steering:
                     message = reader.deserialize(data, connection.msgtype)
@@ -170,7 +167,7 @@ class Player:
         end = time.monotonic() + DISCOVERY_TIMEOUT
         needed = {p: FEWER_SUBSCRIBERS.get(p.topic_name, SUBSCRIBERS) for p in (*publishers, self._clock)}
         while any(p.get_subscription_count() < count for p, count in needed.items()):
-            if time.monotonic() > end or self.stop:
+            if time.monotonic() > end or self._stop.requested:
                 return False
             time.sleep(0.05)
         return True
@@ -180,8 +177,7 @@ class Player:
             wait = began + (clock_ns - first_ns) * 1e-9 / self._rate - time.monotonic()
             if wait > 0:
                 time.sleep(wait)
-        seconds, nanoseconds = divmod(clock_ns, 1_000_000_000)
-        self._clock.publish(Clock(clock=Time(sec=seconds, nanosec=nanoseconds)))
+        self._clock.publish(Clock(clock=from_nanoseconds(clock_ns)))
         for follower in self._followers:
             follower.wait(clock_ns)
         return clock_ns
@@ -211,12 +207,6 @@ def main() -> int:
     options = parser.parse_args()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     player = Player(options)
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        player.stop = True
-
-    signal.signal(signal.SIGINT, stop)
-    signal.signal(signal.SIGTERM, stop)
     try:
         return player.play()
     finally:
