@@ -221,8 +221,8 @@ def test_a_table_in_parts_is_one_run(tmp_path: Path, drive, kind: str) -> None:
     (lambda log: stamped(log, lambda s: f"{s * 1e9:.0f}"), r"are not in s; .*units: \{t: ns\}"),
     (lambda log: csv(rows(log), ",".join(NAMES).replace(",x,", ",a/pos_x,b/pos_x,")[:-21]), "is known as x"),
     (lambda log: "timestamp,arbitration_id,dlc,data\n0.1,0x2,8,AAAA\n", "this is a CAN log as a table; export it as"),
-    (lambda log: geographic(log).replace("latitude,longitude", "longitude,latitude"), "longitude are interchanged: only"),
-    (lambda log: in_radians(geographic(log)), r"are in radians: read as degrees, they give 1/\d\d of the driven distance"),
+    (lambda log: geographic(log).replace("latitude,longitude", "longitude,latitude"), "are interchanged: only"),
+    (lambda log: in_radians(geographic(log)), r"are in radians: read as degrees, they give 1/\d\d of the driven"),
     (doubtful_thousands, r"1,234 may be a number with a decimal mark or with a thousands separator"),
     (lambda log: csv(rows(log), ",".join(NAMES) + "\ns,m,m,Grad,m/s,m/s,deg/s,deg"), "unit row: 'Grad' of column yaw"),
 ])
