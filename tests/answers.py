@@ -72,14 +72,14 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
                                                                ("friction", "factor", "1", 0.1, 0.05),
                                                                ("heading_misalignment", "angle", "rad", 0.002, 0.9))
                    for k, found in ((1, sure), (2, min(1.0, 1.6 * sure)), (4, min(1.0, 2.5 * sure))))
-    candidates = [CandidateEffect(e.name, e.kind, {k: p.value for k, p in e.parameters.items()}, 0.3, "stated", "sure")
+    candidates = [CandidateEffect(e.name, e.kind, {k: p.value for k, p in e.parameters.items()}, 0.3, "named", "p = 0")
                   for e in effects]
     candidates.append(CandidateEffect("mass", "vehicle parameters", {"factor": 1.02}, 0.006, "worth",
                                 "takes away 0.6 % of the size of the errors, 2.5 % are asked for"))
     return Discovery(
         outcome=outcome, effects=tuple(effects), minor=(), varying=tuple(varying), steps=tuple(told), gap=gap,
         budget=budget,
-        reasons=(Reason("sure", "answer", {"score": 44.0, "threshold": 12.0},
+        reasons=(Reason("significant", "outcome", {"score": 44.0, "threshold": 12.0},
                         "the gain is 44; chance gives 12 at most"),
                  *(Reason("worth", e.name, {"share": 0.2}, "takes 20 % of the size of the errors away")
                    for e in effects)),

@@ -76,7 +76,7 @@ def seed_of(set_: str, *what: object) -> int:
 
 def cases_of(set_: str, block: str, count: int | None = None) -> list[Case]:
     """The first `count` cases of a block, A to E, independent of `count`."""
-    make = {"A": _one, "B": _several, "C": _nothing, "D": _referenced, "E": _bound}[block]
+    make = {"A": _one, "B": _several, "C": _nothing, "D": _referenced, "E": _varying}[block]
     return [make(set_, i) for i in range(COUNTS[block] if count is None else count)]
 
 
@@ -193,8 +193,9 @@ def _file_of_leaf() -> Settings:
             "ins_lever_error": 0.0}
 
 
-def _bound(set_: str, index: int) -> Case:
-    """E: bound to places, begun in the middle of every run, and unknown, in turn; no reference, the car's own file."""
+def _varying(set_: str, index: int) -> Case:
+    """E: varying between places, begun in the middle of every run, and unknown, in turn; no reference, the file of
+    the car."""
     draw = _draw(set_, "E", index)
     car = healthy_car(LEAF, (seed_of(set_, "E", index, "car"),))
     kind = ("place", "time", "unknown")[index % 3]

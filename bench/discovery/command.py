@@ -66,9 +66,9 @@ def _part(text: str) -> tuple[int, int]:
 
 def _print_record(r: Record) -> None:
     names = " + ".join("|".join(group) for group in score.groups(r)) or "-"
-    bounds = "".join(f" bound: {name} to {to}" for name, to in r["bound"])
+    varying = "".join(f" {name} varies with {level}" for name, level in r["varying"])
     position = r.get("position")
     errors = "" if not position else " 5 s " + ", ".join(f"{k} {v:.2f}" for k, v in position.items()) + " m;"
     words = f"{r['plant']}, {r['words']}" if "words" in r else f"{r['kind']} {r['size']:+.3g}"
-    print(f"{r['block']} {r['index']} [{words}] -> {r['outcome']}: {names}{bounds};{errors} {r.get('cpu_s', 0):.1f} of "
-          f"{r['case_s']:.1f} s {r.get('error', '')}", flush=True)
+    print(f"{r['block']} {r['index']} [{words}] -> {r['outcome']}: {names}{varying};{errors} {r.get('cpu_s', 0):.1f} "
+          f"of {r['case_s']:.1f} s {r.get('error', '')}", flush=True)

@@ -80,7 +80,7 @@ def answer(found: Discovery) -> Record:
                        "position_5s": 0.0, "values": {}} for c in found.known_together)],
         "kept": {e.name: _values(e) for e in found.minor},
         "on_top": {c.name: dict(c.parameters) for c in found.candidates},
-        "bound": [[b.resembles, b.level] for b in found.varying],
+        "varying": [[b.resembles, b.level] for b in found.varying],
         "unexplained": bool(found.signature),
         "steps": [[s.effect, round(s.position_5s.base, 4), round(s.position_5s.augmented, 4)]
                   for s in found.steps],
@@ -89,7 +89,7 @@ def answer(found: Discovery) -> Record:
         "powers": [[p.effect, p.parameter, p.size, p.probability] for p in found.certificate.powers],
         "not_testable": [n.name for n in found.not_testable],
         "refused": [[c.name, round(c.gain, 4), c.verdict] for c in found.candidates[:5]
-                    if c.verdict not in ("stated", "alternative")],
+                    if c.verdict not in ("named", "alternative")],
     }
 
 
@@ -125,8 +125,15 @@ def read(file: Path) -> dict[tuple[str, str, int], Record]:
     """Records of a file of JSON lines, by set, block and index."""
     if not file.exists():
         return {}
-    lines = [json.loads(line) for line in file.read_text().splitlines()]
+    lines = [_present_names(json.loads(line)) for line in file.read_text().splitlines()]
     return {(r["set"], r["block"], r["index"]): r for r in lines}
+
+
+def _present_names(r: Record) -> Record:
+    """Records of version 0.2.0 and before have `bound` for `varying`."""
+    if "bound" in r:
+        r["varying"] = r.pop("bound")
+    return r | {"outcome": "varying" if r["outcome"] == "bound" else r["outcome"]}
 
 
 def read_all(files: Iterable[Path]) -> list[Record]:
@@ -162,5 +169,5 @@ def _guarded(case: Question, limits: Limits | None, whole: bool) -> Record:
     try:
         return run_case(case, limits, whole)
     except Exception as error:
-        return {**about(case), "outcome": "error", "effects": [], "bound": [], "truth": {}, "scatter": {},
+        return {**about(case), "outcome": "error", "effects": [], "varying": [], "truth": {}, "scatter": {},
                 "error": f"{type(error).__name__}: {error}"[:300]}

@@ -114,8 +114,8 @@ def is_worse(r: Record) -> bool:
 
 
 def is_reported(r: Record) -> bool:
-    """Block E: reported as bound, unknown or unexplained, and nothing stated except true differences."""
-    reported = bool(r["bound"]) or r["outcome"] in ("bound", "unknown") or r.get("unexplained", False)
+    """Block E: reported as varying, unknown or unexplained, and nothing stated except true differences."""
+    reported = bool(r["varying"]) or r["outcome"] in ("varying", "unknown") or r.get("unexplained", False)
     return reported and not false_ones({**r, "hidden": []})
 
 
@@ -182,7 +182,7 @@ def scores(records: Sequence[Record]) -> list[Record]:
     _nothing_hidden(table, blocks["C"], "")
     _referenced(table, blocks["D"])
     seen = [r for r in blocks["E"] if r.get("seen", 0.0) >= SEEN]
-    table.add("E: reported as bound or unknown, not named", "80 %", "92 %", share(seen, is_reported))
+    table.add("E: reported as varying or unknown, not named", "80 %", "92 %", share(seen, is_reported))
     for kind in ("place", "time", "unknown"):
         table.add(f"  {kind}", "", "", share([r for r in seen if r["kind"] == kind], is_reported))
     _edits(table, blocks["F"])

@@ -31,7 +31,7 @@ See how often `st discover` is right, by kind of case and by effect ([how it wor
 | **B** | three to five parameters of the file are wrong; up to two sensor errors and two physical effects are hidden |
 | **C** | nothing is wrong: the base model itself is the car, or the file was identified on other drives |
 | **D** | one effect or none, with healthy reference drives |
-| **E** | effects bound to places, effects that begin in the middle of every run, and effects unknown to the library |
+| **E** | effects that vary between places, or begin in the middle of every run, or are unknown to the library |
 | **F** | known changes put into nine real drives |
 
 A to C and E are without a reference. A third of A to C is on the multi-body cars of commonroad-vehicle-models, the rest
@@ -136,7 +136,7 @@ def _methods(records: Sequence[Record]) -> str:
 
 ABLATED = ("A and B: effects that matter, stated alone or in a set", "A and B: statements that are false",
            "A and B: mean set size", "A and B: values inside their 95 % interval", "C: something stated",
-           "D: alarms, same conditions", "E: reported as bound or unknown, not named")
+           "D: alarms, same conditions", "E: reported as varying or unknown, not named")
 
 
 def _ablation(records: Sequence[Record]) -> str:
@@ -174,7 +174,8 @@ def _failures(records: Sequence[Record]) -> list[str]:
 
 
 def answer_text(r: Record) -> str:
-    names = [" or ".join(group) for group in groups(r)] + [f"{name} bound to {to}" for name, to in r["bound"]]
+    names = [" or ".join(group) for group in groups(r)] + [
+        f"{name} varies with {level}" for name, level in r["varying"]]
     return " + ".join(names) or "-"
 
 

@@ -21,7 +21,7 @@ from .recordings import write
 from .vehicles import CARS, DESCRIPTIONS
 
 PAGE = project_root() / "docs" / "measurements" / "strangers.md"
-KEPT = ("outcome", "effects", "minor", "effective", "combinations", "bound", "signature", "gap", "gap_named",
+KEPT = ("outcome", "effects", "minor", "effective", "combinations", "varying", "signature", "gap", "gap_named",
         "axle_curves", "assumed", "mended")
 """Parts of discovery.json that the score or a reader of misses uses."""
 

@@ -84,8 +84,8 @@ def test_offset_that_begins_in_the_middle_is_told_and_not_named(plain, tmp_path)
 
     content = discovered(written(tmp_path, begun), GENESIS, tmp_path / "out")
     assert "steering_offset" not in {e["name"] for e in content["effects"]}
-    (told,) = [b for b in content["bound"] if b["resembles"] == "steering_offset"]
-    shares = {value["where"]: value["share"] for value in told["values"]}
+    (told,) = [b for b in content["varying"] if b["resembles"] == "steering_offset"]
+    shares = {value["where"]: value["ratio"] for value in told["values"]}
     # Four runs are divided into halves: the offset is in the second ones.
     halves = [[shares.get(f"{run}, part {k}") for k in (1, 2)] for run in RUNS]
     both = [pair for pair in halves if None not in pair]
@@ -96,7 +96,7 @@ def test_base_model_itself_lacks_nothing(tmp_path):
     car = VehicleParameters.from_yaml(LEAF.read_text())
     files = [as_csv(log, tmp_path / f"{log.name.replace(' ', '_')}.csv") for log in recorded(car, {}, 3)]
     content = discovered(files, LEAF, tmp_path / "out")
-    assert content["outcome"] in ("none", "not_testable") and not content["effects"] and not content["bound"]
+    assert content["outcome"] in ("none", "not_testable") and not content["effects"] and not content["varying"]
     assert not (tmp_path / "out" / "model.yaml").exists() and not (tmp_path / "out" / "vehicle.yaml").exists()
 
 

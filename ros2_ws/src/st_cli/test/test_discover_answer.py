@@ -147,8 +147,8 @@ def test_the_unexplained_part_is_reported_with_the_names(logs):
     assert not any("part of the residual" in text for text in report_text.to_do(named, None))
 
 
-def test_bound_effects_are_reported_and_not_named(logs):
-    found = discovery(logs, (), 1.72, varying=(tied(logs),), outcome="bound")
+def test_varying_effects_are_reported_and_not_named(logs):
+    found = discovery(logs, (), 1.72, varying=(tied(logs),), outcome="varying")
     assert report_text.title(found).endswith("an effect that resembles crosswind (0.090 m) but varies with run; no "
                                              "effect is named")
     (text,) = dict(report_text.details(found, None))["varying, not named"]
@@ -244,7 +244,7 @@ def test_page_and_terminal_hold_the_answer_and_no_markup_of_a_name(logs, drive, 
     question = Request("nonlinear", CAR, "leaf.yaml", LEAF.read_text(), DiscoverySettings(), drives=[drive])
     corrected = update_vehicle(found, question)
     content = document(found, question, corrected, {})
-    assert content["schema"] == 2 and content["mended"]["vehicle.yaml"]["kept"]["steering_ratio"]
+    assert content["schema"] == 3 and content["mended"]["vehicle.yaml"]["kept"]["steering_ratio"]
     json.dumps(content, allow_nan=False)
     page = tmp_path / "report.html"
     write_page(page, found, corrected, content, [waterfall(scene(found, logs))])

@@ -93,7 +93,7 @@ def test_hidden_effect_is_named_with_its_value(leaf, name, parameter, value, dri
     assert gap.augmented < 0.2 * gap.base and gap.interval[0] > 0.0
     assert effect.position_5s_increase == pytest.approx(gap.base - gap.augmented, rel=0.5)
     verdicts = {c.name: c.verdict for c in found.candidates}
-    assert verdicts[name] == "stated" and set(verdicts) == set(Space("nonlinear", SETTINGS).hypotheses)
+    assert verdicts[name] == "named" and set(verdicts) == set(Space("nonlinear", SETTINGS).hypotheses)
     assert all(c.why for c in found.candidates)
 
 
@@ -179,7 +179,7 @@ def test_sensors_have_a_say_in_what_is_a_sensor_error(leaf, said, outcome):
     verdict = {c.name: c.verdict for c in found.candidates}["yaw_rate_bias"]
     assert found.outcome == outcome
     assert names(found) == (["yaw_rate_bias"] if outcome == "named" else [])
-    assert verdict == ("stated" if outcome == "named" else "refuted by the sensors")
+    assert verdict == ("named" if outcome == "named" else "refuted by the sensors")
 
 
 def shifted(log: DriveLog, angle: float, after: float = 0.0) -> DriveLog:
@@ -189,11 +189,11 @@ def shifted(log: DriveLog, angle: float, after: float = 0.0) -> DriveLog:
 
 
 @pytest.mark.slow
-def test_offset_that_differs_from_run_to_run_is_bound(leaf):
+def test_offset_that_differs_from_run_to_run_is_varying(leaf):
     runs = recorded(leaf, {}, 4, ("lane_change", "slalom", "circle") * 2)
     angles = (0.006, 0.002, -0.003, 0.008, 0.0, -0.001)
     found = discover([shifted(r, a) for r, a in zip(runs, angles, strict=True)], leaf, settings=SETTINGS)
-    assert found.outcome == "bound" and found.effects == ()
+    assert found.outcome == "varying" and found.effects == ()
     assert any("steering_offset" in b.resembles and b.level == "run" for b in found.varying)
 
 
@@ -202,14 +202,14 @@ def test_offset_of_the_second_half_is_not_named(leaf):
     """It came on the way: told, whatever it resembles, and no property of the car."""
     runs = [shifted(r, 0.006, 0.5) for r in recorded(leaf, {}, 3)]
     found = discover(runs, leaf, settings=SETTINGS)
-    assert found.outcome in {"bound", "unknown"} and found.effects == ()
+    assert found.outcome in {"varying", "unknown"} and found.effects == ()
 
 
 @pytest.mark.slow
 def test_offset_of_one_run_is_not_named(leaf):
     runs = recorded(leaf, {}, 4, ("lane_change", "slalom", "circle") * 2)
     found = discover([shifted(runs[0], 0.006), *runs[1:]], leaf, settings=SETTINGS)
-    assert found.outcome in {"bound", "unknown"} and found.effects == ()
+    assert found.outcome in {"varying", "unknown"} and found.effects == ()
 
 
 # With a reference
@@ -311,7 +311,7 @@ def test_answer_is_the_same_twice_and_all_of_it_is_json(leaf):
     assert first["outcome"] in OUTCOMES and {line["part"] for line in first["budget"]} <= set(PARTS)
     assert first["effects"][0]["parameters"]["angle"]["unit"] == "rad"
     assert [r["name"] for r in first["runs"]] == ["lane_change 1", "slalom 2", "circle 3"]
-    assert first["reasons"][0]["subject"] == "answer" and first["reasons"][0]["rule"] == first["outcome"]
+    assert first["reasons"][0]["subject"] == "outcome" and first["reasons"][0]["rule"] == first["outcome"]
     assert {stage for stage, *_ in ticks} >= {"searching", "explaining"}
     assert all(0 < done <= total for _, done, total in ticks)
 

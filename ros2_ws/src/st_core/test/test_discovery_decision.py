@@ -7,18 +7,19 @@ from pathlib import Path
 import pytest
 from st_core.discovery import OUTCOMES, Limits, decision
 from st_core.discovery.decision import (
+    ACCEPTED,
     BOUND,
-    CHANCE,
     FILE,
     FORCES,
+    GAIN_INSIGNIFICANT,
     IMPLAUSIBLE,
     IRRELEVANT,
     LEVEL_NAMES,
     MINOR,
+    NAMED,
     NEGLIGIBLE,
     NULL,
     SENSORS,
-    STATED,
     VARIES,
     Answer,
     Checks,
@@ -58,31 +59,31 @@ NOTHING = Answer([], {}, [], noise_ratio=1.0, detectable_share=0.9)
 
 
 @pytest.mark.parametrize(("evidence", "rule", "figures"), [
-    (GOOD, STATED, {"gain": 0.2, "chance": 1e-4, "position": 0.5}),
+    (GOOD, ACCEPTED, {"gain": 0.2, "p_value": 1e-4, "position": 0.5}),
     (SMALL, NEGLIGIBLE, {"gain": 0.005, "negligible": 0.01}),
-    (LUCKY, CHANCE, {"chance": 0.02, "false_alarm": 0.01}),
-    (replace(GOOD, healthy_gain=0.3), CHANCE, {"gain": 0.2, "healthy": 0.3}),
-    (replace(GOOD, healthy_gain=0.1), STATED, {}),
-    (MAYBE_NULL, NULL, {"chance": 0.2, "doubt": 0.05}),
+    (LUCKY, GAIN_INSIGNIFICANT, {"p_value": 0.02, "false_alarm": 0.01}),
+    (replace(GOOD, healthy_gain=0.3), GAIN_INSIGNIFICANT, {"gain": 0.2, "healthy_gain": 0.3}),
+    (replace(GOOD, healthy_gain=0.1), ACCEPTED, {}),
+    (MAYBE_NULL, NULL, {"null_p_value": 0.2, "undecided_p": 0.05}),
     (CHEAP, IRRELEVANT, {"gain": 0.02, "position": 0.015}),
-    (replace(CHEAP, gain=0.03), STATED, {}),
-    (replace(CHEAP, position=0.03), STATED, {}),
-    (replace(CHEAP, position_somewhere=0.03), STATED, {}),
-    (replace(SHOWN, gain=0.0, p_value=0.5, null_p_value=0.5, size=0.6), STATED,
+    (replace(CHEAP, gain=0.03), ACCEPTED, {}),
+    (replace(CHEAP, position=0.03), ACCEPTED, {}),
+    (replace(CHEAP, position_somewhere=0.03), ACCEPTED, {}),
+    (replace(SHOWN, gain=0.0, p_value=0.5, null_p_value=0.5, size=0.6), ACCEPTED,
      {}),  # a sensor's error, however little it costs
     (replace(SHOWN, gain=0.0, p_value=0.5, size=0.4), IRRELEVANT, {"share": 0.0, "position": 0.0}),
-    (replace(SHOWN, gain=0.0, shares={"yaw_rate": (0.05, 3.0)}), STATED, {}),
+    (replace(SHOWN, gain=0.0, shares={"yaw_rate": (0.05, 3.0)}), ACCEPTED, {}),
     (replace(SHOWN, gain=0.0, size=0.6, sensors_p_value=0.01), NEGLIGIBLE, {}),  # another value than the sensors say
     (replace(SHOWN, gain=0.0, size=0.6, sensors_null_p_value=0.02), NEGLIGIBLE,
      {}),  # the sensors may mean nothing by it
-    (DENIED, SENSORS, {"chance": 0.01, "doubt": 0.05}),
-    (replace(GOOD, sensors_p_value=0.3), STATED, {}),
-    (HEAVY, FILE, {"deviations": 8.9, "limit": 3.0}),
-    (replace(GOOD, against_file=replace(HEAVY.against_file, z_score=2.9)), STATED, {}),
-    (EDGE, BOUND, {"distance": 0.0, "bound": LIMITS.at_bound}),
-    (LOCAL, VARIES, {"differ": 1e-4, "absent": 0.2}),
-    (replace(GOOD, agreement={"run": Agreement({}, 1e-4, 0.01)}), STATED, {}),  # differs, yet is everywhere
-    (replace(GOOD, agreement={"run": Agreement({}, 0.3, 0.4)}), STATED, {}),  # absent may be, differs not surely
+    (DENIED, SENSORS, {"sensors_p_value": 0.01, "undecided_p": 0.05}),
+    (replace(GOOD, sensors_p_value=0.3), ACCEPTED, {}),
+    (HEAVY, FILE, {"z_score": 8.9, "max_file_deviation": 3.0}),
+    (replace(GOOD, against_file=replace(HEAVY.against_file, z_score=2.9)), ACCEPTED, {}),
+    (EDGE, BOUND, {"bound_distance": 0.0, "at_bound": LIMITS.at_bound}),
+    (LOCAL, VARIES, {"p_equal": 1e-4, "p_absent": 0.2}),
+    (replace(GOOD, agreement={"run": Agreement({}, 1e-4, 0.01)}), ACCEPTED, {}),  # differs, yet is everywhere
+    (replace(GOOD, agreement={"run": Agreement({}, 0.3, 0.4)}), ACCEPTED, {}),  # absent may be, differs not surely
 ])
 def test_verdict_on_one_effect(evidence, rule, figures):
     verdict = judge(evidence, LIMITS)
@@ -121,23 +122,23 @@ def test_rules_are_asked_in_their_order():
     for mend in mended:
         asked.append(judge(worst, LIMITS).rule)
         worst = replace(worst, **mend)
-    assert asked == [NEGLIGIBLE, CHANCE, NULL, IRRELEVANT, SENSORS, BOUND, VARIES]
-    assert judge(worst, LIMITS).rule == STATED
+    assert asked == [NEGLIGIBLE, GAIN_INSIGNIFICANT, NULL, IRRELEVANT, SENSORS, BOUND, VARIES]
+    assert judge(worst, LIMITS).rule == ACCEPTED
 
 
 @pytest.mark.parametrize(("evidence", "rule", "figures"), [
-    (replace(SLIGHT, shares={"yaw": (0.1, 5.0)}), STATED, {"share": 0.1}),
-    (replace(SLIGHT, shares={"yaw": (0.01, 5.0), "yaw_rate": (0.2, 9.0)}), STATED, {"share": 0.2}),  # most
+    (replace(SLIGHT, shares={"yaw": (0.1, 5.0)}), NAMED, {"share": 0.1}),
+    (replace(SLIGHT, shares={"yaw": (0.01, 5.0), "yaw_rate": (0.2, 9.0)}), NAMED, {"share": 0.2}),  # most
     (replace(SLIGHT, shares={"yaw": (0.1, 1.5)}), MINOR, {"share": 0.0}),  # a channel that is noise
     (replace(SLIGHT, shares={"yaw": (0.01, 5.0)}), MINOR, {"share": 0.01, "position": 0.01}),
-    (replace(SLIGHT, position=0.03), STATED, {"position": 0.03}),
-    (replace(SLIGHT, position_somewhere=0.03), STATED, {"position": 0.03}),
+    (replace(SLIGHT, position=0.03), NAMED, {"position": 0.03}),
+    (replace(SLIGHT, position_somewhere=0.03), NAMED, {"position": 0.03}),
     (SLIGHT, MINOR, {"share": 0.0}),
-    (WEAK, STATED, {"position": 0.5}),
-    (replace(WEAK, noise_ratio=5.0), MINOR, {"gain": 0.1, "left": 5.0}),  # beside more than it takes away itself
-    (replace(GOOD, gain=0.3, noise_ratio=5.0), STATED, {}),
+    (WEAK, NAMED, {"position": 0.5}),
+    (replace(WEAK, noise_ratio=5.0), MINOR, {"gain": 0.1, "noise_ratio": 5.0}),  # beside more than it takes away itself
+    (replace(GOOD, gain=0.3, noise_ratio=5.0), NAMED, {}),
     (replace(WEAK, noise_ratio=5.0, sensors_p_value=0.6, sensors_null_p_value=0.3), MINOR, {}),
-    (replace(WEAK, noise_ratio=5.0, sensors_p_value=0.6, sensors_null_p_value=0.001), STATED,
+    (replace(WEAK, noise_ratio=5.0, sensors_p_value=0.6, sensors_null_p_value=0.001), NAMED,
      {}),  # the sensors say so among themselves
 ])
 def test_effect_that_holds_is_named_or_kept(evidence, rule, figures):
@@ -147,12 +148,12 @@ def test_effect_that_holds_is_named_or_kept(evidence, rule, figures):
 
 
 @pytest.mark.parametrize(("evidence", "checks", "rule"), [
-    (GOOD, Checks(), STATED), (GOOD, Checks(null_outside=False), MINOR), (SEEN, Checks(null_outside=False), STATED),
+    (GOOD, Checks(), NAMED), (GOOD, Checks(null_outside=False), MINOR), (SEEN, Checks(null_outside=False), NAMED),
     (GOOD, Checks(crossing="factor"), MINOR), (GOOD, Checks(peak_force_share=0.5), MINOR),
     (GOOD, Checks(worse_axle="rear"), FORCES), (GOOD, Checks(summed=("steering_lag",)), MINOR),
     (SEEN, Checks(objection="yaw_inertia: k^2 / (l_f l_r) 0.5 is outside 0.6 to 1.4"), IMPLAUSIBLE),
     (replace(GOOD, position=-0.03), Checks(), MINOR),  # its own step makes the held-out error larger
-    (replace(SEEN, position=-0.03), Checks(), STATED)])  # but the sensors show it among themselves
+    (replace(SEEN, position=-0.03), Checks(), NAMED)])  # but the sensors show it among themselves
 def test_what_intervals_and_axles_say_of_an_effect(evidence, checks, rule):
     verdict = naming_verdict(evidence, LIMITS, checks)
     assert verdict.rule == rule and verdict.text
@@ -170,10 +171,10 @@ def test_level_over_which_an_effect_varies(agreement, level):
     assert varies_over(replace(GOOD, agreement=agreement), LIMITS) == level
 
 
-@pytest.mark.parametrize(("gain", "chance", "healthy", "told"), [
+@pytest.mark.parametrize(("gain", "p_value", "healthy_gain", "relevant"), [
     (0.2, 1e-4, 0.0, True), (0.2, 0.02, 0.0, False), (0.02, 1e-4, 0.0, False), (0.2, 1e-4, 0.3, False)])
-def test_effect_with_a_value_of_its_own_in_each_part(gain, chance, healthy, told):
-    assert varies_relevantly(replace(GOOD, gain=gain, p_value=chance, healthy_gain=healthy), LIMITS) == told
+def test_effect_with_a_value_of_its_own_in_each_part(gain, p_value, healthy_gain, relevant):
+    assert varies_relevantly(replace(GOOD, gain=gain, p_value=p_value, healthy_gain=healthy_gain), LIMITS) == relevant
 
 
 def test_what_varies_must_be_relevant():
@@ -206,7 +207,7 @@ def test_every_level_has_words():
     (replace(AMONG, deficit=0.3), "explains less"),
     (replace(EQUAL, evidence=CHEAP), "alternative"),  # worth is a matter of the stated one
     (replace(EQUAL, evidence=SMALL), NEGLIGIBLE),
-    (replace(EQUAL, evidence=LUCKY), CHANCE),
+    (replace(EQUAL, evidence=LUCKY), GAIN_INSIGNIFICANT),
     (replace(EQUAL, evidence=MAYBE_NULL), NULL),
     (replace(EQUAL, evidence=MAYBE_NULL, shared=True), "alternative"),  # the drives do not exclude it
     (replace(WORSE, evidence=MAYBE_NULL, shared=True), "explains less"),
@@ -232,38 +233,38 @@ def test_another_name_is_told_with_the_one_whose_place_it_takes():
     (replace(NOTHING, named=[GOOD], rivals={"friction": [EQUAL]}), "named", {}),  # of something else
     (replace(NOTHING, named=[GOOD], rivals={"mass": [EQUAL]}), "ambiguous", {"names": 2}),
     (replace(NOTHING, named=[GOOD], refused=[LOCAL], noise_ratio=9.0, detectable_share=0.1), "named", {}),
-    (replace(NOTHING, refused=[EDGE, LOCAL], noise_ratio=9.0, detectable_share=0.1), "bound", {}),
-    (replace(NOTHING, refused=[EDGE], varying_effects=1, noise_ratio=9.0, detectable_share=0.1), "bound", {}),
+    (replace(NOTHING, refused=[EDGE, LOCAL], noise_ratio=9.0, detectable_share=0.1), "varying", {}),
+    (replace(NOTHING, refused=[EDGE], varying_effects=1, noise_ratio=9.0, detectable_share=0.1), "varying", {}),
     (replace(NOTHING, named=[GOOD], varying_effects=1), "named", {}),
     (replace(NOTHING, refused=[EDGE], detectable_share=0.1), "unknown", {}),
     (replace(NOTHING, refused=[DENIED], detectable_share=0.1), "unknown", {}),
-    (replace(NOTHING, refused=[SMALL, LUCKY, CHEAP]), "none", {"left": 1.0}),
-    (replace(NOTHING, detectable_share=0.7), "not_testable", {"seen": 0.7, "shown": 0.8}),
+    (replace(NOTHING, refused=[SMALL, LUCKY, CHEAP]), "none", {"noise_ratio": 1.0}),
+    (replace(NOTHING, detectable_share=0.7), "not_testable", {"detectable_share": 0.7, "detection_power": 0.8}),
     (replace(NOTHING, detectable_share=0.7, noise_ratio=9.0), "unknown",
-     {"left": 9.0}),  # a gap is there, whatever else is not seen
-    (replace(NOTHING, noise_ratio=2.5), "unknown", {"left": 2.5, "limit": 2.0}),
-    (NOTHING, "none", {"left": 1.0, "limit": 2.0}),
+     {"noise_ratio": 9.0}),  # a gap is there, whatever else is not seen
+    (replace(NOTHING, noise_ratio=2.5), "unknown", {"noise_ratio": 2.5, "max_noise_ratio": 2.0}),
+    (NOTHING, "none", {"noise_ratio": 1.0, "max_noise_ratio": 2.0}),
 ])
 def test_outcome(answer, outcome, figures):
     said, why = decide(answer, LIMITS)
     assert said == outcome and said in OUTCOMES
-    assert (why.rule, why.subject) == (outcome, "answer")
+    assert (why.rule, why.subject) == (outcome, "outcome")
     assert {k: why.figures[k] for k in figures} == figures
 
 
 TURNED = {
-    "false_alarm": (lambda limits: judge(LUCKY, limits).rule, 1.0, CHANCE, STATED),
-    "undecided_p": (lambda limits: judge(DENIED, limits).rule, 1e-9, SENSORS, STATED),
-    "relevant": (lambda limits: judge(CHEAP, limits).rule, 1e-9, IRRELEVANT, STATED),
-    "relevant_position": (lambda limits: judge(CHEAP, limits).rule, 1e-9, IRRELEVANT, STATED),
-    "min_relative_size": (lambda limits: judge(replace(SHOWN, size=0.4), limits).rule, 1e-9, IRRELEVANT, STATED),
-    "negligible": (lambda limits: judge(SMALL, limits).rule, 1e-9, NEGLIGIBLE, STATED),
+    "false_alarm": (lambda limits: judge(LUCKY, limits).rule, 1.0, GAIN_INSIGNIFICANT, ACCEPTED),
+    "undecided_p": (lambda limits: judge(DENIED, limits).rule, 1e-9, SENSORS, ACCEPTED),
+    "relevant": (lambda limits: judge(CHEAP, limits).rule, 1e-9, IRRELEVANT, ACCEPTED),
+    "relevant_position": (lambda limits: judge(CHEAP, limits).rule, 1e-9, IRRELEVANT, ACCEPTED),
+    "min_relative_size": (lambda limits: judge(replace(SHOWN, size=0.4), limits).rule, 1e-9, IRRELEVANT, ACCEPTED),
+    "negligible": (lambda limits: judge(SMALL, limits).rule, 1e-9, NEGLIGIBLE, ACCEPTED),
     "min_rival_gain": (lambda limits: alternative(replace(EQUAL, share=0.4), limits).rule, 1e-9, "explains less",
               "alternative"),
     "min_peak_force": (lambda limits: naming_verdict(GOOD, limits, Checks(peak_force_share=0.5)).rule, 1e-9, MINOR,
-                       STATED),
-    "max_file_deviation": (lambda limits: judge(HEAVY, limits).rule, 1e9, FILE, STATED),
-    "at_bound": (lambda limits: judge(replace(EDGE, bound_distance=0.001), limits).rule, 1e-9, BOUND, STATED),
+                       NAMED),
+    "max_file_deviation": (lambda limits: judge(HEAVY, limits).rule, 1e9, FILE, ACCEPTED),
+    "at_bound": (lambda limits: judge(replace(EDGE, bound_distance=0.001), limits).rule, 1e-9, BOUND, ACCEPTED),
     "unexplained_share": (lambda limits: alternative(AMONG, limits).rule, 1e-9, "alternative", "explains less"),
     "max_noise_ratio": (lambda limits: decide(replace(NOTHING, noise_ratio=9.0), limits)[0], 1e9, "unknown", "none"),
     "detection_power": (lambda limits: decide(replace(NOTHING, detectable_share=0.1), limits)[0], 1e-9, "not_testable",
@@ -287,24 +288,24 @@ def test_limit_turns_an_answer(limit):
 
 
 @pytest.mark.parametrize(("limit", "off", "asked", "on", "without"), [
-    ("false_alarm", 1e-9, lambda limits: judge(replace(LOCAL, p_value=0.0), limits).rule, VARIES, STATED),
-    ("undecided_p", 0.9, lambda limits: judge(LOCAL, limits).rule, VARIES, STATED),
+    ("false_alarm", 1e-9, lambda limits: judge(replace(LOCAL, p_value=0.0), limits).rule, VARIES, ACCEPTED),
+    ("undecided_p", 0.9, lambda limits: judge(LOCAL, limits).rule, VARIES, ACCEPTED),
     ("undecided_p", 1e-9, lambda limits: alternative(WORSE, limits).rule, "explains less", "alternative"),
-    ("undecided_p", 0.9, lambda limits: judge(MAYBE_NULL, limits).rule, NULL, STATED),
+    ("undecided_p", 0.9, lambda limits: judge(MAYBE_NULL, limits).rule, NULL, ACCEPTED),
     ("relevant", 1e-9, lambda limits: naming_verdict(replace(SLIGHT, shares={"yaw": (0.01, 5.0)}), limits).rule, MINOR,
-     STATED),
+     NAMED),
     ("relevant", 1e-9, lambda limits: varies_relevantly(TOLD, limits), False, True),
     ("false_alarm", 1.0, lambda limits: varies_relevantly(LUCKY, limits), False, True),
-    ("relevant_position", 1e-9, lambda limits: naming_verdict(SLIGHT, limits).rule, MINOR, STATED),
+    ("relevant_position", 1e-9, lambda limits: naming_verdict(SLIGHT, limits).rule, MINOR, NAMED),
     ("unexplained_share", 1e-9, lambda limits: naming_verdict(replace(WEAK, noise_ratio=5.0), limits).rule, MINOR,
-     STATED),
-    ("max_noise_ratio", 1e9, lambda limits: naming_verdict(replace(WEAK, noise_ratio=5.0), limits).rule, MINOR, STATED),
+     NAMED),
+    ("max_noise_ratio", 1e9, lambda limits: naming_verdict(replace(WEAK, noise_ratio=5.0), limits).rule, MINOR, NAMED),
     ("undecided_p", 1e-9, lambda limits: naming_verdict(replace(SEEN, gain=0.1, noise_ratio=5.0, sensors_p_value=0.01),
                                                         limits).rule,
-     MINOR, STATED),
+     MINOR, NAMED),
     ("max_noise_ratio", 1e9, lambda limits: alternative(AMONG, limits).rule, "alternative", "explains less"),
     ("max_noise_ratio", 1e9, lambda limits: naming_verdict(replace(SLIGHT, shares={"yaw": (0.1, 5.0)}), limits).rule,
-     STATED,
+     NAMED,
      MINOR),
 ])
 def test_limit_that_is_asked_again_turns_that_too(limit, off, asked, on, without):

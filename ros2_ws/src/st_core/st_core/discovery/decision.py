@@ -8,9 +8,11 @@ from .evidence import AgainstFile, Evidence, share_of
 from .result import Outcome, Reason
 from .settings import Limits
 
-STATED, NEGLIGIBLE, CHANCE, NULL, IRRELEVANT, SENSORS, FILE, BOUND, VARIES, MINOR, FORCES, IMPLAUSIBLE = (
-    "stated", "too small", "may be chance", "not significant", "not relevant", "refuted by the sensors",
-    "refuted by the vehicle file", "on a bound", "varies", "minor", "refuted by the axle forces", "implausible")
+(ACCEPTED, NAMED, MINOR, NEGLIGIBLE, GAIN_INSIGNIFICANT, NULL, IRRELEVANT, SENSORS, FILE, BOUND, VARIES, FORCES,
+ IMPLAUSIBLE) = (
+    "accepted", "named", "minor", "too small", "gain not significant", "value not significant", "not relevant",
+    "refuted by the sensors", "refuted by the vehicle file", "on a bound", "varies", "refuted by the axle forces",
+    "implausible")
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ class Answer:
 def judge(e: Evidence, limits: Limits) -> Reason:
     """The verdict on one effect in a set; the same test for adding, keeping and exchanging it."""
     if not confirmed(e, limits):
-        refused = _by_chance(e, limits)
+        refused = _insignificance(e, limits)
         if refused:
             return refused
     elif not is_relevant(e, limits):
@@ -74,20 +76,21 @@ def judge(e: Evidence, limits: Limits) -> Reason:
                       f"reduces no channel's baseline error by more than {most_affected(e, limits)[1]:.1%}, and the "
                       f"position error after 5 s by {100 * position_of(e):.1f} cm")
     if e.sensors_p_value is not None and e.sensors_p_value < limits.undecided_p:
-        return Reason(SENSORS, e.name, {"chance": e.sensors_p_value, "doubt": limits.undecided_p},
+        return Reason(SENSORS, e.name, {"sensors_p_value": e.sensors_p_value, "undecided_p": limits.undecided_p},
                       f"its value contradicts the redundant sensors (p = {e.sensors_p_value:.2g})")
     known = e.against_file
     if known is not None and known.z_score > limits.max_file_deviation:
-        return Reason(FILE, e.name, {"value": known.value, "file": known.file, "deviation": known.standard_deviation,
-                                     "deviations": known.z_score, "limit": limits.max_file_deviation},
+        return Reason(FILE, e.name, {"value": known.value, "file": known.file,
+                                     "standard_deviation": known.standard_deviation, "z_score": known.z_score,
+                                     "max_file_deviation": limits.max_file_deviation},
                       f"the best fit has {known.key} {_with_unit(known, known.value)}, the vehicle file "
                       f"{_digits(known.file)} ± {_with_unit(known, known.standard_deviation)}: check it; if it is "
                       "correct, another cause has the same effect")
     if e.bound_distance < limits.at_bound:
-        return Reason(BOUND, e.name, {"distance": e.bound_distance, "bound": limits.at_bound},
+        return Reason(BOUND, e.name, {"bound_distance": e.bound_distance, "at_bound": limits.at_bound},
                       "its value is at a bound, so the best fit is beyond the physical range")
     return _varying(e, limits) or Reason(
-        STATED, e.name, {"gain": e.gain, "chance": e.p_value, "position": e.position},
+        ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value, "position": e.position},
         f"it reduces the errors by {e.share:.1%} and the position error after 5 s by {100 * e.position:.1f} cm (p = "
         f"{e.p_value:.2g}), and does not vary significantly between parts of the drives")
 
@@ -95,8 +98,8 @@ def judge(e: Evidence, limits: Limits) -> Reason:
 def correction_verdict(e: Evidence, limits: Limits) -> Reason:
     """The verdict on one effect as an effective correction: it must improve predictions in all parts of the drives, but
     need not be a property of the car."""
-    return _by_chance(e, limits) or _varying(e, limits) or Reason(
-        STATED, e.name, {"gain": e.gain, "chance": e.p_value}, f"it reduces the size of the errors by {e.share:.1%}")
+    return _insignificance(e, limits) or _varying(e, limits) or Reason(
+        ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value}, f"it reduces the size of the errors by {e.share:.1%}")
 
 
 def _varying(e: Evidence, limits: Limits) -> Reason | None:
@@ -105,7 +108,7 @@ def _varying(e: Evidence, limits: Limits) -> Reason | None:
     if not level:
         return None
     a = e.agreement[level]
-    return Reason(VARIES, e.name, {"differ": a.p_equal, "absent": a.p_absent, "doubt": limits.undecided_p,
+    return Reason(VARIES, e.name, {"p_equal": a.p_equal, "p_absent": a.p_absent, "undecided_p": limits.undecided_p,
                                    "false_alarm": limits.false_alarm},
                   f"it varies over {LEVEL_NAMES[level]} (p = {a.p_equal:.1g} for a constant value); with probability "
                   f"{a.p_absent:.2g} it is absent or of opposite sign in a new part")
@@ -121,21 +124,21 @@ def _digits(number: float) -> str:
     return f"{number:.0f}" if abs(number) >= 100.0 else f"{number:.3g}"
 
 
-def _by_chance(e: Evidence, limits: Limits) -> Reason | None:
+def _insignificance(e: Evidence, limits: Limits) -> Reason | None:
     """The reason to reject an effect that is not significant or too small; None otherwise."""
     if e.gain < limits.negligible:
         return Reason(NEGLIGIBLE, e.name, {"gain": e.gain, "negligible": limits.negligible},
                       f"it reduces the size of the errors by {e.share:.1%}, below the limit of "
                       f"{limits.negligible:.1%}")
     if e.p_value > limits.false_alarm:
-        return Reason(CHANCE, e.name, {"chance": e.p_value, "false_alarm": limits.false_alarm},
+        return Reason(GAIN_INSIGNIFICANT, e.name, {"p_value": e.p_value, "false_alarm": limits.false_alarm},
                       f"it is not significant: p = {e.p_value:.2g}, corrected for the number of effects tested")
     if e.gain < e.healthy_gain:
-        return Reason(CHANCE, e.name, {"gain": e.gain, "healthy": e.healthy_gain},
+        return Reason(GAIN_INSIGNIFICANT, e.name, {"gain": e.gain, "healthy_gain": e.healthy_gain},
                       f"it reduces the errors by {e.share:.1%}; differences between drives of the healthy "
                       f"car alone give a reduction of {share_of(e.healthy_gain):.1%}")
     if e.null_p_value > limits.undecided_p:
-        return Reason(NULL, e.name, {"chance": e.null_p_value, "doubt": limits.undecided_p},
+        return Reason(NULL, e.name, {"null_p_value": e.null_p_value, "undecided_p": limits.undecided_p},
                       f"its values do not differ significantly from their null: p = {e.null_p_value:.2g}")
     if e.gain < limits.relevant and position_of(e) < limits.relevant_position:
         return Reason(IRRELEVANT, e.name, {"gain": e.gain, "position": position_of(e), "relevant": limits.relevant,
@@ -194,7 +197,8 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
         return Reason(MINOR, e.name, {"gain": e.gain}, f"the interval of its {checks.crossing.replace('_', ' ')} "
                       "extends beyond the physical range: kept in the model, not named")
     if checks.peak_force_share < limits.min_peak_force:
-        return Reason(MINOR, e.name, {"driven": checks.peak_force_share, "peak": limits.min_peak_force},
+        return Reason(MINOR, e.name, {"peak_force_share": checks.peak_force_share,
+                                      "min_peak_force": limits.min_peak_force},
                       f"the drives reach {checks.peak_force_share:.1%} of the peak force: the curve is reported up to "
                       "there, without a peak")
     if e.position < -limits.relevant_position and not by_sensors:
@@ -202,7 +206,8 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
                       f"without it the held-out position error is {-100 * e.position:.1f} cm smaller: kept in "
                       "the model, not named")
     if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.unexplained_share and not by_sensors:
-        return Reason(MINOR, e.name, {"gain": e.gain, "left": e.noise_ratio, "limit": limits.max_noise_ratio,
+        return Reason(MINOR, e.name, {"gain": e.gain, "noise_ratio": e.noise_ratio,
+                                      "max_noise_ratio": limits.max_noise_ratio,
                                       "unexplained_share": limits.unexplained_share},
                       f"it is significant, but reduces the errors by {e.share:.1%} only, to {e.noise_ratio:.1f} times "
                       "the noise: it may imitate an unmodelled effect; kept in the model, not named")
@@ -210,7 +215,7 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
         return Reason(MINOR, e.name, {"gain": e.gain}, "it reduces the errors, but other sets of effects that fit "
                       "nearly as well do not need it: kept in the model, not named")
     if is_relevant(e, limits):
-        return Reason(STATED, e.name, _relevance(e, limits), _effect_size(e, limits))
+        return Reason(NAMED, e.name, _relevance(e, limits), _effect_size(e, limits))
     return Reason(MINOR, e.name, _relevance(e, limits), f"significant, but {_effect_size(e, limits)}; "
                   f"{limits.relevant:.1%} or {100 * limits.relevant_position:.0f} cm are required: kept in the "
                   "model, not named")
@@ -244,8 +249,8 @@ def varies_relevantly(e: Evidence, limits: Limits) -> bool:
 def alternative(rival: Rival, limits: Limits) -> Reason:
     """Whether another effect is an alternative to an effect of the final model."""
     verdict = judge(rival.evidence, limits)
-    figures = {"share": rival.share, "no_worse": rival.p_no_worse, "less": rival.deficit,
-               "rival": limits.min_rival_gain, "doubt": limits.undecided_p,
+    figures = {"share": rival.share, "p_no_worse": rival.p_no_worse, "deficit": rival.deficit,
+               "min_rival_gain": limits.min_rival_gain, "undecided_p": limits.undecided_p,
                "unexplained_share": limits.unexplained_share}
     unexplained = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.unexplained_share
     gain = f"in place of {rival.replaces.replace('_', ' ')} it achieves {rival.share:.0%} of its error reduction"
@@ -254,7 +259,7 @@ def alternative(rival: Rival, limits: Limits) -> Reason:
         return Reason("explains less", rival.name, figures, f"{gain}; {no_worse}")
     if rival.shared:
         gain = f"together with {rival.replaces.replace('_', ' ')} it gains no more than that alone"
-    elif verdict.rule not in (STATED, IRRELEVANT):
+    elif verdict.rule not in (ACCEPTED, IRRELEVANT):
         return verdict
     return Reason("alternative", rival.name, figures, f"{gain}; {no_worse}")
 
@@ -262,7 +267,7 @@ def alternative(rival: Rival, limits: Limits) -> Reason:
 def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
     """The outcome and its reason."""
     def because(outcome: Outcome, text: str, **figures: float) -> tuple[Outcome, Reason]:
-        return outcome, Reason(outcome, "answer", figures, text)
+        return outcome, Reason(outcome, "outcome", figures, text)
 
     equal = {name: [r for r in others if alternative(r, limits).rule == "alternative"]
             for name, others in a.rivals.items()}
@@ -281,16 +286,16 @@ def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
                        "effects that change it cannot be separated", combinations=len(a.combinations))
     verdicts = [judge(e, limits) for e in a.refused if is_relevant(e, limits)]
     if a.varying_effects or any(v.rule == VARIES for v in verdicts):
-        # "bound": specific to a run, place, time or condition; not a bound of a parameter.
-        return because("bound", "a significant effect varies between parts of the drives")
+        return because("varying", "a significant effect varies between parts of the drives")
     if any(v.rule in (BOUND, SENSORS, FILE) for v in verdicts):
         return because("unknown", "errors are significant, but no effect of the library explains them within its "
                        "bounds")
     if a.noise_ratio > limits.max_noise_ratio:
         return because("unknown", f"errors are {a.noise_ratio:.1f} times the noise, and no effect of the library "
-                       "reduces them significantly", left=a.noise_ratio, limit=limits.max_noise_ratio)
+                       "reduces them significantly", noise_ratio=a.noise_ratio, max_noise_ratio=limits.max_noise_ratio)
     if a.detectable_share < limits.detection_power:
         return because("not_testable", f"only {a.detectable_share:.0%} of the library's effects would be detectable "
-                       "in these drives at their usual size", seen=a.detectable_share, shown=limits.detection_power)
-    return because("none", f"errors are {a.noise_ratio:.1f} times the noise", left=a.noise_ratio,
-                   limit=limits.max_noise_ratio)
+                       "in these drives at their usual size", detectable_share=a.detectable_share,
+                       detection_power=limits.detection_power)
+    return because("none", f"errors are {a.noise_ratio:.1f} times the noise", noise_ratio=a.noise_ratio,
+                   max_noise_ratio=limits.max_noise_ratio)

@@ -190,7 +190,7 @@ class _Analysis:
         axles, curves, combinations = self._axles(found, joint_fit, unexplained)
         verdicts = self._verdicts(found, effects, axles, leave_one_out)
         named, minor, contradicted = (tuple(e for e in effects if verdicts[e.name].rule in rules) for rules in (
-            (decision.STATED,), (decision.MINOR,), (decision.FORCES, decision.IMPLAUSIBLE)))
+            (decision.NAMED,), (decision.MINOR,), (decision.FORCES, decision.IMPLAUSIBLE)))
         return _JudgedEffects(named, minor, contradicted, verdicts, leave_one_out, curves, combinations)
 
     def _named_model(self, found: Found, judged: _JudgedEffects) -> AugmentedModel | None:
@@ -425,12 +425,12 @@ class _Analysis:
                 gain = float(gains.sum()) / problem.scored_count
                 p_value = library_p_value(found.scores.by_effect[name], gains, found.scores, len(space.hypotheses))
                 verdict = decision.judge(Evidence(name, gain, p_value), self.limits)
-                if verdict.rule == decision.STATED:
+                if verdict.rule == decision.ACCEPTED:
                     verdict = Reason("explains less", name, {"gain": gain},
                                      f"it reduces the errors by {share_of(gain):.1%}; others reduce them by more, and "
                                      "were tried first")
             else:
-                verdict, gain = Reason("part of the answer", name, {}, "part of a named effect, or contains it"), 0.0
+                verdict, gain = Reason("included", name, {}, "part of a named effect, or contains it"), 0.0
             rows.append(CandidateEffect(name, get_effect(name).kind, values, share_of(gain), verdict.rule,
                                         verdict.text))
         return tuple(sorted(rows, key=lambda c: -c.gain))

@@ -9,12 +9,12 @@ from scipy import stats
 
 from ..augmented import AugmentedModel
 from ..effects import EFFECT_KINDS
-from .settings import Limits, json_key, stored_as
+from .settings import Limits
 
-Outcome = Literal["none", "named", "ambiguous", "several", "bound", "unknown", "not_testable"]
+Outcome = Literal["none", "named", "ambiguous", "several", "varying", "unknown", "not_testable"]
 # Factor from the half-width of a 95 % interval to that at significance level `false_alarm`, for a normal distribution.
 WIDENING = float(stats.norm.isf(0.5 * Limits().false_alarm) / stats.norm.isf(0.025))
-OUTCOMES: tuple[Outcome, ...] = ("none", "named", "ambiguous", "several", "bound", "unknown", "not_testable")
+OUTCOMES: tuple[Outcome, ...] = ("none", "named", "ambiguous", "several", "varying", "unknown", "not_testable")
 EFFECTIVE = "effective corrections"
 PARTS = (*EFFECT_KINDS, EFFECTIVE, "place or time", "unexplained")
 """Kinds of cause that the baseline error is divided into (`BudgetLine`)."""
@@ -64,7 +64,7 @@ class LocalEstimate:
     deviation: standard deviation of the ratio."""
 
     where: str
-    ratio: float = field(metadata=stored_as("share"))
+    ratio: float
     deviation: float
 
 
@@ -80,7 +80,7 @@ class FoundEffect:
     kind: str
     parameters: Mapping[str, FittedParameter]
     alternatives: tuple[str, ...]
-    position_5s_increase: float = field(metadata=stored_as("position_5s"))
+    position_5s_increase: float
     agreement: Mapping[str, tuple[LocalEstimate, ...]]
     joint: tuple[str, ...] = ()
     channel: str = ""
@@ -146,18 +146,16 @@ class VaryingEffect:
     the mean position error after 5 s."""
 
     resembles: str
-    level: str = field(metadata=stored_as("to"))
+    level: str
     parameters: Mapping[str, FittedParameter]
     values: tuple[LocalEstimate, ...]
-    position_5s_reduction: float = field(metadata=stored_as("position_5s"))
+    position_5s_reduction: float
 
 
 @dataclass(frozen=True)
 class Reason:
-    """A rule of `decision` as applied. subject: an effect, or "answer" for the outcome. figures: the numbers that were
-    compared, with the keys of discovery.json, limits with those of `Limits` there. chance, differ, absent, no_worse:
-    p-values. left, driven, seen, less, deviations, distance: `noise_ratio`, `peak_force_share`, `detectable_share`,
-    `deficit`, `z_score`, `bound_distance` of `decision` and `evidence`."""
+    """A rule of `decision` as applied. subject: an effect, or "outcome". figures: the numbers that were compared, by
+    the name of their field in `Limits`, `Evidence`, `Checks`, `Rival` or `Answer`."""
 
     rule: str
     subject: str
@@ -168,7 +166,7 @@ class Reason:
 @dataclass(frozen=True)
 class CandidateEffect:
     """One effect of the library, in the final model or as an addition to it. gain: relative reduction of the RMS error.
-    verdict: stated (named), alternative, or the rule that rejected it. why: a sentence with figures."""
+    verdict: named, alternative, or the rule that rejected it. why: a sentence with figures."""
 
     name: str
     kind: str
@@ -202,8 +200,8 @@ class Power:
     parameter: str
     unit: str
     size: float
-    probability: float = field(metadata=stored_as("found"))
-    simulated_drives: int = field(metadata=stored_as("of"))
+    probability: float
+    simulated_drives: int
 
 
 @dataclass(frozen=True)
@@ -214,8 +212,8 @@ class Certificate:
 
     powers: tuple[Power, ...]
     alarms: int
-    simulated_drives: int = field(metadata=stored_as("of"))
-    measured: bool = field(metadata=stored_as("driven"))
+    simulated_drives: int
+    measured: bool
 
 
 @dataclass(frozen=True)
@@ -301,12 +299,12 @@ class Discovery:
     """The result of `discover`.
 
     outcome: none = the residual is near the noise, or not significant; named = one effect; ambiguous = one effect with
-    alternatives, or a combination (`known_together`); several = more than one effect; bound = significant, but specific
-    to a run, place, time or condition; unknown = a significant residual that no effect of the library explains;
-    not_testable = too little excitation. start: of the search. minor: significant effects too small to be named, in
-    the model so that they do not bias the values of the others. varying: significant effects that vary between parts of
-    the drives. effective: corrections that improve predictions but are not properties of the car, whatever their names;
-    part of the model, never of a vehicle file.
+    alternatives, or a combination (`known_together`); several = more than one effect; varying = significant, but
+    specific to a run, place, time or condition; unknown = a significant residual that no effect of the library
+    explains; not_testable = too little excitation. start: of the search. minor: significant effects too small to be
+    named, in the model so that they do not bias the values of the others. varying: significant effects that vary
+    between parts of the drives. effective: corrections that improve predictions but are not properties of the car,
+    whatever their names; part of the model, never of a vehicle file.
 
     base: the model at the start; model: the best prediction, with all effects, None without any; named: with named and
     minor effects only, at the reported values. steps: from the base to the named effects. gap: errors of base and best
@@ -320,7 +318,7 @@ class Discovery:
     outcome: Outcome
     effects: tuple[FoundEffect, ...]
     minor: tuple[FoundEffect, ...]
-    varying: tuple[VaryingEffect, ...] = field(metadata=stored_as("bound"))
+    varying: tuple[VaryingEffect, ...]
     steps: tuple[Step, ...]
     gap: Mapping[str, ChannelError]
     budget: tuple[BudgetLine, ...]
@@ -343,8 +341,7 @@ class Discovery:
     combinations: tuple[Combination, ...] = ()
     assumed: tuple[Assumed, ...] = ()
     warnings: tuple[str, ...] = ()
-    leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]] = field(
-        default_factory=dict, metadata=stored_as("left_out"))
+    leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
     clock_errors: Mapping[str, float] = field(default_factory=dict)
     acceleration_gain: float = 0.0
     noise: Mapping[str, float] = field(default_factory=dict)
@@ -360,7 +357,7 @@ class Discovery:
 
     def document(self) -> dict[str, Any]:
         """The body of discovery.json: dicts, lists, texts and numbers only."""
-        return {json_key(f): plain_data(getattr(self, f.name)) for f in fields(self) if f.name not in MODELS}
+        return {f.name: plain_data(getattr(self, f.name)) for f in fields(self) if f.name not in MODELS}
 
 
 def known_together(combinations: Sequence[Combination], named: Sequence[FoundEffect]) -> tuple[Combination, ...]:
@@ -377,7 +374,7 @@ def known_together(combinations: Sequence[Combination], named: Sequence[FoundEff
 def plain_data(value: Any) -> Any:
     """Dataclasses, mappings, tuples and NumPy numbers as dicts, lists and numbers."""
     if is_dataclass(value) and not isinstance(value, type):
-        return {json_key(f): plain_data(getattr(value, f.name)) for f in fields(value)}
+        return {f.name: plain_data(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):
         return {str(k): plain_data(v) for k, v in value.items()}
     if isinstance(value, (tuple, list)):

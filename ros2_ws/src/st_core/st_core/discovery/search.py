@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import confounded_effects, get_effect
-from .decision import CHANCE, NULL, STATED, Rival, alternative, judge
+from .decision import ACCEPTED, GAIN_INSIGNIFICANT, NULL, Rival, alternative, judge
 from .evidence import Evidence, Scores, evidence, library_p_value, null_by_sensors, screen
 from .fit import Fit, Problem, Slopes
 from .levels import Level
@@ -226,10 +226,10 @@ class Search:
                 break
             e = self._evidence(without, fits[effect], effect, found.scores)
             verdict = self._judge(e, limits)
-            if verdict.rule == STATED:
+            if verdict.rule == ACCEPTED:
                 return fits[effect]
             found.refused[effect] = e, verdict, fits[effect]
-            if verdict.rule not in (CHANCE, NULL):
+            if verdict.rule not in (GAIN_INSIGNIFICANT, NULL):
                 best = max(best, gain)
         return self._add_confirmed(found, without, [n for n in gains if n not in fits])
 
@@ -240,7 +240,7 @@ class Search:
             if self.problem.prior is not None or null is None or null > self.limits.false_alarm:
                 continue
             fit = self._refit_with(without, effect, found.scores.gains[effect][1])
-            if self._judge(self._evidence(without, fit, effect, found.scores), self.limits).rule == STATED:
+            if self._judge(self._evidence(without, fit, effect, found.scores), self.limits).rule == ACCEPTED:
                 return fit
         return None
 
@@ -293,7 +293,7 @@ class Search:
             if rise[weakest] > 3.0 * self.limits.relevant * p.scored_count:
                 return fit
             without = self._refit_without(fit, weakest)
-            if self._judge(self._evidence(without, fit, weakest, scores), self.limits).rule == STATED:
+            if self._judge(self._evidence(without, fit, weakest, scores), self.limits).rule == ACCEPTED:
                 return fit
             fit = without
         return fit
@@ -389,7 +389,7 @@ class Search:
                 continue
             without = found.without[name] = self._refit_without(found.fit, name)
             found.evidence[name] = self._evidence(without, found.fit, name, found.scores)
-        failing = [n for n, e in found.evidence.items() if self._judge(e, self.limits).rule != STATED]
+        failing = [n for n, e in found.evidence.items() if self._judge(e, self.limits).rule != ACCEPTED]
         return min(failing, key=lambda n: found.evidence[n].gain, default="")
 
     def _exchange(self, found: Found) -> Fit | None:
@@ -417,7 +417,7 @@ class Search:
                     alternatives[other].append(fit)
                 significant = rival.p_no_worse > 1.0 - self.limits.undecided_p
                 if (significant and frozenset(fit.names) not in self._visited
-                        and self._judge(rival.evidence, self.limits).rule == STATED
+                        and self._judge(rival.evidence, self.limits).rule == ACCEPTED
                         and (better is None or fit.held_out.sum() < better.held_out.sum())):
                     better = fit
         return better or self._merge(found, alternatives)

@@ -3,20 +3,10 @@
 Benchmark scores with each limit halved and doubled: docs/measurements/discovery_scores.md.
 """
 
-from dataclasses import Field, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 
 from ..channels import CHANNELS
 from ..errors import ConfigurationError
-
-
-def stored_as(key: str) -> dict[str, str]:
-    """Metadata of a dataclass field that has another name in discovery.json."""
-    return {"key": key}
-
-
-def json_key(entry: Field) -> str:
-    """Name of a dataclass field in discovery.json."""
-    return entry.metadata.get("key", entry.name)
 
 
 @dataclass(frozen=True)
@@ -48,19 +38,19 @@ class Limits:
     """
 
     false_alarm: float = 0.01
-    undecided_p: float = field(default=0.05, metadata=stored_as("doubt"))
+    undecided_p: float = 0.05
     relevant: float = 0.025
     relevant_position: float = 0.02
-    min_relative_size: float = field(default=0.5, metadata=stored_as("size"))
+    min_relative_size: float = 0.5
     negligible: float = 0.01
-    min_rival_gain: float = field(default=0.5, metadata=stored_as("rival"))
-    max_file_deviation: float = field(default=3.0, metadata=stored_as("file"))
-    min_peak_force: float = field(default=0.98, metadata=stored_as("peak"))
-    at_bound: float = field(default=0.05, metadata=stored_as("bound"))
+    min_rival_gain: float = 0.5
+    max_file_deviation: float = 3.0
+    min_peak_force: float = 0.98
+    at_bound: float = 0.05
     unexplained_share: float = 0.2
-    max_noise_ratio: float = field(default=2.0, metadata=stored_as("left"))
-    detection_power: float = field(default=0.8, metadata=stored_as("shown"))
-    max_effects: int = field(default=16, metadata=stored_as("most"))
+    max_noise_ratio: float = 2.0
+    detection_power: float = 0.8
+    max_effects: int = 16
 
     def __post_init__(self) -> None:
         for limit in fields(self):

@@ -27,7 +27,7 @@ from .drives import Drive, Request
 from .relation_report import RelationReport
 from .vehicle_update import VehicleUpdate
 
-SCHEMA = 2
+SCHEMA = 3
 VERDICTS = ("alternative", "varies")  # first in the table of other effects
 MAX_ROWS = 8  # of a table; discovery.json has all
 

@@ -16,7 +16,6 @@ import st_core
 from st_core.augmented import AugmentedModel, augment
 from st_core.discovery import Discovery, DiscoverySettings
 from st_core.discovery.result import MODELS
-from st_core.discovery.settings import json_key
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.models import Model
@@ -29,7 +28,7 @@ from st_recordings.runs.load import file_hashes
 from ..checking.check_report import findings_as_json
 from ..checking.gate import RUN_ERRORS, Refused, check_log, describe_problem, refuse_errors
 
-ANSWER_FORMAT = 2  # version of the format of cached results; other versions are not used
+ANSWER_FORMAT = 3  # version of the format of cached results; other versions are not used
 
 
 @dataclass(frozen=True)
@@ -167,7 +166,7 @@ def read_answer(file: Path) -> Discovery | None:
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         hints = get_type_hints(Discovery)
-        parts = {one.name: _restore(hints[one.name], content[json_key(one)]) for one in fields(Discovery)
+        parts = {one.name: _restore(hints[one.name], content[one.name]) for one in fields(Discovery)
                  if one.name not in MODELS}
         parts |= {name: content[name] and augment(*content[name]) for name in MODELS}
         return Discovery(**parts)
@@ -180,7 +179,7 @@ def _restore(kind: Any, value: Any) -> Any:
     origin, inner = get_origin(kind), get_args(kind)
     if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind)
-        return kind(**{one.name: _restore(hints[one.name], value[json_key(one)]) for one in fields(kind)})
+        return kind(**{one.name: _restore(hints[one.name], value[one.name]) for one in fields(kind)})
     if origin is tuple:
         return tuple(map(_restore, repeat(inner[0]) if inner[-1] is Ellipsis else inner, value))
     if origin is Mapping:

@@ -87,7 +87,7 @@ def title(found: Discovery) -> str:
     more = f"; {UNEXPLAINED}: {found.signature[0]}" if found.signature else ""
     if named:
         return f"{_errors(found)}: {named}{more}"
-    if found.outcome == "bound":
+    if found.outcome == "varying":
         varying = ", ".join(f"an effect that resembles {plain(b.resembles)} ({metres(b.position_5s_reduction)}) but "
                             f"varies with {b.level}" for b in found.varying)
         return f"{_errors(found)}: {varying}; no effect is named{more}"
@@ -191,7 +191,7 @@ def agreement(effect: FoundEffect) -> str:
 
 def certainty(found: Discovery) -> list[str]:
     """The rule that decided the outcome, and its measured false alarms."""
-    lines = [reason.text for reason in found.reasons if reason.subject == "answer"]
+    lines = [reason.text for reason in found.reasons if reason.subject == "outcome"]
     if found.certificate.measured:
         lines.append(f"false alarms: an effect was named in {found.certificate.alarms} of "
                      f"{found.certificate.simulated_drives} simulated drives without any")
@@ -243,7 +243,7 @@ def pair_rows(found: Discovery) -> list[tuple[str, ...]]:
         figures = next((r.figures for r in found.reasons if r.rule == "alternative" and r.subject == pair.second
                         and f"{plain(pair.first)} it " in r.text), {})
         rows.append((plain(pair.first), plain(pair.second), *(f"{figures[key]:{form}}" if key in figures else "-" for
-                     key, form in (("share", ".0%"), ("less", ".1%"), ("no_worse", ".2g"))),
+                     key, form in (("share", ".0%"), ("deficit", ".1%"), ("p_no_worse", ".2g"))),
                      f"{pair.cosine:.3f}", separation(pair.strength)))
     return rows
 
