@@ -50,7 +50,7 @@ def test_the_course_is_published_scored_and_better_than_held_inputs(folder: Path
     assert len(common) > 100
     assert sum(errors["course"][k] for k in common) < 0.45 * sum(errors["forecast"][k] for k in common)
     assert json.loads((folder / run / "summary.json").read_text())["models"]["linear"]["course"]["n_starts"] > 100
-    assert any("share of curvature" in text for _, level, text in health(messages)["predictor: course"] if level == 0)
+    assert any("weight in curvature" in text for _, level, text in health(messages)["predictor: course"] if level == 0)
 
 
 @pytest.mark.parametrize("run", ["second", "replayed"])

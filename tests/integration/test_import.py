@@ -273,7 +273,7 @@ def test_logs_of_different_drives_are_refused(raw: Path, tmp_path: Path, leaf: V
 def test_nothing_is_overwritten(imported: Path, raw: Path) -> None:
     run = CliRunner().invoke(app, ["import", str(raw), "--output", str(imported)])
     assert run.exit_code == 2
-    assert "nothing is ever overwritten" in run.output
+    assert "existing files are not overwritten" in run.output
 
 
 @pytest.mark.ros

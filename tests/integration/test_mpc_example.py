@@ -90,7 +90,7 @@ def test_command_writes_figures_and_numbers(tmp_path, monkeypatch, capsys):
     assert [(d["model"], d["horizon"], d["solver"]) for d in drives] == [("linear", h, "rti") for h in (1.0, 2.0)]
     assert all(d["cpu_median"] > 0.0 for d in drives)
     assert {f.name for f in out.iterdir()} == {"drives.json", "trade_off.png", "paths.png"}
-    assert nmpc.main() == 2 and "nothing is ever overwritten" in capsys.readouterr().err
+    assert nmpc.main() == 2 and "existing files are not overwritten" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("free", [[], ["road_bank.angle"]])

@@ -160,7 +160,7 @@ def check_new_rerun_file(option: str, file: Path) -> None:
     try:
         file.touch(exist_ok=False)
     except FileExistsError:
-        raise SuiteError(f"{option} {file}: exists already (nothing is ever overwritten)") from None
+        raise SuiteError(f"{option} {file}: exists already and is not overwritten") from None
     except OSError as error:
         raise SuiteError(f"{option} {file}: cannot be written: {error.strerror}") from None
     file.unlink()

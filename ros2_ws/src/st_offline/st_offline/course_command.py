@@ -22,7 +22,7 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
     where no course can be built or written.
     """
     if output.exists():
-        raise OutputError(f"{output} exists: name another --output (nothing is ever overwritten)")
+        raise OutputError(f"{output} exists: name another --output (existing files are not overwritten)")
     passes: list[Pass] = []  # in the map frame of the first run with a known origin
     origin: tuple[float, float] | None = None
     failed = 0

@@ -83,7 +83,7 @@ def test_the_course_takes_most_of_the_error_of_held_inputs(node, course: Course,
     used, errors = drive(one, road)
     held, remembered = np.array(errors)[50:].mean(axis=0)
     assert np.mean(used) > 0.9 and remembered < 0.45 * held
-    assert one.check(True).level == 0 and "share of curvature" in one.check(True).message
+    assert one.check(True).level == 0 and "weight in curvature" in one.check(True).message
     assert "not used" in one.check(False).message
 
 

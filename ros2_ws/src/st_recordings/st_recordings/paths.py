@@ -54,7 +54,7 @@ def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
     try:
         if folder.exists() and (folder.is_file() or any(folder.iterdir())):
             what = "is a file" if folder.is_file() else "is not empty"
-            raise OutputError(f"{folder} {what}: name another --output (nothing is ever overwritten)")
+            raise OutputError(f"{folder} {what}: name another --output (existing files are not overwritten)")
         if create:
             folder.mkdir(parents=True, exist_ok=True)
             if (free := shutil.disk_usage(folder).free) < MIN_FREE_SPACE:

@@ -115,7 +115,7 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
     ("german.csv", german, "utf-8", ""),
     ("spaces.csv", lambda log: german(log, "\u00a0"), "utf-8", ""),
     ("american.csv", american, "utf-8", ""),
-    ("last.csv", last_stamp, "utf-8", r"the last of \d+ rows is 300\.\d+ s after the one before"),
+    ("last.csv", last_stamp, "utf-8", r"the last of \d+ rows is 300\.\d+ s after the previous one"),
     ("geographic.csv", geographic, "utf-8", ""),
     ("held.csv", lambda log: geographic(log, 5), "utf-8", r"about 20 Hz; the others were interpolated"),
     ("datenum.csv", lambda log: stamped(log, lambda s: f"{739000.5 + s / 86400:.12f}"), "utf-8", "days of MATLAB"),

@@ -48,7 +48,7 @@ def run_command(job: Job, console: Console) -> int:
     """Exit status: 0 if every run was used, 1 if some were. Raises StCoreError and OutputError, one line, if no bands
     can be made."""
     if job.output.exists():
-        raise OutputError(f"{job.output} exists already: name another --output (nothing is ever overwritten)")
+        raise OutputError(f"{job.output} exists already: name another --output (existing files are not overwritten)")
     models = load_models(job.task)
     recordings: dict[str, str] = {}
     problems: list[str] = []

@@ -125,9 +125,9 @@ class CourseInput:
             return Check("course", diagnostics.OK, NOT_USED, self._counts)
         if forecast.inputs is None:
             return Check("course", diagnostics.OK, f"inputs are held: {forecast.reason}", self._counts)
-        shares = {"share of curvature": forecast.curvature_share, "share of speed": forecast.speed_share}
-        text = ", ".join(f"{name} {share:.0%}" for name, share in shares.items())
-        return Check("course", diagnostics.OK, f"used, {text}; the rest are held inputs", self._counts | shares)
+        weights = {"weight in curvature": forecast.curvature_share, "weight in speed": forecast.speed_share}
+        text = ", ".join(f"{name} {weight:.0%}" for name, weight in weights.items())
+        return Check("course", diagnostics.OK, f"used, {text}; the rest are held inputs", self._counts | weights)
 
 
 def _with_search_tree(course: Course) -> Course:

@@ -131,10 +131,10 @@ def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
     steps = np.diff(time_ns[rows])
     usual = np.percentile(steps, 95) if len(rows) > 10 else 0.0  # rows may arrive in batches
     if len(rows) > 10 and steps[-1] > MAX_END_STEP * usual:
-        notes.append(f"the last of {n} {what} is {steps[-1] * 1e-9:.3f} s after the one before; it was left out")
+        notes.append(f"the last of {n} {what} is {steps[-1] * 1e-9:.3f} s after the previous one; it was left out")
         rows = rows[:-1]
     if len(rows) > 10 and steps[0] > MAX_END_STEP * usual:
-        notes.append(f"the first of {n} {what} is {steps[0] * 1e-9:.3f} s before the one after; it was left out")
+        notes.append(f"the first of {n} {what} is {steps[0] * 1e-9:.3f} s before the next one; it was left out")
         rows = rows[1:]
     return rows, notes
 
