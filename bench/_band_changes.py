@@ -47,7 +47,7 @@ class Watched:
     share: dict[tuple[str, str], float] = field(default_factory=dict)
 
 
-def watch(log: DriveLog, vehicle: VehicleParameters, bands: Bands, seen: CalibrationDomain) -> Watched:
+def watch(log: DriveLog, vehicle: VehicleParameters, bands: Bands, domain: CalibrationDomain) -> Watched:
     """A drive through the evaluator's counts. A score is known a horizon after its start."""
     signals, counts = SETTINGS.signals(log), Coverages()
     models = [get_model(model) for model in {model: None for model, _ in bands}]
@@ -57,7 +57,7 @@ def watch(log: DriveLog, vehicle: VehicleParameters, bands: Bands, seen: Calibra
     before = dict.fromkeys(bands, False)
     for rows, block in evaluate_blocks(models, vehicle, signals, starts, SETTINGS):
         here = conditions_at(signals, starts[rows])
-        known = seen(here)
+        known = domain(here)
         widths = {key: {level: np.pad(factor * band.scale(here[known]), ((0, 0), (1, 0), (0, 0)))
                         for level, factor in band.factors.items() if level in (0.5, 0.9)}
                   for key, band in bands.items()}
@@ -106,12 +106,12 @@ def of_style(number: int, style: str) -> list[Row]:
     models = [get_model(model) for model in MODELS]
     runs = [error_samples(models, file, SETTINGS.signals(log), SETTINGS)
             for log in (drive(0, k, KNOWN_PARTS) for k in range(KNOWN))]
-    bands, seen = learnt(runs)
-    rows = healthy_rows(style, [watch(drive(1, k, HOUR_PARTS), file, bands, seen) for k in range(HOURS)])
+    bands, domain = learnt(runs)
+    rows = healthy_rows(style, [watch(drive(1, k, HOUR_PARTS), file, bands, domain) for k in range(HOURS)])
     for place, (name, change) in enumerate(CHANGES.items()):
         moved = {key: healthy[key] + v if key == "steering_offset" else healthy[key] * v for key, v in change.items()}
         drives = [drive(2 + place, k, CHANGED_PARTS, healthy | moved) for k in range(CHANGED)]
-        rows += changed_rows(style, name, [watch(log, file, bands, seen) for log in drives])
+        rows += changed_rows(style, name, [watch(log, file, bands, domain) for log in drives])
         print(*rows[-len(bands):], sep="\n", flush=True)
     return rows
 

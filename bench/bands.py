@@ -146,8 +146,8 @@ def days_as_one(runs: Runs) -> list[Row]:
         for day, new in days.items():
             known = [one for other, one in days.items() if other != day]
             band = calibrate(known, question, TIME, stated)
-            seen = CalibrationDomain.of([one.conditions for one in known])
-            kept = seen(new.conditions)
+            domain = CalibrationDomain.of([one.conditions for one in known])
+            kept = domain(new.conditions)
             if not kept.any():
                 continue
             scores = band.scores(new.conditions[kept], new.errors[question][kept].astype(float)).max(axis=1)
@@ -277,9 +277,9 @@ def transferred(title: str, runs: Runs, others: Runs, model: str) -> dict[str, R
 def tested(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSamples],
            question: tuple[str, str]) -> list[dict]:
     """Sums (bands.scoring) of every new run."""
-    seen, entries = CalibrationDomain.of([one.conditions for one in known]), []
+    domain, entries = CalibrationDomain.of([one.conditions for one in known]), []
     for one in new:
-        rows = seen(one.conditions)
+        rows = domain(one.conditions)
         sums = band_sums(band, one.conditions[rows], one.errors[question][rows].astype(float))
         entries.append(sums | {"without_band": int((~rows).sum())})
     return entries

@@ -80,14 +80,14 @@ def of_a_law(folder: Path) -> dict:
                               "--effects", written["effects"]))
     library, *proposed = compared(*map(scored, drives))
     result = {"stated": [e["name"] for e in found["effects"]], "kept": [e["name"] for e in found["minor"]],
-              "law": found["law"]["proposal"], "why": found["law"]["why"], "position_5s": _gap(found),
+              "law": found["relation"]["proposal"], "why": found["relation"]["why"], "position_5s": _gap(found),
               "library": library["lateral"].get("augmented", library["lateral"]["nonlinear"]),
               "starts": library["starts"]}
     if proposed:
         result |= {"given": proposed[0]["lateral"]["nonlinear"], "proposed": proposed[0]["lateral"]["augmented"]}
         _draw(IMAGES / "closed_loop_law.png", {name: (result["given"], result[key]) for name, key in (
             ("library", "library"), ("with the law", "proposed"))}, ("vehicle file as given", "with the fourth path"))
-        shutil.copy(folder / "found" / "figures" / "law.png", IMAGES / "closed_loop_law_curve.png")
+        shutil.copy(folder / "found" / "figures" / "relation.png", IMAGES / "closed_loop_law_curve.png")
     _write(law=_law_page(result))
     return result
 

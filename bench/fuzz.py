@@ -29,19 +29,19 @@ MOST_BULK = 12_000_000
 BLOCK = 2000  # packets through one pipeline, for long-lived state; its seed reproduces a finding
 
 
-def changed(chance: random.Random, packet: bytes) -> bytes:
+def changed(rng: random.Random, packet: bytes) -> bytes:
     """A few bytes changed; three of four times the checksums are right."""
     data = bytearray(packet)
-    for _ in range(1 + chance.getrandbits(2)):
-        data[1 + int(chance.random() * 71)] = chance.getrandbits(8)
-    if chance.random() < 0.1:
-        return bytes(data[:chance.randrange(73)])
-    return with_checksums(bytes(data)) if chance.random() < 0.75 else bytes(data)
+    for _ in range(1 + rng.getrandbits(2)):
+        data[1 + int(rng.random() * 71)] = rng.getrandbits(8)
+    if rng.random() < 0.1:
+        return bytes(data[:rng.randrange(73)])
+    return with_checksums(bytes(data)) if rng.random() < 0.75 else bytes(data)
 
 
 def ncom_block(seed: int) -> list[bytes]:
-    chance, base = random.Random(seed), packets()
-    return [changed(chance, chance.choice(base)) for _ in range(BLOCK)]
+    rng, base = random.Random(seed), packets()
+    return [changed(rng, rng.choice(base)) for _ in range(BLOCK)]
 
 
 def fuzz_packets(seed: int, seconds: float) -> dict:
@@ -50,10 +50,10 @@ def fuzz_packets(seed: int, seconds: float) -> dict:
     base, accepted = packets(), 0
     while processor_seconds() - started < seconds:
         block_seed = seed * 10**9 + inputs // BLOCK
-        chance, pipeline = random.Random(block_seed), Pipeline()
+        rng, pipeline = random.Random(block_seed), Pipeline()
         try:
             for k in range(BLOCK):
-                pipeline.feed(changed(chance, chance.choice(base)), 10**18 + k * 4_000_000)
+                pipeline.feed(changed(rng, rng.choice(base)), 10**18 + k * 4_000_000)
             pipeline.finish()
         except Exception as error:
             found.setdefault(f"{type(error).__name__}: {error}"[:60], block_seed)
@@ -66,17 +66,17 @@ def fuzz_packets(seed: int, seconds: float) -> dict:
 
 def bulk_block(seed: int, base: np.ndarray) -> bytes:
     """Packets with 1 to 3 bytes changed; three of four get right checksums, a few bytes are cut out anywhere."""
-    chance = np.random.default_rng(seed)
-    data = base[chance.integers(len(base), size=BLOCK)]
+    rng = np.random.default_rng(seed)
+    data = base[rng.integers(len(base), size=BLOCK)]
     rows = np.arange(BLOCK)
     for share in (1.0, 0.5, 0.25):
-        hit = rows[chance.random(BLOCK) < share]
-        data[hit, chance.integers(1, PACKET_SIZE, len(hit))] = chance.integers(256, size=len(hit))
-    right = rows[chance.random(BLOCK) < 0.75]
+        hit = rows[rng.random(BLOCK) < share]
+        data[hit, rng.integers(1, PACKET_SIZE, len(hit))] = rng.integers(256, size=len(hit))
+    right = rows[rng.random(BLOCK) < 0.75]
     for end in (22, 61, 71):
         data[right, end] = data[right, 1:end].sum(axis=1, dtype=np.uint32) & 0xFF
     stream = bytearray(data.tobytes())
-    for at in chance.integers(len(stream) - 100, size=5).tolist():
+    for at in rng.integers(len(stream) - 100, size=5).tolist():
         del stream[at:at + at % 97]
     return bytes(stream)
 

@@ -73,15 +73,15 @@ def sample(rig: Rig, samples: Samples, began: float) -> None:
     samples.busy.append(os.getloadavg()[0])
 
 
-def choose(chance: random.Random) -> Fault:
-    kind = chance.choices(list(ODDS), list(ODDS.values()))[0]
+def choose(rng: random.Random) -> Fault:
+    kind = rng.choices(list(ODDS), list(ODDS.values()))[0]
     wire = [f for f in (*INS, *CAN) if f.seconds <= MOST_FAULT]
-    return chance.choice({"kill": KILLED, "hang": HANGING, "wire": wire}[kind])
+    return rng.choice({"kill": KILLED, "hang": HANGING, "wire": wire}[kind])
 
 
 def drive(rig: Rig, minutes: float, seed: int) -> tuple[Samples, Counter, list[tuple[float, float]]]:
     """The samples, how often each fault was in, and from when to when [minutes]."""
-    chance, samples, faults, when = random.Random(seed), Samples(), Counter(), []
+    rng, samples, faults, when = random.Random(seed), Samples(), Counter(), []
     began = time.monotonic()
     end, due, next_fault = began + 60 * minutes, began, began + CALM[0]
     undo, until = None, 0.0
@@ -93,9 +93,9 @@ def drive(rig: Rig, minutes: float, seed: int) -> tuple[Samples, Counter, list[t
         if undo and now >= until:
             with contextlib.suppress(ProcessLookupError):
                 undo()
-            undo, next_fault = None, now + chance.uniform(*CALM)
+            undo, next_fault = None, now + rng.uniform(*CALM)
         elif not undo and now >= next_fault and now < end - MOST_FAULT - CALM_AT_THE_END:
-            fault = choose(chance)
+            fault = choose(rng)
             try:
                 undo, until = fault.put(rig), now + fault.seconds
                 faults[fault.name] += 1

@@ -66,7 +66,7 @@ def _visible(case: Case, drives: Drives, judge: Judge, base: Point, answer: Poin
     healthy = Judge(drives.healthy_held_out, drives.vehicle, settings_of(case))
     healthy.sized_by(base)
     judge.size = healthy.size
-    return _compared(judge, base=base, found=answer) | {"seen": judge.loss(base) / healthy.loss(base)}
+    return _compared(judge, base=base, found=answer) | {"loss_ratio": judge.loss(base) / healthy.loss(base)}
 
 
 def _shares(judge: Judge, oracle: Oracle, names: set[str]) -> Record:

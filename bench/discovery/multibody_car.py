@@ -89,17 +89,17 @@ class PerAxle(ExecutionLoader):
         return find_spec(fullname).origin
 
     def get_source(self, fullname: str) -> str:
-        seen: Counter = Counter()
+        calls: Counter = Counter()
 
         def named(call: re.Match) -> str:
             # The first argument is the slip of one wheel: s_lf, alpha_RR.
             axle = {"f": "tire_front", "r": "tire_rear"}[call[2].lower()]
-            seen[axle] += 1
+            calls[axle] += 1
             return f"{call[1]}p.{axle})"
         source = re.sub(r"(\btireModel\.\w+\(\w+_[lr]([fr]), .*)\bp\.tire\)",
                         named, Path(self.get_filename(fullname)).read_text("utf-8"), flags=re.IGNORECASE)
-        if seen != {"tire_front": 8, "tire_rear": 8} or re.search(r"\bp\.tire\b", source):
-            raise ImportError(f"{fullname}: {dict(seen)} calls of the tyre, 8 per axle in version 3.0.2")
+        if calls != {"tire_front": 8, "tire_rear": 8} or re.search(r"\bp\.tire\b", source):
+            raise ImportError(f"{fullname}: {dict(calls)} calls of the tyre, 8 per axle in version 3.0.2")
         return source
 
 

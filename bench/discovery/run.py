@@ -130,10 +130,9 @@ def read(file: Path) -> dict[tuple[str, str, int], Record]:
 
 
 def _present_names(r: Record) -> Record:
-    """Records of version 0.2.0 and before have `bound` for `varying`."""
-    if "bound" in r:
-        r["varying"] = r.pop("bound")
-    return r | {"outcome": "varying" if r["outcome"] == "bound" else r["outcome"]}
+    """Records of earlier versions have `bound` for `varying` and `seen` for `loss_ratio`."""
+    renamed = {{"bound": "varying", "seen": "loss_ratio"}.get(key, key): value for key, value in r.items()}
+    return renamed | {"outcome": "varying" if r["outcome"] == "bound" else r["outcome"]}
 
 
 def read_all(files: Iterable[Path]) -> list[Record]:

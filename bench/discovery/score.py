@@ -20,8 +20,8 @@ CLOSABLE = 0.02, 0.1
 """Minimum gain of the oracle, [m] and as share of the base error, for a share of it to be meaningful."""
 WORSE = 1.02
 """Ratio of held-out position error to that of the base above which an answer is worse."""
-SEEN = 1.10
-"""Block E: the base's loss over its loss on the healthy car's drives, for what is hidden to count as there."""
+MIN_HIDDEN_LOSS_RATIO = 1.10
+"""Block E: least ratio of the base's loss to its loss on drives of the healthy car for a hidden effect to count."""
 STRATA = (("strong", 0.5), ("medium", 0.25), ("weak", 0.1), ("invisible", -math.inf))
 ENOUGH = 4
 """Cases of an effect for a promise of power to be compared with what was found."""
@@ -181,10 +181,10 @@ def scores(records: Sequence[Record]) -> list[Record]:
     _parameters_found(table, [*blocks["A"], *blocks["B"]], "")
     _nothing_hidden(table, blocks["C"], "")
     _referenced(table, blocks["D"])
-    seen = [r for r in blocks["E"] if r.get("seen", 0.0) >= SEEN]
-    table.add("E: reported as varying or unknown, not named", "80 %", "92 %", share(seen, is_reported))
+    relevant = [r for r in blocks["E"] if r.get("loss_ratio", 0.0) >= MIN_HIDDEN_LOSS_RATIO]
+    table.add("E: reported as varying or unknown, not named", "80 %", "92 %", share(relevant, is_reported))
     for kind in ("place", "time", "unknown"):
-        table.add(f"  {kind}", "", "", share([r for r in seen if r["kind"] == kind], is_reported))
+        table.add(f"  {kind}", "", "", share([r for r in relevant if r["kind"] == kind], is_reported))
     _edits(table, blocks["F"])
     away = {b: [r for r in blocks[b] if r["plant"] != LEAF] for b in "ABC"}
     _parameters_found(table, [*away["A"], *away["B"]], "multi-body, ")
@@ -265,7 +265,7 @@ def _promises(rows: Iterable[Record]) -> Record:
                      for v in by.values() if len(v) >= ENOUGH])
 
 
-def shown(row: Record) -> str:
+def formatted(row: Record) -> str:
     """The value of a row of scores in words."""
     if row.get("of") == 0:
         return "no cases"
@@ -278,4 +278,4 @@ def shown(row: Record) -> str:
 
 
 def as_text(rows: Sequence[Record]) -> str:
-    return "\n".join(f"{r['name']:86s} {shown(r):34s} {r['required']:>24s} / {r['goal']}" for r in rows)
+    return "\n".join(f"{r['name']:86s} {formatted(r):34s} {r['required']:>24s} / {r['goal']}" for r in rows)

@@ -14,7 +14,7 @@ from .edit_score import edited
 from .effects import DIFFERENT, KNOWN
 from .figures import confusion
 from .paths import ROOT
-from .score import groups, matters, share, share_of, shown, value_of
+from .score import formatted, groups, matters, share, share_of, value_of
 
 Record = dict[str, Any]
 PAGE = ROOT / "docs" / "measurements" / "discovery_scores.md"
@@ -49,7 +49,7 @@ def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
     parts = [
         INTRODUCTION, _origin(records),
         "## Scores", table(("score", "measured", "required", "goal"), [
-            (r["name"].strip(), shown(r), r["required"], r["goal"]) for r in score.scores(records)]),
+            (r["name"].strip(), formatted(r), r["required"], r["goal"]) for r in score.scores(records)]),
         "## The two plants", _plants(records),
         "## By hidden effect", "Blocks A and B: hidden effects that matter, how often they are stated, and how often "
         "the value stated is right.", _by_effect(records), f"![confusion](../images/{FIGURE.name})",
@@ -95,7 +95,7 @@ def _plants(records: Sequence[Record]) -> str:
         rows = score.scores([r for r in records if r["block"] in "ABC" and (r["plant"] == LEAF) == leaf])
         rows = [r for r in rows if not r["name"].startswith(("multi-body", "  multi-body")) and r.get("of")]
         names = names or [r["name"] for r in rows]
-        columns.append({r["name"]: shown(r) for r in rows})
+        columns.append({r["name"]: formatted(r) for r in rows})
     return table(("score", "virtual Leaf", "multi-body cars"),
                  [(n.strip(), *(c.get(n, "no cases") for c in columns)) for n in names])
 
@@ -106,7 +106,7 @@ def _by_effect(records: Sequence[Record]) -> str:
     for name in [h.library for h in KNOWN]:
         found = share_of([score.states(r, name) for r in ab if name in matters(r)])
         right = share_of([inside for r in ab for n, inside in score.values_inside(r) if n == name])
-        rows.append((name, shown(found), shown(right)))
+        rows.append((name, formatted(found), formatted(right)))
     return table(("effect", "stated", "value inside its interval"), rows)
 
 
@@ -119,8 +119,8 @@ def _methods(records: Sequence[Record]) -> str:
         shares = [(r["position"]["base"] - position(r)) / (r["position"]["base"] - r["position"]["oracle"])
                   for r in compared]
         worse = share(compared, lambda r: position(r) > score.WORSE * r["position"]["base"])
-        return (name, *(shown({**value_of(shares, lambda v, q=q: np.quantile(v, q)), "name": "", "percent": True})
-                        for q in (0.5, 0.1)), shown(worse))
+        return (name, *(formatted({**value_of(shares, lambda v, q=q: np.quantile(v, q)), "name": "", "percent": True})
+                        for q in (0.5, 0.1)), formatted(worse))
     rows = [row("no change", lambda r: r["position"]["base"]),
             row("tyres tuned again (three numbers)", lambda r: r["baselines"]["tyres"]),
             row("paramsd's equations (ratio, stiffness, offset)", lambda r: r["baselines"]["paramsd"]),
@@ -130,7 +130,7 @@ def _methods(records: Sequence[Record]) -> str:
     named = share(regressed, lambda r: bool(set(r["baselines"]["regression"]["names"]) & set(r["hidden"])))
     worse = share(regressed, lambda r: r["baselines"]["regression"]["after"] > r["baselines"]["regression"]["before"])
     text = ("Sparse regression of the residual accelerations predicts no positions. Its largest term names a "
-            f"hidden effect in {shown(named)}; the residual on held-out drives grows in {shown(worse)}.")
+            f"hidden effect in {formatted(named)}; the residual on held-out drives grows in {formatted(worse)}.")
     return table(("method", "median", "10th percentile", "made worse"), rows) + "\n\n" + text
 
 
@@ -147,7 +147,7 @@ def _ablation(records: Sequence[Record]) -> str:
         by[r["limit"][0], r["limit"][1]].append(r)
     rows = []
     for (name, factor), mine in sorted(by.items()):
-        measured = {r["name"]: shown(r) for r in score.scores(mine)}
+        measured = {r["name"]: formatted(r) for r in score.scores(mine)}
         rows.append((f"{name} x {factor:g}" if name else "as they are", *(measured[n] for n in ABLATED)))
     usual = by["", 1.0]
     cases = ", ".join(f"{n} {block}" for block, n in sorted(Counter(r["block"] for r in usual).items()))
@@ -196,7 +196,8 @@ def failures(r: Record, plain: Record | None) -> list[str]:
         missed = r["kind"] == "one" and r.get("detectability", 0.0) > 0.1 and not score.exact(r)
         return ["alarm"] * alarm + [f"not the exact name (D {r.get('detectability', 0.0):.2f})"] * missed
     if block == "E":
-        return ["not reported, or named"] if r.get("seen", 0.0) >= score.SEEN and not score.is_reported(r) else []
+        counts = r.get("loss_ratio", 0.0) >= score.MIN_HIDDEN_LOSS_RATIO
+        return ["not reported, or named"] if counts and not score.is_reported(r) else []
     if block == "C" and r["kind"] == "base":
         return ["something is stated"] if r["effects"] else []
     wrong = [f"false: {' or '.join(names)}" for names in score.false_ones(r)]

@@ -147,8 +147,8 @@ class Refix:
         return self._float(drifted)
 
 
-class Chance:
-    """Each packet by itself, with a given probability; always the same row of them."""
+class Random:
+    """Changes each packet independently with a given probability; the same packets every time."""
 
     def __init__(self, probability: float):
         self._probability, self._random = probability, random.Random(1)

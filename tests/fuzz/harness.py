@@ -164,38 +164,38 @@ def _peak_memory(reset: bool = False) -> int:
 class Mutator:
     """Changes inputs at random: bytes, spans, whole lines, numbers, known words, pieces of other inputs."""
 
-    def __init__(self, chance: random.Random, target: Target):
-        self._chance = chance
+    def __init__(self, rng: random.Random, target: Target):
+        self._rng = rng
         self._target = target
         self._ways = [self._flip, self._set, self._delete, self._repeat, self._move, self._insert, self._cut]
         self._ways += [self._number, self._lines, self._lines] if target.text else [self._integer, self._integer]
 
     def change(self, data: bytes, others: Sequence[bytes]) -> bytes:
-        chance = self._chance
-        for _ in range(1 + min(int(chance.expovariate(0.6)), 12)):
-            data = chance.choice(self._ways)(data)
-        if chance.random() < 0.1:
-            data = self._splice(data, chance.choice(others))
-        if self._target.repair and chance.random() < 0.7:
+        rng = self._rng
+        for _ in range(1 + min(int(rng.expovariate(0.6)), 12)):
+            data = rng.choice(self._ways)(data)
+        if rng.random() < 0.1:
+            data = self._splice(data, rng.choice(others))
+        if self._target.repair and rng.random() < 0.7:
             data = self._target.repair(data)
         return data
 
     def _place(self, data: bytes) -> int:
-        return self._chance.randrange(len(data) + 1)
+        return self._rng.randrange(len(data) + 1)
 
     def _span(self, data: bytes) -> tuple[int, int]:
         start = self._place(data)
-        return start, min(len(data), start + 1 + int(self._chance.expovariate(0.03)))
+        return start, min(len(data), start + 1 + int(self._rng.expovariate(0.03)))
 
     def _flip(self, data: bytes) -> bytes:
         if not data:
             return data
-        place = self._chance.randrange(len(data))
-        return data[:place] + bytes([data[place] ^ 1 << self._chance.randrange(8)]) + data[place + 1:]
+        place = self._rng.randrange(len(data))
+        return data[:place] + bytes([data[place] ^ 1 << self._rng.randrange(8)]) + data[place + 1:]
 
     def _set(self, data: bytes) -> bytes:
         place = self._place(data)
-        byte = self._chance.choice((0, 1, 0x7F, 0x80, 0xFF, 0xE7, 0x0A, 0x22, self._chance.randrange(256)))
+        byte = self._rng.choice((0, 1, 0x7F, 0x80, 0xFF, 0xE7, 0x0A, 0x22, self._rng.randrange(256)))
         return data[:place] + bytes([byte]) + data[place + 1:]
 
     def _delete(self, data: bytes) -> bytes:
@@ -204,7 +204,7 @@ class Mutator:
 
     def _repeat(self, data: bytes) -> bytes:
         start, end = self._span(data)
-        return data[:end] + data[start:end] * self._chance.choice((1, 2, 10, 100)) + data[end:]
+        return data[:end] + data[start:end] * self._rng.choice((1, 2, 10, 100)) + data[end:]
 
     def _move(self, data: bytes) -> bytes:
         start, end = self._span(data)
@@ -214,20 +214,20 @@ class Mutator:
 
     def _insert(self, data: bytes) -> bytes:
         place = self._place(data)
-        word = self._chance.choice(self._target.words) if self._target.words else self._chance.randbytes(8)
+        word = self._rng.choice(self._target.words) if self._target.words else self._rng.randbytes(8)
         return data[:place] + word + data[place:]
 
     def _cut(self, data: bytes) -> bytes:
-        return data[:self._place(data)] if self._chance.random() < 0.2 else data
+        return data[:self._place(data)] if self._rng.random() < 0.2 else data
 
     def _splice(self, data: bytes, other: bytes) -> bytes:
         return data[:self._place(data)] + other[self._place(other):]
 
     def _integer(self, data: bytes) -> bytes:
         """A length, count or offset, little endian."""
-        value = self._chance.choice((0, 1, 0x7F, 0xFF, 0xFFFF, 2**31 - 1, 2**32 - 1, 2**60, 2**63 - 1, 2**64 - 1,
-                                     len(data), self._chance.getrandbits(self._chance.randrange(1, 65))))
-        packed = struct.pack("<Q", value)[:self._chance.choice((2, 4, 8))]
+        value = self._rng.choice((0, 1, 0x7F, 0xFF, 0xFFFF, 2**31 - 1, 2**32 - 1, 2**60, 2**63 - 1, 2**64 - 1,
+                                     len(data), self._rng.getrandbits(self._rng.randrange(1, 65))))
+        packed = struct.pack("<Q", value)[:self._rng.choice((2, 4, 8))]
         place = self._place(data)
         return data[:place] + packed + data[place + len(packed):]
 
@@ -235,14 +235,14 @@ class Mutator:
         numbers = list(re.finditer(rb"-?\d+(\.\d+)?([eE][-+]?\d+)?", data))
         if not numbers:
             return data
-        found = self._chance.choice(numbers)
-        new = self._chance.choice((*NUMBERS, str(self._chance.randrange(-300, 300)).encode()))
+        found = self._rng.choice(numbers)
+        new = self._rng.choice((*NUMBERS, str(self._rng.randrange(-300, 300)).encode()))
         return data[:found.start()] + new + data[found.end():]
 
     def _lines(self, data: bytes) -> bytes:
         lines = data.split(b"\n")
-        place, other = self._chance.randrange(len(lines)), self._chance.randrange(len(lines))
-        way = self._chance.randrange(4)
+        place, other = self._rng.randrange(len(lines)), self._rng.randrange(len(lines))
+        way = self._rng.randrange(4)
         if way == 0:
             del lines[place]
         elif way == 1:
@@ -250,8 +250,8 @@ class Mutator:
         elif way == 2:
             lines[place], lines[other] = lines[other], lines[place]
         else:
-            indent = self._chance.choice((b"  ", b"\t", b"- ", b"? ", b"    "))
-            lines[place] = indent + lines[place] if self._chance.random() < 0.7 else lines[place].lstrip()
+            indent = self._rng.choice((b"  ", b"\t", b"- ", b"? ", b"    "))
+            lines[place] = indent + lines[place] if self._rng.random() < 0.7 else lines[place].lstrip()
         return b"\n".join(lines)
 
 
@@ -272,14 +272,14 @@ def fuzz(target: Target, seed: int, seconds: float, most: int = 10**12, keep: in
 
     An input whose outcome is new joins those that are changed further: a cheap guide to where new code is reached.
     """
-    chance, tally = random.Random(seed), Tally()
-    mutator = Mutator(chance, target)
+    rng, tally = random.Random(seed), Tally()
+    mutator = Mutator(rng, target)
     seeds = list(target.seeds())
     pool = [*seeds, *(path.read_bytes() for path in target.corpus)]
     started, latest, places = processor_seconds(), time.monotonic() + 10.0 * seconds, set()
     while tally.inputs < most and (elapsed := processor_seconds() - started) < seconds and time.monotonic() < latest:
         # Half of them one step from a valid input, where most of the code is reached.
-        data = mutator.change(chance.choice(seeds if chance.random() < 0.5 else pool), pool)
+        data = mutator.change(rng.choice(seeds if rng.random() < 0.5 else pool), pool)
         tally.inputs += 1
         tally.seconds = elapsed
         try:

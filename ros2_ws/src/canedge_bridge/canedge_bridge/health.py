@@ -60,8 +60,8 @@ class Health:
         missing: list[str] = []
         stale: list[str] = []
         for message in self._decoder.table.messages.values():
-            seen = self._decoder.statistics(message.name).last_seen_ns
-            age = None if seen is None else (now_ns - seen) * 1e-9
+            last_seen_ns = self._decoder.statistics(message.name).last_seen_ns
+            age = None if last_seen_ns is None else (now_ns - last_seen_ns) * 1e-9
             for signal in message.signals:
                 values[f"{signal.name} ({message.name}) age [s]"] = "never seen" if age is None else age
             names = ", ".join(s.name for s in message.signals)

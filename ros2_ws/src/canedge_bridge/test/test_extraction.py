@@ -26,9 +26,9 @@ SIG_VALTYPE_ 100 Rest : 1;
     (2, {"Common", "Which", "Rest"}), (3, {"Common", "Which", "Rest"}),
 ])
 def test_signals_of_a_multiplexed_frame(selector, names):
-    database, chance = cantools.database.load_string(MULTIPLEXED, "dbc"), random.Random(selector)
+    database, rng = cantools.database.load_string(MULTIPLEXED, "dbc"), random.Random(selector)
     for _ in range(200):
-        data = bytearray(chance.randbytes(8))
+        data = bytearray(rng.randbytes(8))
         data[1], data[7] = data[1] & 0xFC | selector, data[7] & 0x3F  # no NaN among the floats
         values = decode_frame(database.get_message_by_name("Multi"), bytes(data))
         columns = decode_log(database, np.array([100]), np.frombuffer(data, np.uint8)[None], np.array([8]))["Multi"]

@@ -249,10 +249,10 @@ def test_wrong_checksum(mode, rig):
 def test_random_frames_on_the_bus_have_no_effect(rig, frame):
     run = rig()
     run.received("vehicle/steering", run.steer)
-    chance = random.Random(1)
+    rng = random.Random(1)
     for _ in range(2000):
-        identifier = chance.choice([0x002, 0x284, 0x285, 0x600, 0x604, 0x630, chance.randrange(0x800)])
-        run.bus.send(frame(identifier, chance.randbytes(chance.randrange(9)), is_error_frame=chance.random() < 0.1))
+        identifier = rng.choice([0x002, 0x284, 0x285, 0x600, 0x604, 0x630, rng.randrange(0x800)])
+        run.bus.send(frame(identifier, rng.randbytes(rng.randrange(9)), is_error_frame=rng.random() < 0.1))
     good = run.decoder.encode("RT_RateVehicle", {"ins_yaw_rate": 0.25})
     # The nonsense has condemned the steering signal; a second of good frames brings it back.
     assert run.spin(lambda: run.check("plausibility")[0] == ERROR)

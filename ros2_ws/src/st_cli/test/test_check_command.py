@@ -61,7 +61,7 @@ def test_it_names_the_wrong_unit_and_exits_with_1(checked):
     assert names(run["findings"], "error") == {"yaw_rate_scale"}
     first = run["findings"][0]
     assert first["interval"][0] <= DEGREES <= first["interval"][1] and first["channels"] == ["yaw_rate"]
-    assert first["text"] in result.output and first["cure"]["line"] in result.output
+    assert first["text"] in result.output and first["advice"]["line"] in result.output
     assert run["verdict"] in result.output and "an evaluation would be meaningless" in run["verdict"]
     assert not names(content["runs"]["rfs_turn_a"]["findings"], "error")
     assert list(content["failed"]) == ["nothing.csv"] and "the file or folder does not exist" in result.output
@@ -74,10 +74,11 @@ def test_the_schema(checked):
     assert set(content) == {"schema", "created", "versions", "vehicle", "runs", "together", "failed"}
     assert content["vehicle"] == {str(CAR): {"name": "Hyundai Genesis", "hash": content["vehicle"][str(CAR)]["hash"]}}
     for run in content["runs"].values():
-        assert set(run) >= {"findings", "channels", "identities", "verdict", "vehicle", "duration", "warnings", "files"}
+        assert set(run) >= {"findings", "channels", "comparisons", "verdict", "vehicle", "duration", "warnings",
+                            "files"}
         for one in run["findings"]:
             assert set(one) >= {"name", "severity", "channels", "value", "unit", "interval", "text", "where", "effect",
-                                "cure", "tried"}
+                                "advice", "tried"}
             assert one["severity"] in ("error", "warning", "note") and one["text"]
         for channel in run["channels"].values():
             assert set(channel) >= {"rate", "gaps", "noise", "resolution", "unit", "samples", "repeated", "missing"}
@@ -177,10 +178,10 @@ def test_evaluate_reports_a_step_that_is_too_long_and_the_remedy(tmp_path):
         return [one for one in about["findings"] if one["name"] == "step_too_long"]
 
     (one,) = found(stiff, tmp_path / "a")
-    assert one["cure"]["kind"] == "vehicle"
-    assert one["cure"]["line"] in html.unescape((tmp_path / "a" / "report.html").read_text())
+    assert one["advice"]["kind"] == "vehicle"
+    assert one["advice"]["line"] in html.unescape((tmp_path / "a" / "report.html").read_text())
     corrected = tmp_path / "corrected.yaml"
-    corrected.write_text("\n".join(line if not line.startswith("minimum_slip_speed:") else one["cure"]["line"]
+    corrected.write_text("\n".join(line if not line.startswith("minimum_slip_speed:") else one["advice"]["line"]
                                    for line in lines) + "\n")
     assert found(corrected, tmp_path / "b") == []
 

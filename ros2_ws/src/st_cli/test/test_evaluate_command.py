@@ -43,7 +43,7 @@ def test_bad_runs_are_named_and_the_others_go_on(folder):
 def test_schema(folder):
     base, _ = folder
     content = json.loads((base / "out" / "evaluation.json").read_text())
-    assert content["schema"] == 1 and set(content["runs"]["labelled"]) == {"kinematic", "linear", "nonlinear"}
+    assert content["schema"] == 2 and set(content["runs"]["labelled"]) == {"kinematic", "linear", "nonlinear"}
     for modes in content["runs"]["labelled"].values():
         assert set(modes) == set(MODES)
         for entry in modes.values():

@@ -119,7 +119,7 @@ def test_a_channel_that_jumps_is_compared_with_nothing(clean, leaf):
     log, _ = clean
     broken = replace(log, velocity_x=log.velocity_x * np.where(np.arange(len(log.x)) < MIDDLE, 1.0, -1.0))
     found = check(broken, leaf)
-    assert "channel_jumps" in {one.name for one in found.findings} and not found.identities
+    assert "channel_jumps" in {one.name for one in found.findings} and not found.comparisons
 
 
 def test_more_than_half_is_an_error_and_stays(clean, leaf):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from rich.console import Console
-from st_core.checks import Advice, Channel, Checked, Finding, Identity, Severity
+from st_core.checks import Advice, Channel, Checked, Comparison, Finding, Severity
 from st_core.clock_types import Alignment, Verdict
 from st_core.vehicle import VehicleParameters
 from st_offline.checking import check_report
@@ -36,14 +36,14 @@ HOSTILE = "<script>alert(1)</script> & [bold]x"
 LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 
 
-def cure(**entry):
+def correction(**entry):
     return Advice("run.yaml", f"correct: {json.dumps(entry['correct'])}" if "correct" in entry else str(entry), entry)
 
 
 DEGREES = Finding("yaw_rate_scale", Severity.ERROR, ("yaw_rate",), "yaw rate is 57.3 times too large: deg/s?", 57.3,
-                  "1", (57.2, 57.4), (), 130.4, cure(correct={"yaw_rate": {"scale": 0.01745}}))
+                  "1", (57.2, 57.4), (), 130.4, correction(correct={"yaw_rate": {"scale": 0.01745}}))
 JUMPS = Finding("position_jumps", Severity.WARNING, ("x", "y"), f"positions jump {HOSTILE}", 2, "1", None,
-                ((1.0, 1.5), (3.0, 3.25)), 0.31, cure(leave_out=[[1.0, 1.5], [3.0, 3.25]]))
+                ((1.0, 1.5), (3.0, 3.25)), 0.31, correction(leave_out=[[1.0, 1.5], [3.0, 3.25]]))
 MOVED = Finding("measuring_point", Severity.WARNING, (), "the measuring point lies 1.50 m behind", -1.5, "m",
                 (-1.53, -1.47), (), 0.2,
                 Advice("vehicle", "cg_to_ins_x: {value: -1.9, unit: m}", {"cg_to_ins_x": -1.9}))
@@ -55,10 +55,10 @@ ALL = (DEGREES, JUMPS, MOVED, COARSE)
 def checked(findings=ALL):
     time = np.arange(0.0, 10.0, 0.01)
     rate = np.sin(time)
-    identity = Identity("yaw_rate", "Yaw rate against the change of yaw", "rad/s", "yaw rate", "change of yaw", time,
-                        57.3 * rate, np.where(time < 5.0, rate, np.nan), ("yaw_rate_scale", "position_jumps"))
+    comparison = Comparison("yaw_rate", "Yaw rate against the change of yaw", "rad/s", "yaw rate", "change of yaw",
+                            time, 57.3 * rate, np.where(time < 5.0, rate, np.nan), ("yaw_rate_scale", "position_jumps"))
     channel = Channel("rad/s", 1000, 100.0, 0, 0.01, 0.001, 0.0, 0.02, 3)
-    return Checked(tuple(findings), {"yaw_rate": channel}, (identity,))
+    return Checked(tuple(findings), {"yaw_rate": channel}, (comparison,))
 
 
 def source(folder):
@@ -184,10 +184,10 @@ def test_findings_survive_json():
 def test_the_document_has_no_number_json_lacks():
     content = json.loads(json.dumps(document([run()], {}), allow_nan=False))
     entry = content["runs"]["drive"]
-    assert content["schema"] == 1 and entry["vehicle"] == "leaf.yaml" and "leaf.yaml" in content["vehicle"]
+    assert content["schema"] == 2 and entry["vehicle"] == "leaf.yaml" and "leaf.yaml" in content["vehicle"]
     assert set(entry["findings"][0]) == {"name", "severity", "channels", "value", "unit", "interval", "text", "where",
-                                         "effect", "cure", "tried"}
-    assert entry["channels"]["yaw_rate"]["missing"] == 3 and entry["identities"][0]["residual_rms"] > 10.0
+                                         "effect", "advice", "tried"}
+    assert entry["channels"]["yaw_rate"]["missing"] == 3 and entry["comparisons"][0]["residual_rms"] > 10.0
 
 
 def test_the_page_holds_every_finding_escaped_and_loads_nothing(tmp_path):
@@ -230,8 +230,8 @@ def test_a_finding_of_two_lines_cannot_leave_its_comment(tmp_path):
 
 
 def test_of_two_values_for_one_correction_the_graver_finding_has_its_way(tmp_path):
-    correction = cure(correct={"yaw_rate": {"scale": 2.0}})
-    other = Finding("yaw_rate_bias", Severity.WARNING, (), "too high", advice=correction)
+    scaled = correction(correct={"yaw_rate": {"scale": 2.0}})
+    other = Finding("yaw_rate_bias", Severity.WARNING, (), "too high", advice=scaled)
     text = run_yaml(source(tmp_path), [DEGREES, other], tmp_path / "run.yaml", ReadSettings())
     assert yaml.safe_load(text)["correct"] == {"yaw_rate": {"scale": 0.01745}}
     assert "#   not applied, a more severe finding has another value: in its run.yaml: correct:" in text
@@ -239,7 +239,7 @@ def test_of_two_values_for_one_correction_the_graver_finding_has_its_way(tmp_pat
 
 def test_what_only_a_csv_has_is_proposed_for_a_csv_only(tmp_path):
     exchanged = Finding("position_axes", Severity.ERROR, ("x", "y"), "exchanged",
-                        advice=cure(columns={"x": "y", "y": "x"}))
+                        advice=correction(columns={"x": "y", "y": "x"}))
     for kind, taken in (("csv", True), ("vbo", True), ("bag", False)):
         run_of = replace(source(tmp_path), kind=kind)
         text = run_yaml(run_of, [exchanged], tmp_path / "run.yaml", ReadSettings())

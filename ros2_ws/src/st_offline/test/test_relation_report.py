@@ -199,8 +199,8 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
     assert "for a narrower interval: brake_in_turn, 3 times" in told and "The widest 95 % interval then falls" in told
     assert "from ± 0.02 to ± 0.0098 rad/s²" in told
     content = relation_document(RelationSearch(one, "", {}))["proposal"]["next_drives"]
-    assert content["tells_apart"] == {"manoeuvre": "brake_in_turn", "from": rival}
-    assert content["pins_down"] == "brake_in_turn" and len(content["options"]) == 2
+    assert content["most_separating"] == {"manoeuvre": "brake_in_turn", "from": rival}
+    assert content["most_precise"] == "brake_in_turn" and len(content["options"]) == 2
     weak = replace(one, drives=replace(drives, options=drives.options[1:]))
     assert "no manoeuvre of the catalogue separates it much better from" in "\n".join(next_drive_sentences(weak))
     hardly = replace(one, drives=replace(drives, options=[Option(brake, 0.9 * one.deviation, {}, (0.0, 0.0))]))

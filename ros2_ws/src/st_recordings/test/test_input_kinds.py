@@ -351,14 +351,14 @@ def test_single_wrong_rows_of_a_vbo_cost_themselves_only(tmp_path: Path, drive, 
 def test_the_course_of_a_standing_car_is_not_used(tmp_path: Path, drive, standing: int) -> None:
     """Neither that of a second solution, which some receivers record as _heading."""
     head, mark, data = vbo(drive[1]).partition("[data]\n")
-    chance = np.random.default_rng(1)
+    rng = np.random.default_rng(1)
     lines = []
     for k, line in enumerate(data.splitlines()):
         row = line.split(" ")
         if k < standing:
-            row[2:4], row[4] = data.split(" ")[2:4], f"{chance.uniform(0, 0.1):07.3f}"
-            row[5] = f"{chance.uniform(0, 360):06.2f}"
-        lines.append(" ".join([*row, f"{chance.uniform(0, 360):06.2f}"]))
+            row[2:4], row[4] = data.split(" ")[2:4], f"{rng.uniform(0, 0.1):07.3f}"
+            row[5] = f"{rng.uniform(0, 360):06.2f}"
+        lines.append(" ".join([*row, f"{rng.uniform(0, 360):06.2f}"]))
     file = tmp_path / "drive.vbo"
     file.write_text(head.replace("heading Steer", "heading Steer _heading") + mark + "\n".join(lines) + "\n")
     run = read(find_runs([file])[0], CAR, WHEEL)

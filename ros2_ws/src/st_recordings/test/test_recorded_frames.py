@@ -26,9 +26,9 @@ def message(frames: list[tuple[int, int, bytes, int]], bus: str) -> bytes:
 
 
 def some(count: int, longest: int, seed: int) -> list[tuple[int, int, bytes, int]]:
-    chance = np.random.default_rng(seed)
-    return [(START + 1000 * k, int(chance.integers(0x800)) | (EXTENDED if k % 7 == 0 else 0),
-             chance.bytes(int(chance.integers(longest + 1))), int(chance.choice([0, ERROR, REMOTE, FD])))
+    rng = np.random.default_rng(seed)
+    return [(START + 1000 * k, int(rng.integers(0x800)) | (EXTENDED if k % 7 == 0 else 0),
+             rng.bytes(int(rng.integers(longest + 1))), int(rng.choice([0, ERROR, REMOTE, FD])))
             for k in range(count)]
 
 

@@ -14,12 +14,12 @@ from .finding import (
     AuxiliaryData,
     Channel,
     Checked,
+    Comparison,
     Finding,
-    Identity,
     InsQuality,
     Series,
     Severity,
 )
 
-__all__ = ["SCHEMA", "AcrossRuns", "Advice", "AuxiliaryData", "Channel", "Checked", "Finding", "Identity", "InsQuality",
-           "Series", "Severity", "check", "compare_runs", "pool_estimates"]
+__all__ = ["SCHEMA", "AcrossRuns", "Advice", "AuxiliaryData", "Channel", "Checked", "Comparison", "Finding",
+           "InsQuality", "Series", "Severity", "check", "compare_runs", "pool_estimates"]

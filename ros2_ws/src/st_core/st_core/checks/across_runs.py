@@ -50,9 +50,8 @@ class AcrossRuns:
                 "load or the day, or some of the runs are faulty")
 
     def as_dict(self) -> dict[str, Any]:
-        """The content of check.json, with the keys "told" and "alike" for `reported` and `consistent`."""
-        values = asdict(self)
-        return {**values, "told": values.pop("reported"), "alike": values.pop("consistent"), "text": self.text}
+        """The content of check.json."""
+        return {**asdict(self), "text": self.text}
 
 
 def compare_runs(runs: Sequence[Checked]) -> list[AcrossRuns]:

@@ -10,7 +10,7 @@ from ..sideslip import has_derived_yaw_rate
 from ..vehicle import VehicleParameters
 from . import inertial, position, sampling, vehicle_relations
 from .agreement import Agreement
-from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Checked, Finding, Identity, Severity
+from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Checked, Comparison, Finding, Severity
 from .motion import MOVING, Motion, is_driven
 from .plausibility import broken_channels, without_implausible
 from .regression import Estimate, with_systematic
@@ -22,7 +22,7 @@ CHANGED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
 MAX_INS_DISTANCE = 3.0  # m, from the rear axle forward to the INS of a road car
 MAX_REAR_COMPLIANCE = 0.01  # s^2/m, sideslip of the rear axle per lateral acceleration; road cars 0.003 to 0.008
 MIN_INS_SAMPLES = 50  # with fewer only the time stamps can be checked
-SensorResult = tuple[Motion, list[Finding], dict[str, Estimate], list[Identity]]
+SensorResult = tuple[Motion, list[Finding], dict[str, Estimate], list[Comparison]]
 """(corrected motion, findings, estimates by name of the finding, panels of the figure)."""
 
 
@@ -190,7 +190,7 @@ def _check_sensors(motion: Motion, removed: dict[str, float]) -> SensorResult:
 
 
 def _compare_with_vehicle(motion: Motion, vehicle: VehicleParameters, wheel_measured: bool, broken: set[str],
-                          unusable: set[str]) -> list[inertial.Comparison]:
+                          unusable: set[str]) -> list[inertial.CheckResult]:
     """Steering, rear axle and lateral acceleration against the vehicle, without broken, frozen or coarse channels."""
     comparisons = []
     if not broken & {*STEERING}:

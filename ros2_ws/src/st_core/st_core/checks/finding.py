@@ -1,4 +1,4 @@
-"""Inputs and results of a check: auxiliary data of a recording, findings, channels, and the identities behind them."""
+"""Inputs and results of a check: auxiliary data of a recording, findings, channels, and the comparisons behind them."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-SCHEMA = 1  # of check.json; keys are added, never renamed, within a number
+SCHEMA = 2  # of check.json; keys are added, never renamed, within a number
 
 
 class Severity(StrEnum):
@@ -67,10 +67,8 @@ class Finding:
                 and all(channel.startswith("acceleration") for channel in self.channels))
 
     def as_dict(self) -> dict[str, Any]:
-        """The content of check.json; the advice is under the key "cure"."""
-        values = asdict(self)
-        advice = values.pop("advice")
-        return {**values, "severity": self.severity.value, "cure": advice}
+        """The content of check.json."""
+        return {**asdict(self), "severity": self.severity.value}
 
 
 def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
@@ -108,7 +106,7 @@ class Channel:
 
 
 @dataclass(frozen=True, eq=False)
-class Identity:
+class Comparison:
     """A quantity from two sources, for a figure: measured and derived, (n,) each, at `time` [s since the first INS
     measurement]. findings: names of the findings based on it."""
 
@@ -125,14 +123,14 @@ class Identity:
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """Result of a check: findings, the most severe first; channels by name; identities in the order of the checks.
+    """Result of a check: findings, the most severe first; channels by name; comparisons in the order of the checks.
 
     estimates: (value, low, high), 95 %, of every quantity measured, by the name of its finding.
     """
 
     findings: tuple[Finding, ...]
     channels: Mapping[str, Channel]
-    identities: tuple[Identity, ...]
+    comparisons: tuple[Comparison, ...]
     estimates: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def of(self, severity: Severity) -> tuple[Finding, ...]:

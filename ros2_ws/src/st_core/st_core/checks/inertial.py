@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .agreement import Agreement, agreement
-from .finding import HORIZON, LIMITS, WHEEL_SCALE, Advice, Finding, Identity, Severity
+from .finding import HORIZON, LIMITS, WHEEL_SCALE, Advice, Comparison, Finding, Severity
 from .motion import MOVING, Motion, moves_sideways
 from .regression import Estimate, with_systematic
 
@@ -147,9 +147,9 @@ def _advice(channel: str, key: str, value: float) -> Advice:
 
 
 def agreement_panel(found: Agreement | None, tolerances: Tolerances, title: str, measured: float = 1.0,
-                    derived: float = 1.0) -> Identity | None:
+                    derived: float = 1.0) -> Comparison | None:
     """Series of a figure. measured, derived: units that were divided out; the figure shows values as recorded."""
-    return None if found is None else Identity(
+    return None if found is None else Comparison(
         tolerances.channel, title, tolerances.unit, tolerances.channel, f"from {tolerances.against}", found.time,
         measured * found.measured, derived * found.derived,
         tuple(f"{tolerances.channel}_{kind}" for kind in ("scale", "bias", "lag")))
@@ -169,7 +169,7 @@ WHEEL_LAG = 0.15  # s; wheel speeds are averaged over some revolutions
 FACTORS = {1.0 / GRAVITY: "g"}
 SPEED_FACTORS = {3.6: "km/h", 2.23694: "mph", 1.0 / 3.6: "divided by 3.6 twice"}
 
-Comparison = tuple[list[Finding], dict[str, Estimate], Identity | None]
+CheckResult = tuple[list[Finding], dict[str, Estimate], Comparison | None]
 """(findings, estimates by name of the finding, panel of the figure or None)."""
 
 
@@ -201,7 +201,7 @@ def correct_yaw_rate(motion: Motion, found: Agreement) -> Motion:
     return replace(motion, yaw_rate=np.interp(motion.time + late, motion.time, rate))
 
 
-def check_accelerations(motion: Motion) -> list[Comparison]:
+def check_accelerations(motion: Motion) -> list[CheckResult]:
     """Comparison of both accelerations with the derivative of velocity; empty if the axes of the velocity are wrong."""
     if moves_sideways(motion):
         return []
@@ -237,7 +237,7 @@ def check_accelerations(motion: Motion) -> list[Comparison]:
     return comparisons
 
 
-def check_speeds(motion: Motion) -> list[Comparison]:
+def check_speeds(motion: Motion) -> list[CheckResult]:
     """Comparison of other sources of the speed with the forward speed of the INS."""
     comparisons = []
     for name in motion.speeds:

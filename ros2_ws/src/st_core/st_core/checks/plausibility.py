@@ -247,9 +247,9 @@ def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) ->
             continue
         is_large = channel.step > zero_step if zero and channel.name != "velocity_x" else large
         entered = begin == 0 or channel.gap[begin - 1] or is_large[begin - 1]
-        left = end == len(channel.values) - 1 or channel.gap[end] or is_large[end]
+        exited = end == len(channel.values) - 1 or channel.gap[end] or is_large[end]
         has_step = (begin > 0 and is_large[begin - 1]) or (end < len(is_large) and is_large[end])
-        if entered and left and has_step:
+        if entered and exited and has_step:
             found.append(np.arange(begin, end + 1))
     return np.concatenate(found or [np.zeros(0, np.int64)])
 
@@ -293,16 +293,16 @@ def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
     unit = channel.limits.unit
     # Codes for a missing measurement are round numbers in the unit of the file, which may be degrees.
     degrees = f" ({np.rad2deg(value):.6g} {unit.replace('rad', 'deg')})" if unit.startswith("rad") else ""
-    shown = f"{value:.6g} {unit}{degrees}" + (" plus full turns" if channel.name == "yaw" else "")
+    reading = f"{value:.6g} {unit}{degrees}" + (" plus full turns" if channel.name == "yaw" else "")
     when = f"at {where[0][0]:.2f} s" if len(samples) == 1 else f"between {times[0]:.2f} and {times[-1]:.2f} s"
     count = f"{len(samples)} of {len(channel.values)} samples"
     text = {
-        "sample_spikes": f"{channel.name} is {shown} {when}, " + (
+        "sample_spikes": f"{channel.name} is {reading} {when}, " + (
             f"in sample {channel.rows[samples[0]] + 1}" if len(samples) == 1 else f"the largest of {count}")
             + ", which its neighbours exclude",
-        "sentinel_values": f"{channel.name} is {shown} {when} ({count}): "
+        "sentinel_values": f"{channel.name} is {reading} {when} ({count}): "
                            + ("0 while the car moves" if value == 0.0 else "a code for a missing measurement"),
-        "out_of_range": f"{channel.name} reaches {shown} {when} ({count}), beyond the range of road cars",
+        "out_of_range": f"{channel.name} reaches {reading} {when} ({count}), beyond the range of road cars",
         "channel_wraps": f"{channel.name} wraps around at ±{np.abs(channel.values).max():.4g} {unit} "
                          f"{when} ({count}): its signal is too short for the values of this drive",
         "channel_jumps": f"{channel.name} jumps {len(samples)} time{'s' if len(samples) > 1 else ''} by up to "

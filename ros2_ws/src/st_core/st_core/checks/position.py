@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .finding import HORIZON, LIMITS, WHEEL_SCALE, Advice, Finding, Identity, Severity
+from .finding import HORIZON, LIMITS, WHEEL_SCALE, Advice, Comparison, Finding, Severity
 from .motion import Motion, has_varying_speed, integral, windows
 from .regression import Estimate, Regression, is_relevant, with_systematic
 
@@ -289,13 +289,13 @@ def _without_causes(motion: Motion, found: dict[str, Estimate]) -> Motion:
     return replace(motion, **fields)
 
 
-def distance_panel(motion: Motion, removed: Mapping[str, float]) -> Identity:
+def distance_panel(motion: Motion, removed: Mapping[str, float]) -> Comparison:
     """Distance per second, for a figure of values as recorded. removed: scales already corrected, by finding."""
     over = windows(motion.time, WINDOW)
     east, north = motion.velocity_map
     derived = np.hypot(*(over.change(integral(motion.time, v)) for v in (east, north)))
     measured = np.hypot(over.change(motion.x), over.change(motion.y))
-    return Identity("position", "distance per second: positions against velocity", "m", "from x, y",
+    return Comparison("position", "distance per second: positions against velocity", "m", "from x, y",
                     "from velocity and yaw", over.time, measured * removed.get("position_scale", 1.0),
                     derived * abs(removed.get("velocity_scale", removed.get("velocity_x_scale", 1.0))),
                     (*TEXT, "position_scale", "velocity_x_scale", "velocity_y_scale"))

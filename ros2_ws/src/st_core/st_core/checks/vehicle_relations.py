@@ -17,8 +17,8 @@ import numpy as np
 from ..handling import linear_system, rear_slip_coefficient, stability_factor
 from ..vehicle import VehicleParameters
 from .agreement import ZERO, Agreement, agreement
-from .finding import HORIZON, LIMITS, Advice, Finding, Identity, Severity
-from .inertial import Comparison, format_alternative_lags, format_magnitude
+from .finding import HORIZON, LIMITS, Advice, Comparison, Finding, Severity
+from .inertial import CheckResult, format_alternative_lags, format_magnitude
 from .motion import MOVING, Motion, has_varying_speed, windows
 from .regression import Estimate, Regression, with_systematic
 
@@ -34,7 +34,7 @@ MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels, of the steering and of th
 MIN_GAIN = 1e-6  # of steering versus curvature; with a smaller one the angle is constant, reported as frozen
 
 
-def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: bool) -> Comparison:
+def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: bool) -> CheckResult:
     """Comparison of steering with curvature. wheel_measured: whether the steering wheel angle was recorded, whose
     offset is in the vehicle file."""
     moving = motion.velocity_x > MIN_SPEED
@@ -64,7 +64,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
         findings.insert(1, _lag_finding(late, found, speed, vehicle, format_alternative_lags(found, response)))
         estimates |= {"steering_lag": late} if found.determines_lag else {}
     estimates["steering_offset"] = with_systematic("steering_offset", found.bias)
-    panel = Identity("steering", "road wheel angle: steering sensor against curvature", "rad", "road_wheel_angle",
+    panel = Comparison("steering", "road wheel angle: steering sensor against curvature", "rad", "road_wheel_angle",
                      "from yaw rate and speed", found.time, found.measured, found.derived,
                      ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
     return [finding for finding in findings if finding], estimates, panel
@@ -194,7 +194,7 @@ def _at_most_warning(effect: float) -> Severity:
     return Severity.WARNING if severity is Severity.ERROR else severity
 
 
-def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Comparison:
+def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     """Comparison of heading and course on straights, and position of the INS ahead of the rear axle."""
     over = windows(motion.time, WINDOW)
     means = [over.mean(motion.time, values) for values in (motion.velocity_x, motion.velocity_y, motion.yaw_rate)]
@@ -217,7 +217,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Comparison:
     place = _sign_finding() if is_mirrored else _point_finding(point, motion, vehicle)
     findings = [finding for finding in (_heading_finding(heading, forward), place) if finding]
     motion_of_axle = sum(found[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
-    panel = Identity("velocity_y", "lateral velocity: measured against that derived from the rear axle", "m/s",
+    panel = Comparison("velocity_y", "lateral velocity: measured against that derived from the rear axle", "m/s",
                      "velocity_y", "rear axle at the declared distance", over.time[use], lateral,
                      declared * rate + motion_of_axle,
                      ("heading_misaligned", "measuring_point"))

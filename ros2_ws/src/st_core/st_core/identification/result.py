@@ -166,8 +166,8 @@ def apply_to_vehicle(vehicle: VehicleParameters, found: Iterable[Identification]
                 continue
             key = estimate.parameter
             values[key] = estimate.value
-            doubt = ", doubtful" if estimate.status == "doubtful" else ""
-            sources[key] = f"st identify {identification.experiment}{doubt}"
+            note = ", doubtful" if estimate.status == "doubtful" else ""
+            sources[key] = f"st identify {identification.experiment}{note}"
             spread = estimate.standard_uncertainty if math.isfinite(estimate.standard_uncertainty) else None
             provenance[key] = Provenance(spread, estimate.method, ", ".join(estimate.runs), date)
     changed = vehicle.with_values(values)

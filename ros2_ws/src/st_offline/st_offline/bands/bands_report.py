@@ -114,8 +114,8 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
         content = summarise_bands(pooled)
         rows = band_rows(content)
         for title, columns in _terminal_tables(_top_level(content)).items():
-            shown = [{column: row[column] for column in ("model", "inputs", *columns)} for row in rows]
-            console.print(rows_table(shown, title=title, width=min(console.width, 120)), highlight=False)
+            reported = [{column: row[column] for column in ("model", "inputs", *columns)} for row in rows]
+            console.print(rows_table(reported, title=title, width=min(console.width, 120)), highlight=False)
         if known := content["known_recordings"]:
             line(f"[yellow]{len(known)} of the files were used for calibration: not a test of the bands[/yellow]",
                  console)
@@ -140,7 +140,7 @@ def _pair(axes: dict[str, float] | None) -> str:
 
 
 RESIDUAL = "what remains"
-SHOWN_SECONDS = ("1", "3", "5")  # ahead, in the table
+REPORTED_SECONDS = ("1", "3", "5")  # ahead, in the table
 
 
 def intervals_of(files: Sequence[ModelFile]) -> dict[str, Intervals]:
@@ -188,10 +188,10 @@ def summarise_shares(sums: Sums) -> dict[str, Any]:
 
 
 def share_rows(shares: Mapping[str, Any]) -> list[dict[str, str]]:
-    """One row for each model and second shown; columns by their titles."""
+    """One row for each model and second reported; columns by their titles."""
     rows = []
     for model, summary in shares.items():
-        for second in (s for s in SHOWN_SECONDS if s in summary["rms"]):
+        for second in (s for s in REPORTED_SECONDS if s in summary["rms"]):
             rms = summary["rms"][second]
             row = {"model": model, "second": second,
                    "rms along | across, m": f"{rms['longitudinal']:.2f} | {rms['lateral']:.2f}"}

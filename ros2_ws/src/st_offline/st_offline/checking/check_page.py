@@ -7,7 +7,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from st_core.checks import Checked, Identity, Severity
+from st_core.checks import Checked, Comparison, Severity
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 
 from ..evaluation.drawing import (
@@ -35,17 +35,17 @@ SHADE = {Severity.ERROR: BAD, Severity.WARNING: WARN, Severity.NOTE: MEASURED_CO
 DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
 
-def draw_panel(identity: Identity, checked: Checked, output: FigureOutput) -> PageFigure:
-    """Figure of one identity, with the stretches of its findings shaded."""
-    findings = sorted((finding for finding in checked.findings if finding.name in identity.findings),
+def draw_panel(pair: Comparison, checked: Checked, output: FigureOutput) -> PageFigure:
+    """Figure of one comparison, with the stretches of its findings shaded."""
+    findings = sorted((finding for finding in checked.findings if finding.name in pair.findings),
                       key=check_report.severity_rank)
     with style():
         figure, (upper, lower) = plt.subplots(2, 1, figsize=(WIDTH, HEIGHT), sharex=True, height_ratios=(3, 2))
-        time = np.asarray(identity.time, float)
-        measured, derived = (np.asarray(v, float) for v in (identity.measured, identity.derived))
+        time = np.asarray(pair.time, float)
+        measured, derived = (np.asarray(v, float) for v in (pair.measured, pair.derived))
         for axes, values, colour, width, label in (
-                (upper, measured, MEASURED_COLOUR, 2.6, identity.measured_label),
-                (upper, derived, DERIVED_COLOUR, 0.9, identity.derived_label),
+                (upper, measured, MEASURED_COLOUR, 2.6, pair.measured_label),
+                (upper, derived, DERIVED_COLOUR, 0.9, pair.derived_label),
                 (lower, measured - derived, TEXT, 0.9, None)):
             axes.plot(*reduce_points(*break_at_gaps(time, values, MAX_LINE_GAP)), color=colour, lw=width, label=label)
         shortest = MIN_SHADE_WIDTH * float(np.ptp(upper.get_xlim()))
@@ -55,17 +55,17 @@ def draw_panel(identity: Identity, checked: Checked, output: FigureOutput) -> Pa
                     axes.axvspan(start, max(end, start + shortest), color=SHADE[finding.severity], alpha=0.3, lw=0)
         lower.axhline(0.0, color=TEXT, lw=0.5)
         lower.set_xlabel("after the first INS measurement, s")
-        unit = check_report.unit_symbol(identity.unit) or "1"
+        unit = check_report.unit_symbol(pair.unit) or "1"
         upper.set_ylabel(unit)
         lower.set_ylabel(f"difference\n{unit}")
         figure.align_ylabels()
         figure.legend(loc="outside lower left", ncols=2)
-        key = f"identity-{identity.name}"
+        key = f"comparison-{pair.name}"
         shaded = ", shaded where a finding applies" if any(finding.where for finding in findings) else ""
-        caption = f"Grey: {identity.measured_label}; blue: {identity.derived_label}; below, grey minus blue{shaded}."
-        size = f"{residual_rms(identity):.2g} {check_report.unit_symbol(identity.unit)}".strip()
+        caption = f"Grey: {pair.measured_label}; blue: {pair.derived_label}; below, grey minus blue{shaded}."
+        size = f"{residual_rms(pair):.2g} {check_report.unit_symbol(pair.unit)}".strip()
         found = findings[0].text if findings else f"no finding; they differ by {size} (root mean square)"
-        return save_figure(figure, output, key, f"{identity.title[0].upper()}{identity.title[1:]}: {found}", caption)
+        return save_figure(figure, output, key, f"{pair.title[0].upper()}{pair.title[1:]}: {found}", caption)
 
 
 def page_title(good: Sequence[CheckedRun]) -> str:
@@ -117,13 +117,13 @@ def write_page(file: Path, good: Sequence[CheckedRun], failed: Mapping[str, str]
 
 def _figures(runs: Sequence[CheckedRun]) -> list[PageFigure]:
     """At most MAX_FIGURES comparisons, those with the worst findings first."""
-    ranked: list[tuple[int, float, int, CheckedRun, Identity]] = []
+    ranked: list[tuple[int, float, int, CheckedRun, Comparison]] = []
     for run in runs:
-        for identity in run.checked.identities:
-            concerned = [finding for finding in run.checked.findings if finding.name in identity.findings]
+        for comparison in run.checked.comparisons:
+            concerned = [finding for finding in run.checked.findings if finding.name in comparison.findings]
             worst = min(map(check_report.severity_rank, concerned), default=len(check_report.SEVERITY_ORDER))
             largest = max((finding.effect or 0.0 for finding in concerned), default=0.0)
-            ranked.append((worst, -largest, len(ranked), run, identity))
+            ranked.append((worst, -largest, len(ranked), run, comparison))
     return [replace(drawn, title=f"{run.name}: {drawn.title}" if len(runs) > 1 else drawn.title)
-            for *_, run, identity in sorted(ranked)[:MAX_FIGURES]
-            for drawn in [draw_panel(identity, run.checked, FigureOutput(None, (), f"{slug(run.name)}-"))]]
+            for *_, run, comparison in sorted(ranked)[:MAX_FIGURES]
+            for drawn in [draw_panel(comparison, run.checked, FigureOutput(None, (), f"{slug(run.name)}-"))]]

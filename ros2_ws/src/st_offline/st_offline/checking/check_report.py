@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from st_core.checks import SCHEMA, Advice, Checked, Finding, Identity, Severity, compare_runs
+from st_core.checks import SCHEMA, Advice, Checked, Comparison, Finding, Severity, compare_runs
 from st_core.checks.sampling import UNITS as CHANNEL_UNITS
 from st_core.clock_types import alignment_not_needed
 from st_core.vehicle import VehicleParameters
@@ -49,7 +49,7 @@ def count_by_severity(findings: Sequence[Finding]) -> str:
 def verdict(checked: Checked) -> str:
     """One line on a run: number of findings by severity, and their meaning for an evaluation."""
     if not checked.findings:
-        count = len(checked.identities)
+        count = len(checked.comparisons)
         compared = f"in {count} comparison{'' if count == 1 else 's'}" if count else "but there was nothing to compare"
         return f"nothing found, {compared}"
     worst = min(checked.findings, key=severity_rank).severity
@@ -97,10 +97,10 @@ def describe_stretches(finding: Finding) -> str:
     """The stretches of the run, or "whole run"."""
     if not finding.where:
         return "whole run"
-    shown = ", ".join(f"{start:.1f}{f' to {end:.1f}' if end - start >= 0.05 else ''} s"
+    text = ", ".join(f"{start:.1f}{f' to {end:.1f}' if end - start >= 0.05 else ''} s"
                       for start, end in finding.where[:MAX_STRETCHES])
     more = len(finding.where) - MAX_STRETCHES
-    return shown + (f" and {more} more" if more > 0 else "")
+    return text + (f" and {more} more" if more > 0 else "")
 
 
 def describe_effect(finding: Finding) -> str:
@@ -195,10 +195,9 @@ def findings_from_json(about: Mapping[str, Any]) -> list[Finding]:
 
 
 def _finding_from_json(entry: Mapping[str, Any]) -> Finding:
-    values = dict(entry)
-    advice = values.pop("cure")
+    advice = entry["advice"]
     interval = tuple(entry["interval"]) if entry["interval"] else None
-    return Finding(**{**values, "severity": Severity(entry["severity"]), "channels": tuple(entry["channels"]),
+    return Finding(**{**entry, "severity": Severity(entry["severity"]), "channels": tuple(entry["channels"]),
                       "interval": interval, "where": tuple(map(tuple, entry["where"])),
                       "advice": Advice(**advice) if advice else None,
                       "tried": tuple(entry["tried"]) if entry.get("tried") else None})
@@ -215,10 +214,11 @@ def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str,
         "runs": {run.name: {
             "verdict": verdict(run.checked), "vehicle": run.vehicle_from, "duration": run.duration,
             **json_ready(run.checked.as_dict()),
-            "identities": [json_ready({
-                "name": identity.name, "title": identity.title, "unit": identity.unit, "samples": len(identity.time),
-                "residual_rms": residual_rms(identity), "findings": list(identity.findings)})
-                for identity in run.checked.identities],
+            "comparisons": [json_ready({
+                "name": comparison.name, "title": comparison.title, "unit": comparison.unit,
+                "samples": len(comparison.time), "residual_rms": residual_rms(comparison),
+                "findings": list(comparison.findings)})
+                for comparison in run.checked.comparisons],
             "warnings": list(run.warnings), "files": dict(run.files), "alignment": json_ready(dict(run.alignment)),
         } for run in good},
         "together": [json_ready(quantity.as_dict()) for quantity in compare_runs([run.checked for run in good])],
@@ -226,9 +226,9 @@ def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str,
     }
 
 
-def residual_rms(identity: Identity) -> float:
-    """Root mean square of measured minus derived, in the unit of the identity; NaN without common samples."""
-    residual = np.asarray(identity.measured) - np.asarray(identity.derived)
+def residual_rms(comparison: Comparison) -> float:
+    """Root mean square of measured minus derived, in the unit of the comparison; NaN without common samples."""
+    residual = np.asarray(comparison.measured) - np.asarray(comparison.derived)
     residual = residual[np.isfinite(residual)]
     return float(np.sqrt(np.square(residual).mean())) if len(residual) else float("nan")
 

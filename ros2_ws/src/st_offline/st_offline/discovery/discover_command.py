@@ -202,7 +202,7 @@ def write_results(found: Discovery, request: Request, update: VehicleUpdate | No
                 files[name].write_text(text, encoding="utf-8")
     content = document(found, request, update, seconds)
     if relations:
-        content |= {"law": json_ready(relation_document(relations))}
+        content |= {"relation": json_ready(relation_document(relations))}
         about = content["provenance"]
         digests = {f"{name}: {Path(file).name}": digest for name, run in about["runs"].items()
                    for file, digest in run["files"].items()}

@@ -262,7 +262,7 @@ def relation_figure(relation: Relation, output: FigureOutput) -> PageFigure:
                    "identified effects; constant beyond the driven range. Grey: sparsely driven; there the curve is "
                    "interpolated, and the interval assumes the same smoothness. The other figures do not contain the "
                    "relation.")
-        return save_figure(figure, output, "law", title, caption)
+        return save_figure(figure, output, "relation", title, caption)
 
 
 def display_unit(unit: str) -> tuple[float, str]:

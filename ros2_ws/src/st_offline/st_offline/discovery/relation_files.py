@@ -216,11 +216,11 @@ def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequenc
 
 
 def relation_document(found: RelationSearch | None) -> dict:
-    """The part `law` of discovery.json (schema in docs/manual/discovery.md)."""
+    """The part `relation` of discovery.json (schema in docs/manual/discovery.md)."""
     if found is None:
         return {}
     relation = found.relation
-    tried = [{"law": name, "gain": gain, "chance": p_value, "visible": found.detection_limits.get(name)}
+    tried = [{"relation": name, "gain": gain, "p_value": p_value, "detection_limit": found.detection_limits.get(name)}
              for name, (gain, p_value) in found.tried.items()]
     if relation is None:
         return {"proposal": None, "why": found.why, "tried": tried}
@@ -229,11 +229,11 @@ def relation_document(found: RelationSearch | None) -> dict:
         "place": c.term, "quantity": c.quantity, "by": c.factor, "unit": c.unit,
         "quantity_unit": QUANTITIES[c.quantity], "range": [c.low, c.high],
         "curve": {key: getattr(relation, key).tolist() for key in ("at", "value", "deviation", "density")},
-        "gain": relation.gain, "chance": relation.p_value, "position_5s": list(relation.position_5s),
+        "gain": relation.gain, "p_value": relation.p_value, "position_5s": list(relation.position_5s),
         "runs": {name: list(pair) for name, pair in relation.runs.items()}, "others": dict(relation.others),
-        "needless": dict(relation.redundant), "next_drives": _drives(relation),
+        "redundant": dict(relation.redundant), "next_drives": _drives(relation),
         "shares": {name: list(pair) for name, pair in relation.shares.by_run.items()},
-        "differ": relation.shares.p_equal,
+        "p_equal": relation.shares.p_equal,
         "readings": [{"shape": r.shape, "text": r.text, "explained": r.kept, "causes": r.causes}
                      for r in relation.formulas]}}
 
@@ -241,10 +241,11 @@ def relation_document(found: RelationSearch | None) -> dict:
 def _drives(relation: Relation) -> dict:
     drives, separating = relation.drives, relation.drives.most_separating()
     precise = drives.most_precise(relation.deviation)
-    return {"thin": [list(between) for between in drives.sparse],
-            "tells_apart": {"manoeuvre": separating[0].manoeuvre.name, "from": separating[1]} if separating else None,
-            "pins_down": precise.manoeuvre.name if precise else None,
-            "apart_now": dict(drives.current_separation), "options": [
+    return {"sparse": [list(between) for between in drives.sparse],
+            "most_separating": {"manoeuvre": separating[0].manoeuvre.name, "from": separating[1]} if separating
+            else None,
+            "most_precise": precise.manoeuvre.name if precise else None,
+            "current_separation": dict(drives.current_separation), "options": [
                 {"manoeuvre": o.manoeuvre.name, "speed": o.manoeuvre.speed, "lateral": o.manoeuvre.lateral,
                  "duration": o.manoeuvre.duration, "times": REPETITIONS, "largest_deviation": float(o.deviation.max()),
-                 "apart": dict(o.separation), "seconds_in_thin": list(o.seconds)} for o in drives.options]}
+                 "separation": dict(o.separation), "seconds_in_sparse": list(o.seconds)} for o in drives.options]}

@@ -119,8 +119,8 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
         changes[SLIP_SPEED] = (*changes[SLIP_SPEED][:2], car.minimum_slip_speed, car.minimum_slip_speed)
     text = updated_vehicle_text(request, car, changes, *_origin(found, folded))
     vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
-    shown = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
-    return VehicleUpdate(vehicle, text, model, tuple(effect.name for effect in folded), shown, kept, error,
+    reported = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
+    return VehicleUpdate(vehicle, text, model, tuple(effect.name for effect in folded), reported, kept, error,
                          worse, objections(vehicle, request.vehicle))
 
 

@@ -22,10 +22,10 @@ from ..checking.check_report import describe_clocks, describe_effect, findings_f
 from ..pages import template
 from . import tables
 from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
-from .tables import SHOWN_AXES, in_metres, pooled, pooled_by, values
+from .tables import REPORTED_AXES, in_metres, pooled, pooled_by, values
 from .work import RunReport, Task, slug
 
-SCHEMA = 1
+SCHEMA = 2
 MAX_FIGURE_BYTES = 4_500_000  # on the page, so that it stays below 5 MB
 MAX_FIGURES = 6  # on the page; the others are files
 MAX_RUNS = 40  # in the overview
@@ -154,7 +154,7 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
         band_rows=band_rows(pooled_bands or None),
         adaptive_rows=adaptive_rows(content.get("adaptive_bands_all_runs")),
         share_rows=share_rows(pooled_bands.get("shares", {})),
-        over=over, what=tables.OVER_LABELS[over], axes=tables.SHOWN_AXES, kinds=tables.STATISTICS, modes=modes,
+        over=over, what=tables.OVER_LABELS[over], axes=tables.REPORTED_AXES, kinds=tables.STATISTICS, modes=modes,
         figures={good[0].name: of_run} if of_run else {}, in_metres=tables.in_metres, best=tables.is_best,
         values=tables.values, slug=slug)
     file.write_text(text, encoding="utf-8")
@@ -178,7 +178,7 @@ def overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> P
         layout = figure.get_layout_engine()
         assert isinstance(layout, ConstrainedLayoutEngine)  # by the style
         layout.set(w_pad=0.12)  # inch, between the last label of one axis and the first of the next
-        for axes, axis in zip(panels, SHOWN_AXES, strict=True):
+        for axes, axis in zip(panels, REPORTED_AXES, strict=True):
             for row, report in enumerate(chosen):
                 sizes = [rmse(report, model, axis) for model in models if model in report.models]
                 axes.plot([min(sizes), max(sizes)], [row, row], color=TEXT, lw=0.6, alpha=0.5, zorder=1)

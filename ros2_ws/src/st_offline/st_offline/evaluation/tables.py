@@ -104,7 +104,7 @@ def _statistics(*values: float) -> Entry:
 
 DIGITS = 2  # centimetres, as in the paper
 WIDE = 100  # characters, width of the table with forecasts
-SHOWN_AXES = ("longitudinal", "lateral")
+REPORTED_AXES = ("longitudinal", "lateral")
 NOTE = "mean | max | RMSE over {what}, m; bold: smallest magnitude of each run"
 OVER_LABELS = {"means": "the horizon means", "samples": "all samples of all horizons"}
 
@@ -140,16 +140,17 @@ def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) ->
     table = Table(title=heading, title_justify="left", box=None, padding=(0, 1))
     table.add_column("run", overflow="fold")
     table.add_column("model", no_wrap=True)
-    for name in ("starts", *SHOWN_AXES, *(f"{mode} RMSE\nlon | lat" for mode in ahead if wide)):
+    for name in ("starts", *REPORTED_AXES, *(f"{mode} RMSE\nlon | lat" for mode in ahead if wide)):
         table.add_column(name, justify="right", no_wrap=True)
     for report in reports:
         for number, model in enumerate(report.models):
             cells = [Text(" | ").join(
                 Text(f"{in_metres(values(report.models, model, 'hindsight', axis, over)[kind]):>5}",
                      style="bold" if is_best(report.models, model, "hindsight", axis, kind, over) else "")
-                for kind in STATISTICS) for axis in SHOWN_AXES]
+                for kind in STATISTICS) for axis in REPORTED_AXES]
             forecasts = [" | ".join(f"{in_metres(values(report.models, model, mode, axis, over)['rmse']):>5}"
-                                    for axis in SHOWN_AXES) if mode in report.models[model] else "" for mode in ahead]
+                                    for axis in REPORTED_AXES) if mode in report.models[model] else ""
+                         for mode in ahead]
             starts = str(report.models[model]["hindsight"]["n_starts"])
             table.add_row(Text("" if number else report.name), Text(model, style=MODEL_COLOUR.get(model, "")), starts,
                           *cells, *(forecasts if wide else []))
@@ -183,7 +184,7 @@ def latex_table(reports: Sequence[Any], over: str, what: str) -> str:
         lines.append(r"\midrule")
         for k, model in enumerate(report.models):
             head = rf"\multirow[c]{{{len(models)}}}{{*}}{{{_tex(report.name)}}} " if k == 0 else ""
-            cells = " & ".join(triple(report, model, axis) for axis in SHOWN_AXES)
+            cells = " & ".join(triple(report, model, axis) for axis in REPORTED_AXES)
             lines.append(rf"{head}& m$_{{{k + 1}}}$ & {cells} \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
 
