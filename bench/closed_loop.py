@@ -55,7 +55,7 @@ def of_effects(folder: Path) -> dict:
     _drive(folder / "after", *unseen, "--vehicle", corrected if corrected.exists() else vehicle, "--model", model)
     before, after = compared(scored(folder / "before"), scored(folder / "after"))
     result = {"found": [_statement(e) for e in found["effects"]], "kept": [_statement(e) for e in found["minor"]],
-              "corrected": corrected.exists(), "position_5s": _gap(found), "before": before, "after": after}
+              "corrected": corrected.exists(), "position_5s": _position_errors(found), "before": before, "after": after}
     _draw(IMAGES / "closed_loop.png", {name: (before["lateral"].get(name), now) for name, now in
                                        after["lateral"].items()}, ("file and model as they were",
                                                                    "corrected by st discover"))
@@ -80,7 +80,8 @@ def of_a_law(folder: Path) -> dict:
                               "--effects", written["effects"]))
     library, *proposed = compared(*map(scored, drives))
     result = {"stated": [e["name"] for e in found["effects"]], "kept": [e["name"] for e in found["minor"]],
-              "law": found["relation"]["proposal"], "why": found["relation"]["why"], "position_5s": _gap(found),
+              "law": found["relation"]["proposal"], "why": found["relation"]["why"],
+              "position_5s": _position_errors(found),
               "library": library["lateral"].get("augmented", library["lateral"]["nonlinear"]),
               "starts": library["starts"]}
     if proposed:
@@ -153,8 +154,8 @@ def _hidden(effects: Mapping[str, float]) -> list[str]:
     return [part for name, value in effects.items() for part in ("--effect", f"{name}={value}")]
 
 
-def _gap(found: dict) -> list[float]:
-    return [found["gap"]["position_5s"][k] for k in ("base", "augmented")]
+def _position_errors(found: dict) -> list[float]:
+    return [found["errors"]["position_5s"][k] for k in ("base", "augmented")]
 
 
 def _wrong_file(folder: Path) -> Path:

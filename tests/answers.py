@@ -63,7 +63,7 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
     budget = tuple(BudgetLine(part, 0.8 * size, size, 0.8 * size / base, size / base, 0.7 * size / base, size / base)
                    for part, size in parts.items())
     less = base - levels[-1]
-    gap = {"position_5s": ChannelError(base, levels[-1], (0.8 * less, 1.2 * less), "m", 0.06, names[0],
+    errors = {"position_5s": ChannelError(base, levels[-1], (0.8 * less, 1.2 * less), "m", 0.06, names[0],
                                        1.3 * levels[-1]),
            "yaw_rate": ChannelError(0.02, 0.01, (0.005, 0.012), "rad/s", 0.002)}
     outcome = outcome or ("none" if not steps else "named" if len(steps) == 1 else "several")
@@ -77,7 +77,7 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
     candidates.append(CandidateEffect("mass", "vehicle parameters", {"factor": 1.02}, 0.006, "worth",
                                 "takes away 0.6 % of the size of the errors, 2.5 % are asked for"))
     return Discovery(
-        outcome=outcome, effects=tuple(effects), minor=(), varying=tuple(varying), steps=tuple(told), gap=gap,
+        outcome=outcome, effects=tuple(effects), minor=(), varying=tuple(varying), steps=tuple(told), errors=errors,
         budget=budget,
         reasons=(Reason("significant", "outcome", {"score": 44.0, "threshold": 12.0},
                         "the gain is 44; chance gives 12 at most"),

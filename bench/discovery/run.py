@@ -71,7 +71,7 @@ def _timed(suspect, vehicle, reference, settings: DiscoverySettings) -> tuple[Di
 
 def answer(found: Discovery) -> Record:
     """What of an answer is kept."""
-    gap = found.gap.get("position_5s")
+    errors = found.errors.get("position_5s")
     return {
         "outcome": found.outcome,
         "effects": [*({"name": e.name, "kind": e.kind, "alternatives": list(e.alternatives),
@@ -85,7 +85,7 @@ def answer(found: Discovery) -> Record:
         "steps": [[s.effect, round(s.position_5s.base, 4), round(s.position_5s.augmented, 4)]
                   for s in found.steps],
         "budget": {b.part: [round(v, 4) for v in (b.share_last, b.share_first)] for b in found.budget},
-        "gap": None if gap is None else [round(gap.base, 4), round(gap.augmented, 4)],
+        "errors": None if errors is None else [round(errors.base, 4), round(errors.augmented, 4)],
         "powers": [[p.effect, p.parameter, p.size, p.probability] for p in found.certificate.powers],
         "not_testable": [n.name for n in found.not_testable],
         "refused": [[c.name, round(c.gain, 4), c.verdict] for c in found.candidates[:5]

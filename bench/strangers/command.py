@@ -21,9 +21,11 @@ from .recordings import write
 from .vehicles import CARS, DESCRIPTIONS
 
 PAGE = project_root() / "docs" / "measurements" / "strangers.md"
-KEPT = ("outcome", "effects", "minor", "effective", "combinations", "varying", "signature", "gap", "gap_named",
-        "axle_curves", "assumed", "mended")
+KEPT = ("outcome", "effects", "minor", "effective", "combinations", "varying", "signature", "errors", "named_errors",
+        "axle_curves", "assumed", "files")
 """Parts of discovery.json that the score or a reader of misses uses."""
+RENAMED = {"bound": "varying", "gap": "errors", "gap_named": "named_errors", "mended": "files"}
+"""Keys of these parts in answers of earlier versions."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -53,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     results = []
     for case in some:
         file = folder / f"{case.name}.json"
-        known = json.loads(file.read_text()) if file.exists() else None
+        known = _read(file) if file.exists() else None
         if known and (chosen.score or (not chosen.fresh and known["version"] == source_version())):
             results.append(known)
         elif not chosen.score:
@@ -65,6 +67,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if chosen.page:
         renew(PAGE, f"strangers_{chosen.cases}", "\n".join(page_table(results, figures)) + "\n")
     return int(any("answer" not in one for one in results))
+
+
+def _read(file: Path) -> dict[str, Any]:
+    result = json.loads(file.read_text())
+    if "answer" in result:
+        result["answer"] = {RENAMED.get(key, key): value for key, value in result["answer"].items()}
+    return result
 
 
 def answered(case: Case, keep: Path | None = None) -> dict[str, Any]:
@@ -99,14 +108,14 @@ def case_lines(result: Mapping[str, Any]) -> list[str]:
     """What was hidden, stated and missed, for a terminal."""
     if "answer" not in result:
         return [f"{result['case']}: FAILED: {result['failed'].strip().splitlines()[-1:]}"]
-    gap, held = result["answer"]["gap"]["position_5s"], result["held_out"]
+    errors, held = result["answer"]["errors"]["position_5s"], result["held_out"]
     lines = [f"{result['case']} ({result['seconds']} s): "
              + ", ".join(f"{name} {'named' if ok else 'MISSED'}" for name, ok in score.hidden(result).items())]
     lines += [f"   {statement(line)}" for line in score.statements(result)]
     ratios = ", ".join(f"{axle} {value:.2f}" for axle, value in score.forces(result).items() if "_" not in axle)
     inside, count = score.band(result)
-    lines.append(f"   5 s error {gap['base']:.2f} -> {gap['augmented']:.3f} m, noise {gap['floor']:.3f} m; held-out "
-                 + ", ".join(f"{key} {value:.2f}" for key, value in held.items() if value is not None)
+    lines.append(f"   5 s error {errors['base']:.2f} -> {errors['augmented']:.3f} m, noise {errors['floor']:.3f} m; "
+                 "held-out " + ", ".join(f"{key} {value:.2f}" for key, value in held.items() if value is not None)
                  + f" m; implied force over the file's error: {ratios}; band {inside}/{count}")
     return lines
 
@@ -139,7 +148,7 @@ def page_table(results: Sequence[Mapping[str, Any]], figures: Mapping[str, Any])
             for key, value in figures.items() if key != "false" and value is not None]
     each = [{"case": one["case"], "hidden": ", ".join(one["truth"]["hidden"]) or "-",
              "stated": "<br>".join(statement(line) for line in score.statements(one)) or "-",
-             "5 s error, m": f"{one['answer']['gap']['position_5s']['base']:.2f} → "
-                             f"{one['answer']['gap']['position_5s']['augmented']:.2f}",
+             "5 s error, m": f"{one['answer']['errors']['position_5s']['base']:.2f} → "
+                             f"{one['answer']['errors']['position_5s']['augmented']:.2f}",
              "s": f"{one['seconds']:.0f}"} for one in results if "answer" in one]
     return [*table(rows), "", *(table(each) if each else [])]

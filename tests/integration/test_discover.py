@@ -84,7 +84,7 @@ def test_with_a_reference_the_hidden_effect_is_named_with_its_size(tmp_path, hea
     if found["name"] == name and value is not None:
         low, high = found["parameters"][parameter]["interval"]
         assert low <= value <= high
-    assert any(gap["interval"][0] > 0.0 for gap in content["gap"].values())
+    assert any(error["interval"][0] > 0.0 for error in content["errors"].values())
     assert content["start"] == "reference" and {run["role"] for run in content["runs"]} == {"suspect", "reference"}
 
 
@@ -94,16 +94,16 @@ def test_without_a_reference_it_is_found_beside_what_the_file_lacks(tmp_path, ef
     (found,) = [e for e in content["effects"] if name in (e["name"], *e["alternatives"])]
     if found["name"] == name:
         assert found["parameters"][parameter]["value"] == pytest.approx(value, rel=0.1)
-    gap = content["gap"]["position_5s"]
-    assert gap["augmented"] < 0.5 * gap["base"] and gap["interval"][0] > 0.0
+    error = content["errors"]["position_5s"]
+    assert error["augmented"] < 0.5 * error["base"] and error["interval"][0] > 0.0
     assert content["steps"][-1]["position_5s"]["augmented"] == pytest.approx(
-        content["gap_named"]["position_5s"]["augmented"])
+        content["named_errors"]["position_5s"]["augmented"])
     # Every rule that decided is told, and every effect that was tried has its sentence.
     assert {e["name"] for e in content["effects"]} <= {reason["subject"] for reason in content["reasons"]}
     assert all(c["why"] for c in content["candidates"])
 
 
-def test_the_mended_vehicle_file_alone_predicts_better(tmp_path):
+def test_the_corrected_vehicle_file_alone_predicts_better(tmp_path):
     answer(tmp_path, {"steering_ratio_factor": 0.9}, 100)
     gained = {}
     for run in ("sweep", "brake_in_turn"):
@@ -185,7 +185,7 @@ def test_the_same_question_is_answered_at_once(command, tmp_path):
     assert first == second
 
 
-def test_mended_vehicle_and_model_predict_better(command):
+def test_corrected_vehicle_and_model_predict_better(command):
     base, _ = command
     car = VehicleParameters.from_yaml((base / "out" / "vehicle.yaml").read_text())
     assert car.steering_ratio == pytest.approx(0.9 * CAR.steering_ratio, rel=0.02)

@@ -27,7 +27,7 @@ from st_core.discovery.where import window_errors
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import drives, quantities, report_text
 from st_offline.discovery.discovery_report import document, show, write_page
-from st_offline.discovery.drives import Request, read_answer, read_drive, write_answer
+from st_offline.discovery.drives import Request, read_drive, read_result, write_result
 from st_offline.discovery.figures import Scene, agreement, axle_curves, maps, waterfall
 from st_offline.discovery.relation_report import RelationReport
 from st_offline.discovery.vehicle_update import VehicleUpdate, update_vehicle
@@ -177,7 +177,7 @@ def scene(found, logs, folder=None):
 def test_every_figure_is_drawn_where_there_is_something_to_draw(logs, tmp_path):
     full = discovery(logs, STEPS, 1.72, varying=(tied(logs),))
     nothing = replace(full.certificate, powers=())
-    empty = replace(discovery(logs, (), 1.72), budget=(), certificate=nothing, candidates=(), gap={})
+    empty = replace(discovery(logs, (), 1.72), budget=(), certificate=nothing, candidates=(), errors={})
     slip = tuple(0.01 * k for k in range(11))
     curve = ForceCurve("front", slip, *(tuple(9e4 * factor * s for s in slip) for factor in (0.8, 0.75, 0.85, 1.0)),
                        (0.1,) * 10)
@@ -244,7 +244,7 @@ def test_page_and_terminal_hold_the_answer_and_no_markup_of_a_name(logs, drive, 
     question = Request("nonlinear", CAR, "leaf.yaml", LEAF.read_text(), DiscoverySettings(), drives=[drive])
     corrected = update_vehicle(found, question)
     content = document(found, question, corrected, {})
-    assert content["schema"] == 3 and content["mended"]["vehicle.yaml"]["kept"]["steering_ratio"]
+    assert content["schema"] == 3 and content["files"]["vehicle.yaml"]["kept"]["steering_ratio"]
     json.dumps(content, allow_nan=False)
     page = tmp_path / "report.html"
     write_page(page, found, corrected, content, [waterfall(scene(found, logs))])
@@ -282,15 +282,15 @@ def test_page_and_terminal_hold_the_same_of_a_proposal(logs, drive, tmp_path, ca
 def test_an_answer_is_kept_whole(logs, tmp_path):
     found = discovery(logs, STEPS, 1.72, varying=(tied(logs),), start=augment("nonlinear", {"mass": {"factor": 1.1}}))
     for one in (found, discovery(logs, (), 1.72)):
-        write_answer(tmp_path / "a.json", one)
-        back = read_answer(tmp_path / "a.json")
+        write_result(tmp_path / "a.json", one)
+        back = read_result(tmp_path / "a.json")
         assert back.document() == one.document() and back.steps == one.steps and back.varying == one.varying
         assert back.base.values == one.base.values
         assert (back.model and back.model.values) == (one.model and one.model.values)
     for damaged in ("", "{}", (tmp_path / "a.json").read_text()[:200], '{"base": 1}'):
         (tmp_path / "a.json").write_text(damaged)
-        assert read_answer(tmp_path / "a.json") is None
-    assert read_answer(tmp_path / "none.json") is None
+        assert read_result(tmp_path / "a.json") is None
+    assert read_result(tmp_path / "none.json") is None
 
 
 def test_another_question_is_another_answer(logs):
@@ -300,10 +300,10 @@ def test_another_question_is_another_answer(logs):
               (2, replace(CAR, mass=1600.0)), (3, augment("nonlinear", {"mass": {"factor": 1.1}})),
               (3, augment("linear", {})), (4, DiscoverySettings(seed=1)), (5, {"mine.py": "ab"}),
               (6, {"yaw_rate_bias": (0.1, 0.0, 0.2)}), (7, {"a": 0.02})]
-    keys = {drives.answer_key(*asked)}
+    keys = {drives.result_key(*asked)}
     for place, value in others:
-        keys.add(drives.answer_key(*asked[:place], value, *asked[place + 1:]))
-    assert len(keys) == 1 + len(others) and drives.answer_key(*asked) in keys
+        keys.add(drives.result_key(*asked[:place], value, *asked[place + 1:]))
+    assert len(keys) == 1 + len(others) and drives.result_key(*asked) in keys
 
 
 @pytest.mark.parametrize(("given", "meant"), [

@@ -221,5 +221,5 @@ def test_a_channel_that_one_run_lacks_is_excluded_and_reported(tmp_path):
         rows = [line.split(",") for line in text.splitlines()]
         return "\n".join(",".join(row[:8] + row[9:]) for row in rows) + "\n"
     content, message = answer(tmp_path, weave(20.0), weave(20.0, 10.0), change=without_acceleration)
-    assert "acceleration_y" not in content["gap"] and "velocity_y" in content["gap"]
+    assert "acceleration_y" not in content["errors"] and "velocity_y" in content["errors"]
     assert "acceleration_y" in message and "0" in message

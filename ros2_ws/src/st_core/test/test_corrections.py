@@ -58,9 +58,9 @@ def test_scale_and_bias_of_every_channel(channel: str) -> None:
     if name == "road_wheel_angle":  # the sensor sits at the steering wheel
         wheel = LEAF.steering_wheel_offset + (spoilt.road_wheel_angle) * LEAF.steering_ratio
         spoilt = replace(spoilt, steering_wheel_angle=wheel)
-    mended = apply_corrections(spoilt, {channel: Correction(scale=-2.5, add=0.3)}, LEAF)
-    assert_same(mended, true, 1e-9)
-    assert_same(mended.with_steering(LEAF), true, 1e-9)
+    corrected = apply_corrections(spoilt, {channel: Correction(scale=-2.5, add=0.3)}, LEAF)
+    assert_same(corrected, true, 1e-9)
+    assert_same(corrected.with_steering(LEAF), true, 1e-9)
     assert apply_corrections(spoilt, {channel: Correction(scale=-2.5, add=0.31)}, LEAF).name == "drive"
     with pytest.raises(AssertionError):
         assert_same(apply_corrections(spoilt, {channel: Correction(scale=-2.5, add=0.31)}, LEAF), true, 1e-9)
@@ -85,23 +85,23 @@ def test_a_channel_that_comes_late(channel: str, late: float) -> None:
         spoilt = replace(true, steering_time_ns=true.steering_time_ns + round(late * 1e9))
         assert_same(apply_corrections(spoilt, correction, LEAF), true)
         return
-    mended = apply_corrections(drive(late=dict.fromkeys(names, late)), correction)
+    corrected = apply_corrections(drive(late=dict.fromkeys(names, late)), correction)
     if channel in OPTIONAL_INS_SIGNALS:
-        lost = np.isnan(getattr(mended, channel))
-        assert lost.sum() == np.ceil(abs(late) / 0.01 - 1e-6) and len(mended.x) == len(true.x)
-        mended = mended.with_ins(~lost)
+        lost = np.isnan(getattr(corrected, channel))
+        assert lost.sum() == np.ceil(abs(late) / 0.01 - 1e-6) and len(corrected.x) == len(true.x)
+        corrected = corrected.with_ins(~lost)
     else:
-        assert len(true.x) - len(mended.x) == np.ceil(abs(late) / 0.01 - 1e-6)
-    assert_same(mended, true, 1e-4)
+        assert len(true.x) - len(corrected.x) == np.ceil(abs(late) / 0.01 - 1e-6)
+    assert_same(corrected, true, 1e-4)
 
 
 def test_gaps_are_not_bridged() -> None:
     log = drive(late={"yaw_rate": 0.1})
     seconds = log.ins_time_ns * 1e-9
     log = log.with_ins((seconds < 5.0) | (seconds > 5.5))
-    mended = apply_corrections(log, {"yaw_rate": Correction(earlier=0.1)})
-    assert_same(mended, drive(), 1e-4)
-    left = mended.ins_time_ns * 1e-9
+    corrected = apply_corrections(log, {"yaw_rate": Correction(earlier=0.1)})
+    assert_same(corrected, drive(), 1e-4)
+    left = corrected.ins_time_ns * 1e-9
     # What the yaw rate was in the last 0.1 s before the gap was recorded in the gap.
     assert not ((left > 4.9) & (left < 5.5)).any() and np.isclose(left[left > 5.0].min(), 5.51)
 
@@ -141,16 +141,16 @@ def test_stretches_left_out_count_from_the_first_recorded_sample() -> None:
 def test_accelerations_that_are_not_known_stay_so() -> None:
     log = drive()
     some = np.where(np.arange(len(log.x)) % 50 == 7, np.nan, log.acceleration_y)
-    mended = apply_corrections(replace(log, acceleration_y=some),
+    corrected = apply_corrections(replace(log, acceleration_y=some),
                                {"acceleration_y": Correction(scale=9.81, earlier=0.005)})
-    assert len(mended.x) == len(log.x)
-    assert np.isnan(mended.acceleration_y).sum() == 2 * 40 + 1
+    assert len(corrected.x) == len(log.x)
+    assert np.isnan(corrected.acceleration_y).sum() == 2 * 40 + 1
 
 
 def test_without_a_vehicle_the_hand_wheel_is_not_passed_on_uncorrected() -> None:
-    mended = apply_corrections(drive(), {"road_wheel_angle": Correction(scale=-1.0)})
-    assert mended.steering_wheel_angle is None
-    np.testing.assert_array_equal(mended.road_wheel_angle, -drive().road_wheel_angle)
+    corrected = apply_corrections(drive(), {"road_wheel_angle": Correction(scale=-1.0)})
+    assert corrected.steering_wheel_angle is None
+    np.testing.assert_array_equal(corrected.road_wheel_angle, -drive().road_wheel_angle)
     assert apply_corrections(drive(), {"steering": Correction(earlier=0.1)}).steering_wheel_angle is not None
 
 

@@ -49,8 +49,8 @@ def test_exact_base_lacks_nothing(leaf, seed):
     found = discover(recorded(leaf, {}, seed), leaf, settings=SETTINGS)
     assert (found.outcome, found.effects, found.minor, found.varying, found.steps) == ("none", (), (), (), ())
     assert found.model is None and found.start == "vehicle file"
-    gap = found.gap["position_5s"]
-    assert gap.base == gap.augmented < 2.0 * gap.floor
+    error = found.errors["position_5s"]
+    assert error.base == error.augmented < 2.0 * error.floor
     assert {"drag", "grade"} <= {n.name for n in found.not_testable}
 
 
@@ -65,7 +65,7 @@ def test_steering_clocks_that_differ_between_runs_are_no_effect(leaf):
     assert found.clock_errors == pytest.approx({name: error + common for name, error in early.items()}, abs=0.003)
     assert abs(common) < 0.01
     without = discover(runs, leaf, settings=SETTINGS)
-    assert without.outcome != "none" and without.gap["position_5s"].augmented > found.gap["position_5s"].augmented
+    assert without.outcome != "none" and without.errors["position_5s"].augmented > found.errors["position_5s"].augmented
     exactly = discover(exact[:2], leaf, settings=replace(FEW, effects=("steering_offset",)), clocks={"other": 0.02})
     assert exactly.clock_errors == {} and not any("clock" in text for text in exactly.warnings)
 
@@ -89,9 +89,9 @@ def test_hidden_effect_is_named_with_its_value(leaf, name, parameter, value, dri
     assert effect.name == name and holds(effect.parameters[parameter], value)
     assert effect.parameters[parameter].value == pytest.approx(value, rel=0.03)
     assert found.model.values[name][parameter] == pytest.approx(effect.parameters[parameter].value)
-    gap = found.gap["position_5s"]
-    assert gap.augmented < 0.2 * gap.base and gap.interval[0] > 0.0
-    assert effect.position_5s_increase == pytest.approx(gap.base - gap.augmented, rel=0.5)
+    error = found.errors["position_5s"]
+    assert error.augmented < 0.2 * error.base and error.interval[0] > 0.0
+    assert effect.position_5s_increase == pytest.approx(error.base - error.augmented, rel=0.5)
     verdicts = {c.name: c.verdict for c in found.candidates}
     assert verdicts[name] == "named" and set(verdicts) == set(Space("nonlinear", SETTINGS).hypotheses)
     assert all(c.why for c in found.candidates)
@@ -101,7 +101,7 @@ def test_hidden_effect_is_named_with_its_value(leaf, name, parameter, value, dri
 def test_linear_base_at_the_limit_lacks_saturation(leaf):
     found = discover(recorded(leaf, {}, 6, ("circle", "ramp_to_limit")), leaf, "linear", settings=SETTINGS)
     assert names(found)[:1] == ["tyre_saturation"]
-    assert found.gap["position"].augmented < 0.6 * found.gap["position"].base
+    assert found.errors["position"].augmented < 0.6 * found.errors["position"].base
 
 
 # Two things wrong
@@ -246,7 +246,7 @@ def test_channels_that_were_not_measured_are_not_used(leaf):
     found = discover(blind, leaf, settings=FEW)
     assert names(found) == ["steering_ratio"]
     assert found.effects[0].parameters["factor"].value == pytest.approx(0.93, abs=0.005)
-    assert not {"velocity_y", "acceleration_y"} & set(found.gap)
+    assert not {"velocity_y", "acceleration_y"} & set(found.errors)
     assert any("velocity_y, acceleration_y: not measured in every run" in text for text in found.warnings)
 
 

@@ -21,9 +21,9 @@ from st_core.discovery.decision import (
     NULL,
     SENSORS,
     VARIES,
-    Answer,
     Checks,
     Rival,
+    SearchResult,
     alternative,
     decide,
     judge,
@@ -55,7 +55,7 @@ CONFIRMED = replace(GOOD, sensors_p_value=0.6, sensors_null_p_value=0.001)
 SMALL_GAIN = replace(GOOD, gain=0.02, p_value=1e-4)
 WORSE = replace(EQUAL, p_no_worse=0.01)
 AMONG = replace(WORSE, evidence=replace(WORSE.evidence, noise_ratio=5.0))
-NOTHING = Answer([], {}, [], noise_ratio=1.0, detectable_share=0.9)
+NOTHING = SearchResult([], {}, [], noise_ratio=1.0, detectable_share=0.9)
 
 
 @pytest.mark.parametrize(("evidence", "rule", "figures"), [
@@ -113,15 +113,15 @@ def test_a_total_delay_is_reported_with_the_stiffness_unless_a_part_of_it_is_nam
 
 
 def test_rules_are_asked_in_their_order():
-    """Of an effect that fails them all the first is the verdict; mended one by one, the next."""
+    """Of an effect that fails them all the first is the verdict; corrected one by one, the next."""
     worst = Evidence("mass", gain=0.005, p_value=0.5, null_p_value=0.5, sensors_p_value=0.001, bound_distance=0.0,
                      agreement={"run": DIFFERENT})
-    mended = ({"gain": 0.02}, {"p_value": 1e-4}, {"null_p_value": 0.0}, {"position": 1.0}, {"sensors_p_value": None},
-              {"bound_distance": 1.0}, {"agreement": {}})
+    corrections = ({"gain": 0.02}, {"p_value": 1e-4}, {"null_p_value": 0.0}, {"position": 1.0},
+                   {"sensors_p_value": None}, {"bound_distance": 1.0}, {"agreement": {}})
     asked = []
-    for mend in mended:
+    for correction in corrections:
         asked.append(judge(worst, LIMITS).rule)
-        worst = replace(worst, **mend)
+        worst = replace(worst, **correction)
     assert asked == [NEGLIGIBLE, GAIN_INSIGNIFICANT, NULL, IRRELEVANT, SENSORS, BOUND, VARIES]
     assert judge(worst, LIMITS).rule == ACCEPTED
 

@@ -56,16 +56,16 @@ def test_folds_are_whole_runs_where_there_are_three():
 
 def test_steps_lead_from_the_base_to_the_answer(explained):
     problem, final, ends, steps, base = explained
-    gap = waterfall.gaps(ends, base, final, {"position": 0.01, "position_5s": 0.01})
+    error = waterfall.channel_errors(ends, base, final, {"position": 0.01, "position_5s": 0.01})
     assert [s.effect for s in steps] == list(TRUTH) and [s.kind for s in steps] == ["vehicle parameters", "sensors"]
-    assert steps[0].position_5s.base == pytest.approx(gap["position_5s"].base)
-    assert steps[-1].position_5s.augmented == pytest.approx(gap["position_5s"].augmented)
+    assert steps[0].position_5s.base == pytest.approx(error["position_5s"].base)
+    assert steps[-1].position_5s.augmented == pytest.approx(error["position_5s"].augmented)
     assert steps[0].position_5s.augmented == pytest.approx(steps[1].position_5s.base)
     falls = sum(s.position_5s.base - s.position_5s.augmented for s in steps)
-    assert falls == pytest.approx(gap["position_5s"].base - gap["position_5s"].augmented)
+    assert falls == pytest.approx(error["position_5s"].base - error["position_5s"].augmented)
     for channel in ("velocity_y", "yaw_rate", "acceleration_y", "yaw", "position"):
         assert steps[0].channels[channel].augmented == pytest.approx(steps[1].channels[channel].base)
-        assert steps[-1].channels[channel].augmented == pytest.approx(gap[channel].augmented)
+        assert steps[-1].channels[channel].augmented == pytest.approx(error[channel].augmented)
     # Signatures and noise are of one size, so that each usual size of an effect adds its square.
     for values, size in ((steps[0].channels["yaw"].base, 14.0), (steps[1].channels["yaw"].base, 5.0),
                          (steps[1].channels["yaw"].augmented, 1.0)):
@@ -90,23 +90,23 @@ def test_interval_of_a_change_holds_it(explained):
 
 def test_gap_names_the_worst_run_and_those_that_grew(explained):
     _, final, ends, _, base = explained
-    gap = waterfall.gaps(ends, base, final, {})["position_5s"]
+    error = waterfall.channel_errors(ends, base, final, {})["position_5s"]
     after = ends.by_run(ends.of(final)["position_5s"])
-    assert (gap.worst_run, gap.worst) == (max(after, key=after.get), max(after.values())) and gap.worse_runs == ()
-    back = waterfall.gaps(ends, final, base, {})["position_5s"]
+    assert (error.worst_run, error.worst) == (max(after, key=after.get), max(after.values())) and error.worse_runs == ()
+    back = waterfall.channel_errors(ends, final, base, {})["position_5s"]
     assert set(back.worse_runs) == set(after)
-    assert waterfall.gaps(ends, final, base, {"position_5s": 10.0})["position_5s"].worse_runs == ()
+    assert waterfall.channel_errors(ends, final, base, {"position_5s": 10.0})["position_5s"].worse_runs == ()
 
 
 def test_budget_lines(explained):
     problem, final, ends, _, base = explained
     lines = {line.part: line for line in waterfall.budget(problem, base, final, final, None, ends)}
     assert list(lines) == ["sensors", "vehicle parameters", "unexplained"]
-    gap = waterfall.gaps(ends, base, final, {})["position_5s"]
-    assert lines["unexplained"].last == lines["unexplained"].first == pytest.approx(gap.augmented, rel=0.01)
-    assert lines["unexplained"].share_last == pytest.approx(gap.augmented / gap.base, rel=0.01)
+    error = waterfall.channel_errors(ends, base, final, {})["position_5s"]
+    assert lines["unexplained"].last == lines["unexplained"].first == pytest.approx(error.augmented, rel=0.01)
+    assert lines["unexplained"].share_last == pytest.approx(error.augmented / error.base, rel=0.01)
     # Mean length of what is left of 3^2 + 2^2 + 1: without the mass 2^2 + 1, without the bias 3^2 + 1.
-    unit = gap.augmented
+    unit = error.augmented
     assert lines["vehicle parameters"].last == pytest.approx(unit * (np.sqrt(10.0) - 1.0), rel=0.15)
     assert lines["vehicle parameters"].first == pytest.approx(unit * (np.sqrt(14.0) - np.sqrt(5.0)), rel=0.15)
     assert lines["sensors"].last == pytest.approx(unit * (np.sqrt(5.0) - 1.0), rel=0.15)

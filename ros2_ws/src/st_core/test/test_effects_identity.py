@@ -56,11 +56,11 @@ def test_what_really_was_late_is_put_right_to_first_order(leaf, effect, channels
     true = exact_drive(leaf, 60.0, noise=SILENT)
     recorded = late(true, seconds, *channels)
     _, there, here = np.intersect1d(true.ins_time_ns, recorded.ins_time_ns, return_indices=True)
-    mended = correct_log(augment("linear", {effect: {"time": seconds}}), recorded)
+    corrected = correct_log(augment("linear", {effect: {"time": seconds}}), recorded)
     inside = slice(10, -10)  # at the ends the slope is not that of the middle
     for name in channels:
         was = getattr(recorded, name)[here] - getattr(true, name)[there]
-        rest = getattr(mended, name)[here] - getattr(true, name)[there]
+        rest = getattr(corrected, name)[here] - getattr(true, name)[there]
         assert root_mean_square(rest[inside]) < left * root_mean_square(was[inside])
 
 

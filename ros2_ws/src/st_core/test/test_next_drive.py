@@ -28,7 +28,7 @@ def fitted(leaf, names, scale=None):
     windows = RunWindows(recorded(leaf, hidden, 3, names), leaf, SETTINGS)
     laws = RelationFits(windows, augment("nonlinear", {}), 0.0, (), SETTINGS)
     laws.loss.scale = laws.loss.scale if scale is None else scale
-    without = laws.answer_alone()
+    without = laws.without_relation()
     return laws, [laws.fit(c, without) for c in (LAW, OTHER)]
 
 

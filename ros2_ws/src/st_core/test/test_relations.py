@@ -304,7 +304,7 @@ def laws():
 
 def curved(laws, candidate, heights):
     """A fit of no law, with a curve put into it."""
-    without = laws.answer_alone()
+    without = laws.without_relation()
     vector = without.vector.copy()
     vector[laws.relation] = heights
     indices = np.concatenate([without.indices, laws.relation])
@@ -354,7 +354,7 @@ def test_a_formula_is_reported_only_if_it_keeps_the_gain_when_simulated(leaf, mo
     settings = DiscoverySettings(where=False, block=4.0)
     windows = RunWindows(logs, leaf, settings)
     fits = RelationFits(windows, augment("nonlinear", {}), 0.0, (), settings)
-    without = fits.answer_alone()
+    without = fits.without_relation()
     low, high = np.quantile(windows.joined.velocity_x, [0.01, 0.99])
     fit = fits.fit(Candidate("yaw_moment", "speed", 0.0, float(low), float(high)), without)
     losses = {}

@@ -50,7 +50,7 @@ class Rival:
 
 
 @dataclass(frozen=True)
-class Answer:
+class SearchResult:
     """Input of `decide`. noise_ratio [1]: ratio of residual to noise. detectable_share [1]: fraction of the library's
     effects that are detectable in these drives at a value of one parameter scale. varying_effects: number of effects
     that vary between parts of the drives. combinations: names of parameter combinations that differ from the vehicle
@@ -264,7 +264,7 @@ def alternative(rival: Rival, limits: Limits) -> Reason:
     return Reason("alternative", rival.name, figures, f"{gain}; {no_worse}")
 
 
-def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
+def decide(a: SearchResult, limits: Limits) -> tuple[Outcome, Reason]:
     """The outcome and its reason."""
     def because(outcome: Outcome, text: str, **figures: float) -> tuple[Outcome, Reason]:
         return outcome, Reason(outcome, "outcome", figures, text)

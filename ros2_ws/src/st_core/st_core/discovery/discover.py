@@ -147,7 +147,8 @@ class _Analysis:
         floor = self._floor(by_column)
         judged = self._judged(search, found, parts, floor)
         steps, base = waterfall.steps(problem, found.fit, found.order, horizon_errors, parts)
-        best_errors, named_errors = (waterfall.gaps(horizon_errors, base, each, floor) for each in (fit, found.fit))
+        best_errors, named_errors = (waterfall.channel_errors(horizon_errors, base, each, floor)
+                                     for each in (fit, found.fit))
         fit_of_varying = next((fit for _, fit in varied), None)
         budget = waterfall.budget(problem, base, found.fit, fit, fit_of_varying, horizon_errors)
         power = (certificate.measured(problem, found.fit, self.limits, settings.seed, self._tick("certifying"))
@@ -162,7 +163,7 @@ class _Analysis:
         return Discovery(
             outcome=outcome, effects=effects, minor=judged.minor,
             effective=(*judged.contradicted, *self._effective_corrections(without_priors, fit, found)),
-            varying=tuple(v for v, _ in varied), steps=tuple(steps), gap=best_errors, gap_named=named_errors,
+            varying=tuple(v for v, _ in varied), steps=tuple(steps), errors=best_errors, named_errors=named_errors,
             budget=tuple(budget), reasons=(why, *self._reasons(found, judged.verdicts)),
             candidates=self._candidates(found, judged.verdicts), where=statements, not_testable=untestable,
             next_manoeuvre=next_manoeuvre(problem, found.fit, effects, drives, design_effect) if drives else None,
@@ -208,9 +209,9 @@ class _Analysis:
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         refused = [evidence for evidence, *_ in found.refused.values()]
         named = [found.evidence[e.name] for e in effects]
-        answer = decision.Answer(named, found.rivals, refused, residual, detectable, varying_effects,
+        result = decision.SearchResult(named, found.rivals, refused, residual, detectable, varying_effects,
                                  [c.name for c in unattributed])
-        return decision.decide(answer, self.limits)
+        return decision.decide(result, self.limits)
 
     def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
         """(problem, fit) of the effects found plus effective corrections, without the priors of the vehicle file. The

@@ -155,7 +155,7 @@ class VaryingEffect:
 @dataclass(frozen=True)
 class Reason:
     """A rule of `decision` as applied. subject: an effect, or "outcome". figures: the numbers that were compared, by
-    the name of their field in `Limits`, `Evidence`, `Checks`, `Rival` or `Answer`."""
+    the name of their field in `Limits`, `Evidence`, `Checks`, `Rival` or `SearchResult`."""
 
     rule: str
     subject: str
@@ -307,12 +307,13 @@ class Discovery:
     whatever their names; part of the model, never of a vehicle file.
 
     base: the model at the start; model: the best prediction, with all effects, None without any; named: with named and
-    minor effects only, at the reported values. steps: from the base to the named effects. gap: errors of base and best
-    model by channel, and position_5s; gap_named: without the effective corrections. reasons: every rule that decided.
-    leave_one_out: values of named and minor effects, by the run left out of the fit. acceleration_gain [1]: relative
-    excess of the measured lateral specific force over that of the motion, due to body roll. noise: error of the best
-    model at the end of the horizon, by channel [SI]. signature: description of the residual. clock_errors: correction
-    of the steering stamps by run [s], see `clocks.clock_corrections`; no entry for runs without a correction.
+    minor effects only, at the reported values. steps: from the base to the named effects. errors: of base and best
+    model by channel, and position_5s; named_errors: without the effective corrections. reasons: every rule that
+    decided. leave_one_out: values of named and minor effects, by the run left out of the fit. acceleration_gain [1]:
+    relative excess of the measured lateral specific force over that of the motion, due to body roll. noise: error of
+    the best model at the end of the horizon, by channel [SI]. signature: description of the residual. clock_errors:
+    correction of the steering stamps by run [s], see `clocks.clock_corrections`; no entry for runs without a
+    correction.
     """
 
     outcome: Outcome
@@ -320,7 +321,7 @@ class Discovery:
     minor: tuple[FoundEffect, ...]
     varying: tuple[VaryingEffect, ...]
     steps: tuple[Step, ...]
-    gap: Mapping[str, ChannelError]
+    errors: Mapping[str, ChannelError]
     budget: tuple[BudgetLine, ...]
     reasons: tuple[Reason, ...]
     candidates: tuple[CandidateEffect, ...]
@@ -336,7 +337,7 @@ class Discovery:
     model: AugmentedModel | None
     named: AugmentedModel | None = None
     effective: tuple[FoundEffect, ...] = ()
-    gap_named: Mapping[str, ChannelError] = field(default_factory=dict)
+    named_errors: Mapping[str, ChannelError] = field(default_factory=dict)
     axle_curves: tuple[ForceCurve, ...] = ()
     combinations: tuple[Combination, ...] = ()
     assumed: tuple[Assumed, ...] = ()
@@ -349,7 +350,7 @@ class Discovery:
     def __post_init__(self) -> None:
         if not self.effective:  # both models are the same
             object.__setattr__(self, "named", self.named or self.model)
-            object.__setattr__(self, "gap_named", self.gap_named or self.gap)
+            object.__setattr__(self, "named_errors", self.named_errors or self.errors)
 
     @property
     def known_together(self) -> tuple[Combination, ...]:

@@ -71,14 +71,14 @@ class Search:
         p.update_design_effect(p.start)
         first = self._step_from(p.fit((), p.slopes_of_all(p.start)))
         assert first is not None  # no set was visited before
-        answers: list[Found | None] = [first]
+        candidates: list[Found | None] = [first]
         library = [n for n in p.space.hypotheses
                    if n not in p.space.additions and not get_effect(n).forward_only]
         physics = [n for n in library if get_effect(n).kind == "physics"]
         for names in ([*first.fit.names, *physics], [n for n in library if not get_effect(n).members]):
             start = self._prune(first.fit.vector, list(dict.fromkeys(names)))
-            answers.append(self._step_from(self._drop_failing(start)) if start else None)
-        found = self._exchange_until_accepted(self._select([a for a in answers if a]))
+            candidates.append(self._step_from(self._drop_failing(start)) if start else None)
+        found = self._exchange_until_accepted(self._select([a for a in candidates if a]))
         found.order = sorted(found.fit.names, key=lambda n: -found.evidence[n].gain)
         found.near = self._near_sets(found)
         self._add_partial_rivals(found)
@@ -119,11 +119,11 @@ class Search:
         self.tick()
         return p.refit(p.fit(fit.names, p.slopes_of_all(vector), vector))
 
-    def corrections(self, answer: Fit) -> Fit:
-        """The best fit with all effects of `answer`, a fit of another problem, and further ones."""
-        self._required = frozenset(answer.names)
+    def corrections(self, fit: Fit) -> Fit:
+        """The best fit with all effects of `fit`, a fit of another problem, and further ones."""
+        self._required = frozenset(fit.names)
         p = self.problem
-        found = self._step_from(p.fit(answer.names, p.slopes_of_all(answer.vector), answer.vector))
+        found = self._step_from(p.fit(fit.names, p.slopes_of_all(fit.vector), fit.vector))
         assert found is not None  # no set was visited before
         return self._drop_rejected(found).fit
 
@@ -185,17 +185,17 @@ class Search:
         self._fits_tried.append((self.problem.loss.scale, (fit.names, fit.vector), float(fit.held_out.sum())))
         return fit
 
-    def _select(self, answers: list[Found]) -> Found:
+    def _select(self, candidates: list[Found]) -> Found:
         """The set with the lowest held-out loss, with the residual scale and the design effect of the one with the
         smallest errors; each effect costs `limits.negligible`."""
         p = self.problem
-        smallest = min(answers, key=lambda a: float(np.log(p.loss.scale_of(a.fit.vector)).sum()))
+        smallest = min(candidates, key=lambda a: float(np.log(p.loss.scale_of(a.fit.vector)).sum()))
         p.loss.rescale(smallest.fit.vector)
         p.update_design_effect(smallest.fit.vector)
-        for a in answers:
+        for a in candidates:
             a.fit = p.fit(a.fit.names, a.fit.slopes, iterations=2)
         price = self.limits.negligible * p.scored_count
-        return min(answers, key=lambda a: float(a.fit.held_out.sum()) + price * len(a.fit.names))
+        return min(candidates, key=lambda a: float(a.fit.held_out.sum()) + price * len(a.fit.names))
 
     def _forward(self, found: Found) -> Fit | None:
         """The fit with the best further effect that is accepted; None if there is none."""

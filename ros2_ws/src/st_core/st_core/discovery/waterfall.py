@@ -146,7 +146,7 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: HorizonError
     return collected, base
 
 
-def gaps(ends: HorizonErrors, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[str, ChannelError]:
+def channel_errors(ends: HorizonErrors, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[str, ChannelError]:
     """Errors before and after by channel, and of the position after 5 s."""
     before, after, result = ends.of(base), ends.of(final), {}
     for channel in after:
@@ -188,9 +188,9 @@ def budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit
 
     def fitted(names: tuple[str, ...]) -> Fit:
         """The best of the base and two fits, started at the final values and at those of the base."""
-        from_answer = problem.refit(problem.fit(names, final.slopes, iterations=3))
+        from_final = problem.refit(problem.fit(names, final.slopes, iterations=3))
         from_base = problem.refit(problem.fit(names, problem.slopes_of_all(base.vector), base.vector, names))
-        return min((from_answer, from_base, base), key=lambda fit: float(fit.held_out.sum()))
+        return min((from_final, from_base, base), key=lambda fit: float(fit.held_out.sum()))
 
     base = problem.fit_at(base.names, base.vector, base.indices, base.slopes)
     start, end = size(base), size(final)

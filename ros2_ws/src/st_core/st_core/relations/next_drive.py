@@ -86,7 +86,7 @@ def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, riva
     curvature = fit.q.hessian.sum(axis=0)
     variance = _variance(curvature + fit.penalty, splines)
     options = []
-    for manoeuvre, windows in simulated(fits.windows, fits.answer.base):
+    for manoeuvre, windows in simulated(fits.windows, fits.model.base):
         loss = _loss(fits, windows, candidate, fit)
         rows = 0.0 * np.nan_to_num(loss.errors.at(fit.vector))
         slopes = loss.slopes(fit.vector, fit.indices)

@@ -75,15 +75,15 @@ class RunWindows(Windows):
 class RelationFits:
     """Fits of candidate relations in addition to one discovered model.
 
-    answer: the discovered model; gain: of its accelerometer; names: of its effects. fold: (b,) fold of each block. The
+    model: the discovered one; gain: of its accelerometer; names: of its effects. fold: (b,) fold of each block. The
     residual scale of the discovered model is kept. refitted: indices of the parameters fitted together with a relation;
     car: indices of the other vehicle parameters, which are projected out of the evidence for it.
     """
 
-    def __init__(self, windows: Windows, answer: AugmentedModel, gain: float, names: Sequence[str],
+    def __init__(self, windows: Windows, model: AugmentedModel, gain: float, names: Sequence[str],
                  settings: DiscoverySettings, threads: int = 1):
-        self.windows, self.threads, self.answer, self.settings = windows, threads, answer, settings
-        self.space = Space(answer, settings, (RELATION,))
+        self.windows, self.threads, self.model, self.settings = windows, threads, model, settings
+        self.space = Space(model, settings, (RELATION,))
         self._spaces = {RELATION: self.space}
         self.relation = self.space.indices(RELATION)
         self.start = np.append(self.space.null[:-1], gain)
@@ -100,7 +100,7 @@ class RelationFits:
         """The space with the term, quantity and range of a candidate."""
         kind = candidate.effect
         if kind not in self._spaces:
-            self._spaces[kind] = Space(self.answer, self.settings, (kind,))
+            self._spaces[kind] = Space(self.model, self.settings, (kind,))
         space = copy(self._spaces[kind])
         space.model = space.model.with_values({kind: candidate.constants})
         return space
@@ -112,7 +112,7 @@ class RelationFits:
         loss.errors, loss.space = Errors(self.windows, space, self.threads), space
         return loss
 
-    def answer_alone(self) -> RelationFit:
+    def without_relation(self) -> RelationFit:
         """The discovered model without a relation, refitted."""
         vector = self.start
         for _ in range(BASE_FITS):

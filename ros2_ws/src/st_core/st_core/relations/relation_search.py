@@ -118,7 +118,7 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
     names = [e.name for e in (*found.effects, *found.minor)]
     fits = RelationFits(windows, model, found.acceleration_gain, names, settings, threads)
     tick()
-    without = fits.answer_alone()
+    without = fits.without_relation()
     screened = selection.screen(fits, without, vehicle, settings.seed, tick)
     if not screened:
         return RelationSearch(None, "no candidate relation changes a prediction of these drives: turn to both sides, "
@@ -226,11 +226,11 @@ def _make_relation(best: Screened, fitted: Fitted, without: RelationFit, fits: R
             for k, name in enumerate(fits.windows.names) if (of_run := fits.windows.run == k).any()
             and np.isfinite(before[of_run]).any() and np.isfinite(after[of_run]).any()}
     full = fits.space_of(c).at(fit.vector)
-    answer = full.only(e for e in full.effects if e.name != c.effect)
+    library_part = full.only(e for e in full.effects if e.name != c.effect)
     relation = Relation(
         c, fit.coefficients, at, fit.coefficients @ splines, deviation, density,
         float(gains.sum()) / fits.loss.scored_count, p_values[c.name],
-        (float(np.nanmean(before)), float(np.nanmean(after))), runs, answer,
+        (float(np.nanmean(before)), float(np.nanmean(after))), runs, library_part,
         {name: selection.cosine(fits, fit, other) for name, other in equal.items()},
         simulated_formulas(fits, fit, without), selection.run_shares(fits, fit),
         selection.redundant_effects(fits, c, fit, without, named, limits),

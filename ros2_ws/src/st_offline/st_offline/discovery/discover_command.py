@@ -27,7 +27,7 @@ from st_recordings.runs.errors import join_problems
 from ..evaluation.drawing import FigureOutput, PageFigure, check_formats
 from ..terminal import progress_bars
 from .discovery_report import document, model_file, show, write_page
-from .drives import Drive, Request, answer_key, cache_folder, clock_deviations, read_answer, read_drives, write_answer
+from .drives import Drive, Request, cache_folder, clock_deviations, read_drives, read_result, result_key, write_result
 from .figures import Scene, agreement, axle_curves, maps, relation_figure, waterfall
 from .relation_files import relation_document, write_files
 from .relation_report import RelationReport, relation_report
@@ -45,7 +45,7 @@ def run_command(request: Request, console: Console) -> int:
         drives, healthy = _read(request, progress)
         request = replace(request, drives=drives, healthy=healthy, own_effects=own)
         marks.append(time.perf_counter())
-        found, from_cache = _find_answer(request, base, progress)
+        found, from_cache = _find_result(request, base, progress)
         request = replace(request, drives=[
             replace(d, log=apply_clock_corrections([d.log], found.clock_errors)[0]) if d.log else d for d in drives])
         marks.append(time.perf_counter())
@@ -147,7 +147,7 @@ def _logs(drives: Sequence[Drive]) -> list[DriveLog]:
     return [d.log for d in drives if d.log is not None]
 
 
-def _find_answer(request: Request, base: Model, progress: Progress) -> tuple[Discovery, bool]:
+def _find_result(request: Request, base: Model, progress: Progress) -> tuple[Discovery, bool]:
     """The result, and whether it is a cached one for the same inputs."""
     bar = progress.add_task("", total=None)
 
@@ -156,16 +156,16 @@ def _find_answer(request: Request, base: Model, progress: Progress) -> tuple[Dis
 
     logs, reference, sensors = _logs(request.drives), _logs(request.healthy), sensor_estimates(request.drives)
     clocks = clock_deviations((*request.drives, *request.healthy))
-    name = answer_key(logs, reference, request.vehicle, base, request.settings, request.own_effects, sensors, clocks)
+    name = result_key(logs, reference, request.vehicle, base, request.settings, request.own_effects, sensors, clocks)
     folder = cache_folder() if request.cached else None
     file = folder / f"{name}.json" if folder else None
-    found = read_answer(file) if file else None
+    found = read_result(file) if file else None
     if found is not None:
         return found, True
     found = discover(logs, request.vehicle, base, reference, request.settings, stage, sensors, request.jobs,
                      clocks)
     if file:
-        write_answer(file, found)
+        write_result(file, found)
     return found, False
 
 
@@ -179,7 +179,7 @@ def draw(found: Discovery, request: Request, output: FigureOutput) -> list[PageF
     """The figures of the page, in its order."""
     runs = _logs(request.drives)
     # Only the channels that all runs have.
-    settings = replace(request.settings, channels=tuple(c for c in found.gap if c in request.settings.channels))
+    settings = replace(request.settings, channels=tuple(c for c in found.errors if c in request.settings.channels))
 
     def errors(model):
         return window_errors(runs, model, request.vehicle, settings, found.acceleration_gain)

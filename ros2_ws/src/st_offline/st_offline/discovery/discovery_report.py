@@ -41,7 +41,7 @@ def document(found: Discovery, request: Request, update: VehicleUpdate | None,
     files = {"vehicle.yaml": {"folded": update.folded if update else (), "kept": update.kept if update else {},
                               "changes": changes, "error": update.error if update else (),
                               "objections": update.objections if update else ()}}
-    return {"schema": SCHEMA, **json_ready(found.document()), "mended": json_ready(files),
+    return {"schema": SCHEMA, **json_ready(found.document()), "files": json_ready(files),
             "provenance": json_ready(provenance(found, request, seconds))}
 
 
@@ -82,7 +82,7 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
     companion = f", used with the vehicle.yaml that has {', '.join(update.folded)}" if update.folded else ""
     note = f"st discover, outcome {found.outcome}, from {request.base}{companion}"
     about = ModelProvenance(f"{datetime.now(UTC):%Y-%m-%d}", data=files, note=note)
-    stated = {e.name: e.parameters for e in found.effects}
+    named = {e.name: e.parameters for e in found.effects}
     complete = ModelFile.of(update.model, update.vehicle, about, intervals, "st discover: found in the runs")
     from_start = "st discover: the healthy car's, from the reference drives" if request.healthy else "part of the base"
     minor = {r.subject: r.text for r in found.reasons if r.rule == MINOR}
@@ -92,9 +92,9 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
         if all(values[p.name] == p.null for p in effect.parameters if p.fit):
             continue
         effective = name in update.folded or found.named is None or (
-            not all(p.interval[0] <= values[key] <= p.interval[1] for key, p in stated[name].items())
-            if name in stated else name not in minor and values != found.named.values.get(name))
-        if name in stated and not effective:
+            not all(p.interval[0] <= values[key] <= p.interval[1] for key, p in named[name].items())
+            if name in named else name not in minor and values != found.named.values.get(name))
+        if name in named and not effective:
             kept[name] = complete.effects[name]
             continue
         source = ("st discover: effective correction" if effective else
@@ -125,7 +125,7 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
     """The folded tables of the page, narrow and wide ones, each sorted by the size of what it lists."""
     metres = quantities.metres
     channels = []
-    for name, g in sorted(found.gap.items(), key=lambda item: item[1].augmented / max(item[1].base, 1e-12)):
+    for name, g in sorted(found.errors.items(), key=lambda item: item[1].augmented / max(item[1].base, 1e-12)):
         up, unit = quantities.factor(g.unit), quantities.display_unit(g.unit)
         base, after, floor, worst, low, high = (f"{up * x:.3g}" for x in (
             g.base, g.augmented, g.floor, g.worst, *g.interval))
@@ -133,7 +133,7 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
                          f"{g.worst_run} {worst}" if g.worst_run else "", ", ".join(g.worse_runs)))
     changes = [(_with_unit(key), f"{one['before']:.5g}", f"{one['after']:.5g}{_limit(key, one['after'])}",
                 f"{one['interval'][0]:.5g} to {one['interval'][1]:.5g}")
-               for key, one in content["mended"]["vehicle.yaml"]["changes"].items()]
+               for key, one in content["files"]["vehicle.yaml"]["changes"].items()]
     parts = [(one.part, f"{metres(one.last)}, {one.share_last:.0%}", f"{metres(one.first)}, {one.share_first:.0%}",
               f"{one.loss_last:.0%}", f"{one.loss_first:.0%}") for one in sorted(found.budget, key=lambda b: -b.last)]
     where = [(quantities.channel(w.channel), *report_text.condition(w))

@@ -28,7 +28,7 @@ from st_recordings.runs.load import file_hashes
 from ..checking.check_report import findings_as_json
 from ..checking.gate import RUN_ERRORS, Refused, check_log, describe_problem, refuse_errors
 
-ANSWER_FORMAT = 3  # version of the format of cached results; other versions are not used
+RESULT_FORMAT = 3  # version of the format of cached results; other versions are not used
 
 
 @dataclass(frozen=True)
@@ -131,22 +131,22 @@ def cache_folder() -> Path | None:
         return None
 
 
-def answer_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
+def result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
                settings: DiscoverySettings, effects: Mapping[str, str],
                sensors: Mapping[str, Sequence[float]], clocks: Mapping[str, float]) -> str:
     """Cache key of a result: hash of all its inputs, including the code."""
     values = base.values if isinstance(base, AugmentedModel) else {}
     files = sorted(file for folder in st_core.__path__ for file in Path(folder).rglob("*.py"))
     code = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-    content = [ANSWER_FORMAT, code, [_digest(log) for log in runs], [_digest(log) for log in reference],
+    content = [RESULT_FORMAT, code, [_digest(log) for log in runs], [_digest(log) for log in reference],
                vehicle.hash, sorted((name, one.uncertainty) for name, one in vehicle.provenance.items()),
                _base(base), {effect: dict(entry) for effect, entry in values.items()}, asdict(settings),
                sorted(effects.items()), sorted((name, list(value)) for name, value in sensors.items()), clocks]
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
 
 
-def write_answer(file: Path, found: Discovery) -> None:
-    """Write a result for `read_answer`, atomically; a failure, such as a full disk, is ignored."""
+def write_result(file: Path, found: Discovery) -> None:
+    """Write a result for `read_result`, atomically; a failure, such as a full disk, is ignored."""
     def parts(model: AugmentedModel) -> list[Any]:
         return [_base(model), {effect: dict(values) for effect, values in model.values.items()}]
 
@@ -161,8 +161,8 @@ def write_answer(file: Path, found: Discovery) -> None:
         return
 
 
-def read_answer(file: Path) -> Discovery | None:
-    """The result in a file of `write_answer`; None for a missing or damaged file."""
+def read_result(file: Path) -> Discovery | None:
+    """The result in a file of `write_result`; None for a missing or damaged file."""
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         hints = get_type_hints(Discovery)

@@ -52,7 +52,7 @@ def waterfall(scene: Scene) -> PageFigure | None:
     steps = scene.found.steps
     if not steps or not all(np.isfinite((s.position_5s.base, s.position_5s.augmented)).all() for s in steps):
         return None  # position is not a channel
-    floor = scene.found.gap["position_5s"].floor if "position_5s" in scene.found.gap else 0.0
+    floor = scene.found.errors["position_5s"].floor if "position_5s" in scene.found.errors else 0.0
     with style():
         figure, axes = plt.subplots(figsize=(WIDTH, 1.1 + 0.3 * (len(steps) + 2)))
         axes.set_axisbelow(True)

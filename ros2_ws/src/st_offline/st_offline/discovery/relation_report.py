@@ -32,7 +32,7 @@ class RelationReport:
     headline: str = ""
 
 
-def relation_report(found: RelationSearch, answer: Discovery, vehicle: VehicleParameters,
+def relation_report(found: RelationSearch, discovery: Discovery, vehicle: VehicleParameters,
                     folder: str) -> RelationReport:
     """Everything that is reported of a search for a relation. folder: of the results."""
     relation = found.relation
@@ -49,20 +49,20 @@ def relation_report(found: RelationSearch, answer: Discovery, vehicle: VehiclePa
                 "or delete it", *([f"textbook causes: {causes}. These drives do not show the cause"] if causes else [])]
     headline = (f"PROPOSAL, not established: {title_of(relation)}; {without:.2f} m → {with_it:.2f} m (held-out)"
                 f"{f'; {worse}' if runs else ''}")
-    groups: Groups = [("proposal", proposal), ("effect size", _effect_size(relation, answer, found.why)),
+    groups: Groups = [("proposal", proposal), ("effect size", _effect_size(relation, discovery, found.why)),
                       ("formula", _formula(relation, vehicle)), ("uncertainty of the curve", _uncertainty(relation)),
                       ("alternatives", _alternatives(relation)), ("next drive", next_drive_sentences(relation)),
-                      *excluded, ("files", _files(relation, answer.model is not None, folder))]
+                      *excluded, ("files", _files(relation, discovery.model is not None, folder))]
     filled = [(question, lines) for question, lines in groups if lines]
-    tables = [_errors_by_run(relation, answer), *_values_with_and_without(relation, answer, vehicle)]
+    tables = [_errors_by_run(relation, discovery), *_values_with_and_without(relation, discovery, vehicle)]
     return RelationReport(filled, tables, headline)
 
 
-def _effect_size(relation: Relation, answer: Discovery, why: str) -> list[str]:
+def _effect_size(relation: Relation, discovery: Discovery, why: str) -> list[str]:
     without, with_it = relation.position_5s
     worse = [name for name, (before, after) in relation.runs.items() if after >= before]
     exceptions = f", not in {', '.join(worse)}" if worse else ""
-    noise = f"; noise floor {answer.gap['position_5s'].floor:.3f} m" if "position_5s" in answer.gap else ""
+    noise = f"; noise floor {discovery.errors['position_5s'].floor:.3f} m" if "position_5s" in discovery.errors else ""
     return [f"held-out mean position error after 5 s: {without:.3f} m without the relation, {with_it:.3f} m with "
             f"it{noise}", why,
             f"smaller errors in {len(relation.runs) - len(worse)} of {len(relation.runs)} runs{exceptions}"]
@@ -128,9 +128,9 @@ def _files(relation: Relation, corrected: bool, folder: str) -> list[str]:
     return lines
 
 
-def _errors_by_run(relation: Relation, answer: Discovery) -> Table:
-    first: Mapping[str, tuple[float, float]] = answer.steps[0].runs if answer.steps else {}
-    start = answer.steps[0].position_5s.base if answer.steps else None
+def _errors_by_run(relation: Relation, discovery: Discovery) -> Table:
+    first: Mapping[str, tuple[float, float]] = discovery.steps[0].runs if discovery.steps else {}
+    start = discovery.steps[0].position_5s.base if discovery.steps else None
     errors = [(name, first[name][0] if name in first else None, *pair) for name, pair in sorted(
         relation.runs.items(), key=lambda item: item[1][1] - item[1][0])]
     rows = [(name, "-" if before is None else f"{before:.3f}", f"{without:.3f}", f"{with_it:.3f}",
@@ -139,16 +139,16 @@ def _errors_by_run(relation: Relation, answer: Discovery) -> Table:
     return Table("Held-out mean position error after 5 s, by run, m",
                  "Every run is predicted with values fitted to other driving. Sorted by the change; + is a larger "
                  "error.",
-                 ("run", answer.start, "without the relation", "with the relation", "change"), rows)
+                 ("run", discovery.start, "without the relation", "with the relation", "change"), rows)
 
 
-def _values_with_and_without(relation: Relation, answer: Discovery, vehicle: VehicleParameters) -> list[Table]:
+def _values_with_and_without(relation: Relation, discovery: Discovery, vehicle: VehicleParameters) -> list[Table]:
     """The same quantities fitted without and with the relation: which value belongs to which file."""
-    if answer.model is None:
+    if discovery.model is None:
         return []
     rows = []
     for effect in relation.model.effects:
-        original, refitted = answer.model.values.get(effect.name), relation.model.values[effect.name]
+        original, refitted = discovery.model.values.get(effect.name), relation.model.values[effect.name]
         free = [p for p in effect.parameters if p.fit]
         if original is None or all(refitted[p.name] == p.null == original[p.name] for p in free):
             continue

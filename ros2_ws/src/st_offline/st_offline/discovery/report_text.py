@@ -96,23 +96,24 @@ def title(found: Discovery) -> str:
 
 def _explains_most(found: Discovery) -> bool:
     """Whether one named effect makes up more than half of the reduction of the position error."""
-    gap = found.gap.get("position_5s")
-    return gap is None or any(e.position_5s_increase > 0.5 * (gap.base - gap.augmented) for e in found.effects)
+    position = found.errors.get("position_5s")
+    return position is None or any(e.position_5s_increase > 0.5 * (position.base - position.augmented)
+                                   for e in found.effects)
 
 
 def _errors(found: Discovery) -> str:
-    gap = found.gap.get("position_5s")
-    if gap is None:
-        name = next((n for n in LABELS if n in found.gap), None)
+    position = found.errors.get("position_5s")
+    if position is None:
+        name = next((n for n in LABELS if n in found.errors), None)
         if name is None:
             return "Errors"
-        one = found.gap[name]
+        one = found.errors[name]
         ratio = 100.0 * (one.augmented / one.base - 1.0)
         return f"{channel(name)} error {size(one.base, one.unit)} to {size(one.augmented, one.unit)} ({ratio:+.0f} %)"
-    after = "" if found.model is None else f" → {metres(gap.augmented)}"
+    after = "" if found.model is None else f" → {metres(position.augmented)}"
     more = len(found.minor) + len(found.effective) if found.effects else 0
     others = f", with {more} more effect{'' if more == 1 else 's'} that {'is' if more == 1 else 'are'} not named"
-    return f"5 s position error {metres(gap.base)}{after} (held-out{others if more else ''})"
+    return f"5 s position error {metres(position.base)}{after} (held-out{others if more else ''})"
 
 
 def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[str, Sequence[Finding]]
@@ -200,13 +201,13 @@ def certainty(found: Discovery) -> list[str]:
 
 def residual(found: Discovery) -> str:
     """The residual and the noise."""
-    gap = found.gap.get("position_5s")
-    if gap is None:
+    position = found.errors.get("position_5s")
+    if position is None:
         return ""
-    after = gap.augmented if found.model else gap.base
-    text = f"residual 5 s position error {metres(after)}; noise floor {metres(gap.floor)}"
-    worst = f"; the worst run is {gap.worst_run} with {metres(gap.worst)}" if gap.worst_run else ""
-    worse = f"; larger than before in {', '.join(gap.worse_runs)}" if gap.worse_runs and found.model else ""
+    after = position.augmented if found.model else position.base
+    text = f"residual 5 s position error {metres(after)}; noise floor {metres(position.floor)}"
+    worst = f"; the worst run is {position.worst_run} with {metres(position.worst)}" if position.worst_run else ""
+    worse = f"; larger than before in {', '.join(position.worse_runs)}" if position.worse_runs and found.model else ""
     return f"{text}{worst}{worse}"
 
 
@@ -319,8 +320,8 @@ def corrections(found: Discovery) -> list[str]:
     """Effective corrections of the model, which are not properties of the car."""
     if not found.effective:
         return []
-    gap, named = (one.get("position_5s") for one in (found.gap, found.gap_named))
-    errors = f" ({metres(named.augmented)} → {metres(gap.augmented)} after 5 s)" if gap and named else ""
+    position, named = (one.get("position_5s") for one in (found.errors, found.named_errors))
+    errors = f" ({metres(named.augmented)} → {metres(position.augmented)} after 5 s)" if position and named else ""
     names = ", ".join(f"{plain(e.name)} {short_values(e.name, e.parameters)}" for e in found.effective)
     return [f"{names}{errors}: improves predictions, but is not a property of the car; in model.yaml, marked effective"]
 
@@ -345,8 +346,9 @@ def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         slip = {key: change for key, change in update.changes.items() if key == SLIP_SPEED}
         entries = format_changes(changes) if len(changes) <= MAX_KEYS else f"{len(changes)} entries are corrected"
         stable = f"; {format_changes(slip)}, for stable steps of 50 ms" if slip else ""
-        gap = found.gap.get("position_5s")
-        together = f", with model.yaml by {1.0 - gap.augmented / gap.base:.0%}" if gap and gap.base > 0.0 else ""
+        position = found.errors.get("position_5s")
+        together = (f", with model.yaml by {1.0 - position.augmented / position.base:.0%}"
+                    if position and position.base > 0.0 else "")
         alone = (f"; vehicle.yaml alone reduces the position error after 5 s by "
                  f"{1.0 - update.error[1] / update.error[0]:.0%}{together}"
                  if (found.minor or found.effective) and update.error[0] > 0.0 else "")
