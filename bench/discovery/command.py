@@ -66,7 +66,7 @@ def _part(text: str) -> tuple[int, int]:
 
 def _print_record(r: Record) -> None:
     names = " + ".join("|".join(group) for group in score.groups(r)) or "-"
-    varying = "".join(f" {name} varies with {level}" for name, level in r["varying"])
+    varying = "".join(f" {name} varies with {partition}" for name, partition in r["varying"])
     position = r.get("position")
     errors = "" if not position else " 5 s " + ", ".join(f"{k} {v:.2f}" for k, v in position.items()) + " m;"
     words = f"{r['plant']}, {r['words']}" if "words" in r else f"{r['kind']} {r['size']:+.3g}"

@@ -80,7 +80,7 @@ def answer(found: Discovery) -> Record:
                        "position_5s": 0.0, "values": {}} for c in found.known_together)],
         "kept": {e.name: _values(e) for e in found.minor},
         "on_top": {c.name: dict(c.parameters) for c in found.candidates},
-        "varying": [[b.resembles, b.level] for b in found.varying],
+        "varying": [[b.resembles, b.varies_with] for b in found.varying],
         "unexplained": bool(found.signature),
         "steps": [[s.effect, round(s.position_5s.base, 4), round(s.position_5s.augmented, 4)]
                   for s in found.steps],

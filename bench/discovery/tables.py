@@ -175,7 +175,7 @@ def _failures(records: Sequence[Record]) -> list[str]:
 
 def answer_text(r: Record) -> str:
     names = [" or ".join(group) for group in groups(r)] + [
-        f"{name} varies with {level}" for name, level in r["varying"]]
+        f"{name} varies with {partition}" for name, partition in r["varying"]]
     return " + ".join(names) or "-"
 
 

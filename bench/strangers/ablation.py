@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from st_core.discovery import axles, evidence, fit, loss
-from st_core.discovery.levels import levels
+from st_core.discovery.partitions import partitions
 from st_core.discovery.search import Search
 from st_core.discovery.settings import DiscoverySettings
 from st_core.effects import EFFECTS
@@ -44,7 +44,7 @@ LIMITS = ("max_file_deviation", "min_relative_size", "min_peak_force", "unexplai
 IN_SEARCH = {"MAX_QUADRATIC_RISE": fit, "MAX_SCALED": fit, "DIVERGED": fit, "MIN_CURVATURE": evidence,
              "PART_PRIOR": evidence, "MIN_INFORMATION_SHARE": evidence, "NU": loss, "DIFFERENCE_STEP": loss,
              "MAX_SCALED_ERROR": loss,
-             **dict.fromkeys(("MIN_RUNS", "SAME_SITE_SHARE", "PLACE_SIZE"), sys.modules[levels.__module__])}
+             **dict.fromkeys(("MIN_RUNS", "SAME_SITE_SHARE", "PLACE_SIZE"), sys.modules[partitions.__module__])}
 CONSTANTS = {"UNSELECTED_DEVIATION": evidence, "MIN_FORCE_CHANGE": axles, "MAX_SLIP": axles, "SMALL_SLIP": axles,
              "DRAWS": axles, "GAIN_SPEED": axles, **IN_SEARCH}
 NUMBERS = (*LIMITS, "model_error", *CONSTANTS)
@@ -112,7 +112,7 @@ def _multiplied(work: Any, number: str, factor: float) -> Iterator[Any]:
 def _searched(work: Any) -> tuple[Any, ...]:
     """Problem, floor of the noise, parts of the driving, the search and what it found."""
     problem, by_column = work._problem()
-    parts = levels(work.windows)
+    parts = partitions(work.windows)
     search = Search(problem, work.limits, parts, work.sensors, work.settings.seed)
     return problem, work._floor(by_column), parts, search, search.run()
 

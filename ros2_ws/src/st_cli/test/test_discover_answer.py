@@ -53,10 +53,10 @@ def logs(drive):
     return [drive.log, replace(drive.log, name="other")]
 
 
-def tied(logs, level="run"):
-    values = tuple(LocalEstimate(log.name if level == "run" else level + str(k), (-1.0) ** k, 0.2) for k,
+def tied(logs, partition="run"):
+    values = tuple(LocalEstimate(log.name if partition == "run" else partition + str(k), (-1.0) ** k, 0.2) for k,
                    log in enumerate(logs))
-    return VaryingEffect("crosswind", level, fitted("crosswind", {"wind_x": 9.0, "wind_y": 4.0}), values, 0.09)
+    return VaryingEffect("crosswind", partition, fitted("crosswind", {"wind_x": 9.0, "wind_y": 4.0}), values, 0.09)
 
 
 def test_title_and_table_name_the_values_of_the_answer_the_largest_effect_first(logs):

@@ -194,7 +194,7 @@ def test_offset_that_differs_from_run_to_run_is_varying(leaf):
     angles = (0.006, 0.002, -0.003, 0.008, 0.0, -0.001)
     found = discover([shifted(r, a) for r, a in zip(runs, angles, strict=True)], leaf, settings=SETTINGS)
     assert found.outcome == "varying" and found.effects == ()
-    assert any("steering_offset" in b.resembles and b.level == "run" for b in found.varying)
+    assert any("steering_offset" in b.resembles and b.varies_with == "run" for b in found.varying)
 
 
 @pytest.mark.slow

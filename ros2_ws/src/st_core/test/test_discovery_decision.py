@@ -14,11 +14,11 @@ from st_core.discovery.decision import (
     GAIN_INSIGNIFICANT,
     IMPLAUSIBLE,
     IRRELEVANT,
-    LEVEL_NAMES,
     MINOR,
     NAMED,
     NEGLIGIBLE,
     NULL,
+    PARTITION_NAMES,
     SENSORS,
     VARIES,
     Checks,
@@ -159,7 +159,7 @@ def test_what_intervals_and_axles_say_of_an_effect(evidence, checks, rule):
     assert verdict.rule == rule and verdict.text
 
 
-@pytest.mark.parametrize(("agreement", "level"), [
+@pytest.mark.parametrize(("agreement", "partition"), [
     ({}, ""),
     ({"run": SAME, "site": SAME}, ""),
     ({"run": SAME, "site": DIFFERENT}, "site"),
@@ -167,8 +167,8 @@ def test_what_intervals_and_axles_say_of_an_effect(evidence, checks, rule):
     ({"run": Agreement({}, 0.02, 0.4)}, ""),
     ({"run": Agreement({}, 1e-4, 0.04)}, ""),
 ])
-def test_level_over_which_an_effect_varies(agreement, level):
-    assert varies_over(replace(GOOD, agreement=agreement), LIMITS) == level
+def test_partition_over_which_an_effect_varies(agreement, partition):
+    assert varies_over(replace(GOOD, agreement=agreement), LIMITS) == partition
 
 
 @pytest.mark.parametrize(("gain", "p_value", "healthy_gain", "relevant"), [
@@ -194,9 +194,9 @@ def test_interval_is_as_sure_as_the_sensors_where_they_deny_the_null(interval, k
     assert with_sensor_interval(FittedParameter(4.0, "rad/s", interval, 0.0), known).interval == expected
 
 
-def test_every_level_has_words():
-    for level, words in LEVEL_NAMES.items():
-        assert words in judge(replace(GOOD, agreement={level: DIFFERENT}), LIMITS).text
+def test_every_partition_has_a_name():
+    for partition, words in PARTITION_NAMES.items():
+        assert words in judge(replace(GOOD, agreement={partition: DIFFERENT}), LIMITS).text
 
 
 @pytest.mark.parametrize(("rival", "rule"), [

@@ -24,7 +24,7 @@ from st_core.discovery.evidence import (
     shares,
     statistic,
 )
-from st_core.discovery.levels import KINDS, TIMES, conditions, levels, places, runs, sites
+from st_core.discovery.partitions import KINDS, TIMES, conditions, partitions, places, runs, sites
 from st_core.discovery.windows import Windows, noise_floor
 from st_core.timeseries import smoothed
 
@@ -255,7 +255,7 @@ def test_runs_of_one_car_agree(common):
     assert max(a.p_absent for a in told) < 0.05
 
 
-# Levels and the noise
+# Partitions and the noise
 
 
 @pytest.fixture(scope="module")
@@ -272,9 +272,9 @@ def test_runs_that_share_places_are_of_one_site(logs, leaf):
     together, apart = (windows_of([logs[0], other], leaf) for other in (logs[1], elsewhere))
     assert set(sites(together)) == {0}
     assert [set(sites(apart)[apart.run == k]) for k in (0, 1)] == [{0}, {1}]
-    assert "site" not in levels(apart)  # nothing beyond the runs
+    assert "site" not in partitions(apart)  # nothing beyond the runs
     both = windows_of([*logs[:2], replace(logs[2], x=logs[2].x + 5000.0)], leaf)
-    assert levels(both)["site"][1] == ["site 1", "site 2"]
+    assert partitions(both)["site"][1] == ["site 1", "site 2"]
 
 
 def test_few_runs_are_divided_into_stretches(logs, leaf):
@@ -287,7 +287,7 @@ def test_few_runs_are_divided_into_stretches(logs, leaf):
 
 def test_thirds_are_of_each_run(logs, leaf):
     windows = windows_of(logs, leaf)
-    part, called = levels(windows)["time"]
+    part, called = partitions(windows)["time"]
     assert called == list(TIMES)
     for run in range(3):
         mine, seconds = part[windows.run == run], windows.seconds[windows.run == run]

@@ -133,8 +133,8 @@ def test_intervals_cover_the_truth(common):
     covered, widths = [], []
     for seed in range(100):
         problem = linear_problem(FEW, {"mass": 1.0}, seed, common=common)
-        levels = {"run": (problem.errors.windows.run, list("abcd"))}
-        told = waterfall.parameters(problem, fitted(problem, "mass"), "mass", levels)["factor"]
+        partitions = {"run": (problem.errors.windows.run, list("abcd"))}
+        told = waterfall.parameters(problem, fitted(problem, "mass"), "mass", partitions)["factor"]
         covered.append(told.interval[0] <= 1.1 <= told.interval[1])
         widths.append(told.interval[1] - told.interval[0])
     assert sum(covered) >= 88
@@ -152,8 +152,8 @@ def test_interval_of_a_value_that_differs_between_runs_is_wide():
     problem.loss.rescale(problem.errors.truth)
     fit = fitted(problem, "mass")
     by_run, by_place = {"run": (run, list("abcd"))}, {"place": (run, list("abcd"))}
-    alone, places, wide = (waterfall.parameters(problem, fit, "mass", levels)["factor"].interval
-                           for levels in ({}, by_place, by_run))
+    alone, places, wide = (waterfall.parameters(problem, fit, "mass", partitions)["factor"].interval
+                           for partitions in ({}, by_place, by_run))
     assert wide[0] < 1.2 < wide[1] and places == alone
     assert 0.65 * 2 * 3.18 * 0.2 * 0.2 < wide[1] - wide[0] < 0.8
     assert wide[1] - wide[0] > 1.3 * (alone[1] - alone[0])

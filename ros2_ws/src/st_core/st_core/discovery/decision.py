@@ -104,14 +104,14 @@ def correction_verdict(e: Evidence, limits: Limits) -> Reason:
 
 def _varying(e: Evidence, limits: Limits) -> Reason | None:
     """The reason to reject an effect that varies between parts of the drives; None if it may be the same everywhere."""
-    level = varies_over(e, limits)
-    if not level:
+    partition = varies_over(e, limits)
+    if not partition:
         return None
-    a = e.agreement[level]
+    a = e.agreement[partition]
     return Reason(VARIES, e.name, {"p_equal": a.p_equal, "p_absent": a.p_absent, "undecided_p": limits.undecided_p,
                                    "false_alarm": limits.false_alarm},
-                  f"it varies over {LEVEL_NAMES[level]} (p = {a.p_equal:.1g} for a constant value); with probability "
-                  f"{a.p_absent:.2g} it is absent or of opposite sign in a new part")
+                  f"it varies over {PARTITION_NAMES[partition]} (p = {a.p_equal:.1g} for a constant value); with "
+                  f"probability {a.p_absent:.2g} it is absent or of opposite sign in a new part")
 
 
 def _with_unit(known: AgainstFile, number: float) -> str:
@@ -229,16 +229,16 @@ def _effect_size(e: Evidence, limits: Limits) -> str:
     return f"it reduces {channel_part}the position error after 5 s by {100 * position_of(e):.1f} cm{where}"
 
 
-LEVEL_NAMES = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",
+PARTITION_NAMES = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",
                "condition": "the kinds of driving"}
 
 
 def varies_over(e: Evidence, limits: Limits) -> str:
-    """The level, such as run or place, between whose parts an effect varies significantly, so that it may be absent in
-    a new part; "" for none."""
-    found = [level for level, a in e.agreement.items()
+    """The partition, such as run or place, between whose parts an effect varies significantly, so that it may be absent
+    in a new part; "" for none."""
+    found = [partition for partition, a in e.agreement.items()
              if a.p_equal < limits.false_alarm and a.p_absent > limits.undecided_p]
-    return max(found, key=lambda level: e.agreement[level].p_absent, default="")
+    return max(found, key=lambda partition: e.agreement[partition].p_absent, default="")
 
 
 def varies_relevantly(e: Evidence, limits: Limits) -> bool:

@@ -20,9 +20,9 @@ from .clocks import MAX_CLOCK_DEVIATION, apply_clock_corrections, clock_correcti
 from .decision import Rival
 from .evidence import Evidence, Joint, joint, library_p_value, share_of
 from .fit import Fit, Problem
-from .levels import Level, levels, sites
 from .loss import Errors, Loss
 from .next_manoeuvre import Catalogue, catalogue, most_informative, next_manoeuvre, separability
+from .partitions import Partition, partitions, sites
 from .reference import healthy_car
 from .result import (
     Assumed,
@@ -137,7 +137,7 @@ class _Analysis:
         problem, by_column = self._problem()
         self.problem = problem
         self._warn_of_low_excitation()
-        parts = levels(self.windows)
+        parts = partitions(self.windows)
         search = Search(problem, self.limits, parts, self.sensors, settings.seed, self._tick("searching"))
         found = search.run()
         without_priors, fit = self._corrected(found, parts)
@@ -176,7 +176,7 @@ class _Analysis:
             # What the best model does not explain is noise for every later comparison, whatever its cause.
             noise={c: error.augmented for c, error in best_errors.items()}, acceleration_gain=float(fit.vector[-1]))
 
-    def _judged(self, search: Search, found: Found, parts: Mapping[str, Level],
+    def _judged(self, search: Search, found: Found, parts: Mapping[str, Partition],
                 floor: Mapping[str, float]) -> _JudgedEffects:
         """The effects of the search by verdict, with force curves and combinations of the axles."""
         problem = self.problem
@@ -213,7 +213,7 @@ class _Analysis:
                                  [c.name for c in unattributed])
         return decision.decide(result, self.limits)
 
-    def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
+    def _corrected(self, found: Found, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:
         """(problem, fit) of the effects found plus effective corrections, without the priors of the vehicle file. The
         fit is returned unchanged if the gain is too small, or with a reference, since it then has no such priors."""
         problem, scale = self.problem, self.problem.loss.scale
@@ -308,7 +308,7 @@ class _Analysis:
 
     # Results
 
-    def _effect(self, name: str, found: Found, parts: Mapping[str, Level], joint_fit: Joint | None,
+    def _effect(self, name: str, found: Found, parts: Mapping[str, Partition], joint_fit: Joint | None,
                 unexplained: float) -> FoundEffect:
         evidence = found.evidence[name]
         others = sorted(filter(self._is_alternative, found.rivals.get(name, ())), key=lambda r: -r.share)
@@ -365,7 +365,7 @@ class _Analysis:
                                  horizon_errors.position_without(fit, n), {})
                      for n in fit.names if n not in found.fit.names)
 
-    def _varying_effects(self, found: Found, parts: Mapping[str, Level]) -> list[tuple[VaryingEffect, Fit | None]]:
+    def _varying_effects(self, found: Found, parts: Mapping[str, Partition]) -> list[tuple[VaryingEffect, Fit | None]]:
         """The significant effect that varies between parts of the drives, at most one, and its fit: one that the search
         rejected for that, else the one that varies most."""
         collected: list[tuple[VaryingEffect, Fit | None]] = []
@@ -375,9 +375,9 @@ class _Analysis:
         for name, (evidence, verdict, fit) in found.refused.items():
             if (verdict.rule == decision.VARIES and not self.space.overlaps(name, reported)
                     and decision.is_relevant(evidence, self.limits) and not collected):
-                level = decision.varies_over(evidence, self.limits)
-                collected.append((VaryingEffect(name, level, waterfall.parameters(self.problem, fit, name, {}),
-                                                _values(evidence)[level], evidence.position), fit))
+                partition = decision.varies_over(evidence, self.limits)
+                collected.append((VaryingEffect(name, partition, waterfall.parameters(self.problem, fit, name, {}),
+                                                _values(evidence)[partition], evidence.position), fit))
         if not collected:
             for v in varying(self.problem, found.fit, parts):
                 evidence = evidence_of(self.problem, found.fit, v, parts)
@@ -386,7 +386,8 @@ class _Analysis:
                     break
         for effect, _ in collected:
             self.warnings.append(f"an effect that resembles {effect.resembles.replace('_', ' ')} is significant, but "
-                                 f"varies over {decision.LEVEL_NAMES[effect.level]}: it is reported, not named")
+                                 f"varies over {decision.PARTITION_NAMES[effect.varies_with]}: it is reported, not "
+                                 "named")
         return collected
 
     def _as_varying_effect(self, v: Varying, position: float) -> VaryingEffect:
@@ -397,7 +398,7 @@ class _Analysis:
         ratios = tuple(LocalEstimate(part, (x - free.null) / change, s / abs(change))
                        for part, (x, s) in v.values.items())
         found = FittedParameter(value, free.unit, (value - 1.96 * spread, value + 1.96 * spread), free.null)
-        return VaryingEffect(v.name, v.level, {v.parameter: found}, ratios, position)
+        return VaryingEffect(v.name, v.varies_with, {v.parameter: found}, ratios, position)
 
     def _reasons(self, found: Found, named: Mapping[str, Reason]) -> list[Reason]:
         rivals = (r for others in found.rivals.values() for r in others)
@@ -507,8 +508,8 @@ class _Analysis:
 
 
 def _values(evidence: Evidence) -> dict[str, tuple[LocalEstimate, ...]]:
-    return {level: tuple(LocalEstimate(part, ratio, deviation) for part, (ratio, deviation) in a.ratios.items())
-            for level, a in evidence.agreement.items()}
+    return {partition: tuple(LocalEstimate(part, ratio, deviation) for part, (ratio, deviation) in a.ratios.items())
+            for partition, a in evidence.agreement.items()}
 
 
 def _noise_ratio(errors: Mapping[str, ChannelError], floor: Mapping[str, float]) -> float:

@@ -9,8 +9,8 @@ from scipy import stats
 from ..effects import get_effect
 from ..regression import random_effects
 from .fit import Fit, Problem, Slopes, bounded
-from .levels import Level
 from .loss import Quadratic
+from .partitions import Partition
 from .space import Space
 
 FLIPS = 400  # random signs of all blocks; they resolve a p-value of 0.01
@@ -58,7 +58,7 @@ class Evidence:
     with the effect to the noise, in the column where it is largest. bound_distance [1]: to the nearest bound, and size
     [1]: distance from the null, both in parameter scales. sensors_p_value, sensors_null_p_value [1]: of the fitted
     value and of the null, given redundant sensor measurements; None without any. against_file: the quantity of the
-    vehicle file that is furthest from the file's value; None without one. agreement: by level.
+    vehicle file that is furthest from the file's value; None without one. agreement: by partition.
     """
 
     name: str
@@ -175,7 +175,7 @@ def library_p_value(best: np.ndarray, gain: np.ndarray, scores: Scores, library:
     return min(max(p_score, p_gain), library * float(stats.f.sf(ratio / values, values, blocks - 1)), 1.0)
 
 
-def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scores, levels: Mapping[str, Level],
+def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scores, partitions: Mapping[str, Partition],
              sensors: Mapping[str, tuple[float, float, float]]) -> Evidence:
     """Evidence for an effect of `fit`, compared with the fit `without` it. scores: of the library, at `without`.
     sensors: (value, low, high) of parameters from redundant sensors."""
@@ -187,14 +187,14 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
     reduction = problem.position_error(rows) - problem.position_error(after)
     if problem.prior is not None:  # the healthy car is known: no other parameter compensates for the effect
         rows = problem.errors.at(problem.vector_without(fit, effect))
-    overall, somewhere = error_reductions(reduction, levels.get("condition"))
+    overall, somewhere = error_reductions(reduction, partitions.get("condition"))
     return Evidence(effect, min(float(gain.sum()) / problem.scored_count, problem.held_out_gain(without, fit)),
                     library_p_value(block_scores, gain, scores, len(problem.space.hypotheses)),
                     null_p_value(problem, fit, effect),
                     shares(problem, rows, after), overall, somewhere, residual_over_noise(problem, after),
                     distance_to_bound(problem, fit, effect), problem.healthy_gain, effect_size(problem, fit, effect),
                     *sensor_p_values(problem, fit, effect, sensors), against_file(problem, fit, effect),
-                    {name: agreement(problem, fit, effect, *level) for name, level in levels.items()})
+                    {name: agreement(problem, fit, effect, *partition) for name, partition in partitions.items()})
 
 
 def residual_over_noise(problem: Problem, rows: np.ndarray) -> float:
@@ -226,7 +226,7 @@ def score_of(problem: Problem, fit: Fit, effect: str, slopes: Slopes) -> np.ndar
     return score(padded, problem, fit.names, effect, problem.prior_gradient(fit.vector))[0]
 
 
-def error_reductions(reduction: np.ndarray, condition: Level | None) -> tuple[float, float]:
+def error_reductions(reduction: np.ndarray, condition: Partition | None) -> tuple[float, float]:
     """(mean reduction of an error, largest lower 95 % bound of the reduction in one driving condition). reduction: (n,)
     in each window."""
     known = np.isfinite(reduction)

@@ -71,7 +71,7 @@ class LocalEstimate:
 @dataclass(frozen=True)
 class FoundEffect:
     """One effect of the result. kind: one of EFFECT_KINDS. alternatives: names of effects that the data do not separate
-    from it, best first. position_5s_increase [m]: of the mean error after 5 s without it. agreement: by level (run,
+    from it, best first. position_5s_increase [m]: of the mean error after 5 s without it. agreement: by partition (run,
     site, time, place, condition), its value in each part. joint: other effects of the result that it cancels; only the
     combination of their values is identifiable. channel, share [1]: the channel with the largest error reduction, and
     that reduction divided by the baseline error; "" if no error is above the noise."""
@@ -142,11 +142,11 @@ class ForceCurve:
 class VaryingEffect:
     """A significant effect that varies between parts of the drives. resembles: effect of the library that
     describes it best.
-    level: that it varies with: run, site, time, place or condition. values: in each part. position_5s_reduction [m]: of
+    varies_with: run, site, time, place or condition. values: in each part. position_5s_reduction [m]: of
     the mean position error after 5 s."""
 
     resembles: str
-    level: str
+    varies_with: str
     parameters: Mapping[str, FittedParameter]
     values: tuple[LocalEstimate, ...]
     position_5s_reduction: float

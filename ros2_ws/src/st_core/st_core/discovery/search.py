@@ -12,8 +12,8 @@ from ..effects import confounded_effects, get_effect
 from .decision import ACCEPTED, GAIN_INSIGNIFICANT, NULL, Rival, alternative, judge
 from .evidence import Evidence, Scores, evidence, library_p_value, null_by_sensors, screen
 from .fit import Fit, Problem, Slopes
-from .levels import Level
 from .loss import Quadratic
+from .partitions import Partition
 from .result import Reason
 from .settings import Limits
 
@@ -51,13 +51,13 @@ class Found:
 
 
 class Search:
-    """levels: divisions of the driving. sensors: (value, low, high) from redundant sensors, by
+    """partitions: divisions of the driving. sensors: (value, low, high) from redundant sensors, by
     "effect.parameter". tick: called at every refit. judge: verdict on an effect."""
 
-    def __init__(self, problem: Problem, limits: Limits, levels: Mapping[str, Level], sensors: Mapping,
+    def __init__(self, problem: Problem, limits: Limits, partitions: Mapping[str, Partition], sensors: Mapping,
                  seed: int = 0, tick: Callable[[], None] = lambda: None,
                  judge: Callable[[Evidence, Limits], Reason] = judge):
-        self.problem, self.limits, self.levels, self.sensors, self.tick = problem, limits, levels, sensors, tick
+        self.problem, self.limits, self.partitions, self.sensors, self.tick = problem, limits, partitions, sensors, tick
         self._judge = judge
         self.seed = seed
         self._visited: set[frozenset[str]] = set()
@@ -282,7 +282,7 @@ class Search:
                 {e: p.fit(f.names, f.slopes, None, (e,), 2) for e, f in near.items()})
 
     def _evidence(self, without: Fit, fit: Fit, effect: str, scores: Scores) -> Evidence:
-        return evidence(self.problem, without, fit, effect, scores, self.levels, self.sensors)
+        return evidence(self.problem, without, fit, effect, scores, self.partitions, self.sensors)
 
     def _backward(self, fit: Fit, scores: Scores) -> Fit:
         """The fit without the effects that are redundant with the others."""

@@ -1,7 +1,7 @@
 """Effects that vary between parts of the drives: another value in each run, at each site or in each stretch of time.
 
 An effect that begins in the middle of a drive has no single value that reduces the errors everywhere, so the search
-cannot find it. Here each part of a level has a separate value, from the quadratic about the final fit.
+cannot find it. Here each part of a partition has a separate value, from the quadratic about the final fit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,15 +13,15 @@ from scipy import stats
 from ..effects import get_effect
 from .evidence import MIN_INFORMATION_SHARE, Evidence, error_reductions, inverse, shares
 from .fit import Fit, Problem
-from .levels import Level
 from .loss import Quadratic
+from .partitions import Partition
 
 Part = tuple[int, np.ndarray, np.ndarray]  # number of a part, half gradient (k,) and curvature (k, k) of the loss there
 
 
 @dataclass(frozen=True)
 class Varying:
-    """An effect with its own value in each part of a level.
+    """An effect with its own value in each part of a partition.
 
     gain [1]: reduction of the loss per residual beyond that of one common value. p_value [1]: of that gain, corrected
     for all effects of the library. parameter: the one with the most information; values: (value, standard deviation) of
@@ -29,7 +29,7 @@ class Varying:
     """
 
     name: str
-    level: str
+    varies_with: str
     gain: float
     p_value: float
     parameter: str
@@ -37,22 +37,23 @@ class Varying:
     steps: Mapping[int, np.ndarray]
 
 
-def varying(problem: Problem, fit: Fit, levels: Mapping[str, Level]) -> list[Varying]:
-    """Every effect of the library with separate values in the parts of each level, largest gain first. Levels with at
-    least half as many parts as there are blocks are left out."""
+def varying(problem: Problem, fit: Fit, partitions: Mapping[str, Partition]) -> list[Varying]:
+    """Every effect of the library with separate values in the parts of each partition, largest gain first. Those
+    with at least half as many parts as there are blocks are left out."""
     q = problem.quadratic_of_all(fit.vector)
-    usable = {name: level for name, level in levels.items() if len(np.unique(level[0])) < problem.blocks / 2}
+    usable = {name: partition for name, partition in partitions.items()
+              if len(np.unique(partition[0])) < problem.blocks / 2}
     library = [n for n in problem.space.hypotheses if not get_effect(n).members]
-    found = [_by_part(problem, fit, q, effect, name, level, len(library) * len(usable))
-             for name, level in usable.items() for effect in library]
+    found = [_by_part(problem, fit, q, effect, name, partition, len(library) * len(usable))
+             for name, partition in usable.items() for effect in library]
     return sorted((v for v in found if v), key=lambda v: -v.gain)
 
 
-def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, level: Level,
+def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, partition: Partition,
              tests: int) -> Varying | None:
-    """One effect with separate values in the parts of one level; None without two parts that have information. tests:
-    number of tests, for Bonferroni's correction."""
-    space, (number, names) = problem.space, level
+    """One effect with separate values in the parts of one partition; None without two parts that have information.
+    tests: number of tests, for Bonferroni's correction."""
+    space, (number, names) = problem.space, partition
     indices = space.indices(effect)
     fitted = problem.free_indices(fit.names) if problem.prior is None else space.indices(*fit.names)
     others = np.setdiff1d(fitted, indices)
@@ -98,14 +99,14 @@ def _design_effect(problem: Problem, number: np.ndarray, parts: Sequence[Part], 
     return max(2.0 * scatter / gradient.shape[1], 1.0)
 
 
-def evidence_of(problem: Problem, fit: Fit, v: Varying, levels: Mapping[str, Level]) -> Evidence:
+def evidence_of(problem: Problem, fit: Fit, v: Varying, partitions: Mapping[str, Partition]) -> Evidence:
     """Reduction of the errors by separate values for the parts, to first order, on the driving they were fitted to."""
     rows = problem.errors.at(fit.vector)
     corrected, slopes = rows.copy(), problem.slopes_of_all(fit.vector).values
     for k, step in v.steps.items():
-        inside = levels[v.level][0] == k
+        inside = partitions[v.varies_with][0] == k
         corrected[inside] -= np.tensordot(step, slopes[:, inside], 1)
     reduction = problem.position_error(rows) - problem.position_error(corrected)
-    overall, somewhere = error_reductions(reduction, levels.get("condition"))
+    overall, somewhere = error_reductions(reduction, partitions.get("condition"))
     return Evidence(v.name, v.gain, v.p_value, shares=shares(problem, rows, corrected), position=overall,
                     position_somewhere=somewhere, healthy_gain=problem.healthy_gain)

@@ -10,7 +10,7 @@ from ..effects import EFFECT_KINDS, get_effect
 from ..regression import random_effects
 from .evidence import TWO_SIDED, Joint, agreement, covariance, inverse
 from .fit import Fit, Problem
-from .levels import Level
+from .partitions import Partition
 from .result import PARTS, BudgetLine, Change, ChannelError, FittedParameter, Step
 
 RESAMPLES = 400  # bootstrap samples of whole blocks, for 95 % intervals
@@ -68,14 +68,14 @@ class HorizonErrors:
                 if np.isfinite(values[self.run == k]).any()}
 
 
-def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Level],
+def parameters(problem: Problem, fit: Fit, effect: str, partitions: Mapping[str, Partition],
                near: Sequence[tuple[Sequence[str], np.ndarray]] = (),
                joint: Joint | None = None, unexplained: float = 1.0) -> dict[str, FittedParameter]:
     """Values with 95 % intervals.
 
     Half width: the largest of three, from (1) blocks taken as independent, (2) the scatter between the parts of a
-    level, such as runs or sites, (3) the `joint` fit with all other parameters free, times `unexplained`, the ratio of
-    residual to noise (Birge, Phys. Rev. 40, 1932), with the model error added in quadrature. The interval extends to
+    partition, such as runs or sites, (3) the `joint` fit with all other parameters free, times `unexplained`, the ratio
+    of residual to noise (Birge, Phys. Rev. 40, 1932), with the model error added in quadrature. The interval extends to
     the values in `near`, sets of effects that fit nearly as well, and thus allows for errors of the model equations.
     """
     space, result = problem.space, {}
@@ -92,9 +92,9 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
         joint_half = np.hypot(quantile * deviation, shift) * space.scale[indices] * max(unexplained, 1.0)
         half = np.maximum(half, np.hypot(joint_half, TWO_SIDED * model_error))
     change = np.abs(fit.vector - space.null)[indices]
-    for name, level in levels.items():
+    for name, partition in partitions.items():
         if name != "place":
-            half = np.maximum(half, change * _prediction_interval(agreement(problem, fit, effect, *level).ratios))
+            half = np.maximum(half, change * _prediction_interval(agreement(problem, fit, effect, *partition).ratios))
     others = np.array([v[indices] for v in (fit.vector, *(vector for names, vector in near if effect in names))])
     others -= fit.vector[indices]
     for i, r, below, above in zip(indices, half, others.min(axis=0), others.max(axis=0), strict=True):
@@ -116,7 +116,7 @@ def _prediction_interval(ratios: Mapping[str, tuple[float, float]]) -> float:
 
 
 def steps(problem: Problem, final: Fit, order: Sequence[str], ends: HorizonErrors,
-          levels: Mapping[str, Level]) -> tuple[list[Step], Fit]:
+          partitions: Mapping[str, Partition]) -> tuple[list[Step], Fit]:
     """The steps from the base model to the final one, one effect at a time, and the fit of the base. `loss.scale` is
     re-estimated in each step and restored afterwards."""
     if not order:
@@ -139,7 +139,7 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: HorizonError
         position = changes.pop("position_5s", None) or next(iter(changes.values()))
         key = "position_5s" if "position_5s" in after else next(iter(after))
         old, new = ends.by_run(before[key]), ends.by_run(after[key])
-        collected.append(Step(effect, get_effect(effect).kind, parameters(problem, fit, effect, levels),
+        collected.append(Step(effect, get_effect(effect).kind, parameters(problem, fit, effect, partitions),
                               position, changes, {n: (old[n], new[n]) for n in new}))
         before = after
     problem.loss.scale = scale

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..discovery.levels import sites
+from ..discovery.partitions import sites
 from ..discovery.windows import Windows
 from ..effects._relation import (
     INTERVALS,

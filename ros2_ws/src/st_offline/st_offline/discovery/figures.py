@@ -176,7 +176,7 @@ def _aspect(log: DriveLog) -> float:
 
 
 MAX_PANELS = 6
-MAX_ROWS = 14  # of a level
+MAX_ROWS = 14  # of a partition
 MAX_RATIO = 3.0  # end of the axis, where intervals are cut off
 
 
@@ -186,20 +186,21 @@ def agreement(scene: Scene) -> PageFigure | None:
     if not effects:
         return None
     effects = report_text.by_size(effects)[:MAX_PANELS]
-    estimates = {e.name: [(level, v) for level, entries in e.agreement.items() for v in entries] for e in effects}
-    parts = dict.fromkeys((level, v.where) for entries in estimates.values() for level, v in entries)
-    count = Counter(level for level, _ in parts)
-    crowded = {level for level in count if level == "place" or count[level] > MAX_ROWS}
-    names = {(level, where): (level, f"{count[level]} {level}s") if level in crowded else (level, where)
-             for level, where in parts}
+    estimates = {e.name: [(partition, v) for partition, entries in e.agreement.items() for v in entries]
+                 for e in effects}
+    parts = dict.fromkeys((partition, v.where) for entries in estimates.values() for partition, v in entries)
+    count = Counter(partition for partition, _ in parts)
+    crowded = {partition for partition in count if partition == "place" or count[partition] > MAX_ROWS}
+    names = {(partition, where): (partition, f"{count[partition]} {partition}s") if partition in crowded
+             else (partition, where) for partition, where in parts}
     labels = sorted(dict.fromkeys(names.values()), key=lambda label: list(count).index(label[0]))
     rows = {key: labels.index(label) for key, label in names.items()}
     with style():
         figure, panels = plt.subplots(1, len(effects), figsize=(HALF_WIDTH, 1.3 + 0.17 * len(labels)), sharey=True,
                                       squeeze=False)
         for axes, effect in zip(panels[0], effects, strict=True):
-            ratios = [(level, rows[level, v.where], v) for level, v in estimates[effect.name]]
-            _draw_ratios(axes, [(row, v) for level, row, v in ratios if level not in crowded])
+            ratios = [(partition, rows[partition, v.where], v) for partition, v in estimates[effect.name]]
+            _draw_ratios(axes, [(row, v) for partition, row, v in ratios if partition not in crowded])
             for _, row, v in (one for one in ratios if one[0] in crowded):
                 axes.plot(np.clip(v.ratio, *axes.get_xlim()), row, "|", ms=7, color=AFTER, alpha=0.6)
             title = textwrap.fill(quantities.plain(effect.name), 64 // len(effects), break_long_words=False)

@@ -89,7 +89,7 @@ def title(found: Discovery) -> str:
         return f"{_errors(found)}: {named}{more}"
     if found.outcome == "varying":
         varying = ", ".join(f"an effect that resembles {plain(b.resembles)} ({metres(b.position_5s_reduction)}) but "
-                            f"varies with {b.level}" for b in found.varying)
+                            f"varies with {b.varies_with}" for b in found.varying)
         return f"{_errors(found)}: {varying}; no effect is named{more}"
     return f"{_errors(found)}: no significant model error"
 
@@ -175,16 +175,16 @@ def describe_varying(effect: VaryingEffect) -> str:
     more = f" and {len(effect.values) - len(ranked)} more" if len(effect.values) > len(ranked) else ""
     name = f"{plain(effect.resembles)} {short_values(effect.resembles, effect.parameters)}"
     reduction = metres(effect.position_5s_reduction)
-    return (f"an effect that resembles {name} reduces the error by {reduction}, but varies with {effect.level}, so it "
-            f"is not a property of the car; ratio to the largest local value: {ratios}{more}")
+    return (f"an effect that resembles {name} reduces the error by {reduction}, but varies with {effect.varies_with}, "
+            f"so it is not a property of the car; ratio to the largest local value: {ratios}{more}")
 
 
 def agreement(effect: FoundEffect) -> str:
     """In how many runs (or parts of runs if there are few) and sites an effect is significant on its own."""
     counts = []
-    for level in ("run", "site"):
-        parts = effect.agreement.get(level, ())
-        called = "parts of runs" if any(", part " in v.where for v in parts) else f"{level}s"
+    for partition in ("run", "site"):
+        parts = effect.agreement.get(partition, ())
+        called = "parts of runs" if any(", part " in v.where for v in parts) else f"{partition}s"
         above = sum(v.ratio - Z95 * v.deviation > 0.0 for v in parts)
         counts += [f"{above} of {len(parts)} {called}"] if parts else []
     return ", ".join(counts) or "-"

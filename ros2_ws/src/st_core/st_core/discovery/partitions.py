@@ -12,21 +12,21 @@ TIMES = ("the first third of the runs", "the second third", "the last third")
 KINDS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
 
 # A way to divide the driving (a factor of an analysis of variance): (n,) part of each window, names of the parts.
-Level = tuple[np.ndarray, list[str]]
+Partition = tuple[np.ndarray, list[str]]
 
 
-def levels(windows: Windows) -> dict[str, Level]:
-    """(part of each window (n,), names of the parts) by level; only levels with at least two parts."""
+def partitions(windows: Windows) -> dict[str, Partition]:
+    """(part of each window (n,), names of the parts) by name of the partition; only those with at least two parts."""
     site, driven = sites(windows), windows.driven
     parts = {"run": runs(windows), "site": (site, [f"site {k + 1}" for k in range(int(site.max()) + 1)]),
              "time": (_thirds(windows), list(TIMES)), "place": places(driven["x"], driven["y"]),
              "condition": conditions(driven["speed"], driven["lateral_acceleration"])}
     if site.max() + 1 == len(windows.names):
         del parts["site"]  # the same as the runs
-    return {name: level for name, level in parts.items() if len(np.unique(level[0])) > 1}
+    return {name: partition for name, partition in parts.items() if len(np.unique(partition[0])) > 1}
 
 
-def runs(windows: Windows) -> Level:
+def runs(windows: Windows) -> Partition:
     """The runs; of fewer than MIN_RUNS, stretches of equal duration."""
     numbers = np.unique(windows.run)
     if len(numbers) >= MIN_RUNS:
@@ -54,14 +54,14 @@ def sites(windows: Windows) -> np.ndarray:
     return np.unique(np.array(site), return_inverse=True)[1][windows.run]
 
 
-def places(x: np.ndarray, y: np.ndarray) -> Level:
+def places(x: np.ndarray, y: np.ndarray) -> Partition:
     """Places: squares of the map with side PLACE_SIZE."""
     cells = np.stack([np.floor(x / PLACE_SIZE), np.floor(y / PLACE_SIZE)], axis=1)
     unique, number = np.unique(cells, axis=0, return_inverse=True)
     return number.ravel(), [f"east {east:.0f} m, north {north:.0f} m" for east, north in PLACE_SIZE * (unique + 0.5)]
 
 
-def conditions(speed: np.ndarray, lateral: np.ndarray) -> Level:
+def conditions(speed: np.ndarray, lateral: np.ndarray) -> Partition:
     """Four kinds of driving: slower or faster than the median speed, each with less or more lateral acceleration than
     its median."""
     fast = speed > np.median(speed)
