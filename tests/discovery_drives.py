@@ -56,7 +56,7 @@ class Rows:
 
 
 class LinearErrors:
-    """Errors that fall by `signatures` (p, n, m) for each usual size a value is moved, from those at `truth`: noise."""
+    """Errors that fall by `signatures` (p, n, m) for each typical size that a value moves, from noise at `truth`."""
 
     def __init__(self, space: Space, truth: np.ndarray, signatures: np.ndarray, noise: np.ndarray, runs: int):
         count = len(noise)
@@ -74,7 +74,7 @@ class LinearErrors:
 def linear_problem(effects: Sequence[str], truth: Mapping[str, float], seed: int, count: int = 160, block: int = 8,
                    runs: int = 4, common: float = 0.5, size: float = 0.02, prior: np.ndarray | None = None) -> Problem:
     """A problem whose errors are known in closed form: signatures and noise are drawn; windows of a block share a part
-    of both (`common`, of the variance). truth: {"effect": by how many usual sizes of its first parameter the car
+    of both (`common`, of the variance). truth: {"effect": by how many typical sizes of its first parameter the car
     differs}."""
     rng = np.random.default_rng(seed)
     space = Space("nonlinear", DiscoverySettings(effects=tuple(effects)))

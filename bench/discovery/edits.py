@@ -21,7 +21,7 @@ from .paths import ROOT
 GENESIS = ROOT.parent / "shared" / "data" / "hyundai_genesis_oxts"
 VEHICLE_FILE = ROOT / "config" / "vehicle" / "hyundai_genesis.yaml"
 SMALLEST, LARGEST = 0.5, 1.5
-"""Of the usual size."""
+"""Of the typical size."""
 
 Column = Callable[[DriveLog, float], DriveLog]
 

@@ -28,7 +28,7 @@ ROUNDS, REFITS, DAMPING = 8, 4, (1e-4, 1e-2, 0.3, 10.0)
 SETTLED = 1e-3
 """Fall of the loss below which a fit is done."""
 STEP = 0.1
-"""Of the usual size of an effect: for difference quotients."""
+"""Of the typical size of an effect: for difference quotients."""
 
 Values = Mapping[str, Mapping[str, float]]
 
@@ -183,7 +183,7 @@ class Oracle:
         return None
 
     def _step(self, x: np.ndarray, hessian: np.ndarray, gradient: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """The minimum of the quadratic within the bounds, in usual sizes: what would leave them is held at them."""
+        """The minimum of the quadratic within the bounds, in typical sizes: what would leave them is held at them."""
         low, high = (((side - x) / self._unit)[free] for side in (self._low, self._high))
         d, held = np.zeros(len(free)), np.zeros(len(free), bool)
         for _ in free:
@@ -196,7 +196,7 @@ class Oracle:
         return d
 
     def _differences(self, z: np.ndarray) -> np.ndarray:
-        """(p, n) minus the change of z per usual size."""
+        """(p, n) minus the change of z per typical size."""
         slopes = np.zeros((len(self._x), len(z)))
         for i, unit in enumerate(self._unit):
             sign = 1.0 if self._x[i] + STEP * unit <= self._high[i] else -1.0

@@ -139,7 +139,7 @@ def test_one_effect_takes_the_place_of_two_only_where_it_explains_as_much(headin
     signatures, of = problem.errors.signatures, problem.space.indices
     signatures[of("road_bank")] = signatures[of(PAIR[0])] + signatures[of(PAIR[1])]
     problem.update_design_effect(problem.start)
-    fit = problem.fit(PAIR, problem.slopes_of_all(problem.start))
+    fit = problem.fit(PAIR, problem.all_sensitivities(problem.start))
     found = Search(problem, Limits(), {}, {})._exchange_until_accepted(Found(fit, list(PAIR)))
     assert sorted(found.fit.names) == sorted(left)
 

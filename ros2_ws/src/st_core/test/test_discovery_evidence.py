@@ -32,7 +32,7 @@ FEW = ("steering_offset", "mass", "yaw_inertia", "road_bank", "yaw_rate_bias")
 
 
 def fitted(problem, *names):
-    return problem.fit(names, problem.slopes_of_all(problem.start), iterations=30)
+    return problem.fit(names, problem.all_sensitivities(problem.start), iterations=30)
 
 
 def screened(problem, seed: int = 0):
@@ -128,8 +128,8 @@ def test_deviation_is_that_of_repeated_drives():
     assert np.median(told) == pytest.approx(np.std(values), rel=0.25)
 
 
-def test_distance_to_a_bound_counts_in_usual_sizes():
-    """Of the inertia: factor up to 2.5, usual size 0.15."""
+def test_distance_to_a_bound_counts_in_typical_sizes():
+    """Of the inertia: factor up to 2.5, typical size 0.15."""
     inside, beyond = (fitted(linear_problem(FEW, {"yaw_inertia": by}, 4, size=0.2), "yaw_inertia")
                       for by in (6.0, 14.0))
     problem = linear_problem(FEW, {}, 4)
@@ -183,7 +183,7 @@ def test_evidence_of_a_fit_against_that_without():
     fit = fitted(problem, "mass")
     e = evidence(problem, base, fit, "mass", scores, {}, {})
     by_run = problem.held_out_loss(base, problem.held_out_groups) - problem.held_out_loss(fit, problem.held_out_groups)
-    assert e.gain == pytest.approx(min((base.held_out - fit.held_out).sum(), by_run.sum()) / problem.scored_count)
+    assert e.gain == pytest.approx(min((base.held_out - fit.held_out).sum(), by_run.sum()) / problem.residual_count)
     fall = (problem.position_error(problem.held_out_rows(base))
             - problem.position_error(problem.held_out_rows(fit)))
     assert e.position == e.position_somewhere == pytest.approx(fall.mean()) and e.position > 0.0

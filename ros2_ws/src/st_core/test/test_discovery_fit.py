@@ -9,7 +9,7 @@ from scipy import optimize, stats
 from st_core.augmented import augment
 from st_core.channels import CHANNEL_OF_COLUMN
 from st_core.discovery import DiscoverySettings, fit_effects
-from st_core.discovery.fit import FOLDS, Problem, Slopes, bounded
+from st_core.discovery.fit import FOLDS, Problem, Sensitivities, bounded
 from st_core.discovery.loss import MAX_SCALED_ERROR, NU, Errors, Loss, rho, weight
 from st_core.discovery.space import GAIN, Space
 from st_core.discovery.windows import LOOKUP_CACHE_SIZE, Signals, Windows
@@ -21,7 +21,7 @@ FEW = ("steering_offset", "mass", "yaw_inertia")
 
 def fitted(problem: Problem, names, vector=None, iterations: int = 30):
     start = problem.start if vector is None else vector
-    return problem.fit(names, problem.slopes_of_all(start), iterations=iterations)
+    return problem.fit(names, problem.all_sensitivities(start), iterations=iterations)
 
 
 def small_noise(problem: Problem, share: float) -> Problem:
@@ -57,9 +57,9 @@ def test_a_gap_of_a_second_is_no_error_of_the_model(leaf, time, values):
         windows = Windows([one], leaf, DiscoverySettings())
         losses.append(Loss(Errors(windows, space), space.null))
     whole, rest = losses
-    assert 0.3 * whole.scored_count < rest.scored_count < 0.95 * whole.scored_count
+    assert 0.3 * whole.residual_count < rest.residual_count < 0.95 * whole.residual_count
     assert np.isfinite(rest.errors.at(space.null)[rest.known]).all()
-    assert rest.total(space.null) / rest.scored_count < 1.5 * whole.total(space.null) / whole.scored_count
+    assert rest.total(space.null) / rest.residual_count < 1.5 * whole.total(space.null) / whole.residual_count
 
 
 # The loss
@@ -107,7 +107,7 @@ def test_what_was_not_measured_does_not_count():
     problem.errors.windows.known[5] = False  # one window
     loss = Loss(problem.errors, problem.start)
     before = loss.total(problem.start)
-    assert loss.scored_count == (160 - 1) * 4 * (len(COLUMNS) - 1) + 4
+    assert loss.residual_count == (160 - 1) * 4 * (len(COLUMNS) - 1) + 4
     assert loss.by_window(problem.start)[5] == 0.0
     scale = loss.scale.copy()
     problem.errors.noise[1:, 2::len(COLUMNS)] = 1e3
@@ -118,7 +118,7 @@ def test_what_was_not_measured_does_not_count():
     assert np.isfinite(q.hessian).all() and not q.gradient[5].any() and not q.hessian[5].any()
 
 
-def test_prediction_that_diverges_is_far_off_and_says_nothing_of_slopes():
+def test_prediction_that_diverges_is_far_off_and_has_no_sensitivities():
     problem = linear_problem(FEW, {}, 3)
     loss = Loss(problem.errors, problem.start)
     before = loss.by_window(problem.start)
@@ -136,7 +136,7 @@ def test_windows_without_any_prediction_at_the_start_are_left_out():
     problem = linear_problem(FEW, {}, 3)
     problem.errors.noise[7] = np.nan
     loss = Loss(problem.errors, problem.start)
-    assert loss.scored_count == (160 - 1) * 4 * len(COLUMNS) and loss.by_window(problem.start)[7] == 0.0
+    assert loss.residual_count == (160 - 1) * 4 * len(COLUMNS) and loss.by_window(problem.start)[7] == 0.0
 
 
 def test_quadratic_touches_the_loss_and_lies_above_it():
@@ -166,16 +166,17 @@ def test_quadratic_by_group_is_the_sum_of_its_windows():
     np.testing.assert_array_equal(q.only(indices).hessian, q.hessian[:, indices[:, None], indices])
 
 
-def test_slopes_say_how_errors_fall_also_at_a_bound():
+def test_sensitivities_say_how_errors_fall_also_at_a_bound():
     problem = linear_problem(FEW, {}, 6)
     indices = problem.space.indices(*FEW)
     for edge in (problem.space.low, problem.space.high):
         vector = problem.start.copy()
         vector[indices] = edge[indices]
-        np.testing.assert_allclose(problem.loss.slopes(vector, indices), problem.errors.signatures[indices], atol=1e-9)
+        found = problem.loss.sensitivities(vector, indices)
+        np.testing.assert_allclose(found, problem.errors.signatures[indices], atol=1e-9)
 
 
-def test_slopes_of_the_simulation_have_the_sign_of_the_effect(leaf):
+def test_sensitivities_of_the_simulation_have_the_sign_of_the_effect(leaf):
     """A car that steers to the left of what is measured: errors fall as the offset rises."""
     settings = DiscoverySettings(windows=50)
     space = Space("nonlinear", settings)
@@ -183,8 +184,8 @@ def test_slopes_of_the_simulation_have_the_sign_of_the_effect(leaf):
     loss = Loss(Errors(Windows(runs, leaf, settings), space), space.null)
     own = space.indices("steering_offset")
     lateral = loss.errors.windows.columns.index("position_lateral") - len(loss.errors.windows.columns)
-    rows, fall = loss.errors.at(space.null), loss.slopes(space.null, own)[0]
-    np.testing.assert_allclose(fall[:, lateral], rows[:, lateral], rtol=0.1)  # one usual size: all of the lateral error
+    rows, fall = loss.errors.at(space.null), loss.sensitivities(space.null, own)[0]
+    np.testing.assert_allclose(fall[:, lateral], rows[:, lateral], rtol=0.1)  # one typical size: all of the error
 
 
 # Solvers
@@ -192,18 +193,18 @@ def test_slopes_of_the_simulation_have_the_sign_of_the_effect(leaf):
 
 def test_broyden_gives_what_was_lost_for_the_step_and_nothing_else_new():
     rng = np.random.default_rng(1)
-    slopes = Slopes(np.zeros(3), np.arange(3), rng.standard_normal((3, 5, 4)))
+    sensitivities = Sensitivities(np.zeros(3), np.arange(3), rng.standard_normal((3, 5, 4)))
     scale, there = np.array([0.1, 1.0, 10.0]), np.array([0.05, 0.0, -3.0])
     taken = rng.standard_normal((5, 4))
     taken[0, 0] = np.nan
-    moved = slopes.moved(there, scale, taken)
+    moved = sensitivities.moved(there, scale, taken)
     step = there / scale
     known = np.isfinite(taken)
     np.testing.assert_allclose(np.tensordot(step, moved.values, 1)[known], taken[known])
-    assert moved.values[:, 0, 0] == pytest.approx(slopes.values[:, 0, 0])
+    assert moved.values[:, 0, 0] == pytest.approx(sensitivities.values[:, 0, 0])
     across = np.array([step[2], 5.0, -step[0]])
-    np.testing.assert_allclose(np.tensordot(across, moved.values, 1), np.tensordot(across, slopes.values, 1))
-    assert slopes.moved(slopes.vector, scale, taken) is slopes
+    np.testing.assert_allclose(np.tensordot(across, moved.values, 1), np.tensordot(across, sensitivities.values, 1))
+    assert sensitivities.moved(sensitivities.vector, scale, taken) is sensitivities
 
 
 # Fits
@@ -228,7 +229,7 @@ def test_fit_is_the_minimum_scipy_finds():
         vector[fit.indices] += d * problem.space.scale[fit.indices]
         return problem.loss.total(vector)
     best = optimize.minimize(total, np.zeros(len(fit.indices)), method="BFGS", options={"gtol": 1e-4})
-    assert problem.loss.total(fit.vector) <= best.fun + 2e-4 * problem.scored_count
+    assert problem.loss.total(fit.vector) <= best.fun + 2e-4 * problem.residual_count
 
 
 def test_windows_that_are_wrong_move_a_fit_little():
@@ -250,7 +251,7 @@ def test_only_effects_of_the_set_move_without_a_prior():
     fit = fitted(problem, ("mass",))
     moved = np.flatnonzero(fit.vector != problem.start)
     assert set(problem.space.effect_of[moved]) <= {"mass", GAIN}
-    more = problem.fit(("yaw_inertia",), fit.slopes)  # what is not of the set goes back to the start
+    more = problem.fit(("yaw_inertia",), fit.sensitivities)  # what is not of the set goes back to the start
     assert (more.vector[problem.space.indices("mass")] == problem.start[problem.space.indices("mass")]).all()
 
 
@@ -311,7 +312,7 @@ def test_held_out_loss_is_that_of_fits_without_the_fold():
         loss = Loss(problem.errors, problem.start)
         loss.known, loss.scale = problem.loss.known & ~mine[:, None], problem.loss.scale
         rest = Problem(loss, problem.start, problem.block)
-        vector = rest.fit(FEW, problem.slopes_of_all(problem.start), iterations=100).vector
+        vector = rest.fit(FEW, problem.all_sensitivities(problem.start), iterations=100).vector
         shown += float((problem.loss.by_window(vector) - inside)[mine].sum())
     assert promised > 0.0 and shown > 0.0
     assert promised == pytest.approx(shown, rel=0.25)
@@ -347,7 +348,7 @@ def test_held_out_loss_is_not_below_the_loss_of_the_fit(leaf):
     w = Windows(recorded(leaf, {}, 1, ("sweep", "brake_in_turn", "step")), leaf, settings)
     loss = Loss(Errors(w, space), space.null)
     p = Problem(loss, space.null, w.block)
-    fit = p.fit(("steering_lag", "steering_delay"), p.slopes_of_all(space.null))
+    fit = p.fit(("steering_lag", "steering_delay"), p.all_sensitivities(space.null))
     inside = loss.total(fit.vector)
     assert fit.held_out.sum() >= inside
 

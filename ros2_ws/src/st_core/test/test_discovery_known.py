@@ -54,7 +54,7 @@ def test_linear_base_lacks_all_of_the_height_and_is_not_held_to_none(leaf):
 
 
 def _held(problem: Problem, deviation: float) -> Problem:
-    """The problem with the mass known to `deviation` usual sizes."""
+    """The problem with the mass known to `deviation` typical sizes."""
     quantities: list[FileQuantity | None] = [None] * len(problem.space)
     i = problem.space.indices("mass")[0]
     quantities[i] = FileQuantity("mass", "kg", 1600.0, deviation * problem.space.scale[i] * 1600.0, 1600.0, True,
@@ -70,7 +70,7 @@ def test_known_value_moves_as_far_as_its_deviation_allows():
     moved = []
     for deviation in (1e3, 0.05, 1e-3):
         problem = _held(free, deviation)
-        fit = problem.fit(("mass",), problem.slopes_of_all(problem.start))
+        fit = problem.fit(("mass",), problem.all_sensitivities(problem.start))
         moved.append((fit.vector[i] - problem.start[i]) / problem.space.scale[i])
         assert against_file(problem, fit, "mass").z_score == pytest.approx(moved[-1] / deviation, rel=1e-6)
     assert moved[0] == pytest.approx(1.0, abs=0.1) and 0.0 < moved[2] < 0.1 < moved[1] < moved[0]
@@ -80,7 +80,7 @@ def test_interval_of_what_driving_does_not_show_is_that_of_the_file():
     free = linear_problem(["mass"], {}, seed=2)
     free.errors.signatures *= 1e-6
     problem = _held(free, 0.5)
-    fit = problem.fit(("mass",), problem.slopes_of_all(problem.start))
+    fit = problem.fit(("mass",), problem.all_sensitivities(problem.start))
     place = int(np.searchsorted(fit.indices, problem.space.indices("mass")[0]))
     assert np.sqrt(covariance(problem, fit)[place, place]) == pytest.approx(0.5, rel=0.01)
 

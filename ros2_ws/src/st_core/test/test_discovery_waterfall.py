@@ -25,7 +25,7 @@ TRUTH = {"mass": 3.0, "yaw_rate_bias": 2.0}
 
 
 def fitted(problem, *names):
-    return problem.fit(names, problem.slopes_of_all(problem.start), iterations=40)
+    return problem.fit(names, problem.all_sensitivities(problem.start), iterations=40)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_steps_lead_from_the_base_to_the_answer(explained):
     for channel in ("velocity_y", "yaw_rate", "acceleration_y", "yaw", "position"):
         assert steps[0].channels[channel].augmented == pytest.approx(steps[1].channels[channel].base)
         assert steps[-1].channels[channel].augmented == pytest.approx(error[channel].augmented)
-    # Signatures and noise are of one size, so that each usual size of an effect adds its square.
+    # Signatures and noise are of one size, so that each typical size of an effect adds its square.
     for values, size in ((steps[0].channels["yaw"].base, 14.0), (steps[1].channels["yaw"].base, 5.0),
                          (steps[1].channels["yaw"].augmented, 1.0)):
         assert values == pytest.approx(0.02 * np.sqrt(size), rel=0.15)
@@ -185,7 +185,7 @@ def test_value_with_a_reference_is_the_change_since():
 
 def test_promised_power_is_what_imitated_drives_show():
     problem = linear_problem(FEW, {}, 5, common=0.3)
-    problem.errors.signatures *= 0.8  # so that a quarter of a usual size is not worth it, and half of it is
+    problem.errors.signatures *= 0.8  # so that a quarter of a typical size is not worth it, and half of it is
     problem.noise = np.full(len(COLUMNS), 0.02)  # nothing is left that noise does not explain
     base = fitted(problem)
     scores = screen(problem, base, np.random.default_rng(0))
@@ -238,7 +238,7 @@ def driven(leaf, manoeuvres, effects, names):
     windows = Windows(recorded(leaf, effects, 1, manoeuvres), leaf, settings)
     loss = Loss(Errors(windows, space), space.null)
     problem = Problem(loss, space.null, windows.block)
-    fit = problem.fit(names, problem.slopes_of_all(space.null))
+    fit = problem.fit(names, problem.all_sensitivities(space.null))
     loss.rescale(fit.vector)
     return problem, problem.refit(fit)
 

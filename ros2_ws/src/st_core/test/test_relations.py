@@ -24,7 +24,7 @@ from st_core.relations.candidates import (
     FACTORS,
     PAIRS,
     QUANTITIES,
-    USUAL_SIZES,
+    TYPICAL_SIZES,
     candidates,
     run_time,
 )
@@ -47,7 +47,7 @@ def law(candidate: Candidate, wanted) -> dict:
 
 
 def test_every_place_can_be_asked_and_the_library_does_not_hold_the_law():
-    assert set(ADMISSIBLE) == set(ALL_TERMS) == set(USUAL_SIZES)
+    assert set(ADMISSIBLE) == set(ALL_TERMS) == set(TYPICAL_SIZES)
     assert {q for quantities in ADMISSIBLE.values() for q, _ in quantities} == set(QUANTITIES)
     assert {(p, by) for p, _, by in PAIRS} <= {(p, by) for p in ALL_TERMS for by in FACTORS}
     assert not {"law", "law_memory", "law_timed"} & set(EFFECTS)
@@ -62,7 +62,7 @@ def test_curve_of_the_equations_is_that_of_the_splines(parity):
     theta = RelationEffect.Theta(**{p.name: p.null for p in RelationEffect.parameters} | c.constants
                       | {f"c{k}": h for k, h in enumerate(heights)}, constants=())
     u = np.linspace(-0.8, 0.8, 33)
-    assert USUAL_SIZES["yaw_moment"] * curve(u, theta) == pytest.approx(heights @ c.splines(u), abs=1e-12)
+    assert TYPICAL_SIZES["yaw_moment"] * curve(u, theta) == pytest.approx(heights @ c.splines(u), abs=1e-12)
     if parity:
         assert curve(-u, theta) == pytest.approx(parity * curve(u, theta), abs=1e-12)
     assert curve(0.8, theta) == pytest.approx(curve(0.5, theta), abs=1e-12)  # constant beyond what was driven
@@ -215,7 +215,7 @@ def test_a_law_with_which_the_path_is_perhaps_no_better_is_no_proposal(laws):
     """A tenth of the loss is surely taken away in all three; the path comes closer by 5 cm, by 2 cm on the whole but
     with blocks against it, not at all."""
     laws, _ = laws
-    falls = np.full(laws.blocks, 0.1 * laws.loss.scored_count / laws.blocks)
+    falls = np.full(laws.blocks, 0.1 * laws.loss.residual_count / laws.blocks)
     share = np.random.default_rng(6).normal(1.0, 0.1, laws.blocks)
     mixed = np.where(np.arange(laws.blocks) % 2, 0.09, -0.05)
     moment, gyroscope = (Candidate(place, "yaw_rate", -1.0, -0.5, 0.5) for place in ("yaw_moment", "sensor_yaw_rate"))

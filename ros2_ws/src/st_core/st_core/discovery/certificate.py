@@ -33,7 +33,7 @@ def predicted(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> Cer
         best = int(np.argmax(information))
         free = problem.space.free[indices[best]]
         for share in SIZES:
-            powers.append(Power(effect, free.parameter, free.unit, share * free.usual,
+            powers.append(Power(effect, free.parameter, free.unit, share * free.scale,
                                 _power(problem, fit, indices[best], share, information[best], scores, limits), 0))
     return Certificate(tuple(powers), 0, 0, False)
 
@@ -58,12 +58,12 @@ def _power(problem: Problem, fit: Fit, index: int, share: float, information: fl
     """Probability that a parameter is found at `share` times its scale."""
     library = len(problem.space.hypotheses)
     threshold = float(stats.chi2.isf(limits.false_alarm / library, 1))
-    slopes = problem.slopes_of_all(fit.vector).values[index]
+    sensitivities = problem.all_sensitivities(fit.vector).values[index]
     rows = problem.errors.at(fit.vector)
-    before, after = problem.position_error(rows), problem.position_error(rows + share * slopes)
+    before, after = problem.position_error(rows), problem.position_error(rows + share * sensitivities)
     reduction = float(np.nanmean(after - before)) if np.isfinite(before).any() else 0.0
     required = _required(problem, rows, reduction, limits)
-    threshold = max(threshold, 2.0 * required * problem.scored_count / scores.design_effect)
+    threshold = max(threshold, 2.0 * required * problem.residual_count / scores.design_effect)
     return float(stats.ncx2.sf(threshold, 1, max(2.0 * share**2 * information / scores.design_effect, 1e-9)))
 
 
@@ -80,36 +80,36 @@ def measured(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callab
     without an effect."""
     rng = np.random.default_rng(seed)
     rows = np.nan_to_num(problem.errors.at(fit.vector))
-    slopes = problem.slopes_of_all(fit.vector).values
+    sensitivities = problem.all_sensitivities(fit.vector).values
     powers = []
     for effect in problem.space.hypotheses:
         indices = problem.space.indices(effect)
-        index = indices[int(np.argmax(np.square(slopes[indices] / problem.loss.scale).sum(axis=(1, 2))))]
+        index = indices[int(np.argmax(np.square(sensitivities[indices] / problem.loss.scale).sum(axis=(1, 2))))]
         free = problem.space.free[index]
         for share in SIZES:
             moved = fit.vector.copy()
-            moved[index] += share * free.usual * problem.space.sign[index]
+            moved[index] += share * free.scale * problem.space.sign[index]
             moved = problem.space.inside(moved)
             change = rows - np.nan_to_num(problem.errors.at(moved))
             reduction = float(np.nanmean(problem.position_error(rows + change) - problem.position_error(rows)))
             required = _required(problem, rows, reduction, limits)
-            found = sum(effect in _found(problem, fit, rows, change, slopes, required, limits, rng)
+            found = sum(effect in _found(problem, fit, rows, change, sensitivities, required, limits, rng)
                         for _ in range(DRAWS))
-            powers.append(Power(effect, free.parameter, free.unit, share * free.usual, found / DRAWS, DRAWS))
+            powers.append(Power(effect, free.parameter, free.unit, share * free.scale, found / DRAWS, DRAWS))
         tick()
     draws = FLIPS // 4
-    alarms = sum(bool(_found(problem, fit, rows, 0.0 * rows, slopes, limits.relevant, limits, rng))
+    alarms = sum(bool(_found(problem, fit, rows, 0.0 * rows, sensitivities, limits.relevant, limits, rng))
                  for _ in range(draws))
     return Certificate(tuple(powers), alarms, draws, True)
 
 
-def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slopes: np.ndarray, required: float,
+def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, sensitivities: np.ndarray, required: float,
            limits: Limits, rng: np.random.Generator) -> list[str]:
     """Effects that would be named on one simulated drive: the best one and those not separable from it; none if that is
     not significant. change: (n, m) of the residuals by the simulated effect. required: gain per residual."""
     signs = rng.choice([-1.0, 1.0], problem.blocks)
     simulated = signs[problem.block][:, None] * rows + change
-    q = problem.loss.quadratic(simulated, slopes).summed(problem.block, problem.blocks)
+    q = problem.loss.quadratic(simulated, sensitivities).summed(problem.block, problem.blocks)
     base = _held_out(problem, q, fit.names, fit.vector)
     gains, by_effect, information = {}, {}, {}
     for effect in problem.space.hypotheses:
@@ -122,7 +122,7 @@ def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slo
     best = max(gains, key=lambda e: gains[e].sum())
     scores = make_scores(q, by_effect, information, {}, rng, FLIPS // 4)
     p_value = library_p_value(by_effect[best], gains[best], scores, len(by_effect))
-    if p_value > limits.false_alarm or gains[best].sum() / problem.scored_count < required:
+    if p_value > limits.false_alarm or gains[best].sum() / problem.residual_count < required:
         return []
     return [e for e in gains if gains[e].sum() > (1.0 - limits.undecided_p) * gains[best].sum()
             or (e in confounded_effects(best) and gains[e].sum() > limits.min_rival_gain * gains[best].sum())]

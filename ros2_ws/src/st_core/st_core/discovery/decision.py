@@ -295,7 +295,7 @@ def decide(a: SearchResult, limits: Limits) -> tuple[Outcome, Reason]:
                        "reduces them significantly", noise_ratio=a.noise_ratio, max_noise_ratio=limits.max_noise_ratio)
     if a.detectable_share < limits.detection_power:
         return because("not_testable", f"only {a.detectable_share:.0%} of the library's effects would be detectable "
-                       "in these drives at their usual size", detectable_share=a.detectable_share,
+                       "in these drives at their typical size", detectable_share=a.detectable_share,
                        detection_power=limits.detection_power)
     return because("none", f"errors are {a.noise_ratio:.1f} times the noise", noise_ratio=a.noise_ratio,
                    max_noise_ratio=limits.max_noise_ratio)

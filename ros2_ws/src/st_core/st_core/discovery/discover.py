@@ -87,9 +87,9 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
     loss = Loss(Errors(windows, space), space.null)
     problem = Problem(loss, space.null, windows.block, quantities=known_quantities(space, vehicle))
     problem.update_design_effect(space.null)
-    fit = problem.fit((), problem.slopes_of_all(space.null))
+    fit = problem.fit((), problem.all_sensitivities(space.null))
     for _ in range(3):
-        fit = problem.fit(names, problem.slopes_of_all(fit.vector), iterations=5)
+        fit = problem.fit(names, problem.all_sensitivities(fit.vector), iterations=5)
         loss.rescale(fit.vector)
         problem.update_design_effect(fit.vector)
     return space.at(problem.refit(fit).vector)
@@ -224,7 +224,7 @@ class _Analysis:
                         decision.correction_verdict)
         fit = search.corrections(found.fit)
         problem.loss.scale = scale
-        fit = free.fit_at(fit.names, fit.vector, fit.indices, fit.slopes)
+        fit = free.fit_at(fit.names, fit.vector, fit.indices, fit.sensitivities)
         gain = free.held_out_gain(found.fit, fit)
         # Both sums are over the same windows, hence comparable; 0 if position is not a channel.
         named, best = (np.nansum(p.position_error(p.held_out_rows(f))) for p, f in ((problem, found.fit), (free, fit)))
@@ -394,7 +394,7 @@ class _Analysis:
         """position [m]: reduction of the error."""
         free = next(f for f in self.space.free if (f.effect, f.parameter) == (v.name, v.parameter))
         value, spread = max(v.values.values(), key=lambda each: abs(each[0] - free.null))
-        change = value - free.null or free.usual
+        change = value - free.null or free.scale
         ratios = tuple(LocalEstimate(part, (x - free.null) / change, s / abs(change))
                        for part, (x, s) in v.values.items())
         found = FittedParameter(value, free.unit, (value - 1.96 * spread, value + 1.96 * spread), free.null)
@@ -424,7 +424,7 @@ class _Analysis:
             elif name in found.scores.by_effect:
                 gains, vector = found.scores.gains[name]
                 values = space.values(name, vector)
-                gain = float(gains.sum()) / problem.scored_count
+                gain = float(gains.sum()) / problem.residual_count
                 p_value = library_p_value(found.scores.by_effect[name], gains, found.scores, len(space.hypotheses))
                 verdict = decision.judge(Evidence(name, gain, p_value), self.limits)
                 if verdict.rule == decision.ACCEPTED:

@@ -8,7 +8,7 @@ from scipy import stats
 
 from ..effects import get_effect
 from ..regression import random_effects
-from .fit import Fit, Problem, Slopes, bounded
+from .fit import Fit, Problem, Sensitivities, bounded
 from .loss import Quadratic
 from .partitions import Partition
 from .space import Space
@@ -182,13 +182,13 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
     gain = without.held_out - fit.held_out
     block_scores = scores.by_effect.get(effect)
     if block_scores is None:
-        block_scores = score_of(problem, without, effect, fit.slopes)
+        block_scores = score_of(problem, without, effect, fit.sensitivities)
     rows, after = problem.held_out_rows(without), problem.held_out_rows(fit)
     reduction = problem.position_error(rows) - problem.position_error(after)
     if problem.prior is not None:  # the healthy car is known: no other parameter compensates for the effect
         rows = problem.errors.at(problem.vector_without(fit, effect))
     overall, somewhere = error_reductions(reduction, partitions.get("condition"))
-    return Evidence(effect, min(float(gain.sum()) / problem.scored_count, problem.held_out_gain(without, fit)),
+    return Evidence(effect, min(float(gain.sum()) / problem.residual_count, problem.held_out_gain(without, fit)),
                     library_p_value(block_scores, gain, scores, len(problem.space.hypotheses)),
                     null_p_value(problem, fit, effect),
                     shares(problem, rows, after), overall, somewhere, residual_over_noise(problem, after),
@@ -214,11 +214,12 @@ def shares(problem: Problem, without: np.ndarray, rows: np.ndarray) -> dict[str,
         before / np.maximum(problem.noise, 1e-12), strict=True)}
 
 
-def score_of(problem: Problem, fit: Fit, effect: str, slopes: Slopes) -> np.ndarray:
-    """(b, k) efficient scores of an effect that is not in the fit. slopes: sensitivities to the parameters of fit and
-    effect, at a nearby vector."""
+def score_of(problem: Problem, fit: Fit, effect: str, sensitivities: Sensitivities) -> np.ndarray:
+    """(b, k) efficient scores of an effect that is not in the fit. sensitivities: to the parameters of fit and effect,
+    at a nearby vector."""
     indices = np.union1d(fit.indices, problem.space.indices(effect))
-    q = problem.loss.quadratic(problem.errors.at(fit.vector), slopes.of(indices)).summed(problem.block, problem.blocks)
+    rows = problem.errors.at(fit.vector)
+    q = problem.loss.quadratic(rows, sensitivities.of(indices)).summed(problem.block, problem.blocks)
     padded = Quadratic(q.cost, np.zeros((problem.blocks, len(problem.space))),
                        np.zeros((problem.blocks, len(problem.space), len(problem.space))))
     padded.gradient[:, indices] = q.gradient
@@ -320,7 +321,7 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
     """(a, a) sandwich covariance of the fitted parameters, in parameter scales: H^-1 S H^-1, S: scatter of the scores
     of independent blocks, H: half the second derivative of the loss."""
     q = fit.quadratic.summed(problem.block, problem.blocks)
-    curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.slopes.of(fit.indices))
+    curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.sensitivities.of(fit.indices))
     h = inverse(_raised(curvature, q.hessian.sum(axis=0)) + problem.prior_curvature(fit.names, fit.indices))
     centred = q.gradient - q.gradient.mean(axis=0)  # at the optimum the sum equals the gradient of the prior
     scatter = centred.T @ centred * problem.blocks / max(problem.blocks - 1, 1)
@@ -357,7 +358,7 @@ def joint(problem: Problem, fit: Fit) -> Joint:
     space, names = problem.space, fit.names
     others = [n for n in space.hypotheses if not space.overlaps(n, names) and not get_effect(n).members]
     indices = np.union1d(fit.indices, space.indices(*others))
-    q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.slopes_of_all(fit.vector).of(indices))
+    q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.all_sensitivities(fit.vector).of(indices))
     prior = problem.file_curvature[indices]
     free = ((prior == 0.0) | (space.deviation[indices] < np.inf)) & ~np.isin(indices, fit.indices)
     prior[free] = 0.5 * problem.design_effect / UNSELECTED_DEVIATION**2

@@ -12,7 +12,8 @@ from .loss import Loss, Quadratic, rho
 from .space import GAIN, Quantities, prior_deviations
 
 ITERATIONS, STEP_SHARES = 5, (1.0, 0.5, 0.2)  # maximum of a fit; fractions of a step, tried until the loss decreases
-SLOPES_VALID_WITHIN, SLOPES_CACHE_SIZE = 0.25, 4  # distance [parameter scales] of reuse; number of cached Jacobians
+MAX_REUSE_DISTANCE = 0.25  # parameter scales, up to which cached sensitivities are updated and not recomputed
+SENSITIVITY_CACHE_SIZE = 4  # vectors
 MIN_LOSS_FALL = 2e-4  # per residual; a fit ends at a smaller reduction of the loss
 FOLDS = 8  # groups of blocks, each held out once
 MAX_SCALED = 5.0  # clip limit of a residual, in robust scales of the baseline residuals; a few windows cannot dominate
@@ -50,7 +51,7 @@ def bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class Slopes:
+class Sensitivities:
     """Sensitivities of the residuals, their negative Jacobian. values: (a, n, m) reduction of the m residuals of n
     windows per parameter scale of the a parameters `indices`, at `vector`."""
 
@@ -61,7 +62,7 @@ class Slopes:
     def of(self, indices: np.ndarray) -> np.ndarray:
         return self.values[np.searchsorted(self.indices, indices)]
 
-    def moved(self, vector: np.ndarray, scale: np.ndarray, reduction: np.ndarray) -> "Slopes":
+    def moved(self, vector: np.ndarray, scale: np.ndarray, reduction: np.ndarray) -> "Sensitivities":
         """The sensitivities at another vector by Broyden's update (1965). reduction: (n, m) simulated reduction of
         the residuals by the step to that vector."""
         step = ((vector - self.vector) / scale)[self.indices]
@@ -70,25 +71,25 @@ class Slopes:
             return self
         error = reduction - np.tensordot(step, self.values, 1)
         error[~np.isfinite(error)] = 0.0  # a window that diverges at one of the two vectors
-        return Slopes(vector, self.indices, self.values + (step / square)[:, None, None] * error)
+        return Sensitivities(vector, self.indices, self.values + (step / square)[:, None, None] * error)
 
-    def with_values(self, indices: np.ndarray, values: np.ndarray) -> "Slopes":
+    def with_values(self, indices: np.ndarray, values: np.ndarray) -> "Sensitivities":
         """The sensitivities with those to some parameters replaced."""
         new = self.values.copy()
         new[np.searchsorted(self.indices, indices)] = values
-        return Slopes(self.vector, self.indices, new)
+        return Sensitivities(self.vector, self.indices, new)
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A set of effects with fitted values. indices: (a,) free parameters. slopes: sensitivities to at least these.
+    """A set of effects with fitted values. indices: (a,) free parameters. sensitivities: to at least these.
     quadratic: approximation of the loss of each window in these. held_out: (b,) loss of each block at the values fitted
     without its fold."""
 
     names: tuple[str, ...]
     vector: np.ndarray
     indices: np.ndarray
-    slopes: Slopes
+    sensitivities: Sensitivities
     quadratic: Quadratic
     held_out: np.ndarray
 
@@ -124,7 +125,7 @@ class Problem:
         self.noise = np.zeros(len(self.errors.windows.columns)) if noise is None else noise
         self.block, self.blocks = block, int(block.max()) + 1
         self.fold = np.arange(self.blocks) % min(FOLDS, self.blocks)
-        self._cached_slopes: list[Slopes] = []
+        self._cached_sensitivities: list[Sensitivities] = []
 
     def set_quantities(self, quantities: Quantities) -> None:
         """Set the quantity of the vehicle file that each parameter changes. Priors of additions to the car, such as a
@@ -170,9 +171,9 @@ class Problem:
         return other
 
     @property
-    def scored_count(self) -> int:
+    def residual_count(self) -> int:
         """Number of residuals in the loss."""
-        return self.loss.scored_count
+        return self.loss.residual_count
 
     def free_indices(self, names: Iterable[str]) -> np.ndarray:
         """(a,) indices of the parameters that are free in a fit of the effects `names`."""
@@ -247,19 +248,19 @@ class Problem:
         distance = self.distance(vector)[indices]
         return self.loss.total(vector) + float(distance @ self.prior_curvature(names, indices) @ distance)
 
-    def slopes_of_all(self, vector: np.ndarray) -> Slopes:
+    def all_sensitivities(self, vector: np.ndarray) -> Sensitivities:
         """Sensitivities to all parameters: cached ones of a nearby vector, updated for the step, or new ones."""
-        for known in reversed(self._cached_slopes):
-            if np.abs((vector - known.vector) / self.space.scale).max() < SLOPES_VALID_WITHIN:
-                return self._slopes_at(known, vector, np.zeros(0, int))
+        for known in reversed(self._cached_sensitivities):
+            if np.abs((vector - known.vector) / self.space.scale).max() < MAX_REUSE_DISTANCE:
+                return self._sensitivities_at(known, vector, np.zeros(0, int))
         indices = np.arange(len(self.space))
-        new = Slopes(vector, indices, self.loss.slopes(vector, indices))
-        self._cached_slopes = [*self._cached_slopes[-SLOPES_CACHE_SIZE + 1:], new]
+        new = Sensitivities(vector, indices, self.loss.sensitivities(vector, indices))
+        self._cached_sensitivities = [*self._cached_sensitivities[-SENSITIVITY_CACHE_SIZE + 1:], new]
         return new
 
     def quadratic_of_all(self, vector: np.ndarray) -> Quadratic:
         """Quadratic approximation of the loss of each window about a vector, in all parameters."""
-        return self.loss.quadratic(self.errors.at(vector), self.slopes_of_all(vector).values)
+        return self.loss.quadratic(self.errors.at(vector), self.all_sensitivities(vector).values)
 
     def moved(self, vector: np.ndarray, indices: np.ndarray, step: np.ndarray) -> np.ndarray:
         """The vector after a step [parameter scales] of some parameters, limited to the bounds."""
@@ -273,20 +274,20 @@ class Problem:
         vector[indices] = self.start[indices]
         return vector
 
-    def fit(self, names: Iterable[str], slopes: Slopes, vector: np.ndarray | None = None, fresh: Iterable[str] = (),
-            iterations: int = ITERATIONS) -> Fit:
-        """Fit a set of effects by robust Gauss-Newton. slopes: sensitivities to at least the free parameters at a
+    def fit(self, names: Iterable[str], sensitivities: Sensitivities, vector: np.ndarray | None = None,
+            fresh: Iterable[str] = (), iterations: int = ITERATIONS) -> Fit:
+        """Fit a set of effects by robust Gauss-Newton. sensitivities: to at least the free parameters, at a
         nearby vector; updated at each step. vector: initial vector, default that of the sensitivities. fresh: effects
         whose sensitivities are recomputed at each step.
         """
         names = tuple(names)
         indices, new = self.free_indices(names), self.space.indices(*fresh)
-        first, vector = slopes.vector if vector is None else vector, self.start.copy()
+        first, vector = sensitivities.vector if vector is None else vector, self.start.copy()
         vector[indices] = first[indices]
-        slopes = self._slopes_at(slopes, vector, new)
+        sensitivities = self._sensitivities_at(sensitivities, vector, new)
         cost = self.cost(names, vector, indices)
         for _ in range(iterations if len(indices) else 0):
-            q = self.loss.quadratic(self.errors.at(vector), slopes.of(indices))
+            q = self.loss.quadratic(self.errors.at(vector), sensitivities.of(indices))
             step = self.solve(q, names, vector, indices)
             for share in STEP_SHARES:
                 trial = self.moved(vector, indices, share * step)
@@ -296,31 +297,32 @@ class Problem:
             else:
                 break
             gained, vector, cost = cost - lower, trial, lower
-            slopes = self._slopes_at(slopes, vector, new)
-            if gained < MIN_LOSS_FALL * self.scored_count:
+            sensitivities = self._sensitivities_at(sensitivities, vector, new)
+            if gained < MIN_LOSS_FALL * self.residual_count:
                 break
-        return self.fit_at(names, vector, indices, slopes)
+        return self.fit_at(names, vector, indices, sensitivities)
 
     def refit(self, fit: Fit, iterations: int = 2) -> Fit:
         """The fit, continued with recomputed sensitivities."""
         fitted = np.union1d(self.space.indices(*fit.names), self.space.indices(GAIN))
-        fresh = Slopes(fit.vector, fit.slopes.indices, fit.slopes.values)
+        fresh = Sensitivities(fit.vector, fit.sensitivities.indices, fit.sensitivities.values)
         if len(fitted):
-            known = np.intersect1d(fitted, fit.slopes.indices)
-            fresh = fresh.with_values(known, self.loss.slopes(fit.vector, known))
+            known = np.intersect1d(fitted, fit.sensitivities.indices)
+            fresh = fresh.with_values(known, self.loss.sensitivities(fit.vector, known))
         return self.fit(fit.names, fresh, iterations=iterations)
 
-    def _slopes_at(self, slopes: Slopes, vector: np.ndarray, new: np.ndarray) -> Slopes:
+    def _sensitivities_at(self, sensitivities: Sensitivities, vector: np.ndarray, new: np.ndarray) -> Sensitivities:
         """The sensitivities at another vector, with those to the parameters `new` recomputed."""
-        if not np.array_equal(vector, slopes.vector):
-            reduction = self.errors.at(slopes.vector) - self.errors.at(vector)
-            slopes = slopes.moved(vector, self.space.scale, reduction)
-        return slopes.with_values(new, self.loss.slopes(vector, new)) if len(new) else slopes
+        if not np.array_equal(vector, sensitivities.vector):
+            reduction = self.errors.at(sensitivities.vector) - self.errors.at(vector)
+            sensitivities = sensitivities.moved(vector, self.space.scale, reduction)
+        return sensitivities.with_values(new, self.loss.sensitivities(vector, new)) if len(new) else sensitivities
 
-    def fit_at(self, names: tuple[str, ...], vector: np.ndarray, indices: np.ndarray, slopes: Slopes) -> Fit:
+    def fit_at(self, names: tuple[str, ...], vector: np.ndarray, indices: np.ndarray,
+               sensitivities: Sensitivities) -> Fit:
         """The `Fit` with the values of a vector, with the quadratic and the held-out loss there."""
-        q = self.loss.quadratic(self.errors.at(vector), slopes.of(indices))
-        fit = Fit(names, vector, indices, slopes, q, np.zeros(self.blocks))
+        q = self.loss.quadratic(self.errors.at(vector), sensitivities.of(indices))
+        fit = Fit(names, vector, indices, sensitivities, q, np.zeros(self.blocks))
         return replace(fit, held_out=self.held_out_loss(fit, self.fold))
 
     def leave_out(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, indices: np.ndarray,
@@ -362,11 +364,11 @@ class Problem:
 
     def _robust(self, rise: np.ndarray, blocks: np.ndarray) -> np.ndarray:
         """Increase of the robust loss for an increase of its quadratic: logarithmic above 1 per residual."""
-        count = np.maximum(self._scored_counts[blocks], 1)
+        count = np.maximum(self._residual_counts[blocks], 1)
         return np.where(rise > count, count * (1.0 + np.log(np.maximum(rise / count, 1.0))), rise)
 
     @cached_property
-    def _scored_counts(self) -> np.ndarray:
+    def _residual_counts(self) -> np.ndarray:
         """(b,) number of residuals of each block."""
         return np.bincount(self.block, self.loss.known.sum(axis=1), self.blocks)
 
@@ -379,7 +381,7 @@ class Problem:
         """(b,) loss of each block at values fitted without its group; simulated if the quadratic predicts a loss much
         higher than the fitted one. groups: (b,) group of each block."""
         steps, held_out = self.leave_out_of(fit, groups)
-        if held_out.sum() - fit.quadratic.cost.sum() < MAX_QUADRATIC_RISE * self.scored_count:
+        if held_out.sum() - fit.quadratic.cost.sum() < MAX_QUADRATIC_RISE * self.residual_count:
             return held_out
         prior, distance = self.prior_curvature(fit.names, fit.indices), self.distance(fit.vector)[fit.indices]
         result = np.zeros(self.blocks)
@@ -393,20 +395,20 @@ class Problem:
         """Reduction of the held-out loss per residual from a fit without some of the effects to the fit with them;
         groups held out: `held_out_groups`."""
         before, after = (self.held_out_loss(each, self.held_out_groups) for each in (without, fit))
-        return float((before - after).sum()) / self.scored_count
+        return float((before - after).sum()) / self.residual_count
 
     def held_out_rows(self, fit: Fit) -> np.ndarray:
         """(n, m) errors of each window at values fitted without its group (`held_out_groups`)."""
         steps, _ = self.leave_out_of(fit, self.held_out_groups)
-        group, slopes = self.held_out_groups[self.block], fit.slopes.of(fit.indices)
+        group, sensitivities = self.held_out_groups[self.block], fit.sensitivities.of(fit.indices)
         rows = self.errors.at(fit.vector)
         result = rows.copy()
         for k, d in steps.items():
             out = group == k
-            result[out] -= np.einsum("p,pnm->nm", d, slopes[:, out])
+            result[out] -= np.einsum("p,pnm->nm", d, sensitivities[:, out])
         before, after = (self.loss.scaled(each) for each in (rows, result))
         # Where the linear approximation is not valid, the held-out errors are simulated.
-        if rho(after).sum() - rho(before).sum() > MAX_QUADRATIC_RISE * self.scored_count:
+        if rho(after).sum() - rho(before).sum() > MAX_QUADRATIC_RISE * self.residual_count:
             for k, d in steps.items():
                 out = group == k
                 result[out] = self.errors.at(self.moved(fit.vector, fit.indices, d))[out]

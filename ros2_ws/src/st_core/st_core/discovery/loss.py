@@ -81,13 +81,13 @@ class Errors:
 
 
 class Loss:
-    """Robust loss. known: (n, m) whether measured. scale: (m,) of the residuals [SI]. scored_count: number of
+    """Robust loss. known: (n, m) whether measured. scale: (m,) of the residuals [SI]. residual_count: number of
     residuals."""
 
     def __init__(self, errors: Errors, at: np.ndarray):
         self.errors, self.space = errors, errors.space
         self.known = errors.windows.known & np.isfinite(errors.at(at)).any(axis=1)[:, None]
-        self.scored_count = int(self.known.sum())
+        self.residual_count = int(self.known.sum())
         resolution = [CHANNEL_OF_COLUMN[column].resolution for column in errors.windows.columns]
         self.resolution = np.tile(resolution, len(errors.windows.time))
         self.scale = self.scale_of(at)
@@ -114,7 +114,7 @@ class Loss:
     def total(self, vector: np.ndarray) -> float:
         return float(self.by_window(vector).sum())
 
-    def slopes(self, vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
+    def sensitivities(self, vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
         """(a, n, m) sensitivities: reduction of the residuals [SI] per parameter scale of the parameters `indices`, by
         difference quotients; 0 where a prediction diverges."""
         step = DIFFERENCE_STEP * self.space.scale[indices] * self.space.sign[indices]
@@ -123,27 +123,27 @@ class Loss:
         moved = np.tile(vector, (len(indices), 1))
         moved[np.arange(len(indices)), indices] += step
         before, size = self.errors.at(vector), step / self.space.scale[indices]
-        slopes = [(before - after) / d for after, d in zip(self.errors.many(list(moved)), size, strict=True)]
-        return np.nan_to_num(np.reshape(slopes, (len(indices), *before.shape)), posinf=0.0, neginf=0.0)
+        sensitivities = [(before - after) / d for after, d in zip(self.errors.many(list(moved)), size, strict=True)]
+        return np.nan_to_num(np.reshape(sensitivities, (len(indices), *before.shape)), posinf=0.0, neginf=0.0)
 
-    def quadratic(self, rows: np.ndarray, slopes: np.ndarray) -> Quadratic:
-        """The approximation about the vector with residuals `rows` (n, m) and sensitivities `slopes` (p, n, m)."""
+    def quadratic(self, rows: np.ndarray, sensitivities: np.ndarray) -> Quadratic:
+        """The approximation about the vector with residuals `rows` (n, m) and `sensitivities` (p, n, m)."""
         z = self.scaled(rows)
-        j = self._scaled_slopes(slopes, z)
+        j = self._scaled_sensitivities(sensitivities, z)
         w = weight(z)
         jw = np.moveaxis(j * w, 1, 0)  # (n, p, m)
         return Quadratic(rho(z).sum(axis=1), (jw @ z[:, :, None])[:, :, 0], jw @ np.transpose(j, (1, 2, 0)))
 
-    def curvature(self, rows: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    def curvature(self, rows: np.ndarray, sensitivities: np.ndarray) -> np.ndarray:
         """(p, p) half the second derivative of the loss for residuals linear in the parameters; outliers reduce it."""
         z = self.scaled(rows)
-        j = self._scaled_slopes(slopes, z)
+        j = self._scaled_sensitivities(sensitivities, z)
         second = 0.5 * (NU + 1.0) * (NU - np.square(z)) / np.square(NU + np.square(z))  # rho'' / 2
         flat = j.reshape(len(j), -1)
         return (flat * second.ravel()) @ flat.T
 
-    def _scaled_slopes(self, slopes: np.ndarray, z: np.ndarray) -> np.ndarray:
+    def _scaled_sensitivities(self, sensitivities: np.ndarray, z: np.ndarray) -> np.ndarray:
         """(p, n, m) sensitivities divided by the residual scale, clipped; 0 where not measured or diverging."""
         limit = MAX_SCALED_ERROR / DIFFERENCE_STEP
-        j = np.clip(np.nan_to_num(slopes / self.scale, nan=0.0, posinf=0.0, neginf=0.0), -limit, limit)
+        j = np.clip(np.nan_to_num(sensitivities / self.scale, nan=0.0, posinf=0.0, neginf=0.0), -limit, limit)
         return np.where(self.known & (np.abs(z) < MAX_SCALED_ERROR), j, 0.0)

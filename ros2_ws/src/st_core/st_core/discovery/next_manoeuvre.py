@@ -93,7 +93,7 @@ def catalogue(problem: Problem, fit: Fit) -> Catalogue:
         loss = Loss(Errors(driven, space, problem.errors.threads), fit.vector)
         loss.scale = problem.loss.scale
         rows = loss.errors.at(fit.vector)
-        q = loss.quadratic(0.0 * np.nan_to_num(rows), loss.slopes(fit.vector, np.arange(len(space))))
+        q = loss.quadratic(0.0 * np.nan_to_num(rows), loss.sensitivities(fit.vector, np.arange(len(space))))
         result[manoeuvre.name] = REPETITIONS * q.hessian.sum(axis=0)
     return result
 

@@ -131,7 +131,7 @@ def fit_library(loss: Loss, windows: Windows, prior: np.ndarray, quantities: Qua
         file.update_design_effect(vector)
         full_prior = prior + np.diag(0.5 * file.design_effect / np.square(deviations))
         problem = Problem(loss, space.null, windows.block, full_prior)
-        fit = problem.fit((), file.slopes_of_all(vector), vector, iterations=2)
+        fit = problem.fit((), file.all_sensitivities(vector), vector, iterations=2)
         step = float(np.abs((fit.vector - vector) / space.scale).max())
         vector = fit.vector
         loss.rescale(vector)

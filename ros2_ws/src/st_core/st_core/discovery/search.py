@@ -11,7 +11,7 @@ from scipy import stats
 from ..effects import confounded_effects, get_effect
 from .decision import ACCEPTED, GAIN_INSIGNIFICANT, NULL, Rival, alternative, judge
 from .evidence import Evidence, Scores, evidence, library_p_value, null_by_sensors, screen
-from .fit import Fit, Problem, Slopes
+from .fit import Fit, Problem, Sensitivities
 from .loss import Quadratic
 from .partitions import Partition
 from .result import Reason
@@ -69,7 +69,7 @@ class Search:
         whole library."""
         p = self.problem
         p.update_design_effect(p.start)
-        first = self._step_from(p.fit((), p.slopes_of_all(p.start)))
+        first = self._step_from(p.fit((), p.all_sensitivities(p.start)))
         assert first is not None  # no set was visited before
         candidates: list[Found | None] = [first]
         library = [n for n in p.space.hypotheses
@@ -98,7 +98,7 @@ class Search:
                 difference = fit.held_out - found.fit.held_out
                 own = p.space.indices(*(n for n in names if n in confounded_effects(other)))
                 nearer = own[np.abs(fit.vector - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
-                rivals = [Rival(other, name, 1.0, no_worse(difference), float(difference.sum()) / p.scored_count,
+                rivals = [Rival(other, name, 1.0, no_worse(difference), float(difference.sum()) / p.residual_count,
                                 found.evidence[name], p.space.values(other, fit.vector), shared=True)
                           for name in sorted({p.space.free[i].effect for i in nearer})]
                 if rivals and alternative(rivals[0], self.limits).rule == "alternative":
@@ -117,13 +117,13 @@ class Search:
         vector = fit.vector.copy()
         vector[own] = p.start[own]
         self.tick()
-        return p.refit(p.fit(fit.names, p.slopes_of_all(vector), vector))
+        return p.refit(p.fit(fit.names, p.all_sensitivities(vector), vector))
 
     def corrections(self, fit: Fit) -> Fit:
         """The best fit with all effects of `fit`, a fit of another problem, and further ones."""
         self._required = frozenset(fit.names)
         p = self.problem
-        found = self._step_from(p.fit(fit.names, p.slopes_of_all(fit.vector), fit.vector))
+        found = self._step_from(p.fit(fit.names, p.all_sensitivities(fit.vector), fit.vector))
         assert found is not None  # no set was visited before
         return self._drop_rejected(found).fit
 
@@ -133,7 +133,7 @@ class Search:
         p, limits = self.problem, self.limits
         if max((e.noise_ratio for e in found.evidence.values()), default=0.0) <= limits.max_noise_ratio:
             return []
-        limit = found.fit.held_out.sum() + limits.unexplained_share * p.scored_count
+        limit = found.fit.held_out.sum() + limits.unexplained_share * p.residual_count
         return [near for scale, near, loss in self._fits_tried if scale is p.loss.scale and loss < limit]
 
     def _step_from(self, fit: Fit, revisit: bool = False) -> Found | None:
@@ -179,7 +179,8 @@ class Search:
 
     def _refit_without(self, fit: Fit, name: str) -> Fit:
         self.tick()
-        return self._remember(self.problem.fit(tuple(n for n in fit.names if n != name), fit.slopes, iterations=2))
+        names = tuple(n for n in fit.names if n != name)
+        return self._remember(self.problem.fit(names, fit.sensitivities, iterations=2))
 
     def _remember(self, fit: Fit) -> Fit:
         self._fits_tried.append((self.problem.loss.scale, (fit.names, fit.vector), float(fit.held_out.sum())))
@@ -193,8 +194,8 @@ class Search:
         p.loss.rescale(smallest.fit.vector)
         p.update_design_effect(smallest.fit.vector)
         for a in candidates:
-            a.fit = p.fit(a.fit.names, a.fit.slopes, iterations=2)
-        price = self.limits.negligible * p.scored_count
+            a.fit = p.fit(a.fit.names, a.fit.sensitivities, iterations=2)
+        price = self.limits.negligible * p.residual_count
         return min(candidates, key=lambda a: float(a.fit.held_out.sum()) + price * len(a.fit.names))
 
     def _forward(self, found: Found) -> Fit | None:
@@ -204,7 +205,7 @@ class Search:
         found.cached_scores = found.cached_scores or self._scores(found.fit)
         gains = found.scores.gains
         largest = max((gain.sum() for gain, _ in gains.values()), default=0.0)
-        relevant = max(limits.negligible * p.scored_count, CONTENDER_SHARE * largest)
+        relevant = max(limits.negligible * p.residual_count, CONTENDER_SHARE * largest)
         # A load is tried only in place of an effect that changes predictions similarly.
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
                   if gains[e][0].sum() > CONTENDER_SHARE * relevant and e not in p.space.additions]
@@ -244,14 +245,14 @@ class Search:
                 return fit
         return None
 
-    def _refit_with(self, fit: Fit, effect: str, start: np.ndarray, around: Slopes | None = None) -> Fit:
+    def _refit_with(self, fit: Fit, effect: str, start: np.ndarray, around: Sensitivities | None = None) -> Fit:
         """A fit with a further effect, started at `start`, or at the vector of `fit` if its loss is lower. around:
         sensitivities, default those of `fit`."""
         p = self.problem
         self.tick()
         better = p.loss.total(start) < p.loss.total(fit.vector)
-        slopes = p.slopes_of_all(fit.vector) if around is None else around
-        return self._remember(p.fit((*fit.names, effect), slopes, start if better else fit.vector, (effect,), 2))
+        sensitivities = p.all_sensitivities(fit.vector) if around is None else around
+        return self._remember(p.fit((*fit.names, effect), sensitivities, start if better else fit.vector, (effect,), 2))
 
     @staticmethod
     def _gain(without: Fit, fit: Fit) -> float:
@@ -262,7 +263,7 @@ class Search:
         gain = {e: self._gain(without, f) for e, f in fits.items()}
         order = sorted(fits, key=lambda e: -gain[e])
         for name in [e for e in order if get_effect(e).members]:
-            close = max(self.limits.negligible * self.problem.scored_count, self.limits.undecided_p * gain[name])
+            close = max(self.limits.negligible * self.problem.residual_count, self.limits.undecided_p * gain[name])
             near = [m for m in get_effect(name).members if m in gain and gain[name] - gain[m] < close]
             if near:
                 order.remove(name)
@@ -275,11 +276,11 @@ class Search:
         best = max(fits, key=lambda e: self._gain(without, fits[e]))
         gain = self._gain(without, fits[best])
         near = {e: f for e, f in fits.items() if self._gain(without, f) > CONTENDER_SHARE * gain}
-        if len(near) < 2 or gain < 10.0 * self.limits.negligible * p.scored_count:
+        if len(near) < 2 or gain < 10.0 * self.limits.negligible * p.residual_count:
             return without, fits
         p.loss.rescale(fits[best].vector)
-        return (p.fit(without.names, without.slopes, iterations=1),
-                {e: p.fit(f.names, f.slopes, None, (e,), 2) for e, f in near.items()})
+        return (p.fit(without.names, without.sensitivities, iterations=1),
+                {e: p.fit(f.names, f.sensitivities, None, (e,), 2) for e, f in near.items()})
 
     def _evidence(self, without: Fit, fit: Fit, effect: str, scores: Scores) -> Evidence:
         return evidence(self.problem, without, fit, effect, scores, self.partitions, self.sensors)
@@ -290,7 +291,7 @@ class Search:
         while len(fit.names) > max(len(self._required), 1):
             rise = {n: self.predicted_rise(fit, n) for n in fit.names if n not in self._required}
             weakest = min(rise, key=rise.__getitem__)
-            if rise[weakest] > 3.0 * self.limits.relevant * p.scored_count:
+            if rise[weakest] > 3.0 * self.limits.relevant * p.residual_count:
                 return fit
             without = self._refit_without(fit, weakest)
             if self._judge(self._evidence(without, fit, weakest, scores), self.limits).rule == ACCEPTED:
@@ -328,28 +329,28 @@ class Search:
         for _ in range(JOINT_FITS):
             self.tick()
             before = vector
-            vector = joint.fit((), p.slopes_of_all(vector), vector, iterations=2).vector
+            vector = joint.fit((), p.all_sensitivities(vector), vector, iterations=2).vector
             p.loss.rescale(vector)
             if np.abs((vector - before) / p.space.scale).max() < JOINT_STEP:
                 break
-        slopes, q = p.slopes_of_all(vector), p.quadratic_of_all(vector)
+        sensitivities, q = p.all_sensitivities(vector), p.quadratic_of_all(vector)
 
         def cost(selected: list[str]) -> float:
-            free = np.isin(slopes.indices, p.free_indices(selected))
+            free = np.isin(sensitivities.indices, p.free_indices(selected))
             to_start = np.where(free, 0.0, -p.distance(vector))
-            return _constrained_step(p, q, vector, slopes.indices, to_start, free)[0]
+            return _constrained_step(p, q, vector, sensitivities.indices, to_start, free)[0]
 
         while names:
             current = cost(names)
             rise = {n: cost([m for m in names if m != n]) - current for n in names}
             weakest = min(rise, key=rise.__getitem__)
-            if rise[weakest] > self.limits.relevant * p.scored_count and len(names) <= self.limits.max_effects:
+            if rise[weakest] > self.limits.relevant * p.residual_count and len(names) <= self.limits.max_effects:
                 break
             names.remove(weakest)
         if not names or frozenset(names) in self._visited:
             p.loss.scale, p.design_effect = scale, design_effect
             return None
-        return self._rescale(p.fit(tuple(names), slopes, iterations=2))
+        return self._rescale(p.fit(tuple(names), sensitivities, iterations=2))
 
     def _exchange_until_accepted(self, found: Found) -> Found:
         """Exchange effects and drop rejected ones until the test accepts all."""
@@ -381,7 +382,7 @@ class Search:
         found.cached_scores = found.cached_scores or self._scores(found.fit)
         found.evidence, found.without = {}, {}
         for name in (n for n in found.fit.names if n not in self._required):
-            rise = self.predicted_rise(found.fit, name) / p.scored_count
+            rise = self.predicted_rise(found.fit, name) / p.residual_count
             if rise > 3.0 * required:
                 without = found.without[name] = found.fit
                 e = self._evidence(found.fit, found.fit, name, found.scores)
@@ -395,7 +396,7 @@ class Search:
     def _exchange(self, found: Found) -> Fit | None:
         """Fill in `rivals`, and return the best fit with one effect exchanged; None if none is significantly better."""
         p, better = self.problem, None
-        around = p.slopes_of_all(found.fit.vector)
+        around = p.all_sensitivities(found.fit.vector)
         q = p.quadratic_of_all(found.fit.vector)
         found.rivals, alternatives = {}, defaultdict(list)
         for name, without in found.without.items():
@@ -410,7 +411,7 @@ class Search:
                 difference = fit.held_out - found.fit.held_out
                 deficit = float(difference.sum())
                 rival = Rival(other, name, 1.0 - deficit / max(gain, 1e-12), no_worse(difference),
-                              deficit / p.scored_count, self._evidence(without, fit, other, found.scores),
+                              deficit / p.residual_count, self._evidence(without, fit, other, found.scores),
                               p.space.values(other, fit.vector))
                 found.rivals[name].append(rival)
                 if alternative(rival, self.limits).rule == "alternative":
@@ -430,7 +431,7 @@ class Search:
             if len(fits) > 1 and frozenset(fit.names) not in self._visited:
                 fit = self._backward(fit, found.scores)
                 fewer = len(found.fit.names) - len(fit.names)
-                price = self.limits.negligible * self.problem.scored_count * fewer
+                price = self.limits.negligible * self.problem.residual_count * fewer
                 if fewer > 0 and float((fit.held_out - found.fit.held_out).sum()) < price:
                     return fit
         return None

@@ -19,19 +19,19 @@ from .settings import DiscoverySettings
 
 DIFFERENCE_STEP = 0.02  # step of the difference quotients, as a fraction of the parameter scale
 GAIN = "acceleration_gain"
-GAIN_USUAL, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # usual: body roll of 5 mrad s^2/m, times g
+TYPICAL_GAIN, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # body roll of 5 mrad s^2/m, times g
 
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """One parameter of the vector. usual: parameter scale > 0, the typical magnitude of the effect (usual size in
-    reports); unit of steps and distances. sign: of initial - null."""
+    """One parameter of the vector. scale: parameter scale > 0, the typical magnitude of the effect (typical size
+    in reports); unit of steps and distances. sign: of initial - null."""
 
     effect: str
     parameter: str
     unit: str
     null: float
-    usual: float
+    scale: float
     bounds: tuple[float, float]
     sign: float
     theory: float | None
@@ -57,17 +57,17 @@ class Space:
         values = {n: dict(v) for n, v in base.values.items()} if isinstance(base, AugmentedModel) else {}
         self.model = neutral(augment(kind, [*usable, *not_searched])).with_values(values)
         self.null = np.append(self.model.vector, 0.0)
-        self.free = tuple(FreeParameter(e, p.name, p.unit, float(null), usual_size(e, p.unit), p.bounds,
+        self.free = tuple(FreeParameter(e, p.name, p.unit, float(null), typical_size(e, p.unit), p.bounds,
                                         1.0 if p.initial > p.null else -1.0, p.theory)
                           for (e, p), null in zip(self.model.free, self.null[:-1], strict=True))
-        deviations = (p.deviation / f.usual for (_, p), f in zip(self.model.free, self.free, strict=True))
+        deviations = (p.deviation / f.scale for (_, p), f in zip(self.model.free, self.free, strict=True))
         self.deviation = np.array([*deviations, np.inf])
         self.additions = tuple(n for n in self.hypotheses
                                if any(p.deviation < math.inf for p in get_effect(n).parameters))
         self.effect_of = np.array([f.effect for f in self.free] + [GAIN])
         self._indices = {name: np.flatnonzero(self.effect_of == name).tolist()
                          for name in dict.fromkeys(self.effect_of)}
-        self.scale = np.array([f.usual for f in self.free] + [GAIN_USUAL])
+        self.scale = np.array([f.scale for f in self.free] + [TYPICAL_GAIN])
         self.sign = np.array([f.sign for f in self.free] + [1.0])
         self.low = np.array([f.bounds[0] for f in self.free] + [GAIN_BOUNDS[0]])
         self.high = np.array([f.bounds[1] for f in self.free] + [GAIN_BOUNDS[1]])
@@ -97,7 +97,7 @@ class Space:
         return any(parts & {other, *get_effect(other).members} for other in names)
 
 
-def usual_size(effect: str, unit: str) -> float:
+def typical_size(effect: str, unit: str) -> float:
     """Scale of the parameters of an effect with this unit: their largest |initial - null|. Both components of wind thus
     have the same scale."""
     return max(abs(p.initial - p.null) for p in get_effect(effect).parameters if p.fit and p.unit == unit)
@@ -171,16 +171,16 @@ def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQ
     if effect.fold is None or parameter.deviation < math.inf:
         return None
     null = {p.name: p.null for p in effect.parameters} | space.values(free.effect, space.null)
-    step = DIFFERENCE_STEP * free.usual * free.sign
+    step = DIFFERENCE_STEP * free.scale * free.sign
     for change in (step, -step):
         try:
             before, after = (effect.fold(vehicle, effect.Theta(**null | {free.parameter: value}, constants=()))
                              for value in (free.null, free.null + change))
         except ConfigurationError:  # outside the limits of a vehicle file
             continue
-        slopes = {key: (value_of(after, key) - value_of(before, key)) / change
+        sensitivities = {key: (value_of(after, key) - value_of(before, key)) / change
                   for key in dict.fromkeys((*DEFAULT_UNCERTAINTIES, *vehicle.provenance))}
-        found = [_file_quantity(vehicle, key, slope, value_of(vehicle, key)) for key, slope in slopes.items()
+        found = [_file_quantity(vehicle, key, slope, value_of(vehicle, key)) for key, slope in sensitivities.items()
                  if abs(slope) > 1e-9]
         return max(filter(None, found), key=lambda k: abs(k.slope) / k.deviation, default=None)
     return None

@@ -82,7 +82,7 @@ def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, p
     values = {names[k]: (value + scale * float((inverse(hk) @ gk)[best]),
                          scale * float(np.sqrt(0.5 * design * inverse(hk)[best, best]))) for k, gk, hk in parts}
     steps = {int(k): projection @ (inverse(hk) @ gk) for k, gk, hk in parts}
-    return Varying(effect, name, gain / problem.scored_count, p_value, space.free[index].parameter, values, steps)
+    return Varying(effect, name, gain / problem.residual_count, p_value, space.free[index].parameter, values, steps)
 
 
 def _design_effect(problem: Problem, number: np.ndarray, parts: Sequence[Part], gradient: np.ndarray,
@@ -102,10 +102,10 @@ def _design_effect(problem: Problem, number: np.ndarray, parts: Sequence[Part], 
 def evidence_of(problem: Problem, fit: Fit, v: Varying, partitions: Mapping[str, Partition]) -> Evidence:
     """Reduction of the errors by separate values for the parts, to first order, on the driving they were fitted to."""
     rows = problem.errors.at(fit.vector)
-    corrected, slopes = rows.copy(), problem.slopes_of_all(fit.vector).values
+    corrected, sensitivities = rows.copy(), problem.all_sensitivities(fit.vector).values
     for k, step in v.steps.items():
         inside = partitions[v.varies_with][0] == k
-        corrected[inside] -= np.tensordot(step, slopes[:, inside], 1)
+        corrected[inside] -= np.tensordot(step, sensitivities[:, inside], 1)
     reduction = problem.position_error(rows) - problem.position_error(corrected)
     overall, somewhere = error_reductions(reduction, partitions.get("condition"))
     return Evidence(v.name, v.gain, v.p_value, shares=shares(problem, rows, corrected), position=overall,

@@ -123,7 +123,7 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: HorizonError
         return [], final
     scale = problem.loss.scale.copy()  # restored below; the design effect of the final fit is kept for all steps
     problem.loss.rescale(problem.start)
-    fit = problem.fit((), problem.slopes_of_all(problem.start))
+    fit = problem.fit((), problem.all_sensitivities(problem.start))
     problem.loss.rescale(fit.vector)
     fit = base = problem.refit(fit)
     collected, before = [], ends.of(fit)
@@ -131,7 +131,7 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: HorizonError
         if k == len(order) - 1:
             fit = final
         else:
-            fit = problem.fit(order[:k + 1], fit.slopes, None, (effect,), 3)
+            fit = problem.fit(order[:k + 1], fit.sensitivities, None, (effect,), 3)
             problem.loss.rescale(fit.vector)
             fit = problem.refit(fit, 1)
         after = ends.of(fit)
@@ -180,7 +180,7 @@ def budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit
         """(mean position error [m], loss per residual)."""
         end = ends.of(fit)
         values = end.get("position_5s", np.zeros(1))
-        return float(np.nanmean(values)), float(fit.held_out.sum()) / problem.scored_count
+        return float(np.nanmean(values)), float(fit.held_out.sum()) / problem.residual_count
 
     def line(part: str, last: tuple[float, float], first: tuple[float, float]) -> BudgetLine:
         return BudgetLine(part, last[0], first[0], last[0] / max(start[0], 1e-9), first[0] / max(start[0], 1e-9),
@@ -188,11 +188,11 @@ def budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit
 
     def fitted(names: tuple[str, ...]) -> Fit:
         """The best of the base and two fits, started at the final values and at those of the base."""
-        from_final = problem.refit(problem.fit(names, final.slopes, iterations=3))
-        from_base = problem.refit(problem.fit(names, problem.slopes_of_all(base.vector), base.vector, names))
+        from_final = problem.refit(problem.fit(names, final.sensitivities, iterations=3))
+        from_base = problem.refit(problem.fit(names, problem.all_sensitivities(base.vector), base.vector, names))
         return min((from_final, from_base, base), key=lambda fit: float(fit.held_out.sum()))
 
-    base = problem.fit_at(base.names, base.vector, base.indices, base.slopes)
+    base = problem.fit_at(base.names, base.vector, base.indices, base.sensitivities)
     start, end = size(base), size(final)
     lines = []
     for part in EFFECT_KINDS:

@@ -73,7 +73,7 @@ class Parameter:
             if value is not None and not low <= value <= high:
                 raise ConfigurationError(f"parameter {self.name}: {which} is outside its bounds")
         if self.fit and self.null == self.initial:
-            raise ConfigurationError(f"parameter {self.name}: initial equals null; give a usual size of the effect")
+            raise ConfigurationError(f"parameter {self.name}: initial equals null; give a typical size of the effect")
         for which in ("name", "unit", "source", "meaning"):
             if not str(getattr(self, which)).strip():
                 raise ConfigurationError(f"parameter {self.name}: {which} is empty")

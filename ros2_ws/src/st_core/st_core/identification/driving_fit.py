@@ -14,7 +14,7 @@ import numpy as np
 
 from ..augmented import AugmentedModel
 from ..channels import CHANNELS
-from ..discovery.fit import Problem, Slopes
+from ..discovery.fit import Problem, Sensitivities
 from ..discovery.loss import Errors, Loss
 from ..discovery.settings import DiscoverySettings
 from ..discovery.space import Space
@@ -212,7 +212,7 @@ def _fit_with_scale(problem: Problem, effects: tuple[str, ...]) -> np.ndarray:
     vector, indices, loss = problem.start.copy(), problem.free_indices(effects), problem.loss
     for _ in range(MAX_ROUNDS):
         before = loss.scale.copy()
-        slopes = Slopes(vector, indices, loss.slopes(vector, indices))
+        slopes = Sensitivities(vector, indices, loss.sensitivities(vector, indices))
         vector = problem.fit(effects, slopes, vector=vector, fresh=effects, iterations=12).vector
         loss.rescale(vector)
         if np.abs(loss.scale / before - 1.0).max() < SCALE_TOLERANCE:
@@ -224,7 +224,7 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
               names: Sequence[str], counts: Mapping[str, tuple[int, int]]) -> DrivingFit:
     space, indices = problem.space, problem.free_indices(effects)
     rows = problem.errors.at(vector)
-    slopes = problem.loss.slopes(vector, indices)
+    slopes = problem.loss.sensitivities(vector, indices)
     quadratic = problem.loss.quadratic(rows, slopes)
     used = np.flatnonzero(windows.used)
     group = blocks(windows.run[used], windows.seconds[used])

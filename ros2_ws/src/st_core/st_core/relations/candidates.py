@@ -35,7 +35,7 @@ MEMORY = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("stee
           "lean": ("acceleration_y", "lagging", 0.15)}
 """Quantity with memory -> (source, kind, lag [s])."""
 ALL_TERMS = {**TERMS, "both_grip": ("1", "of the lateral force of both axles, as a share of it")}
-USUAL_SIZES = {"front_steer": 0.005, "rear_steer": 0.005, "front_force": 0.02, "rear_force": 0.02, "front_grip": 0.1,
+TYPICAL_SIZES = {"front_steer": 0.005, "rear_steer": 0.005, "front_force": 0.02, "rear_force": 0.02, "front_grip": 0.1,
                "rear_grip": 0.1, "both_grip": 0.1, "yaw_moment": 0.05, "side_force": 0.1, "sensor_yaw_rate": 0.005,
                "sensor_acceleration_y": 0.2, "sensor_velocity_y": 0.05, "sensor_heading": 0.005}
 """Typical magnitude of a relation by term, in the unit of the term; scale of its coefficients."""
@@ -107,16 +107,16 @@ class Candidate:
         return f"{unit} per {QUANTITIES[self.factor]}" if self.factor else unit
 
     @property
-    def usual_size(self) -> float:
+    def typical_size(self) -> float:
         """Typical magnitude of the curve [unit]."""
-        return USUAL_SIZES[self.term] / (FACTORS[self.factor] if self.factor else 1.0)
+        return TYPICAL_SIZES[self.term] / (FACTORS[self.factor] if self.factor else 1.0)
 
     @property
     def constants(self) -> dict[str, float]:
         """Fixed parameters of the effect."""
         terms = ("front_grip", "rear_grip") if self.term == "both_grip" else (self.term,)
         known = {"low": self.low, "spacing": (self.high - self.low) / INTERVALS, "parity": self.parity,
-                 **{f"to_{term}": self.usual_size for term in terms}}
+                 **{f"to_{term}": self.typical_size for term in terms}}
         for quantity, weight in ((self.quantity, "in"), (self.factor, "by")):
             if quantity in MEMORY:
                 source, kind, tau = MEMORY[quantity]
@@ -129,7 +129,8 @@ class Candidate:
         """(SPLINES, ...) values of the basis splines [unit of the curve] at u [unit of the quantity]; the curve is a
         linear combination of them."""
         t, s = ((np.clip(v, self.low, self.high) - self.low) * INTERVALS / (self.high - self.low) for v in (u, -u))
-        return self.usual_size * np.stack([spline(t - k) + self.parity * spline(s - k) for k in range(-1, SPLINES - 1)])
+        return self.typical_size * np.stack([
+            spline(t - k) + self.parity * spline(s - k) for k in range(-1, SPLINES - 1)])
 
 
 def run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:

@@ -81,7 +81,7 @@ def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, riva
     splines = candidate.splines(at)
     rivals = {name: other for name, other in rivals.items()
               if other.candidate is not None and other.candidate.quantity not in INDEPENDENT_OF_MANOEUVRE}
-    recorded = {name: _joint(fits.loss, fit.rows, fit.slopes, other.slopes[-SPLINES:], fit)
+    recorded = {name: _joint(fits.loss, fit.rows, fit.sensitivities, other.sensitivities[-SPLINES:], fit)
                 for name, other in rivals.items()}
     curvature = fit.q.hessian.sum(axis=0)
     variance = _variance(curvature + fit.penalty, splines)
@@ -89,14 +89,14 @@ def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, riva
     for manoeuvre, windows in simulated(fits.windows, fits.model.base):
         loss = _loss(fits, windows, candidate, fit)
         rows = 0.0 * np.nan_to_num(loss.errors.at(fit.vector))
-        slopes = loss.slopes(fit.vector, fit.indices)
-        more = REPETITIONS * loss.quadratic(rows, slopes).hessian.sum(axis=0)
+        sensitivities = loss.sensitivities(fit.vector, fit.indices)
+        more = REPETITIONS * loss.quadratic(rows, sensitivities).hessian.sum(axis=0)
         ratio = np.sqrt(_variance(curvature + more + fit.penalty, splines) / np.maximum(variance, 1e-30))
         separation = {}
         for name, other in rivals.items():
             assert other.candidate is not None
-            rival_slopes = _loss(fits, windows, other.candidate, other).slopes(other.vector, fits.relation)
-            more_joint = REPETITIONS * _joint(loss, rows, slopes, rival_slopes, fit)
+            of_rival = _loss(fits, windows, other.candidate, other).sensitivities(other.vector, fits.relation)
+            more_joint = REPETITIONS * _joint(loss, rows, sensitivities, of_rival, fit)
             separation[name] = _strength(recorded[name] + more_joint, fit, other, design_effect)
         u = driven_quantities(windows, windows.vehicle)[candidate.quantity]
         size = np.abs(u) if candidate.parity == ODD else u
@@ -113,10 +113,12 @@ def _loss(fits: RelationFits, windows: Windows, candidate: Candidate, fit: Relat
     return loss
 
 
-def _joint(loss: Loss, rows: np.ndarray, slopes: np.ndarray, rival_slopes: np.ndarray, fit: RelationFit) -> np.ndarray:
+def _joint(loss: Loss, rows: np.ndarray, sensitivities: np.ndarray, of_rival: np.ndarray,
+           fit: RelationFit) -> np.ndarray:
     """Curvature of the loss in the other parameters, the coefficients of a rival, and a factor of the relation."""
-    size_slope = np.einsum("p,pnm->nm", fit.coefficients, slopes[-SPLINES:])
-    return loss.quadratic(rows, np.concatenate([slopes[:-SPLINES], rival_slopes, size_slope[None]])).hessian.sum(axis=0)
+    of_size = np.einsum("p,pnm->nm", fit.coefficients, sensitivities[-SPLINES:])
+    joint = np.concatenate([sensitivities[:-SPLINES], of_rival, of_size[None]])
+    return loss.quadratic(rows, joint).hessian.sum(axis=0)
 
 
 def _strength(h: np.ndarray, fit: RelationFit, other: RelationFit, design_effect: float) -> float:

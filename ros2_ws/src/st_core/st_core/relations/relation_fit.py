@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..augmented import AugmentedModel
-from ..discovery.fit import Problem, Slopes
+from ..discovery.fit import Problem, Sensitivities
 from ..discovery.loss import Errors, Loss, Quadratic
 from ..discovery.settings import DiscoverySettings
 from ..discovery.space import GAIN, Space
@@ -34,8 +34,8 @@ ROUGHNESS = _SECOND.T @ _SECOND + SIZE_PENALTY * np.eye(SPLINES)
 class RelationFit:
     """A fit with a candidate, or of the discovered model without a relation (candidate None).
 
-    smooth: one of SMOOTHING. vector: in the space of its candidate. rows: (n, m) residuals. indices, slopes: (a,) free
-    parameters, the coefficients last, and sensitivities to them (a, n, m). penalty: (a, a). q: quadratic by block.
+    smooth: one of SMOOTHING. vector: in the space of its candidate. rows: (n, m) residuals. indices: (a,) free
+    parameters, the coefficients last. sensitivities: to these (a, n, m). penalty: (a, a). q: quadratic by block.
     held_out: (b,) loss of each block at values fitted without its fold. steps: by fold, from the fit to those values.
     """
 
@@ -44,7 +44,7 @@ class RelationFit:
     vector: np.ndarray
     rows: np.ndarray
     indices: np.ndarray
-    slopes: np.ndarray
+    sensitivities: np.ndarray
     penalty: np.ndarray
     q: Quadratic
     held_out: np.ndarray
@@ -116,13 +116,13 @@ class RelationFits:
         """The discovered model without a relation, refitted."""
         vector = self.start
         for _ in range(BASE_FITS):
-            fit = self._fit(None, self.loss, self.refitted, 0.0, self.loss.slopes(vector, self.refitted), vector)
+            fit = self._fit(None, self.loss, self.refitted, 0.0, self.loss.sensitivities(vector, self.refitted), vector)
             vector = fit.vector
         return fit
 
-    def quadratic(self, loss: Loss, rows: np.ndarray, slopes: np.ndarray) -> Quadratic:
+    def quadratic(self, loss: Loss, rows: np.ndarray, sensitivities: np.ndarray) -> Quadratic:
         """Quadratic approximation of the loss, by block."""
-        return loss.quadratic(rows, slopes).summed(self.block, self.blocks)
+        return loss.quadratic(rows, sensitivities).summed(self.block, self.blocks)
 
     def penalty(self, candidate: Candidate | None, hessian: np.ndarray, smooth: float) -> np.ndarray:
         """(a, a) penalty on all free parameters, the coefficients last. hessian: (a, a)."""
@@ -159,11 +159,11 @@ class RelationFits:
         one, the first from zero coefficients. Returns the last one that lowers the held-out loss."""
         indices = np.concatenate([self.refitted, self.relation])
         loss = self.loss_of(candidate)
-        slopes = np.concatenate([without.slopes, np.zeros((SPLINES, *without.slopes.shape[1:]))])
+        sensitivities = np.concatenate([without.sensitivities, np.zeros((SPLINES, *without.sensitivities.shape[1:]))])
         strong, *weaker = sorted(SMOOTHING, reverse=True)
-        best = self._fit(candidate, loss, indices, strong, slopes, without.vector)
+        best = self._fit(candidate, loss, indices, strong, sensitivities, without.vector)
         for smooth in weaker:
-            fit = self._fit(candidate, loss, indices, smooth, best.slopes, best.vector)
+            fit = self._fit(candidate, loss, indices, smooth, best.sensitivities, best.vector)
             if fit.held_out.sum() >= best.held_out.sum():
                 break
             best = fit
@@ -174,8 +174,8 @@ class RelationFits:
         included, are profiled out."""
         assert fit.candidate is not None
         loss = self.loss_of(fit.candidate)
-        car = loss.slopes(fit.vector, self.car)
-        q = self.quadratic(loss, fit.rows, np.concatenate([car, fit.slopes]))
+        car = loss.sensitivities(fit.vector, self.car)
+        q = self.quadratic(loss, fit.rows, np.concatenate([car, fit.sensitivities]))
         whole = q.hessian.sum(axis=0)
         others = whole[:-SPLINES, :-SPLINES]
         projection = np.concatenate([-np.linalg.solve(ridge(others), whole[:-SPLINES, -SPLINES:]), np.eye(SPLINES)])
@@ -189,15 +189,15 @@ class RelationFits:
         null = {p.name: p.null for p in get_effect(name).parameters}
         vector[removed] = [null[self.space.free[i].parameter] for i in removed]
         loss, indices = self.loss_of(candidate), np.concatenate([others, self.relation])
-        return self._fit(candidate, loss, indices, fit.smooth, loss.slopes(vector, indices), vector)
+        return self._fit(candidate, loss, indices, fit.smooth, loss.sensitivities(vector, indices), vector)
 
-    def _fit(self, candidate: Candidate | None, loss: Loss, indices: np.ndarray, smooth: float, slopes: np.ndarray,
-             vector: np.ndarray) -> RelationFit:
+    def _fit(self, candidate: Candidate | None, loss: Loss, indices: np.ndarray, smooth: float,
+             sensitivities: np.ndarray, vector: np.ndarray) -> RelationFit:
         vector, scale = vector.copy(), self.space.scale
         for iteration in range(ITERATIONS):
             if candidate:
-                slopes = np.concatenate([slopes[:-SPLINES], loss.slopes(vector, self.relation)])
-            q = self.quadratic(loss, loss.errors.at(vector), slopes)
+                sensitivities = np.concatenate([sensitivities[:-SPLINES], loss.sensitivities(vector, self.relation)])
+            q = self.quadratic(loss, loss.errors.at(vector), sensitivities)
             h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
             if not iteration:
                 penalty = self.penalty(candidate, h, smooth)
@@ -213,12 +213,12 @@ class RelationFits:
                 gained = cost - (loss.total(trial) + distance @ penalty @ distance)
                 if gained > 0.0:
                     reduction = loss.errors.at(vector) - loss.errors.at(trial)
-                    slopes = Slopes(vector, indices, slopes).moved(trial, scale, reduction).values
+                    sensitivities = Sensitivities(vector, indices, sensitivities).moved(trial, scale, reduction).values
                     vector = trial
                     break
-            if gained < MIN_LOSS_FALL * loss.scored_count:
+            if gained < MIN_LOSS_FALL * loss.residual_count:
                 break
         rows = loss.errors.at(vector)
-        q = self.quadratic(loss, rows, slopes)
+        q = self.quadratic(loss, rows, sensitivities)
         steps, held_out = self.left_out_steps(q, penalty, ((vector - self.start) / scale)[indices])
-        return RelationFit(candidate, smooth, vector, rows, indices, slopes, penalty, q, held_out, steps)
+        return RelationFit(candidate, smooth, vector, rows, indices, sensitivities, penalty, q, held_out, steps)

@@ -11,7 +11,7 @@ from ..discovery.settings import DiscoverySettings, Limits
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from . import selection
-from .candidates import FACTORS, USUAL_SIZES, Candidate, driven_quantities
+from .candidates import FACTORS, TYPICAL_SIZES, Candidate, driven_quantities
 from .formulas import Formula, simulated_formulas
 from .next_drive import NextDrives, next_drives, sparse_ranges
 from .relation_fit import RelationFit, RelationFits, RunWindows
@@ -79,8 +79,8 @@ class RelationSearch:
         smallest: dict[str, float] = {}
         for name, limit in self.detection_limits.items():
             term, _, quantities = name.partition(" over ")
-            usual_size = USUAL_SIZES[term] / FACTORS.get(quantities.partition(" times ")[2], 1.0)
-            smallest[term] = min(smallest.get(term, np.inf), limit / usual_size)
+            typical_size = TYPICAL_SIZES[term] / FACTORS.get(quantities.partition(" times ")[2], 1.0)
+            smallest[term] = min(smallest.get(term, np.inf), limit / typical_size)
         return [term for term, size in smallest.items() if size > MAX_DETECTABLE]
 
 
@@ -130,7 +130,7 @@ def _select(screened: Sequence[Screened], fits: RelationFits, without: RelationF
             settings: DiscoverySettings, named: Sequence[str], reported: Collection[tuple[str, str]],
             tick: Callable[[], None]) -> RelationSearch:
     """The best significant candidate, or the reason for none. named: effects of the result."""
-    limits, number = settings.limits, fits.loss.scored_count
+    limits, number = settings.limits, fits.loss.residual_count
     p_values = selection.p_values(screened, fits.blocks)
     tried = {s.candidate.name: (s.gain / number, p_values[s.candidate.name])
              for s in sorted(screened, key=lambda s: -s.gain)}
@@ -229,7 +229,7 @@ def _make_relation(best: Screened, fitted: Fitted, without: RelationFit, fits: R
     library_part = full.only(e for e in full.effects if e.name != c.effect)
     relation = Relation(
         c, fit.coefficients, at, fit.coefficients @ splines, deviation, density,
-        float(gains.sum()) / fits.loss.scored_count, p_values[c.name],
+        float(gains.sum()) / fits.loss.residual_count, p_values[c.name],
         (float(np.nanmean(before)), float(np.nanmean(after))), runs, library_part,
         {name: selection.cosine(fits, fit, other) for name, other in equal.items()},
         simulated_formulas(fits, fit, without), selection.run_shares(fits, fit),

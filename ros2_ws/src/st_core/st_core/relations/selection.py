@@ -53,7 +53,7 @@ def screen(fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
     """Every candidate that these drives excite and that changes a prediction. without: fit without a relation."""
     distance = ((without.vector - fits.start) / fits.space.scale)[without.indices]
     base = fits.predicted_held_out(without.q, without.penalty, distance)
-    car = fits.loss.slopes(without.vector, fits.car)
+    car = fits.loss.sensitivities(without.vector, fits.car)
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, fits.blocks))
     found = []
     for candidate in candidates(fits.windows, vehicle):
@@ -84,12 +84,12 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
     """Efficient scores of the coefficients: all other parameters projected out. base: (b,) held-out loss without a
     relation, with the same linearisation. car: sensitivities to the parameters of the vehicle file."""
     loss = fits.loss_of(candidate)
-    slopes = loss.slopes(without.vector, fits.relation)
-    q = fits.quadratic(loss, without.rows, np.concatenate([without.slopes, slopes]))
+    sensitivities = loss.sensitivities(without.vector, fits.relation)
+    q = fits.quadratic(loss, without.rows, np.concatenate([without.sensitivities, sensitivities]))
     h = q.hessian.sum(axis=0)
     if float(np.trace(h[-SPLINES:, -SPLINES:])) <= 1e-9 * float(np.trace(h)):
         return None
-    q_all = fits.quadratic(loss, without.rows, np.concatenate([without.slopes, car, slopes]))
+    q_all = fits.quadratic(loss, without.rows, np.concatenate([without.sensitivities, car, sensitivities]))
     distance = np.concatenate([((without.vector - fits.start) / fits.space.scale)[without.indices], np.zeros(SPLINES)])
     penalties = {smooth: fits.penalty(candidate, h, smooth) for smooth in SMOOTHING}
     losses = {smooth: fits.predicted_held_out(q, penalty, distance) for smooth, penalty in penalties.items()}
@@ -155,7 +155,7 @@ def rejected_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParamet
     assert fit.candidate is not None
     name = fit.candidate.name
     if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * MAX_HEIGHT:
-        return (f"the curve of {name} reaches its bound of {MAX_HEIGHT * fit.candidate.usual_size:.3g} "
+        return (f"the curve of {name} reaches its bound of {MAX_HEIGHT * fit.candidate.typical_size:.3g} "
                 f"{fit.candidate.unit}, beyond any physical relation: check the vehicle file, and run st check")
     model = fits.space_of(fit.candidate).at(fit.vector)
     low, high = np.quantile(fits.windows.speeds[np.isfinite(fits.windows.speeds)], [0.05, 0.95])
@@ -187,7 +187,7 @@ def deterioration(fits: RelationFits, name: str, before: np.ndarray, after: np.n
 
 def gain_text(fits: RelationFits, gains: np.ndarray, position_gain: np.ndarray, limits: Limits) -> str:
     """Text of the held-out gain. gains: (b,) reduction of the loss. position_gain: (n,) of the position error [m]."""
-    gain, low = (-np.expm1(-total / fits.loss.scored_count)
+    gain, low = (-np.expm1(-total / fits.loss.residual_count)
                  for total in (gains.sum(), lower_bound(gains, limits.undecided_p)))
     return (f"reduces the held-out residual of all channels by {gain:.1%} (95 %: at least {low:.1%}), "
             f"and the position error after 5 s by {100 * finite_mean(position_gain):.1f} cm")
@@ -200,7 +200,7 @@ def small_gain(fits: RelationFits, candidate: Candidate, gains: np.ndarray, posi
 
     The path criterion does not apply to sensor relations, nor with fewer than two blocks with a position.
     """
-    small = (gains.sum() < limits.relevant * fits.loss.scored_count
+    small = (gains.sum() < limits.relevant * fits.loss.residual_count
              and finite_mean(position_gain) < limits.relevant_position)
     if small or lower_bound(gains, limits.undecided_p) <= 0.0:
         return f"{candidate.name} is significant, but {gain_text(fits, gains, position_gain, limits)}"
@@ -261,7 +261,7 @@ def held_out_positions(fits: RelationFits, fit: RelationFit) -> np.ndarray:
     rows = fit.rows.copy()
     for k, d in fit.steps.items():
         in_fold = fits.fold[fits.block] == k
-        rows[in_fold] -= np.einsum("p,pnm->nm", d, fit.slopes[:, in_fold])
+        rows[in_fold] -= np.einsum("p,pnm->nm", d, fit.sensitivities[:, in_fold])
     return fits.problem.position_error(rows)
 
 
@@ -269,9 +269,9 @@ def cosine(fits: RelationFits, first: RelationFit, other: RelationFit) -> float:
     """Cosine similarity of two relations' effects on the predictions, all other parameters projected out."""
     effects = []
     for fit in (first, other):
-        change = np.einsum("p,pnm->nm", fit.coefficients, fit.slopes[-SPLINES:]) / fits.loss.scale
+        change = np.einsum("p,pnm->nm", fit.coefficients, fit.sensitivities[-SPLINES:]) / fits.loss.scale
         # Without a named effect and an accelerometer there are no other parameters.
-        others = (fit.slopes[:-SPLINES] / fits.loss.scale).reshape(len(fit.slopes) - SPLINES, change.size)
+        others = (fit.sensitivities[:-SPLINES] / fits.loss.scale).reshape(len(fit.sensitivities) - SPLINES, change.size)
         change = np.where(fits.loss.known, change, 0.0).ravel()
         others = np.nan_to_num(others * fits.loss.known.ravel())
         effects.append(change - np.linalg.lstsq(others.T, change, rcond=None)[0] @ others)
@@ -292,8 +292,8 @@ def redundant_effects(fits: RelationFits, candidate: Candidate, fit: RelationFit
         alone = fits.without_effect(candidate, fit, name)
         gains = alone.held_out - fit.held_out
         position = float(np.nanmean(held_out_positions(fits, alone) - with_both))
-        relevant = gains.sum() >= limits.relevant * fits.loss.scored_count or position >= limits.relevant_position
+        relevant = gains.sum() >= limits.relevant * fits.loss.residual_count or position >= limits.relevant_position
         kept = relevant and lower_bound(gains, limits.undecided_p) > 0.0
         if not kept and lower_bound(without.held_out - alone.held_out, limits.undecided_p) > 0.0:
-            found[name] = max(float(-np.expm1(-gains.sum() / fits.loss.scored_count)), 0.0)
+            found[name] = max(float(-np.expm1(-gains.sum() / fits.loss.residual_count)), 0.0)
     return found

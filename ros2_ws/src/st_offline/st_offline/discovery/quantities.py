@@ -73,13 +73,13 @@ def value(p: FittedParameter, parameter: Parameter | None = None, interval: bool
 
     parameter: of the effect; a value on one of its bounds is reported as such. The interval may cross a bound.
     """
-    usual_size = abs(parameter.initial - parameter.null) if parameter else 0.0
+    typical_size = abs(parameter.initial - parameter.null) if parameter else 0.0
     bounds = [] if parameter is None or parameter.shape else [
         bound for bound in parameter.bounds if bound not in (parameter.null, parameter.theory)]
     half_width = 0.5 * (p.interval[1] - p.interval[0]) * factor(p.unit)
     number, *ends = (decimal(x * factor(p.unit), decimals(half_width)) for x in (p.value, *p.interval))
     text = f"× {number}" if p.unit == "1" and p.null == 1.0 else with_unit(number, p.unit)
-    on_bound = " on its bound" if any(abs(p.value - bound) < ON_BOUND * usual_size for bound in bounds) else ""
+    on_bound = " on its bound" if any(abs(p.value - bound) < ON_BOUND * typical_size for bound in bounds) else ""
     return f"{text}{on_bound}{f' ({ends[0]} to {ends[1]})' if interval else ''}"
 
 

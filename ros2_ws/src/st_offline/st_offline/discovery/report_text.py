@@ -40,7 +40,8 @@ EFFECT_NOTE = ("Errors: complete model, held-out drives. Without it: this effect
                "effect is named if it is significant and reduces the error of a channel by "
                f"{100 * LIMITS.relevant:g} % of its baseline, or the 5 s position error by "
                f"{LIMITS.relevant_position:g} m, over all driving or in one driving condition, or if it is a sensor "
-               f"error, evident from redundant sensors, of at least {LIMITS.min_relative_size:g} times its usual size")
+               f"error, evident from redundant sensors, of at least {LIMITS.min_relative_size:g} times its typical "
+               "size")
 
 
 def with_alternatives(found: Discovery, effect: FoundEffect, short: str = "") -> str:
