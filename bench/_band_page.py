@@ -42,9 +42,9 @@ def summary(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
             shares = [_first(row[column]) for row in ways[BAND] if _first(row[column]) is not None]
             text = _span(shares, "{:.0f}", " %")
             entry[column] = f"**{text}**" if shares and not low <= min(shares) <= max(shares) <= high else text
-        alike = {way: of for way, of in ways.items() if way.endswith(CALIBRATED)}
-        others = {way: of for way, of in ways.items() if way not in alike and way != BAND}
-        entry["score over the best at its level"] = _ratio(ways[BAND], alike)
+        calibrated = {way: of for way, of in ways.items() if way.endswith(CALIBRATED)}
+        others = {way: of for way, of in ways.items() if way not in calibrated and way != BAND}
+        entry["score over the best at its level"] = _ratio(ways[BAND], calibrated)
         entry["score over the best uncalibrated"] = _ratio(ways[BAND], others)
         entry["which covers"] = _span([_first(row["90 % covers"]) for row in _best(others)], "{:.0f}", " %")
         found.append(entry)

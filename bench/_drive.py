@@ -51,12 +51,12 @@ def pinned() -> Iterator[None]:
         os.sched_setaffinity(0, before)
 
 
-def in_turns(calls: dict[str, Callable[[], object]], rounds: int = 5, least: float = 0.05) -> dict[str, float]:
+def in_turns(calls: dict[str, Callable[[], object]], repetitions: int = 5, least: float = 0.05) -> dict[str, float]:
     """Median CPU time of each call [s]; each round runs all of them, each for at least `least` seconds."""
     taken: dict[str, list[float]] = {name: [] for name in calls}
     for call in calls.values():
         call()
-    for _ in range(rounds):
+    for _ in range(repetitions):
         for name, call in calls.items():
             count, begin = 0, time.process_time()
             while not count or time.process_time() - begin < least:

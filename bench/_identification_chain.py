@@ -53,12 +53,12 @@ def recorded(scenario: str, seconds: float, vehicle: VehicleParameters) -> Drive
         simulated.advance(k * INTERVAL_MS / 1000)
         truth = simulated.truth()
         r = ins.read(truth)
-        hand = round(sensor.read(truth) / RESOLUTION) * RESOLUTION
-        rows.append((r.x, r.y, r.yaw, r.velocity_x, r.velocity_y, r.rates[2], hand))
-    *columns, hand = np.array(rows).T
+        steering_wheel = round(sensor.read(truth) / RESOLUTION) * RESOLUTION
+        rows.append((r.x, r.y, r.yaw, r.velocity_x, r.velocity_y, r.rates[2], steering_wheel))
+    *columns, steering_wheel = np.array(rows).T
     columns[2] = np.unwrap(columns[2])
-    time_ns = START_NS + np.arange(len(hand), dtype=np.int64) * INTERVAL_MS * 1_000_000
-    return DriveLog(scenario, time_ns, *columns, time_ns, vehicle.road_wheel_angle(hand), hand)
+    time_ns = START_NS + np.arange(len(steering_wheel), dtype=np.int64) * INTERVAL_MS * 1_000_000
+    return DriveLog(scenario, time_ns, *columns, time_ns, vehicle.road_wheel_angle(steering_wheel), steering_wheel)
 
 
 def errors(logs: list, car: VehicleParameters) -> dict:

@@ -27,7 +27,8 @@ def run() -> dict:
     car, log = leaf(), drive(600.0)
     with pinned(), tempfile.TemporaryDirectory(prefix="st-bench-") as folder:
         results = {name: _model(name, car, log, Path(folder)) for name in MODELS}
-        results["commonroad_per_s"] = {k: 1.0 / s for k, s in in_turns(commonroad_calls(), rounds=2, least=0.0).items()}
+        seconds = in_turns(commonroad_calls(), repetitions=2, least=0.0)
+        results["commonroad_per_s"] = {k: 1.0 / s for k, s in seconds.items()}
 
         def everything():
             batch = LogBatch(log, starts(log), points=POINTS)

@@ -28,7 +28,7 @@ def run() -> dict:
 
 
 def _measure(batches, model, car) -> dict:
-    seconds = in_turns({name: lambda b=b: b.predict(model, car) for name, b in batches.items()}, rounds=3)
+    seconds = in_turns({name: lambda b=b: b.predict(model, car) for name, b in batches.items()}, repetitions=3)
     return {name: value * 1e3 for name, value in seconds.items()}
 
 

@@ -11,7 +11,7 @@ from _view import view
 from latency import PERIOD, Listener, latencies
 
 PHASES = ("no view", "view", "view that hangs")
-ROUNDS = 3
+REPETITIONS = 3
 SETTLE = 3.0  # s after a change, not counted
 SHARE = 0.2  # of the ticks of a phase that must have been received
 
@@ -20,15 +20,15 @@ def run() -> dict:
     """Intervals between ticks and latency [ms] by phase, of ST_BENCH_SECONDS each, without a browser."""
     seconds = float(os.environ.get("ST_BENCH_SECONDS", "60"))
     received: dict[str, list[Listener]] = {phase: [] for phase in PHASES}
-    duration = ROUNDS * len(PHASES) * (seconds / ROUNDS + SETTLE + 25.0) + 20.0
+    duration = REPETITIONS * len(PHASES) * (seconds / REPETITIONS + SETTLE + 25.0) + 20.0
     with running_suite(duration, ncom_rate=100, can_rate="realistic") as suite:
         rclpy.init()
-        for _ in range(ROUNDS):
+        for _ in range(REPETITIONS):
             for phase in PHASES:
                 attached = contextlib.nullcontext() if phase == "no view" else view(suite, phase == "view that hangs")
                 with attached:
                     time.sleep(SETTLE)
-                    received[phase].append(_listen(seconds / ROUNDS))
+                    received[phase].append(_listen(seconds / REPETITIONS))
         rclpy.try_shutdown()
     return {phase: _numbers(listeners, seconds) for phase, listeners in received.items()}
 
@@ -44,12 +44,12 @@ def _listen(seconds: float) -> Listener:
 
 
 def _numbers(listeners: list[Listener], seconds: float) -> dict:
-    intervals, rounds = [], []
+    intervals, repetitions = [], []
     for node in listeners:
         last = sorted({start: issued for start, issued, _ in node.predictions}.values())
         intervals += list(np.diff(last) * 1e-6)
-        rounds.append(latencies(node)[0])
-    pooled = np.concatenate(rounds)
+        repetitions.append(latencies(node)[0])
+    pooled = np.concatenate(repetitions)
     if len(pooled) < SHARE * 10.0 * seconds:
         raise RuntimeError(f"only {len(pooled)} ticks received in {seconds:.0f} s: the machine is too busy")
     return {
@@ -57,7 +57,7 @@ def _numbers(listeners: list[Listener], seconds: float) -> dict:
         "interval_std_ms": float(np.std(intervals)),
         "interval_p01_ms": float(np.percentile(intervals, 1)), "interval_p99_ms": float(np.percentile(intervals, 99)),
         "latency_p50_ms": float(np.percentile(pooled, 50)), "latency_p99_ms": float(np.percentile(pooled, 99)),
-        "latency_p50_by_round_ms": " ".join(f"{np.percentile(r, 50):.1f}" if r else "-" for r in rounds),
+        "latency_p50_by_round_ms": " ".join(f"{np.percentile(r, 50):.1f}" if r else "-" for r in repetitions),
     }
 
 

@@ -57,14 +57,15 @@ def drive(vehicle: VehicleParameters, speed: float, steer: Callable[[np.ndarray]
     forward, across = forward - rate * d_y, across + rate * d_x
     turn_c, turn_s = np.cos(sensors.misalignment), np.sin(sensors.misalignment)
     draw = np.random.default_rng([seed, round(1000 * speed)]).standard_normal((6, len(time)))
-    hand = vehicle.steering_wheel_angle(np.asarray(steer(time), float)) + sensors.steering_wheel * draw[0]
+    steering = vehicle.steering_wheel_angle(np.asarray(steer(time), float)) + sensors.steering_wheel * draw[0]
     time_ns = T0 + np.round(time * 1e9).astype(np.int64)
     return DriveLog(
         name or f"{speed:g} m/s", time_ns, x + cosine * d_x - sine * d_y, y + sine * d_x + cosine * d_y,
         yaw + sensors.misalignment + sensors.yaw * draw[1],
         turn_c * forward + turn_s * across + sensors.velocity * draw[2],
         turn_c * across - turn_s * forward + sensors.velocity * draw[3],
-        rate + sensors.yaw_rate_bias + sensors.yaw_rate * draw[4], time_ns, vehicle.road_wheel_angle(hand), hand)
+        rate + sensors.yaw_rate_bias + sensors.yaw_rate * draw[4], time_ns,
+        vehicle.road_wheel_angle(steering), steering)
 
 
 def weave(amplitude: float, period: float = 9.0) -> Callable[[np.ndarray], np.ndarray]:

@@ -14,7 +14,7 @@ from st_core.vehicle import VehicleParameters
 
 SCALE_NOISE, SCALE_ERROR, SCALE_STEP = 0.8, 0.5, 0.5  # kg: from weighing to weighing, of a scale, of its display
 PITCH_NOISE, RADIUS_NOISE = np.radians(0.05), 0.003  # rad, m
-HAND_STEP, TABLE_NOISE = np.radians(0.1), np.radians(0.1)  # rad: logged angle, reading of a turntable
+STEERING_STEP, TABLE_NOISE = np.radians(0.1), np.radians(0.1)  # rad: logged angle, reading of a turntable
 FORCE_NOISE, LOAD_NOISE = 20.0, 10.0  # N; half a percent of the largest force
 RADII = (0.302, 0.299)  # m, loaded wheels front and rear
 TYRE_STIFFNESS = 20000.0  # kg/m, of one tyre
@@ -51,14 +51,14 @@ def turntable(car: VehicleParameters, seed: int) -> Turntable:
     "sweeps."""
     random = np.random.default_rng(seed)
     half = np.radians(np.arange(-540.0, 541.0, 45.0))
-    hand = np.concatenate([half, half[::-1]])
-    mean = hand / car.steering_ratio
+    steering = np.concatenate([half, half[::-1]])
+    mean = steering / car.steering_ratio
     split = 0.5 * 1.54 / car.wheelbase * np.sin(mean) ** 2
     play = np.repeat([1.0, -1.0], len(half)) * np.radians(0.1)
     left, right = (np.round((mean + sign * split + play + random.normal(0.0, np.radians(0.3))
-                             + random.normal(0.0, TABLE_NOISE, len(hand))) / np.radians(0.1)) * np.radians(0.1)
+                             + random.normal(0.0, TABLE_NOISE, len(steering))) / np.radians(0.1)) * np.radians(0.1)
                    for sign in (1.0, -1.0))
-    noisy = np.round((hand + random.normal(0.0, np.radians(1.0), len(hand))) / HAND_STEP) * HAND_STEP
+    noisy = np.round((steering + random.normal(0.0, np.radians(1.0), len(steering))) / STEERING_STEP) * STEERING_STEP
     # The steering wheel is never exactly at its mark, and the log says where it was.
     true_mean = noisy / car.steering_ratio - mean
     return Turntable(noisy, left + true_mean, right + true_mean, ("to the left",) * len(half) + ("to the "

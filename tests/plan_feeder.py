@@ -55,7 +55,7 @@ def main() -> None:
     seconds = options.good + options.faulty * len(faults)
     truth = Truth(car.steering_wheel_offset, car.steering_ratio, 1.0)
     drive = winding_road(car, truth, seconds + REACH + 1.0, 3, noise=0.0)
-    angle = np.array([car.road_wheel_angle(hand) for hand in drive[:, 7]])
+    angle = np.array([car.road_wheel_angle(steering_wheel) for steering_wheel in drive[:, 7]])
     rclpy.init()
     node = rclpy.create_node("feeder")
     qos = QoSProfile(depth=1000)
@@ -70,7 +70,7 @@ def main() -> None:
     zero_ns, began = time.time_ns(), time.monotonic()
     print("feeding", zero_ns, flush=True)
     for k in range(round(seconds * RATE)):
-        t, x, y, yaw, v_x, v_y, rate, hand = drive[k].tolist()
+        t, x, y, yaw, v_x, v_y, rate, steering_wheel = drive[k].tolist()
         time.sleep(max(0.0, began + t - time.monotonic()))
         stamp_ns = zero_ns + round(t * 1e9)
         message = Odometry(child_frame_id="ins_link")
@@ -80,7 +80,7 @@ def main() -> None:
         twist = message.twist.twist
         twist.linear.x, twist.linear.y, twist.angular.z = v_x, v_y, rate
         ins.publish(message)
-        measured = Steering(steering_wheel_angle=hand, road_wheel_angle=float(angle[k]), valid=True)
+        measured = Steering(steering_wheel_angle=steering_wheel, road_wheel_angle=float(angle[k]), valid=True)
         measured.header.stamp = message.header.stamp
         steering.publish(measured)
         fault = faults[int((t - options.good) / options.faulty)] if t >= options.good else ""

@@ -39,7 +39,7 @@ def main() -> None:
         rclpy.spin_once(node, timeout_sec=0.1)
     zero = time.time_ns()
     print("feeding", flush=True)
-    for t, x, y, yaw, v_x, v_y, rate, hand in drive.tolist():
+    for t, x, y, yaw, v_x, v_y, rate, angle in drive.tolist():
         heard.wait_for(t - AHEAD)
         message = Odometry(child_frame_id="ins_link")
         message.header.stamp, message.header.frame_id = from_nanoseconds(zero + round(t * 1e9)), "map"
@@ -49,9 +49,9 @@ def main() -> None:
         twist = message.twist.twist
         twist.linear.x, twist.linear.y, twist.angular.z = v_x, v_y, rate
         ins.publish(message)
-        angle = Steering(steering_wheel_angle=hand, road_wheel_angle=car.road_wheel_angle(hand), valid=True)
-        angle.header.stamp = message.header.stamp
-        steering.publish(angle)
+        measured = Steering(steering_wheel_angle=angle, road_wheel_angle=car.road_wheel_angle(angle), valid=True)
+        measured.header.stamp = message.header.stamp
+        steering.publish(measured)
     heard.wait_for(options.seconds - 1.0)
     spin.flush(node)
     node.destroy_node()

@@ -51,6 +51,6 @@ def winding_road(car: VehicleParameters, truth: Truth, seconds: float, seed: int
         state = state + 0.5 * step * (first + second)
     drive = np.array(rows)
     drive[:, 4:7] += noise * random.normal(0.0, (0.01, 0.015, 0.0005), (len(drive), 3))
-    hand = drive[:, 7] + noise * random.normal(0.0, np.radians(0.05), len(drive))
-    drive[:, 7] = np.round(hand / np.radians(0.1)) * np.radians(0.1)
+    steering_wheel = drive[:, 7] + noise * random.normal(0.0, np.radians(0.05), len(drive))
+    drive[:, 7] = np.round(steering_wheel / np.radians(0.1)) * np.radians(0.1)
     return drive

@@ -46,18 +46,18 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
     source = SimulatedCar(car, settings, load(scenario), seed)
     ins, sensor = Ins(car, settings, INS_MS / 1000, seed), SteeringSensor(car, settings, seed)
     noiseless = Ins(car, {**settings, "ins_noise": 0.0}, INS_MS / 1000, seed)
-    readings, exact, hand, wheels = [], [], [], []
+    readings, exact, steering, wheels = [], [], [], []
     for now in range(0, round(seconds * 1000), TICK_MS):
         source.advance(now / 1000)
         if now % INS_MS == 0:
             readings.append(ins.read(source.truth()))
             exact.append(noiseless.read(source.truth()))
         if now % STEERING_SCHEDULE[0] == STEERING_SCHEDULE[1]:
-            hand.append((now / 1000 + settings["steering_sensor_latency"], sensor.read(source.truth())))
+            steering.append((now / 1000 + settings["steering_sensor_latency"], sensor.read(source.truth())))
         if now % WHEEL_SCHEDULE[0] == WHEEL_SCHEDULE[1]:
             # The rear wheels: they do not travel further than the car in a turn.
             wheels.append((now / 1000, sum(read_wheel_speeds(source.truth(), settings).wheels[2:]) / 2))
-    log = _log(drive_name(scenario), readings, np.array(hand), vehicle)
+    log = _log(drive_name(scenario), readings, np.array(steering), vehicle)
     times, speeds = np.array(wheels).T
     auxiliary = AuxiliaryData(wheel_speed=Series(_ns(times), _rounded(speeds, "wheel")))
     return with_good_quality(Recording(log, vehicle, False, auxiliary, _own(settings, readings, exact)))
@@ -87,7 +87,7 @@ def _own(settings: Settings, readings: list[InsReading], exact: list[InsReading]
     }
 
 
-def _log(name: str, readings: list, hand: np.ndarray, vehicle: VehicleParameters) -> DriveLog:
+def _log(name: str, readings: list, steering: np.ndarray, vehicle: VehicleParameters) -> DriveLog:
     def column(field: str) -> np.ndarray:
         return np.array([getattr(reading, field) for reading in readings], float)
     yaw, pitch, roll = (_rounded(column(field), "angle") for field in ("yaw", "pitch", "roll"))
@@ -95,11 +95,11 @@ def _log(name: str, readings: list, hand: np.ndarray, vehicle: VehicleParameters
     forward, left = column("velocity_x"), column("velocity_y")
     level = np.stack([cosine * forward - sine * left, sine * forward + cosine * left, column("velocity_z")])
     velocity = to_body(_rounded(level, "velocity"), yaw, -pitch, roll)
-    angle = _rounded(hand[:, 1], "steering")
+    angle = _rounded(steering[:, 1], "steering")
     force = _rounded(column("specific_force"), "force")
     return DriveLog(name, _ns(column("stamp")), column("x"), column("y"), np.unwrap(yaw), velocity[0], velocity[1],
-                    _rounded(column("rates")[:, 2], "rate"), _ns(hand[:, 0]), vehicle.road_wheel_angle(angle), angle,
-                    force[:, 0], force[:, 1])
+                    _rounded(column("rates")[:, 2], "rate"), _ns(steering[:, 0]), vehicle.road_wheel_angle(angle),
+                    angle, force[:, 0], force[:, 1])
 
 
 def _rounded(values: np.ndarray, kind: str) -> np.ndarray:

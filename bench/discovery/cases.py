@@ -13,7 +13,7 @@ from st_sim.settings import Settings
 
 from . import programmes as m
 from .cars import LEAF, PLANTS, HealthyCar, has, healthy_car
-from .effects import BY_NAME, FOREIGN, KNOWN, PHYSICS, PLACES, SENSORS, Hidden, alike
+from .effects import BY_NAME, FOREIGN, KNOWN, PHYSICS, PLACES, SENSORS, Hidden, is_similar
 
 SEALED = "single track, discovery, sealed set 11"
 COUNTS = {"A": 100, "B": 120, "C": 120, "D": 150, "E": 60, "F": 100}
@@ -228,6 +228,6 @@ def _unknown(case: Case, number: int, draw: np.random.Generator) -> Case:
         return _with(case, FOREIGN[number // 2 % len(FOREIGN)], 1.0, draw)
     pool = [h for h in _usable(LEAF) if not h.with_]
     hidden = pool[draw.integers(len(pool))]
-    names = tuple(n for n in applicable("nonlinear") if not alike(n, hidden.library))
+    names = tuple(n for n in applicable("nonlinear") if not is_similar(n, hidden.library))
     return _with(case, hidden, 1.0, draw, effects=names, hidden=(hidden.library,))
 

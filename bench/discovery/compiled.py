@@ -24,7 +24,7 @@ from .pushes import Law, push
 
 DECIDE = 5
 """Steps between two decisions of hand and foot, and between two samples: 0.01 s."""
-MAX_HAND_RATE = 8.0
+MAX_STEERING_WHEEL_RATE = 8.0
 """rad/s at the hand wheel."""
 SPEED_GAIN, MAX_BRAKING, MAX_DRIVE, JERK = 1.2, 7.0, 3.5, 10.0
 """1/s, m/s^2, m/s^2, m/s^3 of the foot, as the driver of st_sim."""
@@ -48,7 +48,7 @@ class Programme:
     acceleration [m/s^2] of it.
     """
 
-    hand: np.ndarray
+    steering_wheel: np.ndarray
     yaw: np.ndarray
     gain: np.ndarray
     speed: np.ndarray
@@ -62,7 +62,7 @@ class Recording:
     """
 
     rows: np.ndarray
-    hand: np.ndarray
+    steering_wheel: np.ndarray
     bank: np.ndarray
     grade: np.ndarray
 
@@ -70,8 +70,8 @@ class Recording:
 def drive(car: Car, settings: Settings, programme: Programme, seed: int,
           later: tuple[Settings, int] | None = None, law: Law = NO_LAW) -> Recording:
     """The car drives a programme. later: other settings from that sample on. law: of `pushes`. Raises Stopped."""
-    parts = [(settings, len(programme.hand))] if later is None else [
-        (settings, later[1]), (later[0], len(programme.hand) - later[1])]
+    parts = [(settings, len(programme.steering_wheel))] if later is None else [
+        (settings, later[1]), (later[0], len(programme.steering_wheel) - later[1])]
     plant = Plant(car, settings, seed)
     plant.place(0.0, 0.0, float(programme.yaw[0]), float(programme.speed[0]))
     # State, hand, pedal, loose play, the two gusts, heading left over, gain; the plant drew four numbers for gusts.
@@ -80,7 +80,7 @@ def drive(car: Car, settings: Settings, programme: Programme, seed: int,
     draw = normal_stream(np.random.default_rng([seed, 1]))
     for _ in range(4):
         draw()
-    out = np.empty((len(programme.hand), RECORDED + 3))
+    out = np.empty((len(programme.steering_wheel), RECORDED + 3))
     kernel = compiled(_loop)
     first = 0
     for s, count in parts:
@@ -92,7 +92,7 @@ def drive(car: Car, settings: Settings, programme: Programme, seed: int,
                             s["wind_speed"], s["gust_speed"]])
         part = slice(first, first + count)
         arrays = [np.ascontiguousarray(getattr(programme, name)[part], float)
-                  for name in ("hand", "yaw", "gain", "speed", "acceleration")]
+                  for name in ("steering_wheel", "yaw", "gain", "speed", "acceleration")]
         c = constants(car, s, STEP)
         body = Body(c.to_front, c.to_rear, c.yaw_inertia / c.mass, car.cornering_stiffness_rear / c.mass)
         good = kernel(state, options, c, road_of(s), law, body, first, delayed, gusts, *arrays, out[part])
@@ -138,7 +138,7 @@ def _pushed(rates, s, law, body, time, ax):
 
 
 # One kernel compiled as a whole: its parts share the state of driver, actuator, gusts and body.
-def _loop(state, options, c, road, law, body, first, delayed, gusts, hand, yaw, gain, speed, acceleration, out):  # noqa: PLR0912, PLR0915
+def _loop(state, options, c, road, law, body, first, delayed, gusts, steering, yaw, gain, speed, acceleration, out):  # noqa: PLR0912, PLR0915
     mass, wheelbase, rear, nominal_ratio, ratio, play, wind, gust = options
     memory = exp(-STEP / GUST_TIME)
     kick = gust * sqrt(1.0 - memory * memory)
@@ -147,7 +147,7 @@ def _loop(state, options, c, road, law, body, first, delayed, gusts, hand, yaw, 
     oldest, drawn = 0, 0
     force = mass * pedal
     friction, bank, grade = road_at(road, s[X], s[YAW])
-    for k in range(len(hand)):
+    for k in range(len(steering)):
         rates, _ = derivative(_tuple(s), s[RACK], force, (friction, bank, grade, gust_x, wind + gust_y), c)
         if law[0]:
             rates = _pushed(rates, s, law, body, (first + k) * DECIDE * STEP, pedal)
@@ -159,11 +159,11 @@ def _loop(state, options, c, road, law, body, first, delayed, gusts, hand, yaw, 
         if gain[k] and not looked:
             left_over = s[YAW] - yaw[k]
         looked = gain[k]
-        target = hand[k] + gain[k] * (yaw[k] + left_over - s[YAW]) * nominal_ratio
+        target = steering[k] + gain[k] * (yaw[k] + left_over - s[YAW]) * nominal_ratio
         pedal = foot(pedal, speed[k], acceleration[k], (s[VX], s[VY], s[YAW_RATE], s[RACK]), rear, wheelbase)
         force = mass * pedal
         for step in range(DECIDE):
-            angle += min(max(target - angle, -MAX_HAND_RATE * STEP), MAX_HAND_RATE * STEP)
+            angle += min(max(target - angle, -MAX_STEERING_WHEEL_RATE * STEP), MAX_STEERING_WHEEL_RATE * STEP)
             if step == 0:
                 out[k, RECORDED] = angle
             friction, bank, grade = road_at(road, s[X], s[YAW])

@@ -166,7 +166,7 @@ def members(name: str) -> tuple[str, ...]:
     return getattr(get_effect(name), "members", ()) or (name,)
 
 
-def alike(first: str, second: str) -> bool:
+def is_similar(first: str, second: str) -> bool:
     """Whether two names stand for the same: equal, one a part of the other, or declared as confounded."""
     if first == second or first in members(second) or second in members(first):
         return True

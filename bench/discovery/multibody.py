@@ -20,7 +20,7 @@ from st_sim.dynamics import A_X, A_Y, A_Y_RATE, STATES, VX, VY, WIND_ARM, YAW, Y
 from st_sim.environment import GUST_TIME, normal_stream, road_at, road_of
 from vehiclemodels.init_mb import init_mb
 
-from .compiled import MAX_HAND_RATE, NO_LAW, RECORDED, Programme, Recording, Stopped, compiled, foot
+from .compiled import MAX_STEERING_WHEEL_RATE, NO_LAW, RECORDED, Programme, Recording, Stopped, compiled, foot
 from .multibody_car import complete, cornering_stiffness, dynamics, nominal_car, parameters_of, rest_pitch, static_loads
 from .pushes import REAR_CURVE, Law, push
 from .pushes import Car as Body
@@ -75,7 +75,7 @@ def drive_multibody(car: str, settings: Mapping[str, float], programme: Programm
     columns of the virtual car, with roll [rad] as A_Y and pitch [rad] as A_X, so that `sensing.log_of` reads both.
     Raises Stopped; ValueError for a setting this plant does not have.
     """
-    count = len(programme.hand)
+    count = len(programme.steering_wheel)
     parts = [(settings, 0, count)] if later is None else [(settings, 0, later[1]), (later[0], later[1], count)]
     draw = normal_stream(np.random.default_rng([seed, 1]))
     out = np.empty((count, RECORDED + 3))
@@ -122,7 +122,7 @@ def _run(car: str, s: Mapping[str, float], state: np.ndarray, programme: Program
     stiffness = 2.0 * cornering_stiffness(static_loads(p)[1], p.tire_rear)
     body = Body(p.a, p.b, p.I_z / p.m, stiffness / p.m)
     arrays = [np.ascontiguousarray(getattr(programme, name)[part], float)
-              for name in ("hand", "yaw", "gain", "speed", "acceleration")]
+              for name in ("steering_wheel", "yaw", "gain", "speed", "acceleration")]
     gust = s["gust_speed"]
     gusts = np.array([draw() for _ in range(2 * DECIDE * len(arrays[0]))]) if gust else np.zeros(2)
     nominal = nominal_car(car).steering_ratio
@@ -170,13 +170,13 @@ def rates(x, steering_rate, acceleration, here, p, drag_area, still_air):
 
 
 # One kernel compiled as a whole: its parts share the state of driver, actuator, gusts and body.
-def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, hand, yaw, gain, speed, acceleration, out):  # noqa: PLR0912, PLR0915
+def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, steering, yaw, gain, speed, acceleration, out):  # noqa: PLR0912, PLR0915
     fading = exp(-STEP / GUST_TIME)
     kick = o.gust * sqrt(1.0 - fading * fading)
     x, middle = state[:BODY_STATES].copy(), state[:BODY_STATES].copy()
     angle, pedal, loose, rack, gust_x, gust_y, left_over, looked = state[BODY_STATES:]
     oldest, drawn = 0, 0
-    for k in range(len(hand)):
+    for k in range(len(steering)):
         friction, bank, grade = road_at(road, x[0], x[P_YAW])
         tyres = p if friction == road.friction else slippery
         f = rates(x, 0.0, pedal, (bank, grade, gust_x, o.wind + gust_y), tyres, o.drag_area, o.still_air)
@@ -193,11 +193,11 @@ def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, hand, y
         if gain[k] and not looked:
             left_over = x[P_YAW] - yaw[k]
         looked = gain[k]
-        target = hand[k] + gain[k] * (yaw[k] + left_over - x[P_YAW]) * o.nominal
+        target = steering[k] + gain[k] * (yaw[k] + left_over - x[P_YAW]) * o.nominal
         motion = (x[P_VX], x[P_VY], x[P_YAW_RATE], x[P_STEER])
         pedal = foot(pedal, speed[k], acceleration[k], motion, o.to_rear, o.wheelbase)
         for step in range(DECIDE):
-            angle += min(max(target - angle, -MAX_HAND_RATE * STEP), MAX_HAND_RATE * STEP)
+            angle += min(max(target - angle, -MAX_STEERING_WHEEL_RATE * STEP), MAX_STEERING_WHEEL_RATE * STEP)
             if step == SENSED:
                 row[RECORDED] = angle
             friction, bank, grade = road_at(road, x[0], x[P_YAW])

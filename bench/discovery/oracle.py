@@ -24,7 +24,7 @@ LARGEST = 30.0
 """Errors count as so many sizes at the most: one window that diverges must not be the whole sum."""
 GAIN, GAIN_UNIT = 0.05, 0.05
 """What the accelerometer shows more than the motion as the body rolls [1]: where a fit starts, and its unit."""
-ROUNDS, REFITS, DAMPING = 8, 4, (1e-4, 1e-2, 0.3, 10.0)
+ITERATIONS, REFITS, DAMPING = 8, 4, (1e-4, 1e-2, 0.3, 10.0)
 SETTLED = 1e-3
 """Fall of the loss below which a fit is done."""
 STEP = 0.1
@@ -156,7 +156,7 @@ class Oracle:
     def _fit(self) -> None:
         """Levenberg's steps; the sizes of the errors are renewed in each round."""
         free = np.arange(len(self._x))
-        for _ in range(ROUNDS):
+        for _ in range(ITERATIONS):
             at = self._at(self._x)
             self._size = sizes(self._windows.errors(at.model, at.gain))
             z = self._z(self._x)

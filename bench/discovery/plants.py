@@ -62,7 +62,7 @@ def driven(plant: str, vehicle: VehicleParameters, order: Order) -> DriveLog:
 def _driven_once(plant: str, vehicle: VehicleParameters, order: Order, programme: Programme, noise: int) -> DriveLog:
     first, later = order.settings, None
     if order.before is not None:
-        first, later = order.before, (order.settings, round(order.from_ * len(programme.hand)))
+        first, later = order.before, (order.settings, round(order.from_ * len(programme.steering_wheel)))
     if plant != cars.LEAF:
         return log_multibody(order.name, plant, _known(first), programme, noise, vehicle,
                              later and (_known(later[0]), later[1]), order.law)

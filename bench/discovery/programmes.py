@@ -69,10 +69,10 @@ class Builder:
         self.add(np.zeros(count), ramp, closed=True)
 
     def programme(self) -> Programme:
-        hand, yaw, gain, speed, acceleration = np.concatenate(self.rows, axis=1)
+        steering_wheel, yaw, gain, speed, acceleration = np.concatenate(self.rows, axis=1)
         memory = np.exp(-DT / TREMOR_TIME)
-        kicks = TREMOR * np.sqrt(1 - memory**2) * self.generator.standard_normal(len(hand))
-        return Programme(hand + lfilter([1.0], [1.0, -memory], kicks), yaw, gain, speed, acceleration)
+        kicks = TREMOR * np.sqrt(1 - memory**2) * self.generator.standard_normal(len(steering_wheel))
+        return Programme(steering_wheel + lfilter([1.0], [1.0, -memory], kicks), yaw, gain, speed, acceleration)
 
     def angle_for(self, lateral: float) -> float:
         """Road-wheel angle [rad] for a steady lateral acceleration [m/s^2]."""

@@ -15,7 +15,7 @@ from st_core.vehicle import VehicleParameters
 
 THRESHOLD = 0.1
 """Terms whose part of the residual's standard deviation is smaller are dropped."""
-ROUNDS = 10
+ITERATIONS = 10
 EVERY = 5
 """Samples: 20 Hz are enough for what is left after a filter of 5 Hz."""
 EQUATIONS = ("velocity_y", "yaw_rate", "acceleration_y")
@@ -41,7 +41,7 @@ def sparse(library: np.ndarray, target: np.ndarray, threshold: float = THRESHOLD
     """
     kept = np.ones(library.shape[1], bool)
     coefficients = np.zeros(library.shape[1])
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS):
         coefficients[:] = 0.0
         if not kept.any():
             break

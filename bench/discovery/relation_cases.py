@@ -11,7 +11,7 @@ from st_core.vehicle import VehicleParameters
 
 from .cars import LEAF, PLANTS, HealthyCar, has, healthy_car
 from .cases import seed_of
-from .effects import alike
+from .effects import is_similar
 from .hidden_relations import LAWS, REMOVED, Hidden
 from .plants import Order, driven, vehicle_of
 from .resimulated import resimulated
@@ -44,7 +44,7 @@ class LawCase:
         """Of the discovery: without the effect that is taken out, and what is like it."""
         effects = None
         if self.hidden and self.hidden.removed:
-            effects = tuple(n for n in applicable("nonlinear") if not alike(n, self.hidden.removed))
+            effects = tuple(n for n in applicable("nonlinear") if not is_similar(n, self.hidden.removed))
         return DiscoverySettings(effects=effects, where=False)
 
 

@@ -44,11 +44,11 @@ def resimulated(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLo
     def read(values: np.ndarray, what: str, rounding: str) -> np.ndarray:
         return np.round((values + noise[what]) / ROUNDING[rounding]) * ROUNDING[rounding]
 
-    hand = log.road_wheel_angle * vehicle.steering_ratio + vehicle.steering_wheel_offset
-    hand = hand + STEERING_NOISE * np.random.default_rng([seed, 4]).standard_normal(len(hand))
-    hand = np.round(hand / ROUNDING["steering"]) * ROUNDING["steering"]
+    steering = log.road_wheel_angle * vehicle.steering_ratio + vehicle.steering_wheel_offset
+    steering = steering + STEERING_NOISE * np.random.default_rng([seed, 4]).standard_normal(len(steering))
+    steering = np.round(steering / ROUNDING["steering"]) * ROUNDING["steering"]
     return replace(
-        log, road_wheel_angle=vehicle.road_wheel_angle(hand), steering_wheel_angle=hand,
+        log, road_wheel_angle=vehicle.road_wheel_angle(steering), steering_wheel_angle=steering,
         ins_time_ns=time[0] + np.round(np.arange(steps + 1) * step * 1e9).astype(np.int64),
         x=x + noise["x"], y=y + noise["y"], yaw=read(yaw, "yaw", "angle"),
         velocity_x=read(v_x - rate * dy, "velocity_x", "velocity"),

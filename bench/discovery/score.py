@@ -10,7 +10,7 @@ from st_core.effects import EFFECTS
 
 from .cars import LEAF
 from .edit_score import edited
-from .effects import alike, members
+from .effects import is_similar, members
 from .judge import different
 
 Record = dict[str, Any]
@@ -62,7 +62,7 @@ def states(r: Record, hidden: str) -> bool:
 def is_false(r: Record, effect: Record) -> bool:
     """Nothing in a statement is hidden, an effect confounded with it, or truly different between plant and model."""
     true = {*different(r["plant"]), *r.get("mistaken", ())}
-    if any(name in true or any(alike(name, h) for h in r["hidden"]) for name in _names(effect)):
+    if any(name in true or any(is_similar(name, h) for h in r["hidden"]) for name in _names(effect)):
         return False
     parts = members(effect["name"]) if effect["name"] in EFFECTS else (effect["name"],)
     known = [r["scatter"].get(part) for part in parts]

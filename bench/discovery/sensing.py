@@ -39,14 +39,14 @@ def log_of(name: str, recording: Recording, car: Car, vehicle: VehicleParameters
     level = np.stack([cosine * r["velocity_x"] - sine * r["velocity_y"], sine * r["velocity_x"] +
                       cosine * r["velocity_y"], r["velocity_z"]])
     velocity = to_body(_rounded(level, "velocity"), yaw, -pitch, roll)
-    hand = recording.hand + car.steering_wheel_offset
+    steering = recording.steering_wheel + car.steering_wheel_offset
     if settings["steering_sensor_noise"]:
-        hand = hand + settings["steering_sensor_noise"] * _stream(np.random.default_rng([seed, 4]), count, 256)
-    hand = _rounded(hand, "steering")
+        steering = steering + settings["steering_sensor_noise"] * _stream(np.random.default_rng([seed, 4]), count, 256)
+    steering = _rounded(steering, "steering")
     late = STEERING_PHASE + settings["steering_sensor_latency"]
     return DriveLog(
         name, _ns(stamp + settings["ins_time_error"]), r["x"], r["y"], yaw, velocity[0], velocity[1],
-        _rounded(rates, "rate")[2], _ns(stamp + late), vehicle.road_wheel_angle(hand), hand,
+        _rounded(rates, "rate")[2], _ns(stamp + late), vehicle.road_wheel_angle(steering), steering,
         *_rounded(forces, "force"))
 
 

@@ -40,7 +40,7 @@ def drive(car: Stranger, road: np.ndarray, seconds: float, wander: np.ndarray, s
     r, out = recording.rows, np.zeros((len(led), plants.ROW))
     out[:, :6] = r[:, [X, Y, YAW, VX, VY, YAW_RATE]]
     out[:, plants.AX:plants.TURN + 1] = r[:, STATES:STATES + 3]
-    out[:, plants.WHEEL] = recording.hand / v.steering_ratio
+    out[:, plants.WHEEL] = recording.steering_wheel / v.steering_ratio
     fine = np.arange(2 * len(out) - 1) / 2
     return np.column_stack([np.interp(fine, np.arange(len(out)), column) for column in out.T])
 

@@ -66,7 +66,7 @@ def by_the_benchmark(manoeuvre) -> np.ndarray:
     empty = programmes.Builder(CAR, np.random.default_rng(SEED), 10.0)
     empty.go_to(manoeuvre.speed)
     before = sum(row.shape[1] for row in empty.rows)
-    left = len(programme.hand) - before - round(programmes.STRAIGHT / programmes.DT)
+    left = len(programme.steering_wheel) - before - round(programmes.STRAIGHT / programmes.DT)
     assert left * programmes.DT == pytest.approx(manoeuvre.duration, abs=0.03)
     rows = compiled.drive(CAR, HEALTHY, programme, SEED).rows[before:][:round(looked_at(manoeuvre) / programmes.DT)]
     return np.column_stack((rows[:, VX], rows[:, VX] * rows[:, YAW_RATE]))

@@ -49,11 +49,11 @@ def circle(angle: float, count: int = 800) -> Programme:
     return Programme(np.minimum(0.01 * np.arange(count), 1.0) * angle * 15.5, still, still, still + SPEED, still)
 
 
-def single_track(v: VehicleParameters, hand: float) -> float:
+def single_track(v: VehicleParameters, steering_angle: float) -> float:
     """Steady yaw rate [rad/s] of the linear single track at SPEED for a steering-wheel angle [rad]."""
     front, rear = v.cornering_stiffness_front, v.cornering_stiffness_rear
     gradient = v.mass * (v.cg_to_rear_axle * rear - v.cg_to_front_axle * front) / (v.wheelbase**2 * front * rear)
-    return SPEED * v.road_wheel_angle(hand) / (v.wheelbase * (1 + gradient * SPEED**2))
+    return SPEED * v.road_wheel_angle(steering_angle) / (v.wheelbase * (1 + gradient * SPEED**2))
 
 
 @pytest.mark.parametrize("car", CARS)
@@ -72,12 +72,13 @@ def test_the_equations_are_those_of_the_package(car):
 def test_in_a_gentle_circle_the_car_turns_as_its_vehicle_file_says(car):
     for angle in (0.05, -0.05):
         p = circle(angle)
-        healthy, expected = drive_multibody(car, {}, p, 1).rows[-1, YAW_RATE], single_track(vehicle_of(car), p.hand[-1])
+        healthy = drive_multibody(car, {}, p, 1).rows[-1, YAW_RATE]
+        expected = single_track(vehicle_of(car), p.steering_wheel[-1])
         assert healthy == pytest.approx(expected, rel=CAMBER)
         for hidden in ({"cg_shift": 0.2}, {"front_stiffness_factor": 0.7}, {"rear_stiffness_factor": 0.75},
                        {"steering_ratio_factor": 1.1}, {"steering_offset": 0.006}):
             change = drive_multibody(car, hidden, p, 1).rows[-1, YAW_RATE] / healthy
-            predicted = single_track(vehicle_of(car, hidden), p.hand[-1]) / expected
+            predicted = single_track(vehicle_of(car, hidden), p.steering_wheel[-1]) / expected
             assert change == pytest.approx(predicted, abs=CAMBER), hidden
             # The stiffness of these tyres goes with the load, so a shifted centre of gravity changes next to nothing.
             assert abs(change - 1) > (0.05 if "cg_shift" not in hidden else 0.001), hidden
@@ -93,13 +94,13 @@ def by_the_plant(settings, p: Programme):
     plant = Plant(NOMINAL, settings, SEED)
     plant.place(0.0, 0.0, 0.0, float(p.speed[0]))
     ins, steering = Ins(NOMINAL, settings, 0.01, SEED), SteeringSensor(NOMINAL, settings, SEED)
-    hand = pedal = 0.0
+    steering_angle = pedal = 0.0
     states, read, angles = [], [], []
-    for k in range(len(p.hand)):
+    for k in range(len(p.steering_wheel)):
         s, f, here = plant.state, plant.observe(NOMINAL.mass * pedal), plant.surroundings
         truth = Truth(0.01 * k, *s[:4], s[VX], s[VY], s[YAW_RATE], f.acceleration_x, f.acceleration_y,
-                      f.yaw_acceleration, hand, 0.0, velocity_z=f.velocity_z, roll=plant.body_roll + here.bank_angle,
-                      pitch=plant.body_pitch + here.grade_angle,
+                      f.yaw_acceleration, steering_angle, 0.0, velocity_z=f.velocity_z,
+                      roll=plant.body_roll + here.bank_angle, pitch=plant.body_pitch + here.grade_angle,
                       roll_rate=settings["roll_gradient"] * s[14])
         r = ins.read(truth)
         states.append(s)
@@ -110,10 +111,10 @@ def by_the_plant(settings, p: Programme):
         target = min(max(target, -7.0), 3.5)
         pedal += min(max(target - pedal, -0.1), 0.1)
         for i in range(DECIDE):
-            hand += min(max(p.hand[k] - hand, -8.0 * STEP), 8.0 * STEP)
+            steering_angle += min(max(p.steering_wheel[k] - steering_angle, -8.0 * STEP), 8.0 * STEP)
             if i == 0:
-                angles.append(steering.read(replace(truth, steering_wheel_angle=hand)))
-            plant.step(hand, NOMINAL.mass * pedal)
+                angles.append(steering.read(replace(truth, steering_wheel_angle=steering_angle)))
+            plant.step(steering_angle, NOMINAL.mass * pedal)
     return np.array(states), np.array(read), np.array(angles)
 
 

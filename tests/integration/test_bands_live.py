@@ -41,10 +41,10 @@ def road(path: Path, seconds: float, seed: int, offset: float = 0.0) -> Path:
     car = VehicleParameters.from_yaml(LEAF.read_text())
     truth = Truth(offset, car.steering_ratio, 0.95)
     time, x, y, yaw, forward, across, rate, _ = winding_road(car, truth, seconds, seed, 0.0).T
-    hand = winding_road(car, truth, seconds, seed, 0.5)[:, 7]
+    steering_wheel = winding_road(car, truth, seconds, seed, 0.5)[:, 7]
     ahead, left = np.gradient(forward, time) - across * rate, np.gradient(across, time) + forward * rate
     return write_drive(path, np.stack([time, x, y, yaw, forward, across, rate, ahead, left,
-                                       car.road_wheel_angle(hand)], axis=1))
+                                       car.road_wheel_angle(steering_wheel)], axis=1))
 
 
 @pytest.fixture(scope="module")

@@ -80,10 +80,10 @@ def test_runs_that_differ_say_so_and_by_how_much():
     assert one.interval[0] < 0.0 < one.interval[1] and "differs" in one.text
 
 
-@pytest.mark.parametrize(("half", "alike"), [(0.005, True), (1e-5, False)])
-def test_runs_are_consistent_only_while_their_intervals_hold_the_mean(half, alike):
+@pytest.mark.parametrize(("half", "consistent"), [(0.005, True), (1e-5, False)])
+def test_runs_are_consistent_only_while_their_intervals_hold_the_mean(half, consistent):
     one, = compare_runs([measured(v, half, "x_scale", unit="1") for v in (0.960, 0.964, 0.968)])
-    assert one.consistent is alike and one.mean == pytest.approx(0.964, abs=1e-4)
+    assert one.consistent is consistent and one.mean == pytest.approx(0.964, abs=1e-4)
 
 
 def test_two_of_four_intervals_that_miss_are_not_consistent():

@@ -59,7 +59,7 @@ def test_understeer_of_a_fast_car_is_no_unit(leaf):
     fast = drive(soft, 24.0, weave(0.03), 40.0)
     assert 24.0**2 * stability_factor(soft) > 0.8
     assert errors(fast, soft) == {}
-    hand = errors(replace(fast, road_wheel_angle=fast.steering_wheel_angle), soft)["steering_scale"]
-    assert "the angle of the steering wheel" in hand.text
-    scale = hand.advice.entry["correct"]["road_wheel_angle"]["scale"]
+    finding = errors(replace(fast, road_wheel_angle=fast.steering_wheel_angle), soft)["steering_scale"]
+    assert "the angle of the steering wheel" in finding.text
+    scale = finding.advice.entry["correct"]["road_wheel_angle"]["scale"]
     assert scale == pytest.approx(1.0 / soft.steering_ratio, rel=1e-4)

@@ -18,12 +18,12 @@ def between(problem) -> float:
 
 def test_a_run_that_differs_from_the_others_raises_what_healthy_drives_may_gain():
     problem = linear_problem(FEW, {}, 1, runs=4)
-    alike = between(problem)
-    assert 0.0 <= alike < 0.1
+    difference = between(problem)
+    assert 0.0 <= difference < 0.1
     first = problem.errors.windows.run == 0
     mass = int(problem.space.indices("mass")[0])
     problem.errors.noise[first] += 2.0 * problem.errors.signatures[mass][first]
-    assert between(problem) > 5.0 * max(alike, 0.02)
+    assert between(problem) > 5.0 * max(difference, 0.02)
 
 
 def test_two_runs_say_nothing_of_each_other():

@@ -24,9 +24,9 @@ START_NS = 1_756_900_800_000_000_000
 @pytest.fixture(scope="module")
 def heading() -> DriveLog:
     """A minute and a half with heading and lateral velocity."""
-    t, x, y, yaw, v_x, v_y, rate, hand = winding_road(CAR, Truth(0.0, CAR.steering_ratio, 1.0), 90.0, 5, 0.3).T
+    t, x, y, yaw, v_x, v_y, rate, steering = winding_road(CAR, Truth(0.0, CAR.steering_ratio, 1.0), 90.0, 5, 0.3).T
     time_ns = START_NS + np.round(t * 1e9).astype(np.int64)
-    return DriveLog("road", time_ns, x, y, np.unwrap(yaw), v_x, v_y, rate, time_ns, hand / CAR.steering_ratio)
+    return DriveLog("road", time_ns, x, y, np.unwrap(yaw), v_x, v_y, rate, time_ns, steering / CAR.steering_ratio)
 
 
 @pytest.fixture(scope="module")

@@ -38,9 +38,10 @@ def road() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def course(road: np.ndarray) -> Course:
-    time, x, y, yaw, v_x, v_y, rate, hand = road.T
+    time, x, y, yaw, v_x, v_y, rate, steering = road.T
     time_ns = np.round(time * 1e9).astype(np.int64)
-    log = DriveLog("earlier", time_ns, x, y, yaw, v_x, v_y, rate, time_ns, np.array([*map(CAR.road_wheel_angle, hand)]))
+    angle = np.array([*map(CAR.road_wheel_angle, steering)])
+    log = DriveLog("earlier", time_ns, x, y, yaw, v_x, v_y, rate, time_ns, angle)
     return Course(tuple(passes_of(log, ["digest"])), HERE)
 
 
@@ -57,10 +58,10 @@ def drive(given: CourseInput, road: np.ndarray, jump: float = 0.0) -> tuple[list
     """Whether each start used the course, and errors at 5 s (held, course) [m]. jump: to the side after 20 s [m]."""
     core = Predictor(CAR, ["linear"])
     used, errors = [], []
-    for k, (t, x, y, yaw, v_x, v_y, rate, hand) in enumerate(road[:-600].tolist()):
+    for k, (t, x, y, yaw, v_x, v_y, rate, steering) in enumerate(road[:-600].tolist()):
         time_ns = round(t * 1e9)
         core.add_ins(InsSample(time_ns, x + (jump if t > 20.0 else 0.0), y, yaw, v_x, v_y, rate))
-        core.add_steering(time_ns, CAR.road_wheel_angle(hand))
+        core.add_steering(time_ns, CAR.road_wheel_angle(steering))
         if k % 10 == 0 and isinstance(start := core.start(time_ns), Start):
             inputs = given.at(core, start)
             used.append(inputs is not None)

@@ -37,9 +37,9 @@ def trace(settings):
     rows = []
     for i in range(3000):
         t = i * STEP
-        hand = 1.4 * math.sin(2 * math.pi * 0.35 * t) + 0.3 * math.sin(2 * math.pi * 1.6 * t)
+        steering_wheel = 1.4 * math.sin(2 * math.pi * 0.35 * t) + 0.3 * math.sin(2 * math.pi * 1.6 * t)
         push = 600.0 if t < 4 else -4000.0
-        plant.step(hand, push)
+        plant.step(steering_wheel, push)
         if i % 50 == 0:
             wheels = plant.observe(push).wheel_speed
             rows.append((*plant.state[: VX + 1], plant.body_roll * 10, plant.body_pitch * 10, *wheels))
@@ -66,12 +66,12 @@ def test_acts_when_on_and_vanishes_at_null(name):
     assert difference(name, null + 1e-6 * (value - null), others) < 0.05 * on
 
 
-def steady(effects, hand=2.0, speed=9.0, seconds=8.0):
+def steady(effects, steering_wheel=2.0, speed=9.0, seconds=8.0):
     """Plant in a steady bend under `effects` on top of ideal."""
     plant = Plant(CAR, resolve("ideal", effects))
     plant.place(0.0, 0.0, 0.0, speed)
     for _ in range(round(seconds / STEP)):
-        plant.step(hand, 8000.0 * (speed - plant.state[VX]) + 300.0)
+        plant.step(steering_wheel, 8000.0 * (speed - plant.state[VX]) + 300.0)
     plant.observe(300.0)
     return plant
 
@@ -216,7 +216,7 @@ def test_cg_shift_moves_the_loads():
 
 
 def test_tremor_moves_the_hands_and_follows_the_seed():
-    def hand(effects, seed):
+    def steering_wheel(effects, seed):
         car = SimulatedCar(CAR, resolve("ideal", effects), load("S2"), seed)
         angles = []
         for i in range(2000):
@@ -224,10 +224,10 @@ def test_tremor_moves_the_hands_and_follows_the_seed():
             angles.append(car.driver.steering_wheel_angle)
         return np.array(angles)
 
-    still, shaking = hand([], 1), hand(["driver_tremor=0.02"], 1)
+    still, shaking = steering_wheel([], 1), steering_wheel(["driver_tremor=0.02"], 1)
     assert 0.01 < (shaking - still).std() < 0.03
-    assert (shaking == hand(["driver_tremor=0.02"], 1)).all()
-    assert (shaking != hand(["driver_tremor=0.02"], 2)).any()
+    assert (shaking == steering_wheel(["driver_tremor=0.02"], 1)).all()
+    assert (shaking != steering_wheel(["driver_tremor=0.02"], 2)).any()
 
 
 def test_presets_and_files(tmp_path):

@@ -13,13 +13,13 @@ CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
 RATIO = CAR.steering_ratio
 
 
-def driven(settings, hand, force, seconds, speed=8.0, step=STEP):
+def driven(settings, steering_wheel, force, seconds, speed=8.0, step=STEP):
     """Plant after `seconds`; hand and force are functions of time and plant, applied in steps of STEP."""
     plant = Plant(CAR, settings, step=step)
     plant.place(0.0, 0.0, 0.0, speed)
     per_input = round(STEP / step)
     for i in range(round(seconds / STEP)):
-        angle, push = hand(i * STEP), force(i * STEP, plant)
+        angle, push = steering_wheel(i * STEP), force(i * STEP, plant)
         for _ in range(per_input):
             plant.step(angle, push)
     return plant

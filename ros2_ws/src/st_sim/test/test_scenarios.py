@@ -14,7 +14,7 @@ from support import ROOT
 
 CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
 RATE = 50
-COLUMNS = ("t", "x", "y", "yaw", "vx", "vy", "r", "ax", "ay", "hand", "force")
+COLUMNS = ("t", "x", "y", "yaw", "vx", "vy", "r", "ax", "ay", "steering_wheel", "force")
 
 
 class Drive:
@@ -54,7 +54,7 @@ def test_circles(name, a_y, plant):
 )
 def test_realistic_car_steers_as_the_real_one_did(name, road_wheel_deg, v_y):
     d = Drive(name, 12)
-    assert math.degrees(d.hand.mean()) / CAR.steering_ratio == pytest.approx(road_wheel_deg, rel=0.02)
+    assert math.degrees(d.steering_wheel.mean()) / CAR.steering_ratio == pytest.approx(road_wheel_deg, rel=0.02)
     assert d.vy.mean() == pytest.approx(v_y, abs=0.08)
 
 
@@ -109,7 +109,7 @@ def test_s7_roundabout():
 
 def test_sweep_rises_from_slow_to_fast():
     d = Drive("sweep", 26)
-    crossings = d.t[1:][np.diff(np.sign(d.hand)) != 0]
+    crossings = d.t[1:][np.diff(np.sign(d.steering_wheel)) != 0]
     gaps = np.diff(crossings)
     # The first half wave already quickens from 0.2 Hz.
     assert 0.2 < 0.5 / gaps[0] < 0.35 and 0.5 / gaps[-2] == pytest.approx(2.8, rel=0.1)
@@ -119,7 +119,7 @@ def test_sweep_rises_from_slow_to_fast():
 
 def test_step_is_a_step():
     d = Drive("step", 14)
-    before, after = d.hand[int(2.9 * RATE)], d.hand[int(3.5 * RATE)]
+    before, after = d.steering_wheel[int(2.9 * RATE)], d.steering_wheel[int(3.5 * RATE)]
     assert abs(before) < 0.05 and after == pytest.approx(0.09 * CAR.steering_ratio, abs=0.05)
     assert d.ay[5 * RATE] == pytest.approx(3.9, abs=0.4) and d.ay[12 * RATE] == pytest.approx(-3.9, abs=0.4)
 
@@ -137,7 +137,7 @@ def test_brake_in_turn_brakes_with_still_hands():
     assert braking.sum() > 20
     assert np.gradient(d.vx, d.t)[braking].mean() == pytest.approx(-4.0, abs=0.3)
     # Only the tremor moves them.
-    assert np.ptp(d.hand[braking]) < 0.06
+    assert np.ptp(d.steering_wheel[braking]) < 0.06
 
 
 def test_circle_is_driven_to_both_sides_with_still_hands():
@@ -145,14 +145,14 @@ def test_circle_is_driven_to_both_sides_with_still_hands():
     for first, last, side in ((5, 12, 1), (20, 27, -1)):
         steady = (d.t > first) & (d.t < last)
         assert d.ay[steady].mean() == pytest.approx(side * 3.6, abs=0.15) and d.ay[steady].std() < 0.05
-        assert np.ptp(d.hand[steady]) < 0.08
+        assert np.ptp(d.steering_wheel[steady]) < 0.08
     assert d.vx.mean() == pytest.approx(6.5, abs=0.05)
 
 
 def test_slalom_and_weave_are_sines():
     for name, frequency, size in (("slalom", 0.5, 4.0), ("weave", 0.25, 1.0)):
         d = Drive(name, 12)
-        assert 0.5 * (np.diff(np.sign(d.hand)) != 0).sum() / 12 == pytest.approx(frequency, abs=0.1)
+        assert 0.5 * (np.diff(np.sign(d.steering_wheel)) != 0).sum() / 12 == pytest.approx(frequency, abs=0.1)
         assert np.abs(d.ay).max() == pytest.approx(size, rel=0.12)
 
 
@@ -169,19 +169,19 @@ def test_ramp_exceeds_the_limit():
     peak = np.abs(d.ay).max()
     assert peak > 8.0
     # Past the limit more steering gives no more lateral acceleration.
-    at_limit = int(np.argmax(np.abs(d.hand)))
+    at_limit = int(np.argmax(np.abs(d.steering_wheel)))
     third = int(0.8 * at_limit)
-    assert d.hand[at_limit] > 1.2 * d.hand[third] and d.ay[at_limit] < 1.05 * d.ay[third]
+    assert d.steering_wheel[at_limit] > 1.2 * d.steering_wheel[third] and d.ay[at_limit] < 1.05 * d.ay[third]
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_hands_are_those_of_a_person(name):
     """Hand-wheel rate and pedals are limited, and equal seeds give equal drives."""
     d, again, other = Drive(name, 8), Drive(name, 8), Drive(name, 8, seed=1)
-    assert np.abs(np.diff(d.hand)).max() * RATE <= MAX_STEERING_WHEEL_RATE + 1e-9
+    assert np.abs(np.diff(d.steering_wheel)).max() * RATE <= MAX_STEERING_WHEEL_RATE + 1e-9
     assert np.abs(np.diff(d.force)).max() <= 10.0 * CAR.mass / RATE * 1.3
-    assert (d.x == again.x).all() and (d.hand == again.hand).all()
-    assert (d.hand != other.hand).any()
+    assert (d.x == again.x).all() and (d.steering_wheel == again.steering_wheel).all()
+    assert (d.steering_wheel != other.steering_wheel).any()
 
 
 def test_path_geometry():

@@ -24,7 +24,7 @@ from .regression import Estimate, Regression, is_relevant, with_systematic
 
 WINDOW = 1.0  # s
 MIN_WINDOWS = 10
-ROUNDS = 3
+ITERATIONS = 3
 # Fraction of the lag of positions that may remain after a lagging, or a leading (rare) yaw is corrected.
 MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25
 MIN_LOSS_RATIO = 1.1  # losses whose ratio is below this do not decide between two explanations
@@ -87,7 +87,7 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
     """(motion without the causes found, the findings, estimates of every cause as values of its finding)."""
     found: dict[str, Estimate] = {}
     corrected = motion
-    for _ in range(ROUNDS):  # a large cause is not linear and biases the others until it is removed in the next round
+    for _ in range(ITERATIONS):  # a large cause is not linear and biases the others until it is removed in the next one
         problem = residual_regression(corrected)
         if len(problem.time) < MIN_WINDOWS:
             return motion, [], {}

@@ -22,7 +22,7 @@ from .space import Space, known_quantities
 from .windows import Windows
 
 MAX_CLOCK_DEVIATION = 0.01  # s; a third of a typical steering delay
-ROUNDS = 3  # repetitions of the joint fit, each with the corrected stamps
+ITERATIONS = 3  # repetitions of the joint fit, each with the corrected stamps
 
 
 def clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
@@ -40,7 +40,7 @@ def clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, spac
         return {}
     k, correction = int(space.indices(SteeringDelay.name)[0]), np.zeros(len(free))
     scale, vector, quantities = space.scale[k], space.null, known_quantities(space, vehicle)
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS):
         by_run = {runs[i].name: float(c) for i, c in zip(free, correction, strict=True)}
         windows = Windows(apply_clock_corrections(runs, by_run), vehicle, settings)
         if not len(windows):  # the search reports it

@@ -124,14 +124,14 @@ def fit_library(loss: Loss, windows: Windows, prior: np.ndarray, quantities: Qua
     """Fit all parameters from an initial vector and update the scale of the loss, until convergence. Returns (vector
     (p,), curvature (p, p) of `prior` plus the priors of the vehicle file)."""
     space = loss.space
-    file = Problem(loss, space.null, windows.block, quantities=quantities)
+    with_priors = Problem(loss, space.null, windows.block, quantities=quantities)
     deviations = prior_deviations(quantities, space.scale)  # none for a load: the drives already include it
     for _ in range(MAX_FITS):
         tick()
-        file.update_design_effect(vector)
-        full_prior = prior + np.diag(0.5 * file.design_effect / np.square(deviations))
+        with_priors.update_design_effect(vector)
+        full_prior = prior + np.diag(0.5 * with_priors.design_effect / np.square(deviations))
         problem = Problem(loss, space.null, windows.block, full_prior)
-        fit = problem.fit((), file.all_sensitivities(vector), vector, iterations=2)
+        fit = problem.fit((), with_priors.all_sensitivities(vector), vector, iterations=2)
         step = float(np.abs((fit.vector - vector) / space.scale).max())
         vector = fit.vector
         loss.rescale(vector)

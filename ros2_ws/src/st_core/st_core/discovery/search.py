@@ -22,7 +22,7 @@ CONTENDER_SHARE = 0.5  # fraction of the best gain; effects with a smaller gain 
 JOINT_DEVIATION = 3.0  # parameter scales: prior standard deviation where many effects are fitted at once
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
 JOINT_FITS, JOINT_STEP = 4, 0.1  # maximum number of joint fits; they stop at a smaller step [parameter scales]
-EXCHANGE_ROUNDS = 3
+MAX_EXCHANGES = 3
 
 Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
 
@@ -354,7 +354,7 @@ class Search:
 
     def _exchange_until_accepted(self, found: Found) -> Found:
         """Exchange effects and drop rejected ones until the test accepts all."""
-        for _ in range(EXCHANGE_ROUNDS):
+        for _ in range(MAX_EXCHANGES):
             found = self._drop_rejected(found)
             better = self._exchange(found)
             if better is None:

@@ -37,7 +37,7 @@ from ..vehicle import VehicleParameters
 from .result import IdentificationError
 
 MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name
-MAX_ROUNDS, SCALE_TOLERANCE = 6, 0.02
+MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
 """Number of fits, each with the error scale of the previous one, and relative change of that scale at convergence."""
 BOUND_TOLERANCE = 1e-3
 """Distance to a bound, as a fraction of the range between both bounds, below which a value counts as at the bound."""
@@ -210,7 +210,7 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
 def _fit_with_scale(problem: Problem, effects: tuple[str, ...]) -> np.ndarray:
     """Vector of the converged fit: error scale and values are estimated in turn."""
     vector, indices, loss = problem.start.copy(), problem.free_indices(effects), problem.loss
-    for _ in range(MAX_ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         before = loss.scale.copy()
         slopes = Sensitivities(vector, indices, loss.sensitivities(vector, indices))
         vector = problem.fit(effects, slopes, vector=vector, fresh=effects, iterations=12).vector

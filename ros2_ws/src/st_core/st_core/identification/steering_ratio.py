@@ -132,7 +132,7 @@ def steering_ratio(data: Turntable) -> Identification:
     edges = BIN * np.arange(math.floor(data.steering.min() / BIN), math.ceil(data.steering.max() / BIN) + 1)
     counts = np.histogram(data.steering, edges)[0]
     coverage = Coverage("steering-wheel angle", "deg", np.degrees(edges), counts, 1, 2)
-    figure = {"hand": data.steering, "left": data.left, "right": data.right, "mean": mean, "sweeps": data.sweeps,
+    figure = {"steering": data.steering, "left": data.left, "right": data.right, "mean": mean, "sweeps": data.sweeps,
               "slope": line.slope, "levels": line.levels, "residuals": line.residuals, "cubic": cubic,
               "significant": significant}
     return Identification("steering-ratio", (estimate,), used, (), None, (coverage,), tuple(_warnings(data, line)),

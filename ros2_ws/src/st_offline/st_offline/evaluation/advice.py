@@ -32,7 +32,7 @@ from ..evaluation.tables import write_csv
 from ..evaluation.work import Task, load_models
 from ..terminal import line, list_files, rows_table
 
-ROUNDS, ROUND_TIME = 5, 0.02  # measurements of each call; s, processor time of one at least
+REPETITIONS, ROUND_TIME = 5, 0.02  # measurements of each call; s, processor time of one at least
 BATCH_STARTS = 960  # 20 groups of the compiled lanes
 
 Call = Callable[[], object]
@@ -79,7 +79,7 @@ def median_times(calls: Mapping[CallKey, tuple[Call, int]]) -> dict[CallKey, flo
     measured_times: dict[CallKey, list[float]] = {key: [] for key in calls}
     for call, _ in calls.values():
         call()
-    for _ in range(ROUNDS):
+    for _ in range(REPETITIONS):
         for key, (call, predictions) in calls.items():
             count, begin = 0, time.process_time()
             while not count or time.process_time() - begin < ROUND_TIME:

@@ -84,28 +84,29 @@ def identify_ratio(files: Sequence[Path], setup: Setup) -> tuple[Identification,
         table = read_columns(file, ANGLES, texts=("series",))
         names += [f"{file.name}:{name}" for name in table.texts.get("series") or ("1",) * len(table)]
         columns.append([table.numbers[name] for name in ANGLES])
-    hand, left, right = (np.concatenate(parts) for parts in zip(*columns, strict=True))
-    return (steering_ratio(Turntable(hand, left, right, tuple(names))),)
+    steering_wheel, left, right = (np.concatenate(parts) for parts in zip(*columns, strict=True))
+    return (steering_ratio(Turntable(steering_wheel, left, right, tuple(names))),)
 
 
 def draw_ratio(found: Identification, output: FigureOutput) -> PageFigure:
     """Wheel angles versus steering wheel angle with the fitted line, and its residuals."""
     data, estimate = found.figure, found.estimates[0]
-    hand, sweeps = np.degrees(data["hand"]), np.asarray(data["sweeps"])
+    steering, sweeps = np.degrees(data["steering"]), np.asarray(data["sweeps"])
     with style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
-        left.plot(hand, np.degrees(data["left"]), "<", color=MEASURED_COLOUR, ms=4, mfc="none", label="left wheel")
-        left.plot(hand, np.degrees(data["right"]), ">", color=MEASURED_COLOUR, ms=4, mfc="none", label="right wheel")
-        left.plot(hand, np.degrees(data["mean"]), "o", color=TEXT, ms=3.5, label="mean")
-        ends = np.array([hand.min(), hand.max()])
+        left.plot(steering, np.degrees(data["left"]), "<", color=MEASURED_COLOUR, ms=4, mfc="none", label="left wheel")
+        left.plot(steering, np.degrees(data["right"]), ">", color=MEASURED_COLOUR, ms=4, mfc="none",
+                  label="right wheel")
+        left.plot(steering, np.degrees(data["mean"]), "o", color=TEXT, ms=3.5, label="mean")
+        ends = np.array([steering.min(), steering.max()])
         level = float(np.degrees(np.mean(list(data["levels"].values()))))
         left.plot(ends, level + data["slope"] * ends, color=MODEL_COLOUR["augmented"],
                   label=f"steering wheel / {estimate.value:.2f}")
         left.set(xlabel="steering wheel angle, deg (left +)", ylabel="wheel angle, deg (left +)")
         for k, name in enumerate(dict.fromkeys(data["sweeps"])):
             row = sweeps == name
-            right.plot(hand[row], np.degrees(data["residuals"][row]), "os^Dv<>P"[k % 8], color=TEXT, ms=4.5, mfc="none",
-                       label=name)
+            right.plot(steering[row], np.degrees(data["residuals"][row]), "os^Dv<>P"[k % 8], color=TEXT, ms=4.5,
+                       mfc="none", label=name)
         if data["significant"]:
             first, last = np.radians(ends)
             grid = np.linspace(first, last, 101)

@@ -198,14 +198,14 @@ def _split_bags(files: Sequence[Path]) -> list[list[Path]]:
     """Groups of bag files drive_0, drive_1, ... in which each file begins where the previous one ends."""
     groups: list[list[Path]] = []
     for file in sorted(files, key=lambda f: (f.parent, natural_order(f))):
-        if groups and _follows(groups[-1][-1], file):
+        if groups and _is_continuation(groups[-1][-1], file):
             groups[-1].append(file)
         else:
             groups.append([file])
     return [group for group in groups if len(group) > 1]
 
 
-def _follows(before: Path, file: Path) -> bool:
+def _is_continuation(before: Path, file: Path) -> bool:
     (a, _, first), (b, _, second) = before.stem.rpartition("_"), file.stem.rpartition("_")
     if (before.parent, a, before.suffix) != (file.parent, b, file.suffix) or not (first.isdigit() and second.isdigit()):
         return False
