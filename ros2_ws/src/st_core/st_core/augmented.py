@@ -171,13 +171,13 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
 
 
 def _check_applicable(base: Model, effects: Sequence[type[Effect]]) -> None:
-    kinds = {base.name}
-    # An effect may turn the model into a kind that another effect turns into a third: one pass per such effect.
+    models = {base.name}
+    # An effect may turn the model into one that another effect turns into a third: one pass per such effect.
     conversions = [effect.converts for effect in effects if effect.converts]
     for _ in conversions:
-        kinds |= {to for start, to in conversions if start in kinds}
+        models |= {to for start, to in conversions if start in models}
     for effect in effects:
-        if not effect.applies_to & kinds:
+        if not effect.applies_to & models:
             allowed = " or ".join(sorted(effect.applies_to))
             raise ConfigurationError(f"effect {effect.name}: does not apply to a {base.name} model, only to {allowed}")
 

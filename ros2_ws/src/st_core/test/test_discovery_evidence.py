@@ -24,7 +24,7 @@ from st_core.discovery.evidence import (
     shares,
     statistic,
 )
-from st_core.discovery.partitions import KINDS, TIMES, conditions, partitions, places, runs, sites
+from st_core.discovery.partitions import CONDITIONS, TIMES, conditions, partitions, places, runs, sites
 from st_core.discovery.windows import Windows, noise_floor
 from st_core.timeseries import smoothed
 
@@ -305,7 +305,7 @@ def test_conditions_are_halves_by_speed_and_by_how_hard_it_corners():
     speed, lateral = np.array([5.0, 5.0, 20.0, 20.0]), np.array([0.5, 3.0, 0.1, 1.0])
     part, called = conditions(speed, lateral)
     assert [called[k] for k in part] == ["slow and gentle", "slow and hard", "fast and gentle", "fast and hard"]
-    assert called == list(KINDS)
+    assert called == list(CONDITIONS)
 
 
 def test_noise_is_found_without_a_car(leaf):

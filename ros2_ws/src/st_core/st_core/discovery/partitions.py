@@ -9,7 +9,7 @@ PLACE_SIZE = 50.0  # m, side of the squares of the map that count as places
 SAME_SITE_SHARE = 0.2  # fraction of the shorter run's places: runs that have more in common are at the same site
 MIN_RUNS = 5  # fewer runs are divided into stretches
 TIMES = ("the first third of the runs", "the second third", "the last third")
-KINDS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
+CONDITIONS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
 
 # A way to divide the driving (a factor of an analysis of variance): (n,) part of each window, names of the parts.
 Partition = tuple[np.ndarray, list[str]]
@@ -68,7 +68,7 @@ def conditions(speed: np.ndarray, lateral: np.ndarray) -> Partition:
     hard = np.zeros(len(speed), bool)
     for half in (fast, ~fast):
         hard[half] = lateral[half] > np.median(lateral[half]) if half.any() else False
-    return fast + 2 * hard, list(KINDS)
+    return fast + 2 * hard, list(CONDITIONS)
 
 
 def _thirds(windows: Windows) -> np.ndarray:

@@ -15,9 +15,9 @@ from ..channels import CHANNELS
 from ..errors import ConfigurationError
 from ..yaml_text import nearest
 
-KINDS = ("kinematic", "linear", "nonlinear")
+BASE_MODELS = ("kinematic", "linear", "nonlinear")
 DYNAMIC = frozenset(("linear", "nonlinear"))
-ANY = frozenset(KINDS)
+ANY = frozenset(BASE_MODELS)
 
 EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "surroundings")
 SLOTS = ("steering", "front axle", "rear axle", "both axles", "body",
@@ -151,8 +151,8 @@ class Effect:
     (one of the two may name the other), by sensitivity vectors of a single-track car on circle, step, sweep and limit.
     needs: channels, all of which it needs to be observable and separable. members: names of the effects it is the sum
     of. combinations: of COMBINATIONS, that it changes. ratio_to: key of the vehicle file; drives show only the ratio of
-    its quantity to that one. at_peak_force: observable only near the peak force of an axle. applies_to: kinds of model.
-    converts: (from, to) of an effect that turns one kind of model into another, such as linear to nonlinear.
+    its quantity to that one. at_peak_force: observable only near the peak force of an axle. applies_to: base models.
+    converts: (from, to) of an effect that turns one base model into another, such as linear to nonlinear.
     extra_units: of `extra_states`, for exports. costly: evaluates the tyres again, left out of a fast model at null.
     forward_only: the search adds it in forward steps only, since in a joint fit of the whole library it absorbs a part
     of others. order: among the effects at one hook, lowest first.
@@ -263,7 +263,7 @@ def _missing(effect: type[Effect]) -> Iterator[str]:
 
 def _wrong_names(effect: type[Effect]) -> Iterator[str]:
     if not effect.applies_to or not effect.applies_to <= ANY:
-        yield f"applies_to must name some of {', '.join(KINDS)}"
+        yield f"applies_to must name some of {', '.join(BASE_MODELS)}"
     for key in ("confounded_with", "needs", "members", "combinations"):
         if not isinstance(getattr(effect, key), tuple):
             yield f"{key} must be a tuple of names, also of one: (\"name\",)"
@@ -310,6 +310,6 @@ def confounded_effects(name: str) -> set[str]:
     return others.union(get_effect(name).confounded_with)
 
 
-def applicable(kind: str) -> tuple[str, ...]:
-    """Names of the effects that apply to a kind of model, sorted."""
-    return tuple(sorted(name for name, effect in EFFECTS.items() if kind in effect.applies_to))
+def applicable(model: str) -> tuple[str, ...]:
+    """Names of the effects that apply to a base model, sorted."""
+    return tuple(sorted(name for name, effect in EFFECTS.items() if model in effect.applies_to))
