@@ -109,8 +109,8 @@ def _here(target: Target, data: bytes) -> str:
             frame = traceback.extract_tb(error.__traceback__)[-1]
             place = f"{type(error).__name__} {frame.filename}:{frame.name} {_pattern(str(error))}"
             # On a busy machine it may be the memory that took the time: both are told.
-            told = "; ".join([f"{type(error).__name__}: {str(error)[:300]}", *_waste(before)])
-            raise Finding(f"{target.name}: {told}\n{calls}", data, place) from None
+            text = "; ".join([f"{type(error).__name__}: {str(error)[:300]}", *_waste(before)])
+            raise Finding(f"{target.name}: {text}\n{calls}", data, place) from None
         for waste in _waste(before):
             raise Finding(f"{target.name}: {len(data)} bytes {waste} ({outcome})", data, "memory")
         return outcome

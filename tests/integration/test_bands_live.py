@@ -111,10 +111,10 @@ def test_the_evaluator_counts_what_lay_inside(folder: Path) -> None:
             one = summary[model][mode]
             assert 50 < one["bands"]["n"] <= one["n_starts"]
             assert one["bands"]["0.5"] <= one["bands"]["0.9"] and one["bands"]["0.9"] > 0.6
-    assert not [text for text in told(folder / "same") if "far less" in text]
+    assert not [text for text in messages(folder / "same") if "far less" in text]
 
 
-def told(run: Path) -> set[str]:
+def messages(run: Path) -> set[str]:
     """What the check on bands of predictor and evaluator warned of."""
     arrays = read_messages(run / "bag", ["/diagnostics"])["/diagnostics"]
     return {status.message for array in arrays for status in array.status
@@ -122,7 +122,7 @@ def told(run: Path) -> set[str]:
 
 
 def test_a_car_that_is_not_the_one_calibrated_with_is_warned_of(folder: Path) -> None:
-    texts = told(folder / "off")
+    texts = messages(folder / "off")
     assert any("coverage far below" in text and "hindsight of linear (the 90% band" in text for text in texts), texts
     summary = json.loads((folder / "off" / "summary.json").read_text())["models"]
     assert summary["linear"]["hindsight"]["bands"]["0.9"] < 0.3

@@ -84,8 +84,8 @@ def test_offset_that_begins_in_the_middle_is_told_and_not_named(plain, tmp_path)
 
     content = discovered(written(tmp_path, begun), GENESIS, tmp_path / "out")
     assert "steering_offset" not in {e["name"] for e in content["effects"]}
-    (told,) = [b for b in content["varying"] if b["resembles"] == "steering_offset"]
-    shares = {value["where"]: value["ratio"] for value in told["values"]}
+    (varying,) = [b for b in content["varying"] if b["resembles"] == "steering_offset"]
+    shares = {value["where"]: value["ratio"] for value in varying["values"]}
     # Four runs are divided into halves: the offset is in the second ones.
     halves = [[shares.get(f"{run}, part {k}") for k in (1, 2)] for run in RUNS]
     both = [pair for pair in halves if None not in pair]

@@ -4,9 +4,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from answers import discovery
 from drives import weave, write_drive
 from effect_values import values_of
+from example_discovery import discovery
 from experiment_tables import write_tables
 from st_cli.cli import app
 from st_core.augmented import augment

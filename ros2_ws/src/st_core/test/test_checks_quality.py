@@ -56,11 +56,11 @@ def test_poor_accuracy(log, metres, severity):
     assert said(log, position_accuracy=part(0.01, metres, slice(0, 100))) == ()
 
 
-def measured(value, half, name="yaw_rate_bias", told=True, unit="rad/s"):
+def measured(value, half, name="yaw_rate_bias", reported=True, unit="rad/s"):
     """A run of which nothing but this is known."""
     interval = (value - half, value + half)
     one = Finding(name, Severity.NOTE, ("yaw_rate",), "", value, unit, interval)
-    return Checked((one,) if told else (), {}, (), {name: (value, *interval)})
+    return Checked((one,) if reported else (), {}, (), {name: (value, *interval)})
 
 
 def test_runs_that_agree_are_alike_and_know_the_mean_better():
@@ -103,9 +103,9 @@ def test_a_run_counts_by_how_well_it_knows():
 
 def test_what_was_measured_counts_also_where_it_was_not_told():
     one, = compare_runs([measured(0.004, 0.002),
-                         measured(0.003, 0.002, told=False), measured(0.005, 0.002, told=False)])
+                         measured(0.003, 0.002, reported=False), measured(0.005, 0.002, reported=False)])
     assert (one.runs, one.reported) == (3, 1)
-    assert compare_runs([measured(0.004, 0.002, told=False)] * 3) == []
+    assert compare_runs([measured(0.004, 0.002, reported=False)] * 3) == []
     assert compare_runs([measured(0.004, 0.002)] * 2) == []
 
 

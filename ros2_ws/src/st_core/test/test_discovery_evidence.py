@@ -118,14 +118,14 @@ def test_null_is_hotellings_test():
 
 def test_deviation_is_that_of_repeated_drives():
     """Over drives of the same car, with noise that windows of a block share."""
-    values, told = [], []
+    values, result = [], []
     for seed in range(60):
         problem = linear_problem(FEW, {"mass": 1.0}, seed, common=0.8)
         fit = fitted(problem, "mass")
         values.append(fit.vector[problem.space.indices("mass")[0]])
-        told.append(deviation(problem, fit, "mass")[0])
+        result.append(deviation(problem, fit, "mass")[0])
         assert (np.linalg.eigvalsh(covariance(problem, fit)) > -1e-12).all()
-    assert np.median(told) == pytest.approx(np.std(values), rel=0.25)
+    assert np.median(result) == pytest.approx(np.std(values), rel=0.25)
 
 
 def test_distance_to_a_bound_counts_in_typical_sizes():
@@ -172,9 +172,9 @@ def test_shares_of_the_columns():
     half[:, 1::len(COLUMNS)] = 0.005
     problem.errors.noise = rows
     problem.errors.truth = problem.start
-    told = shares(problem, rows, half)
-    assert told["yaw_rate"] == pytest.approx((0.75, 2.0))
-    assert told["velocity_y"] == pytest.approx((0.0, 2.0))
+    result = shares(problem, rows, half)
+    assert result["yaw_rate"] == pytest.approx((0.75, 2.0))
+    assert result["velocity_y"] == pytest.approx((0.0, 2.0))
 
 
 def test_evidence_of_a_fit_against_that_without():
@@ -198,10 +198,10 @@ def test_evidence_of_a_fit_against_that_without():
 
 def test_random_effects_by_hand():
     """Shares 0, 1 and 2, variances 1/4: Q = 8, between = (8 - 2) / (12 - 48 / 12) = 3/4, mean 1 +- sqrt(1 / 3)."""
-    told = pooled(np.array([0.0, 1.0, 2.0]), np.full(3, 0.25), ["a", "b", "c"])
-    assert told.ratios == {"a": (0.0, 0.5), "b": (1.0, 0.5), "c": (2.0, 0.5)}
-    assert told.p_equal == pytest.approx(np.exp(-4.0))  # chi-square of two degrees of freedom
-    assert told.p_absent == pytest.approx(stats.norm.sf(1.0 / np.sqrt(0.75 + 1.0 / 3.0)))
+    result = pooled(np.array([0.0, 1.0, 2.0]), np.full(3, 0.25), ["a", "b", "c"])
+    assert result.ratios == {"a": (0.0, 0.5), "b": (1.0, 0.5), "c": (2.0, 0.5)}
+    assert result.p_equal == pytest.approx(np.exp(-4.0))  # chi-square of two degrees of freedom
+    assert result.p_absent == pytest.approx(stats.norm.sf(1.0 / np.sqrt(0.75 + 1.0 / 3.0)))
 
 
 def test_random_effects_with_unequal_variances():
@@ -213,14 +213,14 @@ def test_random_effects_with_unequal_variances():
     between = (q - 2.0) / (129.0 - (100.0**2 + 25.0**2 + 4.0**2) / 129.0)
     w = [1.0 / (s + between) for s in v]
     mean = sum(a * b for a, b in zip(w, y, strict=True)) / sum(w)
-    told = pooled(y, v, ["a", "b", "c"])
-    assert told.p_equal == pytest.approx(stats.chi2.sf(q, 2))
-    assert told.p_absent == pytest.approx(stats.norm.sf(mean / np.sqrt(between + 1.0 / sum(w))))
+    result = pooled(y, v, ["a", "b", "c"])
+    assert result.p_equal == pytest.approx(stats.chi2.sf(q, 2))
+    assert result.p_absent == pytest.approx(stats.norm.sf(mean / np.sqrt(between + 1.0 / sum(w))))
 
 
 def test_parts_that_agree_have_no_variance_between_them():
-    told = pooled(np.array([1.0, 1.0, 1.0]), np.full(3, 0.01), ["a", "b", "c"])
-    assert told.p_equal == 1.0 and told.p_absent < 1e-12
+    result = pooled(np.array([1.0, 1.0, 1.0]), np.full(3, 0.01), ["a", "b", "c"])
+    assert result.p_equal == 1.0 and result.p_absent < 1e-12
 
 
 def test_one_part_cannot_disagree():
@@ -238,21 +238,21 @@ def test_shares_of_parts_are_those_put_in():
     problem.errors.noise[run == 3] -= 1.0 * signature[run == 3]
     problem.loss.rescale(problem.errors.truth)
     fit = fitted(problem, "mass")
-    told = agreement(problem, fit, "mass", run, ["a", "b", "c", "d"])
+    result = agreement(problem, fit, "mass", run, ["a", "b", "c", "d"])
     stated = (fit.vector - problem.start)[own] / problem.space.scale[own]
     assert stated == pytest.approx(2.0, abs=0.2)
-    assert [share * stated for share, _ in told.ratios.values()] == pytest.approx([3.0, 2.0, 2.0, 1.0], abs=0.25)
-    assert told.p_equal < 1e-6 and told.p_absent < 0.05
+    assert [share * stated for share, _ in result.ratios.values()] == pytest.approx([3.0, 2.0, 2.0, 1.0], abs=0.25)
+    assert result.p_equal < 1e-6 and result.p_absent < 0.05
 
 
 @pytest.mark.parametrize("common", [0.0, 0.8])
 def test_runs_of_one_car_agree(common):
-    told = []
+    result = []
     for seed in range(60):
         problem = linear_problem(FEW, {"mass": 1.0}, seed, common=common)
-        told.append(agreement(problem, fitted(problem, "mass"), "mass", problem.errors.windows.run, list("abcd")))
-    assert np.mean([a.p_equal < 0.05 for a in told]) <= 0.15
-    assert max(a.p_absent for a in told) < 0.05
+        result.append(agreement(problem, fitted(problem, "mass"), "mass", problem.errors.windows.run, list("abcd")))
+    assert np.mean([a.p_equal < 0.05 for a in result]) <= 0.15
+    assert max(a.p_absent for a in result) < 0.05
 
 
 # Partitions and the noise

@@ -149,10 +149,10 @@ def test_quadratic_touches_the_loss_and_lies_above_it():
     for size in (1e-4, 0.3, 3.0):
         d = np.where(np.isin(space.effect_of, FEW), size * rng.standard_normal(len(space)), 0.0)
         true = loss.by_window(problem.start + d * space.scale)
-        told = q.cost - 2.0 * q.gradient @ d + np.einsum("i,nij,j->n", d, q.hessian, d)
-        assert (told >= true - 1e-9).all()
+        result = q.cost - 2.0 * q.gradient @ d + np.einsum("i,nij,j->n", d, q.hessian, d)
+        assert (result >= true - 1e-9).all()
         if size == 1e-4:
-            np.testing.assert_allclose(told - q.cost, true - q.cost, atol=1e-6)
+            np.testing.assert_allclose(result - q.cost, true - q.cost, atol=1e-6)
 
 
 def test_quadratic_by_group_is_the_sum_of_its_windows():

@@ -134,9 +134,9 @@ def test_intervals_cover_the_truth(common):
     for seed in range(100):
         problem = linear_problem(FEW, {"mass": 1.0}, seed, common=common)
         partitions = {"run": (problem.errors.windows.run, list("abcd"))}
-        told = waterfall.parameters(problem, fitted(problem, "mass"), "mass", partitions)["factor"]
-        covered.append(told.interval[0] <= 1.1 <= told.interval[1])
-        widths.append(told.interval[1] - told.interval[0])
+        result = waterfall.parameters(problem, fitted(problem, "mass"), "mass", partitions)["factor"]
+        covered.append(result.interval[0] <= 1.1 <= result.interval[1])
+        widths.append(result.interval[1] - result.interval[0])
     assert sum(covered) >= 88
     assert np.median(widths) < 0.1
 
@@ -176,8 +176,8 @@ def test_value_with_a_reference_is_the_change_since():
     start = problem.start.copy()
     start[problem.space.indices("mass")] += 0.1
     problem = Problem(problem.loss, start, problem.block, np.eye(len(problem.space)))
-    told = waterfall.parameters(problem, fitted(problem, "mass"), "mass", {})["factor"]
-    assert told.value == pytest.approx(1.2, abs=0.02) and told.null == 1.0
+    result = waterfall.parameters(problem, fitted(problem, "mass"), "mass", {})["factor"]
+    assert result.value == pytest.approx(1.2, abs=0.02) and result.null == 1.0
 
 
 # What the drives can show
@@ -227,9 +227,9 @@ def test_what_one_effect_leaves_of_another(cosine, left):
     h[one, one], h[other, other], h[one, other], h[other, one] = 9.0, 4.0, 6.0 * cosine, 6.0 * cosine
     values = np.zeros(len(problem.space))
     values[one] = 2.0
-    told = separation(h, problem, (), "mass", "road_bank", values, 8.0)
-    assert told[0] == pytest.approx(cosine, abs=1e-6)
-    assert told[1] == pytest.approx(np.sqrt(2.0 * 4.0 * 9.0 * left / 8.0), abs=1e-3)
+    result = separation(h, problem, (), "mass", "road_bank", values, 8.0)
+    assert result[0] == pytest.approx(cosine, abs=1e-6)
+    assert result[1] == pytest.approx(np.sqrt(2.0 * 4.0 * 9.0 * left / 8.0), abs=1e-3)
 
 
 def driven(leaf, manoeuvres, effects, names):
@@ -251,13 +251,13 @@ def test_suggested_drive_tells_the_pair_apart(leaf):
     design = screen(problem, fit, np.random.default_rng(0)).design_effect
     before, = separability(problem, fit, answer, design)
     options = catalogue(problem, fit)
-    told = next_manoeuvre(problem, fit, answer, options, design)
-    assert told.separates == ("yaw_inertia", "steering_lag") and told.name in {m.name for m in CATALOGUE}
-    assert told.strength == max(told.options.values()) >= MIN_SEPARATION and told.strength > before.strength
-    more, again = driven(leaf, ("weave", *[told.name] * told.times), true, ("yaw_inertia",))
+    result = next_manoeuvre(problem, fit, answer, options, design)
+    assert result.separates == ("yaw_inertia", "steering_lag") and result.name in {m.name for m in CATALOGUE}
+    assert result.strength == max(result.options.values()) >= MIN_SEPARATION and result.strength > before.strength
+    more, again = driven(leaf, ("weave", *[result.name] * result.times), true, ("yaw_inertia",))
     more.loss.scale = problem.loss.scale
     after, = separability(more, again, answer, design)
-    assert after.strength == pytest.approx(told.strength, rel=0.5)
+    assert after.strength == pytest.approx(result.strength, rel=0.5)
     assert next_manoeuvre(problem, fit, [effect_of("yaw_inertia")], options, design) is None  # nothing to tell apart
     assert most_informative(problem, "friction", options) == "ramp_to_limit"
     strong = driven(leaf, ("weave",), {"yaw_inertia": {"factor": 1.2}}, ("yaw_inertia",))

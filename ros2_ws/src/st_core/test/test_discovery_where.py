@@ -149,6 +149,6 @@ def test_lag_is_missed_where_the_steering_moves(leaf):
     settings = DiscoverySettings(channels=("velocity_y", "yaw_rate"))
     healthy, suspect = weave(leaf, plain, "healthy", 1), weave(leaf, lagging, "suspect", 2)
     statements = largest_errors([suspect], plain, leaf, settings, [healthy])
-    told = [s for s in statements if s.channel == "yaw_rate" and s.condition.startswith("steering rate")]
-    assert told and told[0].interval[0] > 2.0 and told[0].condition.startswith("steering rate 0.1 to 0.2 rad/s")
+    result = [s for s in statements if s.channel == "yaw_rate" and s.condition.startswith("steering rate")]
+    assert result and result[0].interval[0] > 2.0 and result[0].condition.startswith("steering rate 0.1 to 0.2 rad/s")
     assert not largest_errors([weave(leaf, plain, "another", 3)], plain, leaf, settings, [healthy])

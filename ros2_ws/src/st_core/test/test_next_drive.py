@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from answers import discovery
 from discovery_drives import recorded
+from example_discovery import discovery
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.relations import find_relation

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from answers import discovery
 from driven import drive
 from effect_registry import restored
+from example_discovery import discovery
 from st_core.augmented import augment
 from st_core.contract import check_effect
 from st_core.effects import EFFECTS, Measured, load_folder
@@ -193,11 +193,11 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
                          Option(sweep, 0.8 * one.deviation, {rival: 1.5}, (0.0, 0.1))])
     one = replace(one, drives=drives)
     assert "y = 1 rad/s² is a moment of 2925 N m, by the yaw inertia of the" in text_of(RelationSearch(one, "", {}))
-    told = "\n".join(next_drive_sentences(one))
-    assert "from side force on the body as a function of the speed: brake_in_turn, 3 times" in told
-    assert "separation is then 6.0 times as large" in told
-    assert "for a narrower interval: brake_in_turn, 3 times" in told and "The widest 95 % interval then falls" in told
-    assert "from ± 0.02 to ± 0.0098 rad/s²" in told
+    text = "\n".join(next_drive_sentences(one))
+    assert "from side force on the body as a function of the speed: brake_in_turn, 3 times" in text
+    assert "separation is then 6.0 times as large" in text
+    assert "for a narrower interval: brake_in_turn, 3 times" in text and "The widest 95 % interval then falls" in text
+    assert "from ± 0.02 to ± 0.0098 rad/s²" in text
     content = relation_document(RelationSearch(one, "", {}))["proposal"]["next_drives"]
     assert content["most_separating"] == {"manoeuvre": "brake_in_turn", "from": rival}
     assert content["most_precise"] == "brake_in_turn" and len(content["options"]) == 2
@@ -207,8 +207,8 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
     assert "for a narrower interval" not in "\n".join(next_drive_sentences(hardly))
     of_a_place = replace(one, others={"side_force over position_x": 0.9}, drives=replace(drives, current_separation={},
                                                                                          options=[]))
-    told = "\n".join(next_drive_sentences(of_a_place))
-    assert "from effects of place, course or time: drive the same again" in told and "much better" not in told
+    text = "\n".join(next_drive_sentences(of_a_place))
+    assert "from effects of place, course or time: drive the same again" in text and "much better" not in text
 
 
 def test_a_run_that_becomes_much_worse_is_in_the_first_line():

@@ -1,4 +1,4 @@
-"""A discovery made by hand: what the report layer says of it can be compared with what was put in."""
+"""A constructed discovery, for tests of reports."""
 
 from collections.abc import Mapping, Sequence
 
@@ -44,40 +44,41 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
     """steps: (effect, values, 5 s position error [m] with it), from `base` [m] on."""
     start = start or augment("nonlinear", {})
     model = augment(start, {name: values for name, values, _ in steps}) if steps else None
-    levels = [base, *(after for *_, after in steps)]
+    totals = [base, *(after for *_, after in steps)]
     names = [log.name for log in runs]
-    told, effects = [], []
-    for (name, values, after), before in zip(steps, levels, strict=False):
+    waterfall, effects = [], []
+    for (name, values, after), before in zip(steps, totals, strict=False):
         kind = get_effect(name).kind
         change = Change(before, after, (0.8 * (before - after), 1.2 * (before - after)), "m")
-        told.append(Step(name, kind, fitted(name, values), change,
-                         {"acceleration_y": Change(0.6, 0.3 if after == before else 0.59, (0.0, 0.3), "m/s^2")},
-                         {n: (before * (1 + 0.1 * k), after * (1 + 0.1 * k)) for k, n in enumerate(names)}))
+        waterfall.append(Step(
+            name, kind, fitted(name, values), change,
+            {"acceleration_y": Change(0.6, 0.3 if after == before else 0.59, (0.0, 0.3), "m/s^2")},
+            {n: (before * (1 + 0.1 * k), after * (1 + 0.1 * k)) for k, n in enumerate(names)}))
         agreement = {"run": tuple(LocalEstimate(n, 1.0 + 0.05 * (-1) ** k, 0.1) for k, n in enumerate(names)),
                      "site": (LocalEstimate("site 1", 1.0, 0.05), LocalEstimate("site 2", 0.97, 0.08))}
         effects.append(FoundEffect(name, kind, fitted(name, values), (alternatives or {}).get(name, ()),
                                    0.9 * (before - after), agreement))
-    parts = {part: sum(b - a for (n, _, a), b in zip(steps, levels, strict=False) if get_effect(n).kind == part)
+    parts = {part: sum(b - a for (n, _, a), b in zip(steps, totals, strict=False) if get_effect(n).kind == part)
              for part in ("sensors", "vehicle parameters", "physics", "surroundings")}
-    parts |= {"place or time": sum(b.position_5s_reduction for b in varying), "unexplained": levels[-1]}
+    parts |= {"place or time": sum(b.position_5s_reduction for b in varying), "unexplained": totals[-1]}
     budget = tuple(BudgetLine(part, 0.8 * size, size, 0.8 * size / base, size / base, 0.7 * size / base, size / base)
                    for part, size in parts.items())
-    less = base - levels[-1]
-    errors = {"position_5s": ChannelError(base, levels[-1], (0.8 * less, 1.2 * less), "m", 0.06, names[0],
-                                       1.3 * levels[-1]),
-           "yaw_rate": ChannelError(0.02, 0.01, (0.005, 0.012), "rad/s", 0.002)}
+    reduction = base - totals[-1]
+    errors = {"position_5s": ChannelError(base, totals[-1], (0.8 * reduction, 1.2 * reduction), "m", 0.06, names[0],
+                                          1.3 * totals[-1]),
+              "yaw_rate": ChannelError(0.02, 0.01, (0.005, 0.012), "rad/s", 0.002)}
     outcome = outcome or ("none" if not steps else "named" if len(steps) == 1 else "several")
     powers = tuple(Power(effect, parameter, unit, size * k, found, 20)
-                   for effect, parameter, unit, size, sure in (("steering_ratio", "factor", "1", 0.015, 0.6),
+                   for effect, parameter, unit, size, low in (("steering_ratio", "factor", "1", 0.015, 0.6),
                                                                ("friction", "factor", "1", 0.1, 0.05),
                                                                ("heading_misalignment", "angle", "rad", 0.002, 0.9))
-                   for k, found in ((1, sure), (2, min(1.0, 1.6 * sure)), (4, min(1.0, 2.5 * sure))))
+                   for k, found in ((1, low), (2, min(1.0, 1.6 * low)), (4, min(1.0, 2.5 * low))))
     candidates = [CandidateEffect(e.name, e.kind, {k: p.value for k, p in e.parameters.items()}, 0.3, "named", "p = 0")
                   for e in effects]
     candidates.append(CandidateEffect("mass", "vehicle parameters", {"factor": 1.02}, 0.006, "worth",
                                 "takes away 0.6 % of the size of the errors, 2.5 % are asked for"))
     return Discovery(
-        outcome=outcome, effects=tuple(effects), minor=(), varying=tuple(varying), steps=tuple(told), errors=errors,
+        outcome=outcome, effects=tuple(effects), minor=(), varying=tuple(varying), steps=tuple(waterfall), errors=errors,
         budget=budget,
         reasons=(Reason("significant", "outcome", {"score": 44.0, "threshold": 12.0},
                         "the gain is 44; chance gives 12 at most"),

@@ -7,8 +7,8 @@ import re
 from dataclasses import replace
 
 import pytest
-from answers import discovery, fitted
 from drives import weave, write_drive
+from example_discovery import discovery, fitted
 from st_cli.verbs.discover import expand_references
 from st_core.augmented import augment
 from st_core.checks import Advice, Finding, Severity
