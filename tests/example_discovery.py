@@ -78,8 +78,8 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
     candidates.append(CandidateEffect("mass", "vehicle parameters", {"factor": 1.02}, 0.006, "worth",
                                 "takes away 0.6 % of the size of the errors, 2.5 % are asked for"))
     return Discovery(
-        outcome=outcome, effects=tuple(effects), minor=(), varying=tuple(varying), steps=tuple(waterfall), errors=errors,
-        budget=budget,
+        outcome=outcome, effects=tuple(effects), minor=(), varying=tuple(varying), steps=tuple(waterfall),
+        errors=errors, budget=budget,
         reasons=(Reason("significant", "outcome", {"score": 44.0, "threshold": 12.0},
                         "the gain is 44; chance gives 12 at most"),
                  *(Reason("worth", e.name, {"share": 0.2}, "takes 20 % of the size of the errors away")
