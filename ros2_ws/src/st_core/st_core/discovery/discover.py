@@ -147,8 +147,7 @@ class _Analysis:
         floor = self._floor(by_column)
         judged = self._judged(search, found, parts, floor)
         steps, base = waterfall.steps(problem, found.fit, found.order, horizon_errors, parts)
-        best_errors, named_errors = (waterfall.channel_errors(horizon_errors, base, each, floor)
-                                     for each in (fit, found.fit))
+        errors, named_errors = (waterfall.channel_errors(horizon_errors, base, f, floor) for f in (fit, found.fit))
         fit_of_varying = next((fit for _, fit in varied), None)
         budget = waterfall.budget(problem, base, found.fit, fit, fit_of_varying, horizon_errors)
         power = (certificate.measured(problem, found.fit, self.limits, settings.seed, self._tick("certifying"))
@@ -163,7 +162,7 @@ class _Analysis:
         return Discovery(
             outcome=outcome, effects=effects, minor=judged.minor,
             effective=(*judged.contradicted, *self._effective_corrections(without_priors, fit, found)),
-            varying=tuple(v for v, _ in varied), steps=tuple(steps), errors=best_errors, named_errors=named_errors,
+            varying=tuple(v for v, _ in varied), steps=tuple(steps), errors=errors, named_errors=named_errors,
             budget=tuple(budget), reasons=(why, *self._reasons(found, judged.verdicts)),
             candidates=self._candidates(found, judged.verdicts), where=statements, not_testable=untestable,
             next_manoeuvre=next_manoeuvre(problem, found.fit, effects, drives, design_effect) if drives else None,
@@ -174,7 +173,7 @@ class _Analysis:
             warnings=tuple(self.warnings), leave_one_out=judged.leave_one_out, axle_curves=judged.curves,
             assumed=self._assumed(), combinations=judged.combinations, clock_errors=self.clock_errors,
             # What the best model does not explain is noise for every later comparison, whatever its cause.
-            noise={c: error.augmented for c, error in best_errors.items()}, acceleration_gain=float(fit.vector[-1]))
+            noise={c: error.augmented for c, error in errors.items()}, acceleration_gain=float(fit.vector[-1]))
 
     def _judged(self, search: Search, found: Found, parts: Mapping[str, Partition],
                 floor: Mapping[str, float]) -> _JudgedEffects:
