@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from _markers import renew, table
 from st_recordings.paths import project_root
-from st_recordings.recorded import read_scores
+from st_recordings.recorded_results import read_scores
 
 MODELS = ("kinematic", "linear", "nonlinear")
 SECONDS, LATER = 60.0, 420.0  # of the first and the second drive

@@ -21,7 +21,7 @@ from st_core.vehicle import VehicleParameters
 from st_predictor.map_drawing import car_outline
 from st_recordings.car import read_vehicle
 from st_recordings.paths import config
-from st_recordings.recorded import Predictions, read_predictions
+from st_recordings.recorded_results import Predictions, read_predictions
 from st_recordings.results import Results, read_results
 
 ST, VIRTUAL_LEAF = (sys.executable, "-m", "st_cli.cli"), (sys.executable, "-m", "st_sim.run")

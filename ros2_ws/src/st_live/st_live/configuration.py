@@ -19,7 +19,7 @@ from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 from st_recordings.car import read_vehicle
 from st_recordings.paths import config, project_root
-from st_recordings.recorded import RecordedConfiguration
+from st_recordings.recorded_results import RecordedConfiguration
 from st_recordings.runs.bag import is_bag
 from st_sim.run import check
 from st_sim.settings import SimulationError

@@ -14,7 +14,7 @@ from st_core.types import InsSample, map_to_body
 from st_core.vehicle import VehicleParameters
 from st_predictor import convert
 from st_predictor.map_drawing import History, Ribbon, car_outline
-from st_recordings.recorded import configuration_of
+from st_recordings.recorded_results import configuration_of
 from st_recordings.results import band_lines
 from st_recordings.runs.bag import definitions_folder, open_bag, read_bag
 from st_recordings.runs.cdr import typestore

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from st_core.vehicle import VehicleParameters
-from st_recordings.recorded import configuration_of
+from st_recordings.recorded_results import configuration_of
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import read_bag, was_interrupted
 from st_recordings.runs.bag_storage import recorded_text

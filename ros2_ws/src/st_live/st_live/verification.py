@@ -20,7 +20,7 @@ from st_core.palette import MODEL_COLOUR
 from st_core.prediction import PredictionSettings, configuration_hash
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import new_folder
-from st_recordings.recorded import (
+from st_recordings.recorded_results import (
     PlannedPredictions,
     Predictions,
     Progress,

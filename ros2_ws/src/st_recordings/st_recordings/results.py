@@ -13,7 +13,7 @@ import numpy as np
 from st_core.evaluation import Statistic
 
 from .paths import json_ready, replace_file, source_version
-from .recorded import ERROR, read_messages
+from .recorded_results import ERROR, read_messages
 from .runs.bag import definitions_folder, open_bag, read_fields
 from .runs.bag_storage import Storage
 from .runs.cdr import field_of, typestore

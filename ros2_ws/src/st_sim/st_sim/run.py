@@ -17,9 +17,9 @@ from canedge_bridge.decode import Decoder
 
 from .can_wire import STEERING_MESSAGE, CanWire
 from .car import Car, read_car
-from .drive import RecordedDrive
 from .files import LogFile, Mf4File, TruthFile, make_folder
 from .ncom_wire import NcomWire, Origin
+from .recorded_drive import RecordedDrive
 from .scenarios import SCENARIOS, load
 from .sensors import Ins, SteeringSensor
 from .settings import SETTINGS, SimulationError, overrides, resolve

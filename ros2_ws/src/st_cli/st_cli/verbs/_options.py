@@ -241,7 +241,7 @@ def report_default_car(verb: str, file: Path | str) -> None:
 def report_default_car_of_bag(verb: str, bag: Path, vehicle: Path | None) -> None:
     """As `report_default_car`, for a recording without a vehicle file. Raises RunError if it cannot be read."""
     from st_live.configuration import recordings_of
-    from st_recordings.recorded import recorded_configuration
+    from st_recordings.recorded_results import recorded_configuration
     from st_recordings.runs.bag import records_of
 
     if vehicle is None and recorded_configuration(records_of(recordings_of(bag)[0])).vehicle is None:

@@ -10,7 +10,7 @@ from st_core.checks import Severity, compare_runs
 from st_core.errors import ConfigurationError
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_text, new_folder
-from st_recordings.recorded import configuration_of
+from st_recordings.recorded_results import configuration_of
 from st_recordings.runs import ReadSettings, RunSource, find_runs, read
 from st_recordings.runs.bag import records_of
 from st_recordings.runs.errors import join_problems

@@ -12,7 +12,7 @@ from st_core.log import DriveLog
 from st_core.models import MODELS, Model
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
-from st_recordings.recorded import configuration_of
+from st_recordings.recorded_results import configuration_of
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 
 from . import check_report

@@ -20,8 +20,8 @@ from .load import apply_run_file, coverage_warnings, file_hashes
 from .ncom import NcomLog
 from .raw import RawRun, alignment_summary, as_drive, read_raw, steering_times
 from .readers.ncom import read_ins
-from .rows import Covariances, Messages, Serialiser, in_time_order
 from .run_types import LoadedRun, ReadSettings, RunSource
+from .serialiser import Covariances, Messages, Serialiser, in_time_order
 
 TOPICS = {"/ins/odometry": ODOMETRY, "/ins/ncom": NCOM, "/vehicle/steering": STEERING,
           "/vehicle/wheel_speeds": WHEEL_SPEEDS, "/can/frames": CAN_FRAMES}
