@@ -121,7 +121,7 @@ def _with_unit(known: AgainstFile, number: float) -> str:
 
 
 def _digits(number: float) -> str:
-    return f"{number:.0f}" if abs(number) >= 100.0 else f"{number:.3g}"
+    return f"{float(f'{number:.3g}'):.0f}" if abs(number) >= 100.0 else f"{number:.3g}"
 
 
 def _insignificance(e: Evidence, limits: Limits) -> Reason | None:
@@ -210,7 +210,8 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
                                       "max_noise_ratio": limits.max_noise_ratio,
                                       "unexplained_share": limits.unexplained_share},
                       f"it is significant, but reduces the errors by {e.share:.1%} only, to {e.noise_ratio:.1f} times "
-                      "the noise: it may imitate an unmodelled effect; kept in the model, not named")
+                      f"the noise, where {limits.unexplained_share:.0%} are required: it may imitate an unmodelled effect; "
+                      "kept in the model, not named")
     if not checks.null_outside and not by_sensors:
         return Reason(MINOR, e.name, {"gain": e.gain}, "it reduces the errors, but other sets of effects that fit "
                       "nearly as well do not need it: kept in the model, not named")
@@ -291,11 +292,11 @@ def decide(a: SearchResult, limits: Limits) -> tuple[Outcome, Reason]:
         return because("unknown", "errors are significant, but no effect of the library explains them within its "
                        "bounds")
     if a.noise_ratio > limits.max_noise_ratio:
-        return because("unknown", f"errors are {a.noise_ratio:.1f} times the noise, and no effect of the library "
+        return because("unknown", f"errors are up to {a.noise_ratio:.1f} times the noise, and no effect of the library "
                        "reduces them significantly", noise_ratio=a.noise_ratio, max_noise_ratio=limits.max_noise_ratio)
     if a.detectable_share < limits.detection_power:
         return because("not_testable", f"only {a.detectable_share:.0%} of the library's effects would be detectable "
                        "in these drives at their typical size", detectable_share=a.detectable_share,
                        detection_power=limits.detection_power)
-    return because("none", f"errors are {a.noise_ratio:.1f} times the noise", noise_ratio=a.noise_ratio,
+    return because("none", f"errors are up to {a.noise_ratio:.1f} times the noise", noise_ratio=a.noise_ratio,
                    max_noise_ratio=limits.max_noise_ratio)

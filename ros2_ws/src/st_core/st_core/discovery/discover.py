@@ -482,7 +482,8 @@ class _Analysis:
         """Description of the residual, empty where it is near the noise."""
         if residual <= self.limits.max_noise_ratio:
             return ()
-        return (f"errors are {residual:.1f} times the noise", *(f"{w.channel}: {w.condition}" for w in statements[:5]))
+        return (f"errors are up to {residual:.1f} times the noise",
+                *(f"{w.channel}: {w.condition}" for w in statements[:5]))
 
     def _where(self, fit: Fit, floor: Mapping[str, float]) -> tuple[ErrorCondition, ...]:
         self._tick("where")()

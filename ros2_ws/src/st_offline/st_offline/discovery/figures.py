@@ -58,6 +58,7 @@ def waterfall(scene: Scene) -> PageFigure | None:
         axes.set_axisbelow(True)
         first, last = steps[0].position_5s.base, steps[-1].position_5s.augmented
         rows = [f"{scene.found.base.base.name} model, {scene.found.start}"]
+        named = {e.name for e in scene.found.effects}
         axes.barh(0, first, color=scene.colour, height=0.62)
         _label(axes, first, 0, quantities.metres(first))
         for row, step in enumerate(steps, 1):
@@ -69,7 +70,8 @@ def waterfall(scene: Scene) -> PageFigure | None:
             change = f"{after - before:+.2f} m".replace("-", "−")
             small = abs(after - before) < report_text.MIN_CHANGE and report_text.most_reduced_channel(step)
             _label(axes, max(before, after, *ends), row, small or change)
-            rows.append(f"+ {quantities.plain(step.effect)}  {quantities.short_values(step.effect, step.parameters)}")
+            text = f"{quantities.plain(step.effect)}  {quantities.short_values(step.effect, step.parameters)}"
+            rows.append(f"+ {text}" if step.effect in named else f"+ ({text})")
         axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
         axes.barh(len(steps) + 1, last, color=AFTER, height=0.62)
         _label(axes, last, len(steps) + 1, quantities.metres(last))
@@ -85,7 +87,7 @@ def waterfall(scene: Scene) -> PageFigure | None:
                    Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise alone")]
         figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
         caption = ("Each row adds one effect and refits all values: value and change are those of that step. Line: "
-                   "95 % interval of the change.")
+                   "95 % interval of the change. In parentheses: part of the fit, not named.")
         return save_figure(figure, scene.output, "waterfall", "Error of each step of the search", caption)
 
 

@@ -30,6 +30,7 @@ MAX_PARTS = 6
 MAX_UNDETECTABLE = 4  # effects listed in a sentence; the table contains all
 MAX_KEYS = 3  # keys of a vehicle file listed in a sentence; the table contains all
 MIN_CHANGE = 0.005  # m; a step that changes the position by less is described by the channel it changes most
+MIN_EFFECTIVE = 0.02  # m; smaller reductions by effective corrections are not in the title
 MAX_SEPARATION = 10.0  # standard deviations
 MAX_RATIO = 1000.0  # of the expected error: beyond that predictions diverge
 Z95 = 1.96
@@ -85,13 +86,14 @@ def title(found: Discovery) -> str:
     if found.outcome == "unknown":
         known = f"; in addition {named}" if named else ""
         return f"{_errors(found)}: a significant error that no effect of the library explains{known}"
-    more = f"; {UNEXPLAINED}: {found.signature[0]}" if found.signature else ""
+    unexplained = f"{UNEXPLAINED}: {found.signature[0]}" if found.signature else ""
+    more = f"; {unexplained}" if unexplained else ""
     if named:
         return f"{_errors(found)}: {named}{more}"
     if found.outcome == "varying":
         varying = ", ".join(f"an effect that resembles {plain(b.resembles)} ({metres(b.position_5s_reduction)}) but "
                             f"varies with {b.varies_with}" for b in found.varying)
-        return f"{_errors(found)}: {varying}; no effect is named{more}"
+        return f"{_errors(found)}: {'; '.join(filter(None, (unexplained, varying, 'no effect is named')))}"
     return f"{_errors(found)}: no significant model error"
 
 
@@ -111,7 +113,10 @@ def _errors(found: Discovery) -> str:
         one = found.errors[name]
         ratio = 100.0 * (one.augmented / one.base - 1.0)
         return f"{channel(name)} error {size(one.base, one.unit)} to {size(one.augmented, one.unit)} ({ratio:+.0f} %)"
-    after = "" if found.model is None else f" → {metres(position.augmented)}"
+    named = found.errors_named["position_5s"].augmented if found.effective else position.augmented
+    effective = named - position.augmented > MIN_EFFECTIVE
+    after = "" if found.model is None else f" → {metres(named if effective else position.augmented)}"
+    after += f", {metres(position.augmented)} with effective corrections" if effective else ""
     more = len(found.minor) + len(found.effective) if found.effects else 0
     others = f", with {more} more effect{'' if more == 1 else 's'} that {'is' if more == 1 else 'are'} not named"
     return f"5 s position error {metres(position.base)}{after} (held-out{others if more else ''})"
@@ -121,7 +126,7 @@ def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[st
             ) -> list[tuple[str, str]]:
     """(name, text) below the title: residual, inseparable and undetectable effects, recordings, recommendations.
     findings: of the checks, by run."""
-    unknown = [residual(found), not_separable(found), *contradicted_quantities(found), not_detectable(found)]
+    unknown = [residual(found), not_separable(found), not_detectable(found)]
     serious = [(one, names) for one, names in group_by_name(findings) if one.severity is not Severity.NOTE]
     recordings = ""
     if serious:
@@ -135,7 +140,7 @@ def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[st
                 f"{plain(one.effects[-1])}, which these drives do not separate" for one in found.known_together]
     pairs = [("only the combination is identifiable", "; ".join(together)),
              ("not known", "; ".join(filter(None, unknown))), ("recordings", recordings),
-             ("to do", "; ".join(filter(None, [do[0], next_drive(found)])))]
+             ("to do", "; ".join(filter(None, [*contradicted_quantities(found), do[0], next_drive(found)])))]
     return [(key, text) for key, text in pairs if text]
 
 
@@ -170,14 +175,14 @@ def meaning(found: Discovery) -> list[str]:
 
 
 def describe_varying(effect: VaryingEffect) -> str:
-    """An effect that varies between parts of the drives, with its most significant values relative to the largest."""
+    """An effect that varies between parts of the drives, with its most significant local values."""
     ranked = sorted(effect.values, key=lambda v: -abs(v.ratio) / max(v.deviation, 1e-9))[:MAX_PARTS]
     ratios = "; ".join(f"{v.where}: {v.ratio:.2f} ± {Z95 * v.deviation:.2f}" for v in effect.values if v in ranked)
     more = f" and {len(effect.values) - len(ranked)} more" if len(effect.values) > len(ranked) else ""
     name = f"{plain(effect.resembles)} {short_values(effect.resembles, effect.parameters)}"
     reduction = metres(effect.position_5s_reduction)
     return (f"an effect that resembles {name} reduces the error by {reduction}, but varies with {effect.varies_with}, "
-            f"so it is not a property of the car; ratio to the largest local value: {ratios}{more}")
+            f"so it is not a property of the car; local values relative to this one: {ratios}{more}")
 
 
 def agreement(effect: FoundEffect) -> str:
@@ -254,7 +259,8 @@ def not_detectable(found: Discovery) -> str:
     """The first effects that are not detectable in these drives, with the largest size tried, vehicle parameters
     first."""
     largest = {p.effect: p for p in sorted(found.certificate.powers, key=lambda p: abs(p.size))}
-    ranked = sorted((n.name for n in found.not_testable), key=rank)
+    combined = {name for one in found.known_together for name in one.effects}  # their sum is known
+    ranked = sorted((n.name for n in found.not_testable if n.name not in combined), key=rank)
     names = ", ".join(plain(name) + (f" of {change(largest[name].size, largest[name].unit)}" if name in largest else "")
                       for name in ranked[:MAX_UNDETECTABLE])
     more = len(ranked) - MAX_UNDETECTABLE
@@ -336,8 +342,8 @@ def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
                      f"{metres(update.error[0])} to {metres(update.error[1])} on held-out drives{where}; "
                      "use model.yaml")
     if update is not None and update.slip_speed:
-        lines.append(f"set minimum_slip_speed to {update.slip_speed:g} m/s in the vehicle file and run st discover "
-                     "again: below that, steps of 50 ms are too long for model.yaml, which belongs to one vehicle file")
+        lines.append(f"model.yaml needs minimum_slip_speed = {update.slip_speed:g} m/s for stable steps of 50 ms: set "
+                     "it in the vehicle file and run st discover again")
     lines += update.objections if update is not None else ()
     lines += [f"{plain(e.name)} is negative ({short_values(e.name, {name: p})}), which is not causal: a clock or a "
               "stated latency is wrong; check the clocks (st check, st align) before using it"
@@ -353,7 +359,8 @@ def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         alone = (f"; vehicle.yaml alone reduces the position error after 5 s by "
                  f"{1.0 - update.error[1] / update.error[0]:.0%}{together}"
                  if (found.minor or found.effective) and update.error[0] > 0.0 else "")
-        lines.append(f"use vehicle.yaml: {entries}, for {', '.join(map(plain, update.folded))}{stable}{alone}")
+        effects = ", ".join(map(plain, update.folded))
+        lines.append(f"use the vehicle.yaml written here: {entries}, for {effects}{stable}{alone}")
         weak = {p.first for p in found.separability if p.strength < MIN_SEPARATION}
         lines += [f"vehicle.yaml contains the first of {with_alternatives(found, e)}; "
                   f"{'these drives do not' if e.name in weak else 'the model is not accurate enough to'} separate "
