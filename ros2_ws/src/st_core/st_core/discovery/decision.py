@@ -210,8 +210,8 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
                                       "max_noise_ratio": limits.max_noise_ratio,
                                       "unexplained_share": limits.unexplained_share},
                       f"it is significant, but reduces the errors by {e.share:.1%} only, to {e.noise_ratio:.1f} times "
-                      f"the noise, where {limits.unexplained_share:.0%} are required: it may imitate an unmodelled effect; "
-                      "kept in the model, not named")
+                      f"the noise, where {limits.unexplained_share:.0%} are required: it may imitate an unmodelled "
+                      "effect; kept in the model, not named")
     if not checks.null_outside and not by_sensors:
         return Reason(MINOR, e.name, {"gain": e.gain}, "it reduces the errors, but other sets of effects that fit "
                       "nearly as well do not need it: kept in the model, not named")

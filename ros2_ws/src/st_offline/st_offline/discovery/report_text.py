@@ -113,7 +113,7 @@ def _errors(found: Discovery) -> str:
         one = found.errors[name]
         ratio = 100.0 * (one.augmented / one.base - 1.0)
         return f"{channel(name)} error {size(one.base, one.unit)} to {size(one.augmented, one.unit)} ({ratio:+.0f} %)"
-    named = found.errors_named["position_5s"].augmented if found.effective else position.augmented
+    named = found.named_errors["position_5s"].augmented if found.effective else position.augmented
     effective = named - position.augmented > MIN_EFFECTIVE
     after = "" if found.model is None else f" → {metres(named if effective else position.augmented)}"
     after += f", {metres(position.augmented)} with effective corrections" if effective else ""
