@@ -76,13 +76,13 @@ def _oracle(case: LawCase, healthy: list[DriveLog], held_out: list[DriveLog], ve
 
 def _answer_record(found: Discovery, search: RelationSearch) -> Record:
     one = search.relation
-    law, needless = None, ()
+    law, redundant = None, ()
     if one is not None:
-        needless = tuple(one.redundant)
+        redundant = tuple(one.redundant)
         law = {"place": one.candidate.term, "quantity": one.candidate.quantity, "by": one.candidate.factor,
                "others": dict(one.others), "p_value": one.p_value, "gain": one.gain,
                "shape": one.formulas[0].shape if one.formulas else "",
                "reads": one.formulas[0].text if one.formulas else "", "promised": list(one.position_5s)}
-    return {"outcome": found.outcome, "wanted": needs_search(found), "why": search.why, "law": law,
-            "alone": [e.name for e in found.effects if not e.alternatives], "needless": list(needless),
+    return {"outcome": found.outcome, "searched": needs_search(found), "why": search.why, "law": law,
+            "alone": [e.name for e in found.effects if not e.alternatives], "redundant": list(redundant),
             "kept": [e.name for e in (*found.effects, *found.minor)]}

@@ -38,7 +38,7 @@ def closable(r: Record) -> bool:
 
 def noticed(r: Record) -> bool:
     """Whether the answer reports an effect that no known one explains; only then a law is searched for."""
-    return r["wanted"]
+    return r["searched"]
 
 
 def proposed_or_unknown(r: Record) -> bool:
@@ -77,7 +77,7 @@ def misnamed_by_library(r: Record) -> list[str]:
 
 def misnamed(r: Record) -> list[str]:
     """Those of them that the proposal does not declare redundant."""
-    return [n for n in misnamed_by_library(r) if n not in r.get("needless", ())]
+    return [n for n in misnamed_by_library(r) if n not in r.get("redundant", ())]
 
 
 def shape_right(r: Record) -> bool:

@@ -25,6 +25,8 @@ from .next_drive import driven_again
 
 COMPARED = 3
 """Every so many-th case of blocks A and B is given to the other methods as well."""
+RENAMED = {"bound": "varying", "seen": "loss_ratio", "wanted": "searched", "needless": "redundant"}
+"""Keys in records of earlier versions."""
 
 Record = dict[str, Any]
 Question = Case | EditCase
@@ -130,8 +132,8 @@ def read(file: Path) -> dict[tuple[str, str, int], Record]:
 
 
 def _present_names(r: Record) -> Record:
-    """Records of earlier versions have `bound` for `varying` and `seen` for `loss_ratio`."""
-    renamed = {{"bound": "varying", "seen": "loss_ratio"}.get(key, key): value for key, value in r.items()}
+    """A record of any version, with the present names of its keys and outcome."""
+    renamed = {RENAMED.get(key, key): value for key, value in r.items()}
     return renamed | {"outcome": "varying" if r["outcome"] == "bound" else r["outcome"]}
 
 
