@@ -155,7 +155,7 @@ def test_verb_names_both_and_the_run_it_could_not_use(command):
     assert result.output.index("suspect: 3 runs") < result.output.index("5 s position error")
     assert "reference: none" in result.output and "nothing" in result.output
     content = json.loads((base / "out" / "discovery.json").read_text())
-    assert content["schema"] == 2
+    assert content["schema"] == 3
     names = {name for e in content["effects"] for name in (e["name"], *e["alternatives"])}
     assert {"steering_lag", "steering_ratio"} <= names
     assert {one["part"] for one in content["budget"]} >= {"vehicle parameters", "physics", "unexplained"}
