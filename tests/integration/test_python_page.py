@@ -21,4 +21,4 @@ def test_examples_of_the_page_run() -> None:
     assert abs(names["planned"].states[-1, 5] - 0.1) < 0.03  # rad/s: 10 m/s on a curvature of 0.01 1/m
     assert 0.0 < names["rmse"] < 3.0
     assert names["corrected"].errors[names["model"].name, "hindsight"].statistics("lateral")[2] < names["rmse"]
-    assert names["answer"].outcome
+    assert names["discovery"].outcome
