@@ -222,7 +222,8 @@ HEALTHY = {"steering_lag": {"time_constant": 0.03}, "tyre_relaxation": {"length"
 @pytest.mark.slow
 def test_what_the_healthy_car_differs_by_is_not_stated(leaf):
     found = discover(recorded(leaf, HEALTHY, 12), leaf, reference=recorded(leaf, HEALTHY, 11), settings=SETTINGS)
-    assert found.effects == () and found.model is None and found.start == "reference"
+    assert found.outcome == "not_testable" and found.effects == () and found.known_together == ()
+    assert found.model is None and found.start == "reference"
     assert [r.role for r in found.runs] == ["suspect"] * 3 + ["reference"] * 3
 
 

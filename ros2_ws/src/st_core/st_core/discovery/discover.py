@@ -329,12 +329,13 @@ class _Analysis:
     def _axles(self, found: Found, joint_fit: Joint | None,
                unexplained: float) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[Combination, ...]]:
         """(axle forces of the final model, force curves, combinations); None and empty for a base without tyres,
-        driving without slip, or values so uncertain that they exceed the limits of a vehicle file."""
+        driving without slip, or values so uncertain that they exceed the limits of a vehicle file. With a reference no
+        combinations: they compare with the vehicle file, not with the healthy car."""
         base = self.space.at(self.problem.start)
         try:
             axles = Axles(self.problem, found.fit, joint_fit, self.runs, self.vehicle, unexplained,
                           [vector for _, vector in found.near])
-            return axles, axles.curves(base), axles.combinations(base)
+            return axles, axles.curves(base), axles.combinations(base) if joint_fit else ()
         except StCoreError:
             return None, (), ()
 
