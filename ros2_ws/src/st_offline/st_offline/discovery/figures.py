@@ -79,7 +79,7 @@ def waterfall(scene: Scene) -> PageFigure | None:
         axes.set_yticks(range(len(steps) + 2), [*rows, "complete model"])
         axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
                  xlabel="mean position error after 5 s on held-out driving, m")
-        rises = any(s.position_5s.augmented > s.position_5s.base for s in steps)
+        rises = any(s.position_5s.augmented - s.position_5s.base > report_text.MIN_CHANGE for s in steps)
         handles = [Patch(color=scene.colour, label=f"{scene.found.base.base.name} model"),
                    Patch(color=AFTER, label="complete model"),
                    Patch(color=AFTER, alpha=0.65, label="reduction"),
