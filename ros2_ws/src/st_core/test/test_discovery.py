@@ -13,6 +13,7 @@ from discovery_drives import linear_problem, recorded
 from st_core.discovery import OUTCOMES, PARTS, DiscoverySettings, Limits, discover
 from st_core.discovery.clocks import apply_clock_corrections
 from st_core.discovery.discover import fit_effects
+from st_core.discovery.result import Reason
 from st_core.discovery.search import Found, Search
 from st_core.discovery.space import Space
 from st_core.effects import EFFECTS, load_folder
@@ -142,6 +143,17 @@ def test_one_effect_takes_the_place_of_two_only_where_it_explains_as_much(headin
     fit = problem.fit(PAIR, problem.all_sensitivities(problem.start))
     found = Search(problem, Limits(), {}, {})._exchange_until_accepted(Found(fit, list(PAIR)))
     assert sorted(found.fit.names) == sorted(left)
+
+
+def test_refused_effects_leave_the_residual_scale_as_it_was():
+    problem = linear_problem([PAIR[0], "road_bank"], {PAIR[0]: 3.0}, seed=1)
+    signatures, of = problem.errors.signatures, problem.space.indices
+    signatures[of("road_bank")] = signatures[of(PAIR[0])]  # two contenders, compared at the scale of the better one
+    scales, rescale = [problem.loss.scale], problem.loss.rescale
+    problem.loss.rescale = lambda vector: (rescale(vector), scales.append(problem.loss.scale))
+    search = Search(problem, Limits(), {}, {}, judge=lambda e, limits: Reason("refused", e.name, {}, ""))
+    found = search._step_from(problem.fit((), problem.all_sensitivities(problem.start)))
+    assert found.fit.names == () and len(scales) > 1 and problem.loss.scale is scales[0]
 
 
 @pytest.mark.slow

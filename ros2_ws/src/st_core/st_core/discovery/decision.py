@@ -84,7 +84,7 @@ def judge(e: Evidence, limits: Limits) -> Reason:
                                      "standard_deviation": known.standard_deviation, "z_score": known.z_score,
                                      "max_file_deviation": limits.max_file_deviation},
                       f"the best fit has {known.key} {_with_unit(known, known.value)}, the vehicle file "
-                      f"{_digits(known.file)} ± {_with_unit(known, known.standard_deviation)}: check it; if it is "
+                      f"{known.file:g} ± {_with_unit(known, known.standard_deviation)}: check it; if it is "
                       "correct, another cause has the same effect")
     if e.bound_distance < limits.at_bound:
         return Reason(BOUND, e.name, {"bound_distance": e.bound_distance, "at_bound": limits.at_bound},

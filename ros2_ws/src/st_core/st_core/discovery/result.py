@@ -155,7 +155,7 @@ class VaryingEffect:
 @dataclass(frozen=True)
 class Reason:
     """A rule of `decision` as applied. subject: an effect, or "outcome". figures: the numbers that were compared, by
-    the name of their field in `Limits`, `Evidence`, `Checks`, `Rival` or `SearchResult`."""
+    the name of their field in `Limits`, `Evidence` (and its parts), `Checks`, `Rival` or `SearchResult`."""
 
     rule: str
     subject: str

@@ -76,8 +76,11 @@ class Search:
                    if n not in p.space.additions and not get_effect(n).forward_only]
         physics = [n for n in library if get_effect(n).kind == "physics"]
         for names in ([*first.fit.names, *physics], [n for n in library if not get_effect(n).members]):
+            scale, design_effect = p.loss.scale, p.design_effect
             start = self._prune(first.fit.vector, list(dict.fromkeys(names)))
             candidates.append(self._step_from(self._drop_failing(start)) if start else None)
+            if candidates[-1] is None:
+                p.loss.scale, p.design_effect = scale, design_effect
         found = self._exchange_until_accepted(self._select([a for a in candidates if a]))
         found.order = sorted(found.fit.names, key=lambda n: -found.evidence[n].gain)
         found.near = self._near_sets(found)
@@ -190,11 +193,12 @@ class Search:
         """The set with the lowest held-out loss, with the residual scale and the design effect of the one with the
         smallest errors; each effect costs `limits.negligible`."""
         p = self.problem
-        smallest = min(candidates, key=lambda a: float(np.log(p.loss.scale_of(a.fit.vector)).sum()))
-        p.loss.rescale(smallest.fit.vector)
-        p.update_design_effect(smallest.fit.vector)
-        for a in candidates:
-            a.fit = p.fit(a.fit.names, a.fit.sensitivities, iterations=2)
+        if len(candidates) > 1:
+            smallest = min(candidates, key=lambda a: float(np.log(p.loss.scale_of(a.fit.vector)).sum()))
+            p.loss.rescale(smallest.fit.vector)
+            p.update_design_effect(smallest.fit.vector)
+            for a in candidates:
+                a.fit, a.cached_scores = p.fit(a.fit.names, a.fit.sensitivities, iterations=2), None
         price = self.limits.negligible * p.residual_count
         return min(candidates, key=lambda a: float(a.fit.held_out.sum()) + price * len(a.fit.names))
 
@@ -321,7 +325,6 @@ class Search:
         """Backward elimination from a joint fit of many effects with a weak prior; None if the remaining set was
         visited before."""
         p = self.problem
-        scale, design_effect = p.loss.scale.copy(), p.design_effect
         free = np.isin(np.arange(len(p.space)), p.free_indices(names))
         curvature = np.where(free, np.maximum(JOINT_DEVIATION**-2, p.file_curvature), FIXED_CURVATURE)
         joint = Problem(p.loss, p.start, p.block, np.diag(curvature))
@@ -348,7 +351,6 @@ class Search:
                 break
             names.remove(weakest)
         if not names or frozenset(names) in self._visited:
-            p.loss.scale, p.design_effect = scale, design_effect
             return None
         return self._rescale(p.fit(tuple(names), sensitivities, iterations=2))
 

@@ -72,16 +72,17 @@ def waterfall(scene: Scene) -> PageFigure | None:
             _label(axes, max(before, after, *ends), row, small or change)
             text = f"{quantities.plain(step.effect)}  {quantities.short_values(step.effect, step.parameters)}"
             rows.append(f"+ {text}" if step.effect in named else f"+ ({text})")
+        end = "model without effective corrections" if scene.found.effective else "complete model"
         axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
         axes.barh(len(steps) + 1, last, color=AFTER, height=0.62)
         _label(axes, last, len(steps) + 1, quantities.metres(last))
         axes.axvline(floor, color=MEASURED_COLOUR, lw=1.4, ls="--")
-        axes.set_yticks(range(len(steps) + 2), [*rows, "complete model"])
+        axes.set_yticks(range(len(steps) + 2), [*rows, end])
         axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
                  xlabel="mean position error after 5 s on held-out driving, m")
         rises = any(s.position_5s.augmented - s.position_5s.base > report_text.MIN_CHANGE for s in steps)
         handles = [Patch(color=scene.colour, label=f"{scene.found.base.base.name} model"),
-                   Patch(color=AFTER, label="complete model"),
+                   Patch(color=AFTER, label=end),
                    Patch(color=AFTER, alpha=0.65, label="reduction"),
                    *([Patch(color=BAD, alpha=0.65, label="increase")] if rises else []),
                    Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise alone")]

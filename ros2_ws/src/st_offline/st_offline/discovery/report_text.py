@@ -30,7 +30,6 @@ MAX_PARTS = 6
 MAX_UNDETECTABLE = 4  # effects listed in a sentence; the table contains all
 MAX_KEYS = 3  # keys of a vehicle file listed in a sentence; the table contains all
 MIN_CHANGE = 0.005  # m; a step that changes the position by less is described by the channel it changes most
-MIN_EFFECTIVE = 0.02  # m; smaller reductions by effective corrections are not in the title
 MAX_SEPARATION = 10.0  # standard deviations
 MAX_RATIO = 1000.0  # of the expected error: beyond that predictions diverge
 Z95 = 1.96
@@ -114,10 +113,10 @@ def _errors(found: Discovery) -> str:
         ratio = 100.0 * (one.augmented / one.base - 1.0)
         return f"{channel(name)} error {size(one.base, one.unit)} to {size(one.augmented, one.unit)} ({ratio:+.0f} %)"
     named = found.named_errors["position_5s"].augmented if found.effective else position.augmented
-    effective = named - position.augmented > MIN_EFFECTIVE
+    effective = named - position.augmented > LIMITS.relevant_position
     after = "" if found.model is None else f" → {metres(named if effective else position.augmented)}"
     after += f", {metres(position.augmented)} with effective corrections" if effective else ""
-    more = len(found.minor) + len(found.effective) if found.effects else 0
+    more = len(found.minor) + (0 if effective else len(found.effective)) if found.effects else 0
     others = f", with {more} more effect{'' if more == 1 else 's'} that {'is' if more == 1 else 'are'} not named"
     return f"5 s position error {metres(position.base)}{after} (held-out{others if more else ''})"
 
