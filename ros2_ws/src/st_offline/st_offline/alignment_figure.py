@@ -15,7 +15,7 @@ from st_core.palette import MEASURED_COLOUR, RC
 
 OTHER_COLOUR = "#d55e00"
 CLOSE_UP_DURATION = 10.0  # s
-MAX_POINTS = 4000  # of a line
+MAX_POINTS = 4000  # per line
 
 
 def alignment_figure(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
@@ -57,7 +57,7 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
 
 
 def _most_active(time: np.ndarray, values: np.ndarray, other: np.ndarray) -> float:
-    """Start of the stretch, inside the time common to both, in which the signal varies most."""
+    """Start [s] of the close-up: the section, within the overlap of both recordings, where the signal varies most."""
     low, high = max(time[0], other[0]), min(time[-1], other[-1]) - CLOSE_UP_DURATION
     starts = np.arange(low, max(high, low + 1e-3), CLOSE_UP_DURATION / 4)
     edges = np.searchsorted(time, np.stack([starts, starts + CLOSE_UP_DURATION]))

@@ -18,8 +18,8 @@ from .terminal import line
 
 def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: ReadSettings, output: Path,
                  console: Console) -> int:
-    """Exit status: 0 when every run was used, 1 when some were. Raises ConfigurationError and OutputError, one line,
-    where no course can be built or written.
+    """Exit status: 0 if every run was used, 1 if some could not be. Raises ConfigurationError and OutputError, one
+    line, if no course can be built or written.
     """
     if output.exists():
         raise OutputError(f"{output} exists: name another --output (existing files are not overwritten)")

@@ -101,7 +101,7 @@ def test_the_verdict_counts_and_says_what_it_means():
     assert check_report.verdict(checked()) == "1 error, 2 warnings, 1 note: an evaluation would be meaningless"
     assert check_report.verdict(checked([MOVED])) == "1 warning: an evaluation would be biased"
     leans = Finding("acceleration_y_bias", Severity.WARNING, ("acceleration_y",), "too low")
-    assert check_report.verdict(checked([leans])) == "1 warning: identify and discover would be misled"
+    assert check_report.verdict(checked([leans])) == "1 warning: results of identify and discover would be biased"
     assert check_report.verdict(checked([MOVED, leans])) == "2 warnings: an evaluation would be biased"
     assert check_report.verdict(checked([])) == "nothing found, in 1 comparison"
     assert "nothing to compare" in check_report.verdict(Checked((), {}, ()))
@@ -220,7 +220,7 @@ def test_a_proposal_holds_all_cures_with_their_findings(tmp_path):
     for one in ALL:
         assert any(f"{one.severity.value}: {one.name}: " in line for line in comments)
     assert "#   in the vehicle file: cg_to_ins_x: {value: -1.9, unit: m}" in comments
-    assert "# it was read with --steering-sign -1 --steering-latency 0" in comments
+    assert "# read with --steering-sign -1 --steering-latency 0" in comments
 
 
 def test_a_finding_of_two_lines_cannot_leave_its_comment(tmp_path):
@@ -294,7 +294,8 @@ def test_many_runs_print_each_finding_once_and_the_clean_runs_in_one_line():
 
 def test_an_offset_of_a_time_zone_is_explained():
     zone = alignment_summary(Alignment(0, 7198_588_000_000, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
-    assert "+7198.588 s (about +2 h: one of the two in local time), found" in check_report.describe_clock(zone)
+    text = "+7198.588 s (about +2 h: one of the two clocks shows local time), found"
+    assert text in check_report.describe_clock(zone)
     other = alignment_summary(Alignment(0, 900_000_000_000, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
     assert "local time" not in check_report.describe_clock(other)
 

@@ -20,11 +20,11 @@ from ..terminal import line, rows_table
 from .scoring import Sums, pooled_sums, summarise_adaptive, summarise_bands, top_level
 
 MODE_TITLES = {"hindsight": "model (measured inputs)", "forecast": "forecast (inputs held)"}
-NO_CONTENT: dict[str, Any] = {"models": {}}  # of `summarise_bands` without scored runs
+NO_CONTENT: dict[str, Any] = {"models": {}}  # result of `summarise_bands` without scored runs
 
 
 def band_figures(content: dict[str, Any] | None, output: FigureOutput) -> list[PageFigure]:
-    """Reliability diagram from the content of `summarise_bands`; none if no start had a band."""
+    """Reliability diagram of the result of `summarise_bands`; an empty list if no start had a band."""
     models = {model: modes for model, modes in (content or NO_CONTENT)["models"].items()
               if any(scores["starts"] for scores in modes.values())}
     if not models:
@@ -32,7 +32,7 @@ def band_figures(content: dict[str, Any] | None, output: FigureOutput) -> list[P
     top = _top_level(content)
     deviations = [(abs(scores["coverage"][top] - float(top)), f"{100 * scores['coverage'][top]:.0f} %, {model}, {mode}")
                   for model, modes in models.items() for mode, scores in modes.items() if scores["coverage"].get(top)]
-    worst = max(deviations)[1] if deviations else "not known"
+    worst = max(deviations)[1] if deviations else "unknown"
     with style():
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 4.2), sharey=True)
         for axes, (mode, title) in zip(panels, MODE_TITLES.items(), strict=True):
@@ -42,21 +42,21 @@ def band_figures(content: dict[str, Any] | None, output: FigureOutput) -> list[P
                 axes.plot([100 * level for level in points], [100 * share for share in points.values()], marker="o",
                           ms=3, color=MODEL_COLOUR.get(model, TEXT), ls=MODEL_LINE.get(model, "solid"))
             axes.set(title=title, xlabel="nominal coverage, %", xlim=(0, 100), ylim=(0, 100))
-        panels[0].set_ylabel("whole paths inside, %")
+        panels[0].set_ylabel("paths entirely inside, %")
         handles = [Line2D([], [], color=MODEL_COLOUR.get(m, TEXT), ls=MODEL_LINE.get(m, "solid"), label=m)
                    for m in models]
         figure.legend(handles=handles, loc="outside lower left", ncols=6)
         return [save_figure(figure, output, "bands_reliability",
                             f"Reliability of the bands; farthest from {_percent(top)}: {worst}",
-                            "Grey: coverage equal to the nominal one. Below it the band covers less.")]
+                            "Grey: observed equal to nominal coverage. Below this line the bands are too narrow.")]
 
 
-NO_BANDS = ("[dim]bands: none given; `st calibrate RUN… --vehicle FILE --output bands.yaml` makes them from "
-            "other runs of this car, `--bands bands.yaml` tests them on these[/dim]")
+NO_BANDS = ("[dim]bands: none given; calibrate them on other runs of this car with `st calibrate RUN… --vehicle FILE "
+            "--output bands.yaml`, and test them on these runs with `--bands bands.yaml`[/dim]")
 
 
 def band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
-    """One row for each model and mode from the content of `summarise_bands`; columns by their titles."""
+    """One row for each model and mode in the result of `summarise_bands`; columns by their titles."""
     rows, top = [], _top_level(content)
     for model, modes in (content or NO_CONTENT)["models"].items():
         for mode, scores in modes.items():
@@ -93,10 +93,10 @@ def adaptive_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
 
 
 def _terminal_tables(top: str) -> dict[str, tuple[str, ...]]:
-    """Title -> columns: one table with all columns of band_rows is wider than a terminal of 80 columns."""
+    """Columns by table title: one table with all columns of `band_rows` would be wider than 80 characters."""
     level = _percent(top)
     return {
-        "Bands: how often the whole path lies inside": ("starts", "no band", "50 % covers", f"{level} covers"),
+        "Bands: share of paths entirely inside": ("starts", "no band", "50 % covers", f"{level} covers"),
         f"Bands: conditions with the lowest coverage of the {level} band": ("worst cell",),
         "Bands: scores and size, along | across": (
             f"interval score {level}, along | across, m", "CRPS, along | across, m",
@@ -123,7 +123,7 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
         console.print(NO_BANDS, highlight=False, soft_wrap=True)
     if adaptive:
         console.print(rows_table(adaptive_rows(summarise_adaptive(pooled)), width=min(console.width, 140),
-                                 title="Adaptive bands: how often the whole path lies inside"))
+                                 title="Adaptive bands: share of paths entirely inside"))
     if rows := share_rows(summarise_shares(pooled)):
         console.print(rows_table(rows, title="Decomposition of the error with measured inputs: shares of its mean "
                                  "square, along | across", width=min(console.width, 140)))
@@ -140,7 +140,7 @@ def _pair(axes: dict[str, float] | None) -> str:
 
 
 RESIDUAL = "what remains"
-REPORTED_SECONDS = ("1", "3", "5")  # ahead, in the table
+REPORTED_SECONDS = ("1", "3", "5")  # prediction times in the table
 
 
 def intervals_of(files: Sequence[ModelFile]) -> dict[str, Intervals]:
@@ -151,7 +151,7 @@ def intervals_of(files: Sequence[ModelFile]) -> dict[str, Intervals]:
 
 def share_sums(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
                intervals: Mapping[str, Intervals]) -> Sums:
-    """Decomposition of the error of one run, summed for its starts."""
+    """Decomposition of the error of one run, summed over its starts."""
     found: Sums = {}
     for model in models:
         starts, total, parts = squared_contributions(model, vehicle, signals, settings, intervals.get(model.name))

@@ -34,8 +34,8 @@ from ..terminal import line
 
 @dataclass(frozen=True)
 class Job:
-    """task: car, models and settings, as for an evaluation. levels: probabilities. together: recordings of one of
-    `runs` are similar and count as one run."""
+    """task: car, models and settings, as for an evaluation. levels: probabilities. together: all recordings in one
+    entry of `runs` count as one run, because they are similar."""
 
     runs: Sequence[Path]
     task: Task
@@ -45,10 +45,10 @@ class Job:
 
 
 def run_command(job: Job, console: Console) -> int:
-    """Exit status: 0 if every run was used, 1 if some were. Raises StCoreError and OutputError, one line, if no bands
-    can be made."""
+    """Exit status: 0 if every run was used, 1 if some could not be. Raises StCoreError and OutputError, one line, if no
+    bands can be calibrated."""
     if job.output.exists():
-        raise OutputError(f"{job.output} exists already: name another --output (existing files are not overwritten)")
+        raise OutputError(f"{job.output} exists: name another --output (existing files are not overwritten)")
     models = load_models(job.task)
     recordings: dict[str, str] = {}
     problems: list[str] = []
@@ -80,7 +80,7 @@ def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], r
                 run = read(source, task.vehicle, task.read)
                 before = {digest: name for name, digest in recordings.items()}
                 for digest in run.provenance["files"].values():
-                    if digest in before:  # a copy is not an additional sample
+                    if digest in before:  # a copy is not an independent sample
                         raise RunError(source.where, f"has the same content as {before[digest]}",
                                        "give every recording once")
                 _refuse_other_car(source, run, task.vehicle)
@@ -119,5 +119,5 @@ def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParamet
         return
     name = VehicleParameters.from_yaml(text, f"the vehicle in {source.where}").name
     if name != vehicle.name:
-        raise RunError(source.where, f"was driven with {name!r}, the vehicle file is of {vehicle.name!r}",
-                       "calibrate each car with its own drives")
+        raise RunError(source.where, f"was recorded with {name!r}, the vehicle file is of {vehicle.name!r}",
+                       "calibrate each car with its own recordings")

@@ -10,8 +10,8 @@ from st_core.log_evaluation import AXES, Block
 from st_core.log_signals import LogSignals
 
 Sums = dict[str, Any]
-MIN_STARTS = 200  # of a cell; with fewer, its standard error at 90 % is more than two points
-LEVELS = (0.5, 0.9)  # of the reports
+MIN_STARTS = 200  # per cell; with fewer, the standard error of a coverage of 90 % exceeds 2 percentage points
+LEVELS = (0.5, 0.9)  # in the reports
 EDGES = {"speed": (SPEED, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION, "m/s²"),
          "steering_activity": (STEERING_RATE, "rad/s")}
 _PROBABILITIES = np.concatenate([0.5 - 0.5 * np.array(RELIABILITY)[::-1], [0.5], 0.5 + 0.5 * np.array(RELIABILITY)])
@@ -25,7 +25,7 @@ class Scorer:
         self._sums: list[Sums] = []
 
     def add(self, starts_ns: np.ndarray, block: Block) -> None:
-        """One block of an evaluation; starts without a measured horizon are left out."""
+        """Add one block of an evaluation; starts without a measured horizon are left out."""
         conditions = conditions_at(self._signals, starts_ns)
         inside = self._bands.domain(conditions)
         for (model, mode), errors in block.errors.items():
@@ -46,7 +46,7 @@ class Scorer:
 
 
 class AdaptiveScorer:
-    """Coverage of adaptive bands on one run, in order of time, as sums. bands: None: without a calibration."""
+    """Coverage of adaptive bands on one run, as sums. bands: calibration to start from; None for none."""
 
     LATE = 120.0  # s after the first start; coverage from then on is counted separately
 
@@ -57,7 +57,7 @@ class AdaptiveScorer:
         self._sums: list[Sums] = []
 
     def add(self, starts_ns: np.ndarray, block: Block) -> None:
-        """One block of an evaluation; blocks come in order of time."""
+        """Add one block of an evaluation; blocks must be in order of time."""
         if not len(starts_ns):
             return
         self._first = int(starts_ns[0]) if self._first is None else self._first
@@ -91,7 +91,7 @@ def summarise_adaptive(sums: Sums) -> dict[str, Any]:
 
 
 def scored_levels(band: Band) -> list[float]:
-    """Levels that are scored: those of LEVELS; of a band from too few runs for the last, its highest below that."""
+    """The LEVELS that the band has, and its highest level up to LEVELS[-1], which is lower for a band from few runs."""
     return sorted({*(level for level in LEVELS if level in band.factors),
                    max(level for level in band.factors if level <= LEVELS[-1])})
 
@@ -100,16 +100,16 @@ def band_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
     """Sums over starts with a band. conditions: (n, 4); errors: (n, points, 3) in the predicted frame, without the
     start.
 
-    coverage: whole paths inside, by level; axes: of one axis alone; seconds: inside throughout that second; cells: of
-    speed, lateral acceleration and second ahead. interval_score [m, m, rad]: mean of the horizon, by level and axis.
-    crps [m, m, rad]: mean of the whole seconds. half_width: by level, second and axis, at that second.
+    coverage: paths entirely inside, by level; axes: the same, each axis alone; seconds: inside throughout each second;
+    cells: the same by speed, lateral acceleration and second. interval_score [m, m, rad]: mean over the horizon, by
+    level and axis. crps [m, m, rad]: mean over the whole seconds. half_width: by level, second and axis, at the second.
     """
     import scoringrules  # loaded only where bands are scored
 
     scale, size = band.scale(conditions), np.abs(errors)
     ratio = size / scale
     time, levels = band.scale.time, scored_levels(band)
-    # Rounded, because 20 steps of 0.05 s are 1.0000000000000002 s.
+    # Rounded, because 20 steps of 0.05 s add up to 1.0000000000000002 s in floats.
     second = np.ceil(np.round(time, 6)).astype(int)
     whole = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]
     by_point, by_axis = ratio.max(axis=2), ratio.max(axis=1)
@@ -144,7 +144,7 @@ def band_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
 
 
 def _crps(band: Band, scale: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """(3,) CRPS of the symmetric distribution with the quantiles of the band: mean of the points, sum of the starts."""
+    """(3,) CRPS of the symmetric distribution with the quantiles of the band: mean over points, sum over starts."""
     import scoringrules
 
     found = np.zeros(errors.shape[2])
@@ -172,7 +172,7 @@ def _label(name: str, cell: int) -> str:
 
 
 def pooled_sums(entries: Sequence[Sums]) -> Sums:
-    """Several nested sums added, key by key; lists joined."""
+    """Sum of nested sums, key by key; lists are concatenated."""
     total: Sums = {}
     for one in entries:
         _add(total, one)

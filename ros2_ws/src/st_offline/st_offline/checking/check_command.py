@@ -27,8 +27,9 @@ MODELS = ("linear", "nonlinear")
 
 @dataclass(frozen=True)
 class Job:
-    """Arguments of the verb. vehicle: of vehicle_file; given: whether the user named it. output: None for
-    runs/check-<time>. json: file for check.json, None for the folder. correction_file: for a run.yaml, None for none.
+    """Arguments of the command. vehicle: read from vehicle_file; given: whether the user named that file. output: None
+    for runs/check-<time>. json: path of check.json, None for the output folder. correction_file: path of the run.yaml
+    to write, None for none.
     """
 
     paths: Sequence[Path]
@@ -42,16 +43,16 @@ class Job:
 
 
 def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None] | None = None) -> int:
-    """Exit status: 0 no error was found, 1 one was, or a run could not be read. Raises ConfigurationError, OutputError.
+    """Exit status: 1 if a check found an error or a run could not be read, else 0.
 
-    report_vehicle: called with each vehicle file in use, if none was given.
+    Raises ConfigurationError, OutputError. report_vehicle: called with each vehicle file in use, if none was given.
     """
     sources = find_runs(job.paths)
     if job.correction_file is not None:
         check_file_name(job.correction_file)
         if len(sources) != 1:
-            raise ConfigurationError(f"--propose-correction: {len(sources)} runs were given, and a run.yaml describes "
-                                     "one: name it")
+            raise ConfigurationError(f"--propose-correction: {len(sources)} runs were given, but a run.yaml describes "
+                                     "one: give one run")
     folder = new_folder(job.output, "check", create=False)
     good: list[CheckedRun] = []
     failed: dict[str, str] = {}
@@ -98,7 +99,7 @@ def write(good: Sequence[CheckedRun], failed: Mapping[str, str], folder: Path, j
         write_page(page, good, failed, content)
         numbers.parent.mkdir(parents=True, exist_ok=True)
         numbers.write_text(json_text(content), encoding="utf-8")
-    files = {page: "one page, with all comparisons", numbers: "every number, docs/manual/checks.md"}
+    files = {page: "one page, with all comparisons", numbers: "all numbers; keys in docs/manual/checks.md"}
     for file, text in texts.items():
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text, encoding="utf-8")

@@ -54,7 +54,7 @@ def draw_panel(pair: Comparison, checked: Checked, output: FigureOutput) -> Page
                 for axes in (upper, lower):
                     axes.axvspan(start, max(end, start + shortest), color=SHADE[finding.severity], alpha=0.3, lw=0)
         lower.axhline(0.0, color=TEXT, lw=0.5)
-        lower.set_xlabel("after the first INS measurement, s")
+        lower.set_xlabel("time after the first INS measurement, s")
         unit = check_report.unit_symbol(pair.unit) or "1"
         upper.set_ylabel(unit)
         lower.set_ylabel(f"difference\n{unit}")
@@ -83,7 +83,7 @@ def page_title(good: Sequence[CheckedRun]) -> str:
 
 
 def page_summary(good: Sequence[CheckedRun]) -> list[str]:
-    """Meaning of the findings, what to do, and the clocks: at most three sentences."""
+    """Meaning of the findings, recommendation, clocks: at most three sentences."""
     findings = [finding for run in good for finding in run.checked.findings]
     worst = min(findings, key=check_report.severity_rank, default=None)
     clocks = check_report.describe_clocks({run.name: run.alignment for run in good})
@@ -92,7 +92,7 @@ def page_summary(good: Sequence[CheckedRun]) -> list[str]:
     sizes = [finding.effect for finding in findings
              if finding.severity is not Severity.NOTE and finding.effect is not None]
     size = f", by up to {max(sizes):.2g} m after 5 s" if sizes and worst.severity is Severity.WARNING else ""
-    refused = ": every command refuses such a run without --force" if worst.severity is Severity.ERROR else ""
+    refused = ": other commands reject such a run unless --force is given" if worst.severity is Severity.ERROR else ""
     meaning = check_report.MEANING[worst.severity]
     sign = next(filter(None, (check_report.advise_steering_sign(
         run.checked.findings, run.where, run.alignment["method"] != "none") for run in good)), "")

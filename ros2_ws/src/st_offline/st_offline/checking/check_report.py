@@ -19,10 +19,10 @@ from st_recordings.runs.raw import alignment_summary
 
 from ..terminal import line
 
-MAX_ZONE_DEVIATION = 120.0  # s, of unsynchronised clocks from whole half hours between time zones
+MAX_ZONE_DEVIATION = 120.0  # s, of a clock offset from a difference of time zones, a multiple of 30 min
 MAX_STRETCHES = 4
 MAX_LISTED = 3  # findings in a headline
-MAX_RUNS = 8  # runs with their findings one by one; of more, each finding once
+MAX_RUNS = 8  # up to here the findings of each run are printed; for more runs, each finding once
 SEVERITY_ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 MEANING = {
     Severity.ERROR: "an evaluation would be meaningless", Severity.WARNING: "an evaluation would be biased",
@@ -50,11 +50,11 @@ def verdict(checked: Checked) -> str:
     """One line on a run: number of findings by severity, and their meaning for an evaluation."""
     if not checked.findings:
         count = len(checked.comparisons)
-        compared = f"in {count} comparison{'' if count == 1 else 's'}" if count else "but there was nothing to compare"
+        compared = f"in {count} comparison{'' if count == 1 else 's'}" if count else "but no signals to compare"
         return f"nothing found, {compared}"
     worst = min(checked.findings, key=severity_rank).severity
     if worst is Severity.WARNING and all(finding.of_acceleration for finding in checked.of(worst)):
-        return f"{count_by_severity(checked.findings)}: identify and discover would be misled"
+        return f"{count_by_severity(checked.findings)}: results of identify and discover would be biased"
     return f"{count_by_severity(checked.findings)}: {MEANING[worst]}"
 
 
@@ -87,7 +87,7 @@ def format_value(value: float | None, interval: Sequence[float] | None = None, u
 
 
 def format_quantity(name: str, value: Sequence[float]) -> str:
-    """An estimate (value, low, high) as text, by the name of the finding it would be."""
+    """An estimate (value, low, high) as text, in the unit of the finding of this name."""
     kind = name.rpartition("_")[2]
     unit = QUANTITY_UNITS.get(name, "s" if kind == "lag" else "1")
     return format_value(value[0], value[1:], unit)
@@ -106,9 +106,9 @@ def describe_stretches(finding: Finding) -> str:
 def describe_effect(finding: Finding) -> str:
     """Effect on the position after 5 s; empty where none is known."""
     if finding.of_acceleration:
-        return "no effect on a prediction, but identify and discover are misled"
+        return "no effect on predictions, but results of identify and discover are biased"
     if finding.effect is None:
-        return "no prediction would mean anything" if finding.severity is Severity.ERROR else ""
+        return "predictions would be meaningless" if finding.severity is Severity.ERROR else ""
     size = f"{finding.effect:.0f}" if finding.effect >= 10.0 else f"{finding.effect:.2g}"
     return f"shifts the position after 5 s by about {size} m"
 
@@ -160,17 +160,17 @@ def describe_clock(alignment: Mapping[str, Any]) -> str:
 
 
 def _zone_note(offset: float) -> str:
-    """Explains an offset [s] near a difference of time zones; empty for another one."""
+    """Explanation of an offset [s] close to a difference of time zones; empty for others."""
     half_hours = round(offset / 1800.0)
     if not 0 < abs(half_hours) <= 28 or abs(offset - 1800.0 * half_hours) > MAX_ZONE_DEVIATION:
         return ""
-    return f" (about {0.5 * half_hours:+g} h: one of the two in local time)"
+    return f" (about {0.5 * half_hours:+g} h: one of the two clocks shows local time)"
 
 
 @dataclass(frozen=True)
 class CheckedRun:
     """One run of `st check`. vehicle_from: file or recording. warnings: of the reader, corrections included.
-    alignment: of `alignment_summary`. where: files, folder or run.yaml, as they are typed.
+    alignment: of `alignment_summary`. where: files, folder or run.yaml, as typed on the command line.
     """
 
     name: str
@@ -257,7 +257,7 @@ def print_run(run: CheckedRun, console: Console) -> None:
 
 
 def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
-    """Print the runs one by one; of many, each finding with the names of its runs, and the runs without findings."""
+    """Print each run; for more than MAX_RUNS, each finding with its runs, and the runs without findings."""
     if len(runs) <= MAX_RUNS:
         for run in runs:
             print_run(run, console)
@@ -295,7 +295,7 @@ def group_by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, 
 
 
 def print_findings(runs: Mapping[str, Sequence[Finding]], console: Console, details: str = "st check") -> None:
-    """Print each error and warning of the runs once, and the number of notes. details: where all of them are."""
+    """Print each error and warning once, and the number of notes. details: command or file that lists all."""
     notes = 0
     for finding, names in group_by_name(runs):
         if finding.severity is Severity.NOTE:

@@ -1,4 +1,4 @@
-"""Gate before every verb: checks a recording, and rejects one with errors."""
+"""Checks recordings before a command uses them, and rejects those with errors."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -40,7 +40,7 @@ class Refused(RunError):
 
 def check_log(log: DriveLog, vehicle: VehicleParameters, auxiliary: AuxiliaryData | None,
               models: Sequence[str | Model] = (), step: float = STEP) -> Checked:
-    """All findings of a drive. models, step [s]: of predictions, checked for stability; empty without predictions."""
+    """All findings of a drive. models: checked for stable integration with `step` [s]; empty without predictions."""
     checked = check(log, vehicle, auxiliary)
     too_long = step_too_long(models, vehicle, log, step) if models else None
     if too_long is None:
@@ -84,7 +84,7 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
 
 def check_for_use(where: Path | str, run: LoadedRun, vehicle: VehicleParameters, force: bool,
                   models: Sequence[str | Model] = (), step: float = STEP) -> list[dict[str, Any]]:
-    """Findings of a drive as values for a report. Raises Refused for a drive with errors, unless forced."""
+    """Findings of a drive as values for JSON. Raises Refused for a drive with errors, unless forced."""
     findings = check_log(run.log, vehicle, run.auxiliary, models, step).findings
     refuse_errors(where, findings, force)
     return findings_as_json(findings)

@@ -22,7 +22,7 @@ HEADER = "# Proposed by st check. Every command that reads it lists the correcti
 
 
 def check_file_name(file: Path) -> None:
-    """Raises OutputError for a file name that no command reads, or a file that exists."""
+    """Raises OutputError for a file name that no command reads, and for an existing file."""
     if file.name != RUN_FILE and not file.name.endswith(RUN_SUFFIX):
         raise OutputError(f"--propose-correction {file}: name it run.yaml or NAME.run.yaml, else no command reads it")
     if file.exists():
@@ -48,7 +48,7 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
                       "not applied, only a csv or vbo has columns and units: ")
             lines.append(f"#   {reason}{printable(check_report.describe_correction(finding.advice))}\n")
     if read.steering_sign != 1 or read.steering_latency:
-        lines.append(f"# it was read with --steering-sign {read.steering_sign} --steering-latency "
+        lines.append(f"# read with --steering-sign {read.steering_sign} --steering-latency "
                      f"{read.steering_latency:g}\n")
     settings = with_corrections(_settings(source, file, read), corrections)
     parts = [_relative(path, file) for path in source.files]
@@ -59,7 +59,7 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
 
 
 def merge(corrections: dict[str, Any], entry: Mapping[str, Any]) -> bool:
-    """Adds an entry in place, concatenating lists. Returns False, and adds nothing, if it contradicts."""
+    """Adds an entry in place, concatenating lists. Returns False, without a change, if it contradicts another entry."""
     if not _is_consistent(corrections, entry):
         return False
     _merge_into(corrections, as_yaml_values(entry))
