@@ -178,7 +178,7 @@ def test_page_loads_nothing(command):
 def test_the_same_question_is_answered_at_once(command, tmp_path):
     base, _ = command
     again = verb(base, tmp_path / "again", "--no-report")
-    assert again.exit_code == 1 and "Cached answer" in again.output, again.output
+    assert again.exit_code == 1 and "Cached result" in again.output, again.output
     first, second = (json.loads((out / "discovery.json").read_text()) for out in (base / "out", tmp_path / "again"))
     for content in (first, second):
         del content["provenance"]

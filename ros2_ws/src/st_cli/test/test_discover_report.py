@@ -84,7 +84,7 @@ def test_names_not_distinguishable_are_listed_together(logs):
     stiff = CandidateEffect("front_stiffness", "vehicle parameters", {"factor": 1.31}, 0.2, "alternative", "")
     found = replace(found, candidates=(*found.candidates, stiff))
     assert "steering ratio × 0.8940 or front stiffness × 1.31" in report_text.title(found)
-    assert any("do the next drive" in text for text in report_text.to_do(found, None))
+    assert any("record the next drive" in text for text in report_text.to_do(found, None))
 
 
 def test_undetectable_effects_are_listed_with_their_size_parameters_of_the_car_first(logs):

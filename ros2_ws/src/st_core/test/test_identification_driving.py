@@ -121,7 +121,7 @@ def test_ins_off_the_centreline_needs_tight_bends(leaf):
     logs = [drive(leaf, speed, weave(0.04, 14.0), 60.0, seed=5) for speed in (4.0, 7.0)]
     found = identify_ins_mounting(logs, leaf)
     assert [e.parameter for e in found.estimates] == ["cg_to_ins_x", MISALIGNMENT]
-    assert any("cg_to_ins_y is not given" in warning for warning in found.warnings)
+    assert any("cg_to_ins_y is not estimated" in warning for warning in found.warnings)
 
 
 def test_yaw_inertia_and_dead_time_from_steps(leaf, unknown):

@@ -26,11 +26,10 @@ STEPS = (0.01, 0.02, 0.05, 0.1)
 
 
 def load_model(name: str, vehicle: VehicleParameters, origin: str, requested: bool) -> tuple[Model, VehicleParameters]:
-    """The model of a name or of a model file, and the car it is for: that of the file where one is embedded.
+    """The model of this name or model file, and its vehicle: the one embedded in the file, if any, else `vehicle`.
 
-    origin: of `vehicle`, for errors. requested: it was named by the user, not a default. Raises
-    ConfigurationError, one line, for an unknown model or one of another car, OSError for a file that cannot be
-    read.
+    origin: of `vehicle`, for errors. requested: whether the user named the model, which is then not a default. Raises
+    ConfigurationError, one line, for an unknown model or a model of another car, OSError for an unreadable file.
     """
     if not name.endswith((".yaml", ".yml")):
         if name not in MODELS:
@@ -44,10 +43,10 @@ def load_model(name: str, vehicle: VehicleParameters, origin: str, requested: bo
 
 def export(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format, substeps: int = 1,
            free: Iterable[str] = (), bands: Bands | None = None) -> list[Path]:
-    """Write the functions of a model into an existing folder, with model.json and README.md; the files written.
+    """Write the functions of a model into an existing folder, with model.json and README.md; returns the files.
 
     bands: also their half-widths, a CasADi function for each mode and level (`half_width_function`).
-    Raises ConfigurationError for a parameter in `free` that is not one, see `casadi_backend.build`.
+    Raises ConfigurationError for an unknown parameter in `free`, see `casadi_backend.build`.
     """
     symbolic = build(model, vehicle, substeps, free)
     if kind == "casadi":
@@ -114,7 +113,7 @@ def _readme(description: dict[str, Any], kind: Format) -> str:
     how = (f'```python\nimport casadi\nstep = casadi.Function.load("{name}_step.casadi")\n'
            f"x_next = step(x, u, h{p})\n```" if kind == "casadi" else
            f"Compile `{name}.c` (C99, needs libm only) and include `{name}.h`. Matrices are column by column, "
-           "Jacobians without their structural zeros: `_sparsity_out` gives the places of the entries. Call "
+           "Jacobians without their structural zeros: `_sparsity_out` gives the positions of the entries. Call "
            f"`{name}_step(arguments, results, iw, w, 0)` with arrays of pointers of the sizes in `{name}_step_work`.")
     return "\n\n".join(filter(None, (
         f"# {name}: single-track model of {description['vehicle']['name']}",
@@ -126,7 +125,7 @@ def _readme(description: dict[str, Any], kind: Format) -> str:
         "`dynamics`: time derivative. `step`: classical Runge-Kutta over h [s], inputs held, "
         f"{description['substeps']} part(s). A, B: derivatives by x and by u. `start`: the six states with the initial "
         "values of the extra ones.",
-        f"A step h is stable above this speed (a slow car is stiff): {stable}.",
+        f"A step h is stable above this speed (at low speed the equations are stiff): {stable}.",
         f"Not in the equations: {missing}. They act on the steering signal before the model, or on the sensors; apply "
         "them outside." if missing else "", how))) + "\n"
 

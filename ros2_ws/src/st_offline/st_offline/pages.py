@@ -11,14 +11,14 @@ from st_core.palette import MODEL_COLOUR
 
 from .checking import check_report
 
-# The colours of the models are made for white paper; these are lighter ones for a dark page.
+# MODEL_COLOUR is for a white background; these colours are lighter, for a dark page.
 DARK = {"kinematic": "#6cb4ee", "linear": "#ffa657", "nonlinear": "#d08be0", "augmented": "#3fd0a4"}
-MAX_UNWRAPPED = 30  # letters; a column with a longer text wraps
+MAX_UNWRAPPED = 30  # characters; a column with a longer text wraps
 
 
 @dataclass(frozen=True)
 class Table:
-    """A folded table of a page. rows: a text for each column. about: text next to the title."""
+    """A collapsible table of a page. rows: a text for each column. about: text next to the title."""
 
     title: str
     note: str

@@ -1,4 +1,4 @@
-"""Terminal output shared by the verbs: progress, tables, single lines, lists of written files."""
+"""Terminal output shared by the commands: progress, tables, single lines, lists of written files."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -26,7 +26,7 @@ def rows_table(rows: Sequence[Mapping[str, str]], **options) -> Table:
 
 
 def line(text: str, console: Console) -> None:
-    """One line, however long; text may hold markup."""
+    """Print one line without wrapping; text may contain markup."""
     console.print(text, highlight=False, soft_wrap=True)
 
 

@@ -34,7 +34,7 @@ MIN_PITCH_RANGE = math.radians(3.0)  # in a smaller range the load changes by le
 MAX_PITCH = math.radians(45.0)
 BIN = math.radians(3.0)
 RADIUS_UNCERTAINTY = 0.003  # m, of a wheel radius read off a ruler
-MAX_LOAD_DIFFERENCE = 0.02  # between the level rear load and the vehicle file's
+MAX_LOAD_DIFFERENCE = 0.02  # of the mass, between measured and expected rear load of the level car
 
 
 @dataclass(frozen=True)
@@ -66,9 +66,9 @@ class LiftedCar:
 
 def pitch_from_lift(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.ndarray,
                     wheelbase: float) -> np.ndarray:
-    """Pitch [rad] relative to the first row, from how far the ground under the front wheels was raised [m].
+    """Pitch [rad] relative to the first row, from the lift [m] of the ground under the front wheels.
 
-    theta = asin((lift + r_front - r_rear) / l) - the same of the first row; (n,) each. Raises IdentificationError.
+    theta = asin((lift + r_front - r_rear) / l) minus its value in the first row; (n,) each. Raises IdentificationError.
     """
     rise = (lift + front_radius - rear_radius) / wheelbase
     if not np.isfinite(rise).all() or np.abs(rise).max() >= math.sin(MAX_PITCH):
@@ -82,15 +82,15 @@ def pitch_from_lift(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.
 def cg_height(data: Lift, car: LiftedCar) -> Identification:
     """Estimate of cg_height [m].
 
-    Raises IdentificationError, with the numbers, for rows that cannot give one: no level row, too little pitch, pitch
-    in the wrong unit, load that falls as the nose rises.
+    Raises IdentificationError, with the numbers, for rows that do not determine it: no level row, too little pitch,
+    pitch in the wrong unit, load that falls as the nose rises.
     """
     level = _check_rows(data)
     line = fit_line(np.tan(data.pitch), data.rear_load, data.lifts)
     if line.slope <= 0.0:
         raise IdentificationError(f"the rear load changes by {line.slope * math.tan(math.radians(10.0)):+.1f} kg for "
-                                  "10 deg of pitch; with the front axle lifted it rises. Was the rear lifted, or are "
-                                  "columns exchanged?")
+                                  "10 deg of pitch; it must rise when the front axle is lifted. Was the rear lifted, "
+                                  "or are columns exchanged?")
     radius, deflection = _radii(data, car, level)
     arm = car.wheelbase * line.slope / car.mass
     height = radius + arm
@@ -111,21 +111,21 @@ def cg_height(data: Lift, car: LiftedCar) -> Identification:
     estimate = Estimate(
         "cg_height", height, "m", spread, symmetric_interval(height, spread, freedom), method, used,
         f"The CG is {height:.3f} m above the ground, {arm:.3f} m above the wheel centres; the average over the pitch "
-        f"angles, as the paper takes it, is {average:.3f} m.{deflection_note}")
+        f"angles, as in the paper, is {average:.3f} m.{deflection_note}")
     edges = np.arange(0.0, data.pitch.max() + BIN, BIN)
     counts = np.histogram(data.pitch, edges)[0]
     coverage = Coverage("pitch", "deg", np.degrees(edges), counts, 1, 2)
     warnings = [*_order_warnings(data), *_load_warnings(data, car, level)]
     if abs(average - height) > 2.0 * spread:
         warnings.append(f"The average over the pitch angles, {average:.3f} m, differs from the fit, {height:.3f} m, by "
-                        "more than twice its uncertainty: small pitch angles weigh as much as large ones in it.")
+                        "more than twice its uncertainty: the average gives small and large pitch angles equal weight.")
     figure = {"pitch": data.pitch, "rear_load": data.rear_load, "lifts": data.lifts, "single": single, "usable": usable,
               "average": average, "slope": line.slope, "levels": line.levels, "radius": radius}
     return Identification("cg-height", (estimate,), used, (), None, (coverage,), tuple(warnings), figure)
 
 
 def _check_rows(data: Lift) -> np.ndarray:
-    """Which rows are level."""
+    """Mask of the level rows. Raises IdentificationError for unusable rows."""
     pitch, load = data.pitch, data.rear_load
     if not (np.isfinite(pitch).all() and np.isfinite(load).all() and (load > 0.0).all()):
         raise IdentificationError("every row needs a pitch and a rear load above 0 kg")
@@ -140,8 +140,8 @@ def _check_rows(data: Lift) -> np.ndarray:
                                   "further; if the column is in radians, name it pitch_rad")
     steps = len(np.unique(np.round(np.degrees(pitch[~level]), 1)))
     if not level.any() or steps < 2:
-        raise IdentificationError(f"{int(level.sum())} level rows and {steps} lifted pitch angles: one of the former "
-                                  "and two of the latter are needed at least")
+        raise IdentificationError(f"{int(level.sum())} level rows and {steps} lifted pitch angles: at least one "
+                                  "level row and two lifted pitch angles are needed")
     if pitch[~level].max() <= 0.0:
         raise IdentificationError(f"pitch is never positive, down to {math.degrees(pitch.min()):.1f} deg: nose up is "
                                   "positive, the front axle is lifted")
@@ -167,8 +167,8 @@ def _radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float, float 
 
 def _single_heights(data: Lift, car: LiftedCar, level: np.ndarray, radius: float,
                     line: Line) -> tuple[np.ndarray, np.ndarray]:
-    """Height from each single row (n,), and which rows give one; the level load is the mean of the level rows of that
-    lift."""
+    """Height from each single row (n,), and the mask of usable rows; the level load is the mean of the level rows of
+    that lift."""
     groups = np.asarray(data.lifts)
     zero = np.array([data.rear_load[level & (groups == name)].mean() if (level & (groups == name)).any()
                      else line.levels[name] for name in data.lifts])

@@ -5,7 +5,7 @@
 from the force and moment balance of the single-track car, a_y at the CG; slip angles from the velocity at each axle.
 The stiffness is the slope of force versus slip. Samples that are slow, near-straight or above |a_y| = 4 m/s^2 are left
 out, and those with |alpha| > 2 deg in the regression of their axle. An intercept absorbs offsets of steering and INS.
-The slope is a secant: a tyre that begins to saturate within the slip range gives less than its stiffness at zero slip,
+The slope is a secant: a tyre that begins to saturate within the slip range yields less than its stiffness at zero slip,
 and noise of the slip angle attenuates the slope as well. `AxleRegression.model_error` is the standard uncertainty of
 the secant as an estimate of the stiffness at zero slip, from a second regression in the lower half of the slip range
 (`regression.extrapolation_uncertainty`; range a of each secant: mean |alpha|, weighted by alpha^2). Source: Aertssen et
@@ -87,8 +87,8 @@ class AxleSamples:
 class AxleRegression:
     """Result of the regression of one axle. stiffness, standard_error [N/rad], interval95: NaN where it failed.
 
-    samples: all slip and force pairs above the minimum speed. coverage: excitation by signal. reasons: sentences why
-    the value is rejected; empty for a usable value. basis: text, number of samples and blocks. model_error [N/rad]: of
+    samples: all slip and force pairs above the minimum speed. coverage: excitation by signal. reasons: for
+    rejecting the value; empty for a usable value. basis: text, number of samples and blocks. model_error [N/rad]: of
     the stiffness at zero slip, see the module; NaN if the samples do not determine it.
     """
 
@@ -145,7 +145,7 @@ def slip_angles(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.nda
 
 
 def axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[AxleRegression, AxleRegression]:
-    """Regressions of (front, rear) axle on drives with measured sideslip; the result contains reasons against a value.
+    """Regressions of (front, rear) axle on drives with measured sideslip; a rejected value has its reasons.
 
     vehicle: mass, inertia, lengths, lever arm, steering are used; its stiffnesses are not. Steering offset and ratio
     must be correct. Raises IdentificationError for no drive, a repeated name, or a drive that is too short.

@@ -164,7 +164,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     covered = (*driving_coverage(logs, {"speed": (5.0, 1), "lateral acceleration": (1.0, 3)}, settings.minimum_speed),
                signal_coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast,
                                [run.time for run in runs], 0.5, 5))
-    require_coverage(covered, "Steady bends do not show the yaw inertia: drive steps, lane changes or a sine sweep.")
+    require_coverage(covered, "Steady bends do not excite the yaw inertia: drive steps, lane changes or a sine sweep.")
     fit = fit_driving(logs, vehicle, INERTIA_NAMES, base, settings)
     # Uncertainty of the dead time [s], and its contribution to that of the inertia; see the module.
     sampling = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
@@ -189,8 +189,8 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 def make_identification(experiment: str, vehicle: VehicleParameters, fit: DrivingFit, method: str,
                         reported: Sequence[str], covered: Sequence[Coverage],
                         systematic: Mapping[str, float] | None = None) -> Identification:
-    """Result of a fit. reported: parameters to give as estimates; correlation over them. systematic: standard
-    uncertainties that the scatter of the drives does not contain, added to theirs."""
+    """Result of a fit. reported: parameters returned as estimates, with their correlation. systematic: standard
+    uncertainties that the scatter of the drives does not contain, added in quadrature."""
     spread = fit.spread
     share = SINGLE_TRACK_ERROR * vehicle.wheelbase**2 * fit.curvature_square
     extra = [np.hypot((systematic or {}).get(n, 0.0), share * v if n in STIFFNESSES else 0.0)
@@ -210,8 +210,8 @@ def make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivin
     others = [f"{n} = {fit.values[i]:.4g} +/- {uncertainty[i]:.2g} {FREE_PARAMETERS[n].unit} was fitted too."
               for i, n in enumerate(fit.names) if n not in reported]
     if RATIO not in fit.names:
-        others.append(f"{RATIO} {vehicle.steering_ratio:.4g} of the vehicle file is taken as exact: an error of it "
-                      "changes the front stiffness; st identify steering finds it from drives at two speeds or more.")
+        others.append(f"{RATIO} {vehicle.steering_ratio:.4g} of the vehicle file is taken as exact: its error changes "
+                      "the front stiffness; st identify steering estimates it from drives at two speeds or more.")
     warnings = (*describe_correlations(fit.names, correlation_of(covariance)), *others)
     figure = {"residuals": fit.residuals, "residual_run": fit.run_of, "residual_time": fit.time, "names": fit.names,
               "covariance": covariance}
@@ -245,7 +245,7 @@ def driving_coverage(logs: Sequence[DriveLog], needs: Mapping[str, tuple[float, 
                      minimum_speed: float) -> tuple[Coverage, ...]:
     """Coverage of speed and lateral acceleration v_x r of all driving above a minimum speed [m/s].
 
-    needs: {"speed" | "lateral acceleration": (seconds a bin must hold, bins needed)}.
+    needs: {"speed" | "lateral acceleration": (seconds in a filled bin, filled bins needed)}.
     """
     times = [(log.ins_time_ns - log.ins_time_ns[:1]) * NANOSECOND for log in logs]
     fast = [log.velocity_x >= minimum_speed for log in logs]

@@ -100,8 +100,8 @@ def _lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, gr
     curvature = rate / speed
     seconds = [float(np.count_nonzero(side * curvature > MIN_CURVATURE)) * SAMPLE_INTERVAL for side in (1.0, -1.0)]
     if min(seconds) < MIN_TIGHT_TIME:
-        return (f"cg_to_ins_y is not given: tighter than R = {1 / MIN_CURVATURE:.0f} m there are {seconds[0]:.0f} s to "
-                f"the left and {seconds[1]:.0f} s to the right, {MIN_TIGHT_TIME:g} s to each are needed.")
+        return (f"cg_to_ins_y is not estimated: tighter than R = {1 / MIN_CURVATURE:.0f} m are {seconds[0]:.0f} s "
+                f"to the left and {seconds[1]:.0f} s to the right, {MIN_TIGHT_TIME:g} s to each are needed.")
     d_y = 0.0
     for _ in range(4):  # the equation is nearly linear in d_y
         forward = speed + rate * d_y
@@ -134,4 +134,4 @@ def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters)
     if uncertainty > 0.5 * expected or abs(found - expected) < 2.0 * uncertainty:
         return ""
     return (f"Rear slip per v_x^2 r is {found:.2e} +/- {uncertainty:.1e} s^2/m, the vehicle file's stiffness gives "
-            f"{expected:.2e}: that stiffness, or the load on the rear axle, is not right.")
+            f"{expected:.2e}: that stiffness, or the load on the rear axle, is incorrect.")

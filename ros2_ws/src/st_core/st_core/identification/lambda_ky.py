@@ -42,8 +42,8 @@ def lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, StiffnessUncertai
         known = vehicle.provenance.get(key)
         if known is None or known.uncertainty is None:
             raise IdentificationError(f"{key} of the vehicle file has no uncertainty: identify the stiffness first "
-                                      "and use the resulting vehicle.yaml. (A file without lambda_ky derives it from "
-                                      "the stiffness.)")
+                                      "and use the resulting vehicle.yaml. (In a file without lambda_ky it is derived "
+                                      "from the stiffness.)")
         stiffness = getattr(vehicle, key)
         load = getattr(vehicle, f"static_tyre_load_{axle}")
         formula = getattr(vehicle, tyre)

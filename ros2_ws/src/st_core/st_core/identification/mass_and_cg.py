@@ -77,8 +77,8 @@ def mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: f
     )
     warnings = _side_warnings(chosen.mean(axis=0))
     if n == 1:
-        warnings.append("One weighing: its interval rests on the scales' uncertainty alone. Roll the car off and on "
-                        "and weigh again, three times at least.")
+        warnings.append("One weighing: its interval contains only the uncertainty of the scales. Roll the car off and "
+                        "on and weigh again, three times at least.")
     if rejected:
         warnings.append(f"{len(rejected)} of {len(readings)} weighings have another loading and were left out.")
     figure = {"readings": readings, "kept": keep, "names": weighings.names, "masses": all_masses,

@@ -2,7 +2,7 @@
 
 Samples of INS and steering are kept while the car moves, the last BUFFER seconds of them. After every FIT_INTERVAL of
 usable driving both stiffnesses, ratio, offset, INS misalignment, dead time of the steering and relaxation of the tyres
-are fitted together, so that delay and transients are not taken for a ratio. The deviation adds two parts in quadrature:
+are fitted together, so that delay and transients do not bias the ratio. The deviation adds two parts in quadrature:
 the variation between blocks of driving, as a normal deviation with the same 95 % interval, and SYSTEMATIC, the error of
 the single-track model. A value is estimated when there is enough excitation (`_missing_driving`) and its deviation is
 below MAX_DEVIATIONS; invalid if it is implausible for the car or the residual of the model is too large. Valid for
@@ -207,7 +207,7 @@ class OnlineIdentifier:
         driven.speeds[sum(speed >= edge for edge in SPEED_BINS[1:])] += time
 
     def _missing_driving(self) -> Mapping[str, str]:
-        """Text of the missing driving, by parameter; "" where there is enough."""
+        """Missing excitation as text, by parameter; "" where there is enough."""
         driven = self.driving_time
         bends = min(driven.left, driven.right)
         filled = sum(time >= 5.0 for time in driven.speeds)
@@ -235,7 +235,7 @@ class OnlineIdentifier:
         relative = ratio / self.vehicle.steering_ratio
         for name, value, (low, high) in zip(NAMES[1:], (relative, scale), PLAUSIBLE_RANGES, strict=True):
             if not low < value < high:
-                reasons[name] = f"{value:.2f} times the vehicle file's is outside {low:g} to {high:g}"
+                reasons[name] = f"{value:.2f} times the value of the vehicle file is outside {low:g} to {high:g}"
         for name in fit.at_bound:
             if name in NAMES or name in STIFFNESSES:
                 reasons[name if name in NAMES else NAMES[2]] = f"{name} ended at the bound of the fit"

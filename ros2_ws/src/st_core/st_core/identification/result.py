@@ -75,7 +75,7 @@ class Identification:
     """Outcome of one experiment.
 
     An estimate with zero inside its 95 % interval is doubtful at most, and unidentifiable where only positive values
-    are possible; parameters of the tyres' formula, which may well be zero, are exempt.
+    are possible; parameters of the Magic Formula, which can be zero, are exempt.
 
     experiment: name of the experiment in `st identify`. used: names of the data. rejected: (data, reason). correlation:
     matrix of the estimates, in their order, or None. coverage: excitation by signal. warnings: sentences. figure:

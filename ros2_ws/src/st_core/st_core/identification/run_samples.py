@@ -14,7 +14,7 @@ from ..vehicle import VehicleParameters
 from .result import Coverage, IdentificationError
 
 FILTER_SETTLING_TIME = 0.2
-"""Settling time of the filter, discarded at both ends of each gap-free stretch [s]."""
+"""Settling time of the filter, discarded at both ends of each gap-free section [s]."""
 MAXIMUM_GAP = 0.1
 """Longest gap between samples that is interpolated [s]."""
 MIN_COMMON_TIME, MIN_SAMPLES = 5.0, 50
@@ -63,7 +63,7 @@ def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) 
 
     if log.overlap <= 2.0 * FILTER_SETTLING_TIME:
         raise IdentificationError(f"{log.name}: INS and steering were measured together for {log.overlap:.2g} s; "
-                                  "record longer")
+                                  "record a longer drive")
     time_ns, d_x, d_y = log.ins_time_ns, vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
     speed, _ = smooth(time_ns, log.velocity_x)
     velocity_y, velocity_y_dot = smooth(time_ns, log.velocity_y)
@@ -136,7 +136,7 @@ def require_coverage(coverages: Sequence[Coverage], advice: str) -> None:
 
 
 def _away_from_edges(time_ns: np.ndarray) -> np.ndarray:
-    """Which samples are at least FILTER_SETTLING_TIME away from the ends of their stretch without a gap."""
+    """Mask of the samples at least FILTER_SETTLING_TIME away from the ends of their gap-free section."""
     edge = round(FILTER_SETTLING_TIME / NANOSECOND)
     breaks = np.flatnonzero(np.diff(time_ns) > round(MAXIMUM_GAP / NANOSECOND))
     begins = time_ns[np.concatenate(([0], breaks + 1))]

@@ -171,5 +171,5 @@ def _warnings(data: Turntable, line: Line) -> list[str]:
     if len(line.levels) > 1:
         play = math.degrees(max(line.levels.values()) - min(line.levels.values()))
         sentences.append(f"The sweeps lie up to {play:.2f} deg apart at the road wheel: play, friction, or turntables "
-                         "that were zeroed again.")
+                         "that were set to zero again.")
     return sentences

@@ -50,7 +50,7 @@ def verdict(checked: Checked) -> str:
     """One line on a run: number of findings by severity, and their meaning for an evaluation."""
     if not checked.findings:
         count = len(checked.comparisons)
-        compared = f"in {count} comparison{'' if count == 1 else 's'}" if count else "but no signals to compare"
+        compared = f"in {count} comparison{'' if count == 1 else 's'}" if count else "but nothing to compare"
         return f"nothing found, {compared}"
     worst = min(checked.findings, key=severity_rank).severity
     if worst is Severity.WARNING and all(finding.of_acceleration for finding in checked.of(worst)):

@@ -68,7 +68,7 @@ def provenance(found: Discovery, request: Request, seconds: Mapping[str, float])
 def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
     """The effects that are not in vehicle.yaml, for that vehicle; None without any. Effects at null are left out.
 
-    With a reference a value may be the change since then; the interval is shifted to the total.
+    With reference drives a value may be the change from them; its interval is then shifted to the total value.
     """
     intervals: dict[tuple[str, str], Interval] = {}
     for one in found.effects:
@@ -84,7 +84,7 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
     about = ModelProvenance(f"{datetime.now(UTC):%Y-%m-%d}", data=files, note=note)
     named = {e.name: e.parameters for e in found.effects}
     complete = ModelFile.of(update.model, update.vehicle, about, intervals, "st discover: found in the runs")
-    from_start = "st discover: the healthy car's, from the reference drives" if request.healthy else "part of the base"
+    from_start = "st discover: fitted to the reference drives" if request.healthy else "part of the base"
     minor = {r.subject: r.text for r in found.reasons if r.rule == MINOR}
     kept = {}
     for effect in update.model.effects:
@@ -122,7 +122,7 @@ def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, conte
 
 
 def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Table]]:
-    """The folded tables of the page, narrow and wide ones, each sorted by the size of what it lists."""
+    """The collapsible tables of the page, narrow and wide, each sorted by size."""
     metres = quantities.metres
     channels = []
     for name, g in sorted(found.errors.items(), key=lambda item: item[1].augmented / max(item[1].base, 1e-12)):
@@ -178,7 +178,7 @@ def _wide_tables(found: Discovery) -> list[Table]:
               + (f" After the next drive, of the pair it separates least: {driven}." if driven else ""),
               report_text.PAIR_HEAD, report_text.pair_rows(found)),
         Table("Other effects that were tried", "Improvement: share of the errors over all channels that the effect "
-              "reduces in addition to the answer. An alternative is fitted in place of the other name.",
+              "reduces in addition to the named effects. An alternative is fitted in place of the other name.",
               ("effect", "fitted", "improvement, %", "verdict", "why"), candidates,
               f"the first {len(candidates)} of {len(tried)}; all in discovery.json"),
         Table("Not detectable in these drives", "", ("effect", "why", "drive"), hidden,
@@ -199,11 +199,11 @@ def _limit(key: str, value: float) -> str:
 
 
 FILE_MEANINGS = {
-    "report.html": "one page, with all figures", "discovery.json": "every number, docs/manual/discovery.md",
-    "vehicle.yaml": "the vehicle file, corrected: --vehicle of every command",
-    "effects": "the relation proposed, as an effect; its folder: --effects of st evaluate, st demo, st live",
-    "proposed.yaml": "a model with it: --model, together with --effects and the vehicle file as it was given",
-    "model.yaml": "all effects that are not in the vehicle file: --model of st demo, st live, st evaluate"}
+    "report.html": "one page, with all figures", "discovery.json": "all numbers; keys in docs/manual/discovery.md",
+    "vehicle.yaml": "the corrected vehicle file, for --vehicle of every command",
+    "effects": "the proposed relation as an effect; its folder is for --effects of st evaluate, st demo, st live",
+    "proposed.yaml": "a model with the relation, for --model with --effects and the original vehicle file",
+    "model.yaml": "all effects that are not in the vehicle file, for --model of st demo, st live, st evaluate"}
 MAX_ADVICE = 3  # sentences on the terminal; the page contains all
 
 
@@ -237,5 +237,5 @@ def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Dr
         if drive.problem:
             report_problem(drive.name, drive.problem, console)
     if from_cache:
-        console.print("[dim]Cached answer to the same inputs; --fresh repeats the search.[/dim]")
+        console.print("[dim]Cached result of the same inputs; --fresh repeats the search.[/dim]")
     list_files({file: FILE_MEANINGS[name] for name, file in files.items()}, console)

@@ -79,7 +79,7 @@ class Request:
 
 def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,
                 done: Callable[[], None], force: bool = False) -> list[Drive]:
-    """Every run, in the order of the sources. jobs: parallel processes."""
+    """Read all runs, in the order of the sources. jobs: number of processes."""
     if jobs <= 1 or len(sources) < 2:
         drives = []
         for source in sources:
@@ -97,7 +97,7 @@ def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settin
 
 
 def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, force: bool = False) -> Drive:
-    """One run. An error of its files becomes its `problem`."""
+    """Read and check one run. An error is returned as its `problem`."""
     try:
         if source.problem is not None:
             raise source.problem

@@ -153,8 +153,8 @@ def maps(scene: Scene) -> PageFigure | None:
         panels[0][0].set_ylabel("north, m")
         bar = figure.colorbar(points, ax=list(panels[0]))
         bar.set_label(f"{quantities.channel(scene.channel)} error, {quantities.display_unit(unit)}")
-        title = f"{log.name}: where on the track the {quantities.channel(scene.channel)} is wrong"
-        caption = "Every point is one prediction, coloured by its error; the same colours on both sides."
+        title = f"{log.name}: {quantities.channel(scene.channel)} error on the map"
+        caption = "Every point is one prediction, coloured by its error; one colour scale for all panels."
         return save_figure(figure, scene.output, "map", title, caption)
 
 

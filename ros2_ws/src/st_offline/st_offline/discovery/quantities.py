@@ -42,7 +42,7 @@ def with_unit(number: str, unit: str) -> str:
 
 
 def size(value: float, unit: str) -> str:
-    """A number of a channel, angles in degrees."""
+    """A value of a channel with its unit; angles in degrees."""
     return with_unit(f"{value * factor(unit):.3g}", unit)
 
 
@@ -140,7 +140,7 @@ SIGNS = {"acceleration_x": " (derivative of the forward speed, also where a bend
 
 
 def axis(c: Candidate) -> str:
-    """Label of the vertical axis. A grip is relative to the force, a force to the static load."""
+    """Label of the vertical axis. Grip is relative to the force, force to the static load."""
     per = {"front_force": " over its static load", "rear_force": " over its static load",
            "yaw_moment": " over the yaw inertia", "side_force": " over the mass"}.get(c.term, "")
     side = (", + reads too large" if c.of_sensor else ", relative, + more force" if c.term.endswith("grip")

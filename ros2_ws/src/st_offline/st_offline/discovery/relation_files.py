@@ -15,7 +15,7 @@ from st_core.vehicle import VehicleParameters
 from . import quantities
 
 LIBRARY = Path(source_file(Effect)).parent
-KNOTS = 21  # of the linear interpolation that replaces the curve of eight coefficients
+KNOTS = 21  # of the linear interpolation that approximates the fitted spline
 SLOT = {"front_steer": "front axle", "rear_steer": "rear axle", "front_force": "front axle", "rear_force": "rear axle",
         "front_grip": "front axle", "rear_grip": "rear axle", "both_grip": "both axles", "yaw_moment": "body",
         "side_force": "body",
@@ -153,7 +153,7 @@ def _memory_quantity(c: Candidate) -> str:
 
 
 def _quantity(name: str) -> str:
-    """Formula of a quantity in a hook of the slip angles or of the motion."""
+    """Expression of a quantity in a hook of the slip angles or of the motion."""
     if name not in MEMORY:
         return STATE_EXPRESSIONS[name]
     source, kind, tau = MEMORY[name]

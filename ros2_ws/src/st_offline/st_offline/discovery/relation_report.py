@@ -34,7 +34,7 @@ class RelationReport:
 
 def relation_report(found: RelationSearch, discovery: Discovery, vehicle: VehicleParameters,
                     folder: str) -> RelationReport:
-    """Everything that is reported of a search for a relation. folder: of the results."""
+    """Report of a search for a relation. folder: of the results."""
     relation = found.relation
     terms = ", ".join(quantities.TERMS[name] for name in found.not_examined())
     excluded: Groups = [("not excluded", [f"a relation of these terms, which is not detectable in the drives: {terms}"]
@@ -109,14 +109,14 @@ def _alternatives(relation: Relation) -> list[str]:
                      "effects on the predictions: 1 the same, 0 unrelated")
     for name, share in relation.redundant.items():
         lines.append(f"{quantities.plain(name)} is named above, but is redundant with this relation (without it "
-                     f"{share:.1%} of the residual returns): it may have imitated the relation")
+                     f"{share:.1%} of the residual returns): it may be an artefact of the missing relation")
     return lines
 
 
 def _files(relation: Relation, corrected: bool, folder: str) -> list[str]:
     """corrected: whether there are files of the result without the relation."""
     if relation.candidate.quantity == "run_time":
-        return ["no effect file is written: the time in a run predicts nothing of another drive"]
+        return ["no effect file is written: the time in a run has no meaning in other drives"]
     lines = [f"with the relation: the original vehicle file, proposed.yaml and effects/{name_of(relation)}.py. To "
              f"predict: --model {folder}/proposed.yaml --effects {folder}/effects of st evaluate, demo and export; "
              f"to search for further effects: --base {folder}/proposed.yaml --effects {folder}/effects of st discover; "
@@ -179,8 +179,8 @@ def next_drive_sentences(relation: Relation) -> list[str]:
         lines.append(f"to separate it from {quantities.written_out(rival)}: {_manoeuvre(option)}. Their separation is "
                      f"then {gain:.1f} times as large")
     elif drives.current_separation:
-        lines.append("no manoeuvre of the catalogue separates it much better from its alternatives: look for the "
-                     "cause on the car")
+        lines.append("no manoeuvre of the catalogue separates it much better from its alternatives: look for "
+                     "the cause on the car itself")
     if len(drives.current_separation) < len(relation.others):
         lines.append(f"to separate it from effects of place, course or time: {ELSEWHERE}")
     if precise is not None:

@@ -144,7 +144,7 @@ def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[st
 
 
 def drives(found: Discovery) -> list[tuple[str, str]]:
-    """Which runs are suspect and which are reference, by name and seconds."""
+    """Names and durations of the suspect and of the reference runs."""
     lines = []
     for role in ("suspect", "reference"):
         runs = [run for run in found.runs if run.role == role]
@@ -196,7 +196,7 @@ def agreement(effect: FoundEffect) -> str:
 
 
 def certainty(found: Discovery) -> list[str]:
-    """The rule that decided the outcome, and its measured false alarms."""
+    """The rule that decided the outcome, and its measured false alarm rate."""
     lines = [reason.text for reason in found.reasons if reason.subject == "outcome"]
     if found.certificate.measured:
         lines.append(f"false alarms: an effect was named in {found.certificate.alarms} of "
@@ -379,20 +379,20 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     sensors = [plain(e.name) for e in rest if e.kind == "sensors"]
     if sensors:
         lines.append(f"{', '.join(sensors)}: either use model.yaml, or correct the sensors or the recordings "
-                     "(run.yaml) and run st discover again; both would correct twice")
+                     "(run.yaml) and run st discover again; both together would correct twice")
     others = [plain(e.name) for e in rest if update is None or e.name not in update.kept]
     if others:
         lines.append(f"predict with model.yaml, which adds {', '.join(others)}")
     if found.signature and found.effects:
         lines.append("the named effects do not explain the whole error, and their values may contain a part of the "
-                     "residual: compare them with what you know of the car")
+                     "residual: compare them with known data of the car")
     if found.outcome == "unknown" or found.signature:
-        lines.append("see where and when the model fails; you can add your own effect (docs/manual/effects.md)")
+        lines.append("see where the model has large errors; you can add an effect of your own (docs/manual/effects.md)")
     manoeuvres = list(dict.fromkeys(n.manoeuvre for n in found.not_testable if n.manoeuvre))
     if found.outcome == "not_testable":
         lines.append(f"drive more{': ' + ', '.join(manoeuvres) if manoeuvres else ''}, and add it to the runs")
     if found.outcome == "ambiguous" and found.next_manoeuvre is not None:
-        lines.append("do the next drive and add it to the runs")
+        lines.append("record the next drive and add it to the runs")
     if not all(c.is_time for c in found.known_together):
         use = "" if found.effects or found.model is None else "predict with model.yaml; "
         lines.append(f"{use}weigh the car and compare its tyres with those of the vehicle file")
@@ -413,7 +413,7 @@ def format_changes(changes_of: Mapping[str, Sequence[float]]) -> str:
 
 
 def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, list[str]]]:
-    """(question, lines of the answer to it) below the summary; questions without an answer are left out."""
+    """(heading, lines) of the sections below the summary; empty sections are left out."""
     why = {r.subject: r.text for r in found.reasons if r.rule in (MINOR, FORCES, IMPLAUSIBLE)}
     minor = [f"{with_alternatives(found, e)}: {why[e.name]}" for e in by_size(found.minor) if e.name in why]
     lines = [*((role, [text]) for role, text in drives(found)), ("meaning", meaning(found)),
@@ -421,7 +421,7 @@ def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, l
              ("effective corrections", corrections(found)), ("taken from the vehicle file", prior_quantities(found)),
              ("varying, not named", list(map(describe_varying, found.varying))),
              ("these drives", [detectable_sizes(found)])]
-    return [(question, texts) for question, answer in lines if (texts := [text for text in answer if text])]
+    return [(heading, texts) for heading, section in lines if (texts := [text for text in section if text])]
 
 
 def condition(w: ErrorCondition) -> tuple[str, str]:

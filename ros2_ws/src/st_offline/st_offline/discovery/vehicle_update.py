@@ -133,7 +133,7 @@ def _without_file(vehicle: VehicleParameters, model: AugmentedModel, kept: Mappi
 
 
 def _slip_speed(car: VehicleParameters, model: AugmentedModel) -> float:
-    """minimum_slip_speed [m/s] at which base models and model are stable; one that is stable at none is ignored."""
+    """minimum_slip_speed [m/s] at which base models and model are stable; models stable at no speed are ignored."""
     step = PredictionSettings().step
     needed = [slip_speed_needed((one,), car, STABILITY_SPEEDS, step) for one in ("linear", "nonlinear", model)]
     return max((speed for speed in needed if speed is not None), default=car.minimum_slip_speed)

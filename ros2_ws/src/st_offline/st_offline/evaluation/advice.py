@@ -32,8 +32,8 @@ from ..evaluation.tables import write_csv
 from ..evaluation.work import Task, load_models
 from ..terminal import line, list_files, rows_table
 
-REPETITIONS, ROUND_TIME = 5, 0.02  # measurements of each call; s, processor time of one at least
-BATCH_STARTS = 960  # 20 groups of the compiled lanes
+REPETITIONS, ROUND_TIME = 5, 0.02  # measurements of each call; minimum processor time of one, s
+BATCH_STARTS = 960  # 20 full groups of lanes of the compiled batch
 
 Call = Callable[[], object]
 CallKey = tuple[str, float, str]
@@ -194,7 +194,7 @@ def measure(sources: Sequence[RunSource], task: Task) -> Advice:
     unusable: dict[Key, str] = {}
     longest: LogSignals | None = None
     with warnings.catch_warnings():
-        # A step that is too long for a model leads to large errors, or to none at all.
+        # A step that is too long for a model leads to large or non-finite errors, which are reported.
         warnings.simplefilter("ignore", StepTooLongWarning)
         for source in sources:
             try:
@@ -216,7 +216,7 @@ def measure(sources: Sequence[RunSource], task: Task) -> Advice:
                     except StCoreError:  # no start with a complete horizon, for any model and step
                         continue
         if longest is None:
-            raise ConfigurationError("--advise: no run is as long as the horizon; give longer ones")
+            raise ConfigurationError("--advise: no run is as long as the horizon; give a longer run")
         cost = costs(models, task.vehicle, longest, settings)
     accuracies = {}
     for (name, step), runs in samples.items():
@@ -275,9 +275,9 @@ def table(found: Sequence[Mapping[str, str]], title: str, caption: str) -> Table
 def caption(accuracies: Mapping[Key, Accuracy]) -> str:
     levels = {one.level for one in accuracies.values()}
     level = next(iter(levels), None)
-    bands = "band: none, from fewer than 3 runs" if level is None else (
+    bands = "band: none, fewer than 3 runs" if level is None else (
         f"band: mean lateral half-width of the {level:.0%} band, whole path, calibrated on these runs")
-    return ("processor time of one prediction, in brackets as a multiple of the least; error: lateral RMS with "
+    return ("processor time of one prediction, in brackets as a multiple of the smallest; error: lateral RMS with "
             f"measured inputs; {bands}")
 
 

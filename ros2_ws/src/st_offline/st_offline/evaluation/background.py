@@ -1,4 +1,4 @@
-"""Runs a function on a second core, in a forked child process, which shares all memory without copies."""
+"""Runs a function in a forked child process, on a second core, without copying its inputs."""
 
 import contextlib
 import multiprocessing
@@ -42,6 +42,6 @@ def in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
 
 
 def _send_result(work: Callable[[], T], sender: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which ends this
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which terminates this process
     with contextlib.suppress(Exception):  # the parent repeats the work and reports its error
         sender.send(work())

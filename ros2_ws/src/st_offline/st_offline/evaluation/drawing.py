@@ -64,7 +64,7 @@ def check_formats(formats: Sequence[str]) -> None:
 
 
 def style():
-    """Context in which every figure is made and saved."""
+    """Matplotlib settings of all figures, as a context manager."""
     return plt.rc_context(SETTINGS)
 
 

@@ -22,16 +22,16 @@ from .tables import terminal_table
 from .work import Progress, RunReport, Task, evaluate_run
 
 FILE_DESCRIPTIONS = {
-    "page": "the whole report, one file", "json": "every number, docs/manual/evaluation.md", "table": "the table above",
-    "latex": "the same in the paper's form", "seconds": "by second of the horizon", "bins": "by condition",
-    "manoeuvres": "by part of the drive",
+    "page": "the whole report, one file", "json": "all numbers; keys in docs/manual/evaluation.md",
+    "table": "the table above", "latex": "the same in the paper's form", "seconds": "by second of the horizon",
+    "bins": "by condition", "manoeuvres": "by part of the drive",
 }
 
 
 def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: str, vehicle_file: str, workers: int,
                 scheduler: str | None, console: Console, tolerance: float | None = None) -> int:
-    """Exit status: 0 if every run was evaluated, 1 if some were. tolerance: [m], for advice on the model; None: no
-    advice. Raises ConfigurationError, OutputError."""
+    """Exit status: 0 if every run was evaluated, 1 if some could not be. tolerance [m]: for advice on the model; None
+    for no advice. Raises ConfigurationError, OutputError."""
     check_formats(task.formats)
     began = time.perf_counter()
     sources = find_runs(paths)

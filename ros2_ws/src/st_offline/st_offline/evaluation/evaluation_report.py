@@ -51,7 +51,7 @@ def settings_in_words(choices: Choices) -> dict[str, str]:
         "horizon": f"{p.horizon:g} s in steps of {p.step * 1000:g} ms, Runge-Kutta 4",
         "forward acceleration": f"derivative of the INS speed after a {p.filter_cutoff:g} Hz low-pass filter, "
                                 f"{filters[s.acceleration]}",
-        "measured inputs": f"{inputs}; nothing across gaps above {p.maximum_gap:g} s",
+        "measured inputs": f"{inputs}; unknown in gaps longer than {p.maximum_gap:g} s",
         **({"course": choices.task.course[0]} if choices.task.course else {}),
         "table": f"mean | max | RMSE over {tables.OVER_LABELS[choices.over]}",
     }
@@ -222,7 +222,7 @@ def summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str
                        for one, names in groups)
     steering = describe_clocks({report.name: report.about["alignment"] for report in reports})
     return [f"{minutes:.1f} minutes, predictions of {horizon:g} s. With the measured inputs (hindsight) the error is "
-            f"the model's; with the inputs of the start held (forecast) it includes the driver: "
+            "that of the model; with the inputs of the start held (forecast) it includes the driver's later inputs: "
             f"lateral RMSE of {best} {', '.join([held, *ahead])}.",
-            f"Faults of the recordings bias them: {biased}." if biased else "The checks found no error or warning.",
+            f"Errors of the recordings bias them: {biased}." if biased else "The checks found no error or warning.",
             *([f"{steering}."] if steering else [])]

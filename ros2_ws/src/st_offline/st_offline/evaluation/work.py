@@ -88,7 +88,7 @@ def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None
     """Read, evaluate and draw one run. Errors are reported in `problem`, never raised."""
     try:
         with warnings.catch_warnings():
-            # The checks report it as a finding.
+            # The checks report a step that is too long as a finding.
             warnings.simplefilter("ignore", StepTooLongWarning)
             return _evaluate(source, task, progress)
     except Refused as error:
@@ -157,7 +157,7 @@ def _require_scores(source: RunSource, run: LoadedRun, evaluation: LogEvaluation
         return
     length = float(evaluation.horizon[-1])
     if run.log.overlap < length:
-        raise RunError(source.where, f"nothing to score: INS and steering overlap for {run.log.overlap:.1f} s, one "
+        raise RunError(source.where, f"nothing to score: INS and steering overlap for {run.log.overlap:.1f} s, but a "
                        f"horizon is {length:g} s")
     skipped = {**evaluation.skipped, **evaluation.incomplete}
     raise RunError(source.where, "nothing to score: " + ", ".join(
@@ -190,7 +190,7 @@ def load_models(task: Task) -> list[Model]:
     names = [model.name for model in models]
     for name in names:
         if names.count(name) > 1:
-            raise ConfigurationError(f"two models are named {name}: one model file at a time, and each name once")
+            raise ConfigurationError(f"two models are named {name}: give at most one model file, and each name once")
     return models
 
 
@@ -234,7 +234,7 @@ def write_starts(file: Path, evaluation: LogEvaluation) -> None:
 
 
 INPUTS = ("planned_road_wheel_angle", "planned_velocity_x_dot")
-"""Columns of a CSV [rad, left +; m/s^2]: inputs that a planner had planned for the time of the row
+"""Columns of a CSV [rad, left +; m/s^2]: inputs at the time of the row as a planner had planned them
 before the start of the prediction."""
 PATH = ("planned_speed", "planned_curvature")  # alternatively speed and curvature of the CG [m/s; 1/m, left +]
 
@@ -259,7 +259,7 @@ def inputs_ahead(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters
                 others = others.moved(*origin_offset((latitude, longitude), *course.origin))
             except StCoreError as error:
                 raise RunError(Path(run.log.name), f"--course: {error}",
-                               "leave the option out, or evaluate the run with a course of its place") from None
+                               "omit --course, or give a course of the same place") from None
         found["course"] = course_inputs(others, signals, vehicle, prediction.horizon, prediction.step)
     return found
 
@@ -284,7 +284,7 @@ def _planned_columns(files: Mapping[str, str],
                            "write numbers with a decimal point, separated by commas") from None
         seconds, first, second = np.atleast_2d(rows).T
         if not np.isfinite(seconds).all() or (np.diff(seconds) <= 0.0).any():
-            raise ConfigurationError(f"{file}: t does not rise in rows with planned columns; sort or repair the rows")
+            raise ConfigurationError(f"{file}: t does not rise in the rows with planned columns; sort or correct them")
         time_ns = np.round(seconds * 1e6).astype(np.int64) * 1000
         if kind == INPUTS:
             return time_ns, (first, second)

@@ -25,7 +25,7 @@ from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_fig
 from .experiment import Experiment, Setup, number
 
 MAX_POINTS = 4000
-"""Dots of a scatter plot; more only make it darker."""
+"""Dots of a scatter plot; more dots overlap without adding information."""
 PAPER_COLOUR, FIT_COLOUR = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
 DEG = np.rad2deg(1.0)
 UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
@@ -241,7 +241,7 @@ def stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:
     try:
         paper = identify_stiffness(logs, vehicle)
     except IdentificationError as error:
-        return replace(found, warnings=(*found.warnings, f"The paper's regression could not be made: {error}"))
+        return replace(found, warnings=(*found.warnings, f"The paper's regression failed: {error}"))
     estimates, comparisons = [], []
     for estimate in found.estimates:
         name, other = estimate.parameter, paper[estimate.parameter]
@@ -250,7 +250,7 @@ def stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:
             comparisons.append(f"The paper's regression gives no {name}: {other.verdict}")
             continue
         text = describe_contradiction(estimate, other.value, other.standard_uncertainty, "the paper's regression")
-        # A regression averages the tyre's curve, so a few per cent are expected; more is due to a fault elsewhere.
+        # The regression averages the tyre curve: a few per cent are expected; more indicates another error.
         if text and abs(estimate.value - other.value) > MAX_DISAGREEMENT * other.value:
             text += f" {ADVICE}"
             estimates.append(replace(estimate, status="doubtful", verdict=f"{estimate.verdict} Doubtful: {ADVICE}"))

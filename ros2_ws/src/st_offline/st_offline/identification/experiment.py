@@ -100,7 +100,7 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
                  texts: Sequence[str] = ()) -> Table:
     """A table with all `required` columns, and the `optional` and `texts` ones it has.
 
-    required, optional: units allowed by name. Raises RunError naming the file and the column or row that is wrong.
+    required, optional: units allowed by name. Raises RunError with the file and the invalid column or row.
     """
     check_readable(file)
     try:
@@ -117,7 +117,7 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
         raise RunError(file, f"has no column {names}; its columns are {', '.join(header)[:200]}",
                        "name each column with its unit, as in docs/manual/identification.md")
     if not rows:
-        raise RunError(file, "has a header and no rows", "fill it in")
+        raise RunError(file, "has a header and no rows", "add a row for each measurement")
     for row_number, row in enumerate(rows, 1):
         if len(row) != len(header):
             raise RunError(file, f"row {row_number} has {len(row)} cells, the header {len(header)}", "correct that row")
@@ -162,8 +162,8 @@ def _number(file: Path, title: str, row: int, cell: str) -> float:
     try:
         value = float(cell)
     except ValueError:
-        raise RunError(file, f"row {row}: {title} is {cell[:40]!r}, not a number", "decimal point, no unit in the "
-                       "cell") from None
+        raise RunError(file, f"row {row}: {title} is {cell[:40]!r}, not a number", "write a decimal point "
+                       "and no unit") from None
     if not math.isfinite(value):
         raise RunError(file, f"row {row}: {title} is {cell}", "every number must be finite")
     return value

@@ -110,7 +110,7 @@ def findings_by_drive(found: Sequence[Identification]) -> dict[str, tuple[Findin
 def about(job: Job, now: datetime) -> dict[str, Any]:
     """Provenance of the values: vehicle, files, versions."""
     data = list(job.files)
-    if job.experiment.drives:  # a folder means the recordings in it
+    if job.experiment.drives:  # a folder stands for the recordings in it
         data = [file for source in find_runs(job.files) for file in (*source.files, *source.can)]
     return {
         "created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name,
@@ -186,7 +186,7 @@ def page(found: Sequence[Identification], figures: Sequence[PageFigure | None], 
 
     def correlation(outcome: Identification) -> tuple[list[str], list[list[str]]]:
         names = [estimate.parameter for estimate in outcome.estimates]
-        assert outcome.correlation is not None  # otherwise it is not shown
+        assert outcome.correlation is not None  # the page shows only an existing one
         return ["correlation", *names], [[name, *(f"{x:+.2f}" for x in row[:len(names)])]
                                          for name, row in zip(names, outcome.correlation, strict=False)]
 

@@ -200,7 +200,7 @@ CG_HEIGHT = Experiment("cg-height", "CG height from the axle-lift test (ISO 1039
 
 
 COLUMNS = {"load": ("n", "kn", "kg"), "slip_angle": ("deg", "rad"), "lateral_force": ("n", "kn")}
-# Colours of the three loads as in the paper, darker where they would be faint on white; then for further loads.
+# Colours of the three loads as in the paper, darkened for contrast on white; then for further loads.
 LOAD_COLOURS = ("#3baa32", "#1792b5", "#d1048b", "#8c6d1f", "#5a5a5a", "#7e2f8e")
 
 
@@ -222,13 +222,13 @@ def read_tables(files: Sequence[Path]) -> list[FlatPlank]:
     for file in files:
         table = read_columns(file, COLUMNS, texts=("tyre",))
         if table.units["load"] == "kg":
-            raise RunError(file, "column load_kg: a load is a force here", "name it load_n and give newtons")
+            raise RunError(file, "column load_kg: the load must be a force", "name the column load_n and give newtons")
         if "tyre" not in table.texts:
             raise RunError(file, "has no column tyre", "add one with front or rear in each row")
         axle = np.array([word.lower().removeprefix("tyre_") for word in table.texts["tyre"]])
         for word in dict.fromkeys(axle.tolist()):
             if word not in ("front", "rear"):
-                raise RunError(file, f"tyre is {word[:40]!r} in a row", "front or rear")
+                raise RunError(file, f"tyre is {word[:40]!r} in a row", "write front or rear")
             columns = (table.numbers[name][axle == word] for name in COLUMNS)
             rows.setdefault(f"tyre_{word}", []).append(tuple(columns))
             names.setdefault(f"tyre_{word}", []).append(file.name)
