@@ -3,7 +3,7 @@
     checked = check(log, vehicle, auxiliary)
     for finding in checked.findings: print(finding.severity, finding.text, finding.advice)
 
-The same function serves `st check`, every other verb and the live node.
+`st check`, every other command and the live node call the same function.
 """
 
 from .across_runs import AcrossRuns, compare_runs, pool_estimates

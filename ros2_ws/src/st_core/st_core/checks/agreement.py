@@ -29,7 +29,7 @@ class Agreement:
     correlation: at that lag; correlation_without_lag: at zero lag. spread: standard deviation of the derived quantity.
     time, measured, derived: the filtered series at that lag, for a figure. other_lags: further lags [s] that do not
     fit significantly worse, as the drive repeats itself. is_late: whether the expected lag fits significantly worse.
-    determines_lag: whether lags LAG_TEST_SHIFT away fit significantly worse; a drive that changes slowly determines
+    determines_lag: whether lags LAG_TEST_SHIFT away fit significantly worse; slowly varying signals determine
     none.
     """
 
@@ -136,7 +136,7 @@ def _residual_shares(pair: Pair, offsets: Sequence[float]) -> tuple[list[float],
     series = [_common_samples(pair, offset) for offset in offsets]
     common = np.flatnonzero(np.bincount(np.concatenate([rows for rows, _ in series])) == len(series))
     values = pair.other.values[common]
-    with np.errstate(invalid="ignore", divide="ignore"):  # a constant series, as at standstill, explains nothing
+    with np.errstate(invalid="ignore", divide="ignore"):  # a constant series, as at standstill, has r = 0
         r = [float(np.nan_to_num(np.corrcoef(derived[np.isin(rows, common)], values)[0, 1]))
              for rows, derived in series]
     return [max(1.0 - correlation**2, MIN_RESIDUAL_SHARE) for correlation in r], len(common)

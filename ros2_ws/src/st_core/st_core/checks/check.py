@@ -69,7 +69,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     rounded = sampling.find_coarse_channels(motion, stuck)
     findings += stuck + rounded
     coarse = {channel for finding in rounded for channel in finding.channels}
-    # The derivative of a coarse channel is mostly rounding.
+    # The derivative of a coarse channel is dominated by rounding.
     motion = replace(motion, acceleration_x=None if "velocity_x" in coarse else motion.acceleration_x,
                      acceleration_y=None if coarse & {"velocity_y", "yaw_rate"} else motion.acceleration_y)
     if not any(finding.name == "samples_repeated" and {"x", "y"} & {*finding.channels} for finding in stuck):
@@ -116,7 +116,7 @@ def _without_sideslip(finding: Finding, motion: Motion) -> Finding:
     explains it.
 
     The sideslip at a point l ahead of the rear axle is tau r, tau = l/v - K v, so the yaw rate r lags the course by
-    tau. `sideslip.with_steady_sideslip` removes it from a course as far as l and K of the vehicle file are right.
+    tau. `sideslip.with_steady_sideslip` removes it from a course as far as l and K of the vehicle file are correct.
     """
     if finding.name not in CHANGED_BY_SIDESLIP:
         return finding
@@ -128,7 +128,7 @@ def _without_sideslip(finding: Finding, motion: Motion) -> Finding:
         if finding.value is None or not low <= finding.value <= high:
             return finding
         severity = Severity.NOTE
-    text = f"{finding.text}; velocity_y is not measured, so yaw may be the course and this the sideslip"
+    text = f"{finding.text}; velocity_y is not measured, so yaw may be the course, and the lag due to sideslip"
     advice = Advice("look", "record the heading of the car and velocity_y; without them the sensor's error is unknown")
     return replace(finding, severity=severity, text=text, advice=advice)
 

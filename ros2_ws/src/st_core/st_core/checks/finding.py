@@ -199,8 +199,8 @@ class Limits:
     """Limits of the findings; effects are shifts of the position after 5 s."""
 
     min_reported_effect: float = 0.02  # m; an RTK position is known to 2 cm
-    warning: float = 0.25  # m; the best models are wrong by 0.4 m over such horizons
-    error: float = 5.0  # m; as wrong as a model that drives straight on in a bend of 250 m at 10 m/s
+    warning: float = 0.25  # m; the best models have errors of 0.4 m over such horizons
+    error: float = 5.0  # m; error of a model that goes straight on in a bend of radius 250 m at 10 m/s
     unit: float = 1.33  # factor above which a ratio is due to a wrong unit, sign or axis, not to calibration
     channel_unit: float = 2.0  # the same for accelerometers (roll) and wheel speeds (tyre radius)
     settling: float = 0.2  # s, in which an error of a model's initial yaw rate decays
@@ -208,7 +208,7 @@ class Limits:
     severe_lag: float = 0.05  # s; a larger one would be mistaken for a steering delay
     correlation: float = 0.6  # below it two estimates of a quantity are not compared
     bias_acceleration: float = 0.1  # m/s^2; 0.6 deg of mounting or road
-    tyre: float = 13.0  # m/s^2; no road tyre gives more
+    tyre: float = 13.0  # m/s^2; beyond the grip of road tyres
     # Deviations of the ratio of steering to curvature that a faultless car may have from its vehicle file (ratio,
     # wheelbase, stiffnesses):
     steering_unit: float = 1.5
@@ -236,5 +236,5 @@ SYSTEMATIC = {
 }
 """Systematic uncertainty of an identity, half of a 95 % interval, in the finding's unit (scales: fraction of the
 value), by the finding's name or the last part of it. It covers filters, interpolation between samples, roll and, for
-the steering, the response of the car, which the scatter between blocks does not. Added in quadrature (GUM: type B).
-Set from the errors of the estimates on the development drives of bench/checks, not on the test drives."""
+the steering, the response of the car; the scatter between blocks contains none of these. Added in quadrature (GUM: type
+B). Set from the errors of the estimates on the development drives of bench/checks, not on the test drives."""

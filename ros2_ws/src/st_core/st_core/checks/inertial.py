@@ -2,8 +2,8 @@
 
     r = d(yaw)/dt        a_x = dv_x/dt - v_y r        a_y = dv_y/dt + v_x r
 
-An accelerometer measures gravity as well: a slope is a bias of a_x, a banked road or a mounting angle one of a_y. At a
-distance d behind the point of the velocities it measures an a_y that lags by d / v at speed v.
+An accelerometer measures gravity as well: a slope acts as a bias of a_x, a banked road or a mounting angle as one of
+a_y. At a distance d behind the point of the velocities it measures an a_y that lags by d / v at speed v.
 """
 
 import math

@@ -216,7 +216,7 @@ def _slope(top: np.ndarray, bottom: np.ndarray) -> float:
     smaller, larger = sorted((top, bottom), key=lambda turns: float(np.percentile(np.abs(turns), 95)))
     if float(np.percentile(np.abs(smaller), 95)) < MIN_TURN and (
             float(np.std(larger)) < 0.5 * abs(float(np.mean(larger)))):
-        return float("nan")  # one hardly turns, the other is a bias
+        return float("nan")  # one hardly changes, and the other is a constant bias
     weights, slope = np.ones(len(top)), float("nan")
     # Prior of the intercept, which a circle does not determine: equivalent to windows that turn by MIN_TURN.
     prior = (len(top) * MIN_TURN**2) / max(float(np.square(bottom).mean()), 1e-300)

@@ -1,6 +1,6 @@
 """Samples that neither a car nor a working sensor produces: spikes, sentinels, values out of range, wrap-arounds.
 
-Each channel is examined alone, before any comparison, so that a broken sample is not taken for a wrong unit of the run.
+Each channel is examined alone, before any comparison, so that no faulty sample appears as a wrong unit of the run.
 Implausible samples are reported, and no command uses them. A step from one sample to the next is large if it exceeds
 both the physical limit and a multiple of the median step of the channel, whatever its unit:
 
@@ -53,11 +53,11 @@ CHANNELS: Mapping[str, ChannelLimits] = {
     "yaw": ChannelLimits("rad", 0.2),  # 4 rad/s for 50 ms
     "velocity_x": ChannelLimits("m/s", 1.0, 120.0),  # 20 m/s^2 for 50 ms; no road car is faster
     "velocity_y": ChannelLimits("m/s", 1.0, 40.0),
-    "yaw_rate": ChannelLimits("rad/s", 0.3, 5.0),  # 6 rad/s^2 for 50 ms, twice a step steer; a spin has 3 rad/s
+    "yaw_rate": ChannelLimits("rad/s", 0.3, 5.0),  # 6 rad/s^2 for 50 ms, twice that of a step steer; spins reach 3
     "acceleration_x": ChannelLimits("m/s^2", 15.0, 80.0),  # kerbs and potholes reach 10 m/s^2 in one sample
     "acceleration_y": ChannelLimits("m/s^2", 15.0, 80.0),
     "road_wheel_angle": ChannelLimits("rad", 0.1, 1.3),  # 2 rad/s; 75 degrees, beyond any steering lock
-    "steering_wheel_angle": ChannelLimits("rad", 1.5, 25.0),  # 30 rad/s, twice an emergency; four turns
+    "steering_wheel_angle": ChannelLimits("rad", 1.5, 25.0),  # 30 rad/s, twice that of an evasive manoeuvre; four turns
 }
 
 
@@ -148,7 +148,7 @@ def implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
             findings.append(_finding(kind, channel, new))
     bad[channel.rows[implausible]] = True
     if name not in ("x", "y") and len(jumps := _find_jumps(channel, large, implausible)):
-        if name == "yaw":  # in degrees, wraps are steps too: only a heading that turns back to front is certain
+        if name == "yaw":  # in degrees, wraps are steps too; only a reversal of the heading is certain
             jumps = jumps[(np.abs(channel.step[jumps - 1] - np.pi) < MAX_REVERSAL_ERROR)
                           & moving[channel.rows[jumps]] & moving[channel.rows[jumps - 1]]]
         findings += [_finding("channel_jumps", channel, jumps)] if len(jumps) else []
@@ -299,12 +299,12 @@ def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
     text = {
         "sample_spikes": f"{channel.name} is {reading} {when}, " + (
             f"in sample {channel.rows[samples[0]] + 1}" if len(samples) == 1 else f"the largest of {count}")
-            + ", which its neighbours exclude",
+            + ", inconsistent with its neighbours",
         "sentinel_values": f"{channel.name} is {reading} {when} ({count}): "
                            + ("0 while the car moves" if value == 0.0 else "a code for a missing measurement"),
         "out_of_range": f"{channel.name} reaches {reading} {when} ({count}), beyond the range of road cars",
         "channel_wraps": f"{channel.name} wraps around at ±{np.abs(channel.values).max():.4g} {unit} "
-                         f"{when} ({count}): its signal is too short for the values of this drive",
+                         f"{when} ({count}): the range of its signal is too small for this drive",
         "channel_jumps": f"{channel.name} jumps {len(samples)} time{'s' if len(samples) > 1 else ''} by up to "
                          f"{float(channel.step[samples - 1].max()):.4g} {unit} from one sample to the next "
                          f"{when}, and does not return: it is left out of all comparisons",
@@ -312,7 +312,7 @@ def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
     severity = (Severity.ERROR if share > (MAX_WRAPPED_SHARE if kind == "channel_wraps" else MAX_BAD_SHARE) else
                 Severity.NOTE if kind == "sample_spikes" and share <= NOTE_SHARE else Severity.WARNING)
     text += "" if severity is Severity.ERROR or kind == "channel_jumps" else "; left out"
-    advice = {"channel_wraps": "look at the definition of the signal: more bits, or a larger factor",
+    advice = {"channel_wraps": "look at the definition of the signal: it needs more bits or a larger factor",
               "channel_jumps": "look at the sensor and the logger",
               }.get(kind, "look at the sensor and the logger; no command uses these samples")
     return Finding(kind, severity, (channel.name,), text, value, unit, None, where[:MAX_LISTED],

@@ -31,7 +31,7 @@ MIN_LOSS_RATIO = 1.1  # losses whose ratio is below this do not decide between t
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit in a second by another sign: RTK noise is 1 cm
 MAX_SIGN_MISFIT_RATIO = 1.2  # misfit with velocity_y reversed to that with the causes removed; below, both fit
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
-SPHERICAL_EARTH_SCALE = 0.005  # a map projected with one radius of the earth is wrong by up to half a per cent per axis
+SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a map projected on a spherical earth
 MIN_VELOCITY_BIAS = 0.05  # m/s; velocities of an INS are known to 0.03
 AXES = {"x_scale", "y_scale"}
 # Causes that are confounded at one speed; one of them is fitted, a bias only if its loss is clearly smaller.
@@ -168,7 +168,7 @@ def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
 def with_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
     """The findings; those that the opposite sign of velocity_y explains equally well mention it, without a correction.
 
-    On a steady circle velocity_y is constant, so a wrong sign is also an offset of yaw or a displaced measuring point.
+    On a steady circle velocity_y is constant, so a wrong sign equals an offset of yaw or a displaced measuring point.
     """
     names = {"yaw_offset", "position_reference", "velocity_y_bias"}
     if not any(finding.name in names for finding in findings):
@@ -212,7 +212,7 @@ def _find_causes(problem: Regression, free: dict[str, float], always: tuple[str,
 def _combine_scales(problem: Regression, causes: dict[str, Estimate], always: tuple[str, ...]) -> tuple[str, ...]:
     """Names of the causes; equal scales of both axes, or of the only axis driven, are attributed to the velocity.
 
-    Positions come from satellites: one factor in both axes is far rarer than a wrong speed.
+    Positions are from satellites: a common scale error of both axes is far less likely than one of the speed.
     """
     axes = [name for name in ("x_scale", "y_scale") if name in causes]
     if not axes or max(abs(causes[name].value) for name in axes) < SPHERICAL_EARTH_SCALE:

@@ -27,7 +27,7 @@ CLIP_RATIO = 8.0  # samples at a limit over those at the values next to it
 FREEZE_PAUSE_RATIO = 10.0  # times the channel's usual pause without any change
 DISPENSABLE_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # paths can be scored without them
 MAX_STEP_RATIO = 1.5  # times the median spacing, up to which no sample is lost between two
-MAX_GYRO_BIAS = 0.02  # rad/s; turns by less do not make a constant yaw look frozen
+MAX_GYRO_BIAS = 0.02  # rad/s; up to this mean yaw rate, a constant yaw is not frozen
 
 
 def describe_channels(motion: Motion, auxiliary: AuxiliaryData) -> dict[str, Channel]:
@@ -102,7 +102,7 @@ def _missing_values(channel: str, count: int, motion: Motion, auxiliary: Auxilia
     if rate:
         text = (f"{channel}: {100 * share:.3g} % of the rows have no value, and the others are evenly spaced: it was "
                 f"recorded at {rate:.3g} Hz")
-        advice = "nothing, if that is the rate of the sensor"
+        advice = "no action, if that is the rate of the sensor"
     else:
         text = f"{channel}: {count} rows have no usable value ({100 * share:.3g} %); they were left out"
         advice = "look at the values that the logger writes there"
@@ -230,7 +230,7 @@ def _check_held(name: str, time: np.ndarray, values: np.ndarray) -> list[Finding
     text = f"{name} changes only at every {median:g}th sample: it was recorded at {rate:.3g} Hz and held"
     severity = Severity.WARNING if rate < MIN_HELD_RATE else Severity.NOTE
     return [Finding("samples_repeated", severity, (name,), text, 1.0 - len(lengths) / len(values),
-                    advice=Advice("look", f"log {name} at its own rate, or interpolate it before"))]
+                    advice=Advice("look", f"log {name} at its own rate, or interpolate it first"))]
 
 
 def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, step: float) -> list[Finding]:
@@ -251,7 +251,7 @@ def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Moti
         return []
     where = tuple(sorted((float(time[first[k]]), float(time[last[k]])) for k in found))
     limits = " and ".join(f"{limit:.4g}" for limit in sorted({float(values[first[k]]) for k in found}))
-    text = f"{name} stops at {limits} {UNITS[name]} {len(found)} times while the car goes on: it is clipped"
+    text = f"{name} stops at {limits} {UNITS[name]} {len(found)} times while other channels change: it is clipped"
     advice = Advice("look", f"look at the range of the sensor and of its signal: {name} is larger than recorded there")
     return [Finding("channel_clipped", Severity.WARNING, (name,), text, float(np.abs(values[first[found]]).max()),
                     UNITS[name], where=where, advice=advice)]
@@ -297,7 +297,7 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
     rate = related(motion)[inside]
     rounding = 3.0 * step if name in IN_UNIT_OF_RELATED else 0.0
     low, high = np.percentile(rate, [5, 95])
-    if name == "road_wheel_angle":  # held at its mechanical stop, it turns the car faster at a higher speed
+    if name == "road_wheel_angle":  # at its mechanical stop only the speed changes the yaw rate
         curvature = rate / np.maximum(motion.velocity_x[inside], 2.0)
         tight, wide = np.percentile(np.abs(curvature), [95, 5])
         return bool(high - low > min_change and tight - wide > MIN_CURVATURE_CHANGE * np.median(np.abs(curvature)))
@@ -376,7 +376,7 @@ def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
         if not bad.any():
             continue
         share = float(bad.mean())
-        text = f"the INS is {words} in {100 * share:.0f} % of the time: its positions drift there"
+        text = f"the INS is {words} for {100 * share:.0f} % of the time: its positions drift there"
         severity = Severity.WARNING if share > NOTE_SHARE else Severity.NOTE
         findings.append(Finding("ins_mode", severity, ("ins",), text, share, where=stretches(bad), advice=Advice(
             "look", "leave these stretches out, or post-process the raw data")))
@@ -384,7 +384,7 @@ def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
     known = np.isfinite(accuracy)
     typical = float(np.median(accuracy[known])) if known.any() else 0.0
     if typical >= LIMITS.warning:
-        text = f"the INS's own standard deviation of position is {typical:.2f} m in the median"
+        text = f"the standard deviation of position reported by the INS is {typical:.2f} m in the median"
         findings.append(Finding("ins_accuracy", LIMITS.severity(typical), ("ins",), text, typical, "m",
                                 where=stretches(known & (accuracy >= LIMITS.warning)), effect=typical,
                                 advice=Advice("look", "record with RTK, or post-process")))

@@ -57,7 +57,7 @@ def _step_errors(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
 
 def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
                  rounding: float) -> tuple[np.ndarray, list[Finding]]:
-    """(which steps are those of stale samples, the finding)."""
+    """(mask of the steps due to stale samples, the finding)."""
     known = np.isfinite(along)
     none = np.zeros(len(along), bool)
     if known.sum() < 50:
@@ -86,8 +86,8 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     trials = max(round(float(known.sum()) * spacing), 1)  # errors of neighbouring samples are not independent
     ends = binomtest(round(share * trials), trials).proportion_ci(method="wilson")
     interval = min(float(ends.low), share), max(float(ends.high), share)
-    text = (f"at {100 * share:.3g} % of the rows the position falls back to one measured {delay * 1e3:.0f} ms earlier, "
-            "and catches up later: in between it is stale by one sample of the receiver")
+    text = (f"at {100 * share:.3g} % of the rows the position is {delay * 1e3:.0f} ms old: stale by one sample of the "
+            "receiver")
     severity = Severity.WARNING if share > WARNING_STALE_SHARE else Severity.NOTE
     stale = (back | forward) & (np.abs(age) < 1.6 * delay) & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors))
     return stale, [Finding(
@@ -157,6 +157,6 @@ def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
     effect = deviation * float(np.median(motion.speed[1:][inside]))
     if slope < 0.5 or effect < LIMITS.min_reported_effect:
         return []
-    text = f"the stamps jitter by {deviation * 1e3:.1f} ms, the motion does not: they are times of reception"
+    text = f"the stamps jitter by {deviation * 1e3:.1f} ms, but the motion is smooth: they are times of reception"
     return [Finding("time_jitter", LIMITS.severity(effect), ("time",), text, deviation, "s", effect=effect, advice=
                     Advice("look", "use the time of measurement (GPS time)"))]

@@ -41,7 +41,7 @@ MAX_STARTS = 100  # spread over the run; more change the error by less than 1 %
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 # Number of speeds, from the lowest to the highest of the run, at which the step size is checked for stability.
 SPEED_COUNT = 40
-STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # of a step, for a short decimal number
+STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # of a step; the results have few digits
 MERGE_GAP = 1.0  # s; stretches closer than that are merged
 State = tuple[DriveLog, VehicleParameters]
 
@@ -49,7 +49,7 @@ State = tuple[DriveLog, VehicleParameters]
 def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehicleParameters) -> list[Finding]:
     """The findings with the prediction error [m] before and after their correction; harmful corrections are removed.
 
-    Corrections of errors are applied together, since one wrong unit hides another; then each warning separately. A
+    Corrections of errors are applied together, since one wrong unit may mask another; then each warning separately. A
     warning refuted by its correction becomes a note. Corrections on which no prediction depends are not tried.
     """
     tested = [finding for finding in findings if _is_tested(finding)]

@@ -33,7 +33,7 @@ MIN_YAW_RANGE = 0.2  # rad of turning
 MAX_FOLLOW_MISFIT = 0.02  # fraction of the distance up to which positions are consistent with yaw and velocity
 MAX_MAP_MISFIT = 0.1  # fraction of the distance, and of the misfit in body axes, up to which velocities are in map axes
 MAX_SCALE_ERROR = 0.005  # of a faultless gyroscope or projection
-MIN_RATE_ERROR = 0.005  # of the time; crystals are wrong by 0.0001, nominal rates by a whole sample
+MIN_RATE_ERROR = 0.005  # of the time; quartz clocks have errors of 0.0001, nominal rates of a whole sample
 CLEAR_MISFIT_RATIO = 0.8
 TIE_MISFIT_RATIO = 0.97  # above it velocity_y is too small to determine its unit, which is then that of velocity_x
 DEGREE, GON = 180.0 / np.pi, 200.0 / np.pi
@@ -137,7 +137,7 @@ def yaw_is_late(motion: Motion, earlier: Motion) -> bool:
 def _correct_both_turns(motion: Motion) -> Corrected:
     """Yaw rate in the same wrong unit as yaw (of either sense), known from the course; yaw is corrected later."""
     r = ratios(motion)
-    # A course over one short bend is wrong by ten per cent; yaw and yaw rate decide together.
+    # The course over one short bend has an error of ten per cent; yaw and yaw rate decide together.
     size = _angle_unit(r.rate_course, SAME_RATIO_FACTOR)
     if size in ANGLES and is_near(abs(r.yaw_rate), 1.0, LIMITS.unit) and (
             is_near(abs(r.yaw_course), size, LIMITS.unit)):
@@ -352,7 +352,7 @@ def _correct_yaw_offset(motion: Motion) -> Corrected:
         return motion, None
     angle = float(np.angle(total))
     quarter = np.round(angle / (np.pi / 2)) * np.pi / 2
-    if abs(quarter) == np.pi and np.median(motion.velocity_x) < 0.0:  # a whole drive in reverse is rarer than a sign
+    if abs(quarter) == np.pi and np.median(motion.velocity_x) < 0.0:  # a whole drive in reverse is less likely
         return replace(motion, velocity_x=-motion.velocity_x), _error(
             "velocity_x_scale", ("velocity_x",), "velocity_x has the opposite sign (forward is positive)", -1.0,
             Advice.correct("velocity_x", scale=-1.0))

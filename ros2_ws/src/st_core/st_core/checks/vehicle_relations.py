@@ -74,7 +74,7 @@ def _unrelated_finding(found: Agreement) -> Finding:
     text = (f"the steering does not follow the car's motion (correlation {found.correlation:.2f}): the steering of "
             "another drive, another signal, or a sign that changes during the drive?")
     return Finding("steering_unrelated", Severity.WARNING, ("road_wheel_angle",), text, found.correlation,
-                   advice=Advice("look", "compare steering and yaw rate over time; no prediction is valid with it"))
+                   advice=Advice("look", "compare steering and yaw rate over time; predictions with it are invalid"))
 
 
 def _steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | None:
@@ -286,10 +286,10 @@ def check_tyre_limit(motion: Motion) -> list[Finding]:
     if impossible.sum() < 2:
         return []
     largest = float(np.abs(lateral).max())
-    text = f"v_x times yaw rate reaches {largest:.0f} m/s^2; tyres give about 10: speed or yaw rate is wrong there"
+    text = f"v_x times yaw rate reaches {largest:.0f} m/s^2; tyres reach about 10: speed or yaw rate is wrong there"
     where = tuple((float(t), float(t) + WINDOW) for t in over.time[impossible][:20])
     return [Finding("lateral_acceleration_impossible", Severity.ERROR, ("velocity_x", "yaw_rate"), text, largest,
-                    "m/s^2", where=where, advice=Advice("look", "look at the stretches named"))]
+                    "m/s^2", where=where, advice=Advice("look", "look at the stretches listed"))]
 
 
 def check_standstill(motion: Motion) -> list[Finding]:

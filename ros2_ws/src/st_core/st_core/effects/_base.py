@@ -41,7 +41,7 @@ class Parameter:
     of `st_core.checks.check` that measures it without a fit to the car, same value, sign and unit; "" without one.
     theory: its value by physics, if the same in any car. quantity: key of the vehicle file that it is a difference
     from, same unit and sign, if neither `vehicle` nor `fold` of the effect has it. shape: whether it is a coordinate of
-    a family of curves; a value on its bounds is then as good as any other. model_error: standard deviation of the
+    a family of curves; a value on its bounds is then valid. model_error: standard deviation of the
     values from models of other equations for the same car; from the development cars of `bench/strangers`. deviation:
     prior standard deviation about null of an addition to the measured car, such as a load, instead of the uncertainties
     of the vehicle file; inf for other parameters.
@@ -146,7 +146,7 @@ class Effect:
             the motion
         observe(measured, theta) -> Measured: readings for true values; correct(measured, theta): the inverse
 
-    name: unique. physics: the equation in a line, with the sign. excited_by: driving that shows it. kind: of
+    name: unique. physics: the equation in a line, with the sign. excited_by: driving that excites it. kind: of
     EFFECT_KINDS. slot: of SLOTS, where it acts. confounded_with: effects that are hard to separate from it
     (one of the two may name the other), by sensitivity vectors of a single-track car on circle, step, sweep and limit.
     needs: channels, all of which it needs to be observable and separable. members: names of the effects it is the sum
