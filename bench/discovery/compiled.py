@@ -1,7 +1,7 @@
 """The virtual car compiled: the functions of st_sim themselves, driven by a programme instead of a driver.
 
-What is written here a second time is how `Plant.step` puts them together: hand wheel -> delay -> play -> ratio -> lag,
-Heun's step. Cars that stop are refused, because standstill is left out.
+Written a second time is the order of `Plant.step`: steering wheel -> delay -> play -> ratio -> lag, Heun's step.
+Cars that stop are refused, because standstill is left out.
 Checked by: tests/bench/test_discovery_plants.py.
 """
 
@@ -23,9 +23,9 @@ from .pushes import Car as Body
 from .pushes import Law, push
 
 DECIDE = 5
-"""Steps between two decisions of hand and foot, and between two samples: 0.01 s."""
+"""Steps between two decisions of steering and pedals, and between two samples: 0.01 s."""
 MAX_STEERING_WHEEL_RATE = 8.0
-"""rad/s at the hand wheel."""
+"""rad/s at the steering wheel."""
 SPEED_GAIN, MAX_BRAKING, MAX_DRIVE, JERK = 1.2, 7.0, 3.5, 10.0
 """1/s, m/s^2, m/s^2, m/s^3 of the foot, as the driver of st_sim."""
 RECORDED = STATES + 4
@@ -41,7 +41,7 @@ class Stopped(Exception):
 
 @dataclass(frozen=True)
 class Programme:
-    """What hand and foot are to do, every 0.01 s from the start: all arrays of one length.
+    """What steering and pedals are to do, every 0.01 s from the start: all arrays of one length.
 
     hand: hand-wheel angle, left + [rad]. yaw: heading to hold [rad], counted from where the hand begins to
     look; gain: how much road-wheel angle per heading error [1], 0 where it does not look. speed [m/s],

@@ -67,7 +67,7 @@ KNOWN = (
     Hidden("velocity_scale", "speed_scale", 0.01, factor=True, group="speed"),
     Hidden("lateral_acceleration_bias", "lateral_acceleration_bias", 0.25, group="accelerometer"),
 )
-"""In the library. roll_steer counts the other way round there (understeer +); backlash is at the hand wheel here. The
+"""In the library. roll_steer has the opposite sign there (understeer +); backlash is at the steering wheel here. The
 bias of the yaw rate is a switch of the multi-body car alone; wind and slope are of the virtual Leaf alone."""
 BY_NAME = {hidden.library: hidden for hidden in KNOWN}
 

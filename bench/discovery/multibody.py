@@ -2,8 +2,8 @@
 
     x' = f(x, steering rate, acceleration)  of commonroad-vehicle-models, midpoint rule
 
-driven by the same programmes as the virtual car and read by the same sensors. Added in front of its equations is the
-steering chain hand wheel -> delay -> play -> ratio -> lag -> offset, in addition the gravity of a slope and the wind of
+driven by the same programmes as the virtual car and read by the same sensors. Added are the steering chain steering
+wheel -> delay -> play -> ratio -> lag -> offset in front of its equations, and the gravity of a slope and the wind of
 st_sim, which act on the masses and on the body's centre of gravity. Cars that nearly stop or tip over are refused.
 Checked by: tests/bench/test_discovery_plants.py.
 """
@@ -30,7 +30,7 @@ STEP = 0.001
 """s. Halving it moves a manoeuvre of 9 s by less than a millimetre; 5 ms would be out by 0.3 m, because the spin of a
 wheel settles within 2 ms at low speed."""
 DECIDE, SENSED = round(PERIOD / STEP), round(STEERING_PHASE / STEP) - 1
-"""Steps between two decisions of hand and foot; the step after which the steering sensor samples."""
+"""Steps between two decisions of steering and pedals; the step after which the steering sensor samples."""
 SLOWEST = 2.5
 """m/s."""
 STEEPEST = 0.25
@@ -48,9 +48,9 @@ class Options(NamedTuple):
     """Of sensors, steering and air.
 
     level: pitch of the car at rest [rad], where the INS was levelled. nominal: steering ratio the programme is made
-    for; ratio: of this car. play: half of it, at the hand wheel [rad]. memory: what a step leaves of an error of the
-    rack, for the lag. offset [rad]. to_rear, wheelbase [m]. drag_area [m^2]. still_air: no wind. wind: towards north,
-    gust: standard deviation [m/s].
+    for; ratio: of this car. play: half of it, at the steering wheel [rad]. memory: share of an error of
+    the rack that a step leaves, for the lag. offset [rad]. to_rear, wheelbase [m]. drag_area [m^2]. still_air: no wind.
+    wind: towards north, gust: standard deviation [m/s].
     """
 
     level: float
@@ -102,7 +102,7 @@ def _settled(car: str, settings: Mapping[str, float], programme: Programme) -> n
     body = {name: s[name] for name in ("mass_factor", "cg_shift")}
     p = parameters_of(car, body)
     speed = float(programme.speed[0])
-    # Body; then hand wheel, pedal, loose play, lagging rack, the two gusts, heading left over, gain.
+    # Body; then steering wheel, pedal, loose play, lagging rack, the two gusts, heading left over, gain.
     state = np.array([*init_mb([0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0], p), *np.zeros(7), 1.0], float)
     still = np.zeros(round(SETTLING / PERIOD))
     straight = Programme(still, still, still, still + speed, still)

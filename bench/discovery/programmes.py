@@ -1,4 +1,4 @@
-"""Programmes of hand and foot, put together from the manoeuvres of `st_core`: what is driven in the cases.
+"""Programmes of steering and pedals, put together from the manoeuvres of `st_core`: what is driven in the cases.
 
 Steering is open loop, so that the same programme can be driven by any car, except on roads, where the driver keeps the
 heading as a driver does. Sizes are given as the lateral acceleration the nominal car would reach. Drawn manoeuvres are
@@ -26,7 +26,7 @@ STRAIGHT = 0.6
 INTO = 0.5
 """s in which the hands go in where a manoeuvre begins in a bend."""
 TREMOR, TREMOR_TIME = 0.01, 0.4
-"""rad at the hand wheel and s: of a hand that is never still."""
+"""rad at the steering wheel and s: of a driver who is never still."""
 
 
 @dataclass

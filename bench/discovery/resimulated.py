@@ -15,7 +15,7 @@ from .sensing import ROUNDING, noise_of
 MARGIN_NS = 700_000_000
 """At both ends: the smoothed forward acceleration is known there."""
 STEERING_NOISE = REALISTIC["steering_sensor_noise"]
-"""rad at the hand wheel."""
+"""rad at the steering wheel."""
 WIDTH = 15
 """Samples of 10 ms a recorded angle is smoothed over: a hand turns the wheel more slowly."""
 

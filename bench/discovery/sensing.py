@@ -23,7 +23,7 @@ PERIOD, STEERING_PHASE = 0.01, 0.002
 START_NS = 1_800_000_000_000_000_000
 CHANNELS = tuple(NOISE)
 ROUNDING = {"rate": 1e-5, "force": 1e-4, "angle": 1e-6, "velocity": 1e-4, "steering": np.radians(0.1)}
-"""rad/s, m/s^2, rad, m/s of NCOM; rad of the hand wheel on CAN."""
+"""rad/s, m/s^2, rad, m/s of NCOM; rad of the steering wheel on CAN."""
 
 
 def log_of(name: str, recording: Recording, car: Car, vehicle: VehicleParameters, settings: Settings, seed: int,

@@ -296,6 +296,6 @@ def distance_panel(motion: Motion, removed: Mapping[str, float]) -> Comparison:
     derived = np.hypot(*(over.change(integral(motion.time, v)) for v in (east, north)))
     measured = np.hypot(over.change(motion.x), over.change(motion.y))
     return Comparison("position", "distance per second: positions against velocity", "m", "from x, y",
-                    "from velocity and yaw", over.time, measured * removed.get("position_scale", 1.0),
-                    derived * abs(removed.get("velocity_scale", removed.get("velocity_x_scale", 1.0))),
-                    (*TEXT, "position_scale", "velocity_x_scale", "velocity_y_scale"))
+                      "from velocity and yaw", over.time, measured * removed.get("position_scale", 1.0),
+                      derived * abs(removed.get("velocity_scale", removed.get("velocity_x_scale", 1.0))),
+                      (*TEXT, "position_scale", "velocity_x_scale", "velocity_y_scale"))

@@ -65,8 +65,8 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
         estimates |= {"steering_lag": late} if found.determines_lag else {}
     estimates["steering_offset"] = with_systematic("steering_offset", found.bias)
     panel = Comparison("steering", "road wheel angle: steering sensor against curvature", "rad", "road_wheel_angle",
-                     "from yaw rate and speed", found.time, found.measured, found.derived,
-                     ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
+                       "from yaw rate and speed", found.time, found.measured, found.derived,
+                       ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
     return [finding for finding in findings if finding], estimates, panel
 
 
@@ -218,9 +218,9 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     findings = [finding for finding in (_heading_finding(heading, forward), place) if finding]
     motion_of_axle = sum(found[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
     panel = Comparison("velocity_y", "lateral velocity: measured against that derived from the rear axle", "m/s",
-                     "velocity_y", "rear axle at the declared distance", over.time[use], lateral,
-                     declared * rate + motion_of_axle,
-                     ("heading_misaligned", "measuring_point"))
+                       "velocity_y", "rear axle at the declared distance", over.time[use], lateral,
+                       declared * rate + motion_of_axle,
+                       ("heading_misaligned", "measuring_point"))
     return findings, {"heading_misaligned": heading, "measuring_point": point}, panel
 
 

@@ -231,7 +231,7 @@ def _effect_size(e: Evidence, limits: Limits) -> str:
 
 
 PARTITION_NAMES = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",
-               "condition": "the kinds of driving"}
+                   "condition": "the kinds of driving"}
 
 
 def varies_over(e: Evidence, limits: Limits) -> str:

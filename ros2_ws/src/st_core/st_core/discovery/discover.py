@@ -209,7 +209,7 @@ class _Analysis:
         refused = [evidence for evidence, *_ in found.refused.values()]
         named = [found.evidence[e.name] for e in effects]
         result = decision.SearchResult(named, found.rivals, refused, residual, detectable, varying_effects,
-                                 [c.name for c in unattributed])
+                                       [c.name for c in unattributed])
         return decision.decide(result, self.limits)
 
     def _corrected(self, found: Found, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:

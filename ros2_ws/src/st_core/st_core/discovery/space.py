@@ -179,7 +179,7 @@ def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQ
         except ConfigurationError:  # outside the limits of a vehicle file
             continue
         sensitivities = {key: (value_of(after, key) - value_of(before, key)) / change
-                  for key in dict.fromkeys((*DEFAULT_UNCERTAINTIES, *vehicle.provenance))}
+                         for key in dict.fromkeys((*DEFAULT_UNCERTAINTIES, *vehicle.provenance))}
         found = [_file_quantity(vehicle, key, slope, value_of(vehicle, key)) for key, slope in sensitivities.items()
                  if abs(slope) > 1e-9]
         return max(filter(None, found), key=lambda k: abs(k.slope) / k.deviation, default=None)

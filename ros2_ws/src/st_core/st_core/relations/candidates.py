@@ -36,8 +36,8 @@ MEMORY = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("stee
 """Quantity with memory -> (source, kind, lag [s])."""
 ALL_TERMS = {**TERMS, "both_grip": ("1", "of the lateral force of both axles, as a share of it")}
 TYPICAL_SIZES = {"front_steer": 0.005, "rear_steer": 0.005, "front_force": 0.02, "rear_force": 0.02, "front_grip": 0.1,
-               "rear_grip": 0.1, "both_grip": 0.1, "yaw_moment": 0.05, "side_force": 0.1, "sensor_yaw_rate": 0.005,
-               "sensor_acceleration_y": 0.2, "sensor_velocity_y": 0.05, "sensor_heading": 0.005}
+                 "rear_grip": 0.1, "both_grip": 0.1, "yaw_moment": 0.05, "side_force": 0.1, "sensor_yaw_rate": 0.005,
+                 "sensor_acceleration_y": 0.2, "sensor_velocity_y": 0.05, "sensor_heading": 0.005}
 """Typical magnitude of a relation by term, in the unit of the term; scale of its coefficients."""
 SMOOTHING_NS = 400_000_000  # ns, smoothing of the forward speed before differentiation, because of INS noise
 FACTORS = {"steering": 0.1, "acceleration_y": 3.0, "steering_rate": 0.3}
