@@ -19,7 +19,7 @@ MAX_POINTS = 4000  # per line
 
 
 def alignment_figure(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
-    """Write the figure: a speed versus time, the most active 10 s of a yaw rate, correlation, residual lags."""
+    """Write the figure: speed versus time, the 10 s of yaw rate with the most motion, correlation, residual lags."""
     candidates = [s for s in signals if not s.angle] or list(signals)
     speed = next((s for s in candidates if "velocity" in s.name or "speed" in s.name), candidates[0])
     with plt.rc_context(RC):

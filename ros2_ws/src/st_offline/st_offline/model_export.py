@@ -26,10 +26,11 @@ STEPS = (0.01, 0.02, 0.05, 0.1)
 
 
 def load_model(name: str, vehicle: VehicleParameters, origin: str, requested: bool) -> tuple[Model, VehicleParameters]:
-    """The model of this name or model file, and its vehicle: the one embedded in the file, if any, else `vehicle`.
+    """The model with this name or from this model file, and its car: `vehicle`, or the car embedded in the file.
 
-    origin: of `vehicle`, for errors. requested: whether the user named the model, which is then not a default. Raises
-    ConfigurationError, one line, for an unknown model or a model of another car, OSError for an unreadable file.
+    origin: source of `vehicle`, for error messages. requested: given by the user, not a default. Raises
+    ConfigurationError, one line, for an unknown model or one of another car, OSError for a file that cannot be
+    read.
     """
     if not name.endswith((".yaml", ".yml")):
         if name not in MODELS:
@@ -43,7 +44,7 @@ def load_model(name: str, vehicle: VehicleParameters, origin: str, requested: bo
 
 def export(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format, substeps: int = 1,
            free: Iterable[str] = (), bands: Bands | None = None) -> list[Path]:
-    """Write the functions of a model into an existing folder, with model.json and README.md; returns the files.
+    """Write the functions of a model into an existing folder, with model.json and README.md. Returns the files.
 
     bands: also their half-widths, a CasADi function for each mode and level (`half_width_function`).
     Raises ConfigurationError for an unknown parameter in `free`, see `casadi_backend.build`.
@@ -125,7 +126,7 @@ def _readme(description: dict[str, Any], kind: Format) -> str:
         "`dynamics`: time derivative. `step`: classical Runge-Kutta over h [s], inputs held, "
         f"{description['substeps']} part(s). A, B: derivatives by x and by u. `start`: the six states with the initial "
         "values of the extra ones.",
-        f"A step h is stable above this speed (at low speed the equations are stiff): {stable}.",
+        f"A step h is stable above this speed (the equations are stiff at low speed): {stable}.",
         f"Not in the equations: {missing}. They act on the steering signal before the model, or on the sensors; apply "
         "them outside." if missing else "", how))) + "\n"
 

@@ -11,7 +11,7 @@ from st_core.palette import MODEL_COLOUR
 
 from .checking import check_report
 
-# MODEL_COLOUR is for a white background; these colours are lighter, for a dark page.
+# The colours of the models suit white paper; these are lighter ones for a dark page.
 DARK = {"kinematic": "#6cb4ee", "linear": "#ffa657", "nonlinear": "#d08be0", "augmented": "#3fd0a4"}
 MAX_UNWRAPPED = 30  # characters; a column with a longer text wraps
 
@@ -28,7 +28,7 @@ class Table:
 
 
 def columns(head: Sequence[str], rows: Iterable[Sequence[Any]], names: int) -> list[tuple[str, str, tuple[Any, ...]]]:
-    """(title, class, cells) of the columns of a table that are not empty. names: leading columns of text."""
+    """(title, class, cells) of every column that is not empty. names: number of leading text columns."""
     result = []
     for k, (title, cells) in enumerate(zip(head, zip(*rows, strict=True), strict=True)):
         texts = [str(cell) for cell in cells]

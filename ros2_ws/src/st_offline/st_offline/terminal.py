@@ -18,7 +18,7 @@ def rows_table(rows: Sequence[Mapping[str, str]], **options) -> Table:
     """Table with the keys of the first row as titles. options: of rich's Table."""
     table = Table(box=None, **options)
     for title in rows[0] if rows else ():
-        # Names of models are short identifiers, which cannot be copied if a line break splits them.
+        # A model name that is split by a line break cannot be copied.
         table.add_column(title, overflow="fold", no_wrap=title == "model")
     for row in rows:
         table.add_row(*row.values())
@@ -26,7 +26,7 @@ def rows_table(rows: Sequence[Mapping[str, str]], **options) -> Table:
 
 
 def line(text: str, console: Console) -> None:
-    """Print one line without wrapping; text may contain markup."""
+    """Print one line without wrapping; `text` may contain markup."""
     console.print(text, highlight=False, soft_wrap=True)
 
 

@@ -23,5 +23,5 @@ def recorded(vehicle: VehicleParameters) -> LoadedRun:
 def test_a_recording_of_a_car_of_another_name_is_refused_and_one_with_other_values_is_not():
     source = RunSource("run", "bag", (Path("bag"),))
     _refuse_other_car(source, recorded(replace(LEAF, mass=LEAF.mass + 50.0)), LEAF)
-    with pytest.raises(RunError, match=r"was recorded with 'Another', the vehicle file is of"):
+    with pytest.raises(RunError, match=r"is a drive of 'Another', but the vehicle file is for"):
         _refuse_other_car(source, recorded(replace(LEAF, name="Another")), LEAF)

@@ -192,7 +192,7 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
                         [Option(brake, 0.5 * one.deviation, {rival: 6.0}, (4.0, 0.0)),
                          Option(sweep, 0.8 * one.deviation, {rival: 1.5}, (0.0, 0.1))])
     one = replace(one, drives=drives)
-    assert "y = 1 rad/s² is a moment of 2925 N m, by the yaw inertia of the" in text_of(RelationSearch(one, "", {}))
+    assert "y = 1 rad/s² is a moment of 2925 N m, from the yaw inertia of the" in text_of(RelationSearch(one, "", {}))
     text = "\n".join(next_drive_sentences(one))
     assert "from side force on the body as a function of the speed: brake_in_turn, 3 times" in text
     assert "separation is then 6.0 times as large" in text

@@ -20,7 +20,7 @@ from ..terminal import line, rows_table
 from .scoring import Sums, pooled_sums, summarise_adaptive, summarise_bands, top_level
 
 MODE_TITLES = {"hindsight": "model (measured inputs)", "forecast": "forecast (inputs held)"}
-NO_CONTENT: dict[str, Any] = {"models": {}}  # result of `summarise_bands` without scored runs
+NO_CONTENT: dict[str, Any] = {"models": {}}  # in place of `summarise_bands` without scored runs
 
 
 def band_figures(content: dict[str, Any] | None, output: FigureOutput) -> list[PageFigure]:
@@ -47,8 +47,8 @@ def band_figures(content: dict[str, Any] | None, output: FigureOutput) -> list[P
                    for m in models]
         figure.legend(handles=handles, loc="outside lower left", ncols=6)
         return [save_figure(figure, output, "bands_reliability",
-                            f"Reliability of the bands; farthest from {_percent(top)}: {worst}",
-                            "Grey: observed equal to nominal coverage. Below this line the bands are too narrow.")]
+                            f"Reliability of the bands; largest deviation from {_percent(top)}: {worst}",
+                            "Grey: coverage equal to the nominal one. Below it the band covers less.")]
 
 
 NO_BANDS = ("[dim]bands: none given; calibrate them on other runs of this car with `st calibrate RUN… --vehicle FILE "
@@ -75,7 +75,7 @@ def band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
 
 
 def _top_level(content: dict[str, Any] | None) -> str:
-    """The highest level that was scored: "0.9", or less for bands from too few runs."""
+    """The highest level that was scored: "0.9", or lower for bands from too few runs."""
     models = (content or NO_CONTENT)["models"]
     return top_level(next((scores["coverage"] for modes in models.values() for scores in modes.values()), {}))
 

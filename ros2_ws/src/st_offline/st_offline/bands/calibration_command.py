@@ -34,8 +34,8 @@ from ..terminal import line
 
 @dataclass(frozen=True)
 class Job:
-    """task: car, models and settings, as for an evaluation. levels: probabilities. together: all recordings in one
-    entry of `runs` count as one run, because they are similar."""
+    """task: car, models and settings, as for an evaluation. levels: probabilities. together: the recordings in one
+    entry of `runs` are similar and count as one run."""
 
     runs: Sequence[Path]
     task: Task
@@ -113,11 +113,11 @@ def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Mod
 
 
 def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:
-    """Raises RunError if the recording names another car; only names are compared, as values may have been updated."""
+    """Raises RunError if the recording is of a car with another name; values may have been updated since."""
     text = recorded_configuration(run.provenance.get("recorded", {})).vehicle
     if text is None:
         return
     name = VehicleParameters.from_yaml(text, f"the vehicle in {source.where}").name
     if name != vehicle.name:
-        raise RunError(source.where, f"was recorded with {name!r}, the vehicle file is of {vehicle.name!r}",
-                       "calibrate each car with its own recordings")
+        raise RunError(source.where, f"is a drive of {name!r}, but the vehicle file is for {vehicle.name!r}",
+                       "calibrate each car with its own drives")

@@ -10,8 +10,8 @@ from st_core.log_evaluation import AXES, Block
 from st_core.log_signals import LogSignals
 
 Sums = dict[str, Any]
-MIN_STARTS = 200  # per cell; with fewer, the standard error of a coverage of 90 % exceeds 2 percentage points
-LEVELS = (0.5, 0.9)  # in the reports
+MIN_STARTS = 200  # in a cell; with fewer, the standard error of a 90 % coverage is above 2 percentage points
+LEVELS = (0.5, 0.9)  # coverage levels in reports
 EDGES = {"speed": (SPEED, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION, "m/s²"),
          "steering_activity": (STEERING_RATE, "rad/s")}
 _PROBABILITIES = np.concatenate([0.5 - 0.5 * np.array(RELIABILITY)[::-1], [0.5], 0.5 + 0.5 * np.array(RELIABILITY)])
@@ -46,7 +46,7 @@ class Scorer:
 
 
 class AdaptiveScorer:
-    """Coverage of adaptive bands on one run, as sums. bands: calibration to start from; None for none."""
+    """Coverage of adaptive bands on one run, in order of time, as sums. bands: calibrated ones, or None."""
 
     LATE = 120.0  # s after the first start; coverage from then on is counted separately
 
@@ -91,7 +91,7 @@ def summarise_adaptive(sums: Sums) -> dict[str, Any]:
 
 
 def scored_levels(band: Band) -> list[float]:
-    """The LEVELS that the band has, and its highest level up to LEVELS[-1], which is lower for a band from few runs."""
+    """Scored levels: LEVELS; if the runs are too few for the last, the highest level of the band below it."""
     return sorted({*(level for level in LEVELS if level in band.factors),
                    max(level for level in band.factors if level <= LEVELS[-1])})
 
@@ -220,7 +220,7 @@ def top_level(by_level: Mapping[str, Any]) -> str:
 
 
 def worst_cell(cells: Mapping[str, Mapping[str, Any]], level: str) -> dict[str, Any] | None:
-    """The cell with the lowest coverage at a level, of those with MIN_STARTS; None without one."""
+    """The cell with the lowest coverage at a level, among those with MIN_STARTS; None if there is none."""
     known = [(counts["coverage"][level] / counts["starts"], name, counts["starts"]) for name, counts in cells.items()
              if counts["starts"] >= MIN_STARTS and level in counts["coverage"]]
     if not known:

@@ -27,9 +27,8 @@ MODELS = ("linear", "nonlinear")
 
 @dataclass(frozen=True)
 class Job:
-    """Arguments of the command. vehicle: read from vehicle_file; given: whether the user named that file. output: None
-    for runs/check-<time>. json: path of check.json, None for the output folder. correction_file: path of the run.yaml
-    to write, None for none.
+    """Arguments of the verb. vehicle: read from vehicle_file; given: whether the user named that file. output: None for
+    runs/check-<time>. json: file in place of check.json in the folder. correction_file: run.yaml to write.
     """
 
     paths: Sequence[Path]
@@ -43,7 +42,7 @@ class Job:
 
 
 def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None] | None = None) -> int:
-    """Exit status: 1 if a check found an error or a run could not be read, else 0.
+    """Exit status: 1 if a run has an error or could not be read, else 0. Raises ConfigurationError, OutputError.
 
     Raises ConfigurationError, OutputError. report_vehicle: called with each vehicle file in use, if none was given.
     """

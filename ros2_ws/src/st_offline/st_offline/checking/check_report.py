@@ -19,10 +19,10 @@ from st_recordings.runs.raw import alignment_summary
 
 from ..terminal import line
 
-MAX_ZONE_DEVIATION = 120.0  # s, of a clock offset from a difference of time zones, a multiple of 30 min
+MAX_ZONE_DEVIATION = 120.0  # s, from a multiple of half an hour, for an offset explained by time zones
 MAX_STRETCHES = 4
 MAX_LISTED = 3  # findings in a headline
-MAX_RUNS = 8  # up to here the findings of each run are printed; for more runs, each finding once
+MAX_RUNS = 8  # runs that are printed one by one; with more, each finding is printed once
 SEVERITY_ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 MEANING = {
     Severity.ERROR: "an evaluation would be meaningless", Severity.WARNING: "an evaluation would be biased",
@@ -87,14 +87,14 @@ def format_value(value: float | None, interval: Sequence[float] | None = None, u
 
 
 def format_quantity(name: str, value: Sequence[float]) -> str:
-    """An estimate (value, low, high) as text, in the unit of the finding of this name."""
+    """An estimate (value, low, high) as text. name: of the finding for this quantity."""
     kind = name.rpartition("_")[2]
     unit = QUANTITY_UNITS.get(name, "s" if kind == "lag" else "1")
     return format_value(value[0], value[1:], unit)
 
 
 def describe_stretches(finding: Finding) -> str:
-    """The stretches of the run, or "whole run"."""
+    """Time intervals of a finding, or "whole run"."""
     if not finding.where:
         return "whole run"
     text = ", ".join(f"{start:.1f}{f' to {end:.1f}' if end - start >= 0.05 else ''} s"
@@ -104,7 +104,7 @@ def describe_stretches(finding: Finding) -> str:
 
 
 def describe_effect(finding: Finding) -> str:
-    """Effect on the position after 5 s; empty where none is known."""
+    """Effect on the position after 5 s; empty if unknown."""
     if finding.of_acceleration:
         return "no effect on predictions, but results of identify and discover are biased"
     if finding.effect is None:
@@ -114,7 +114,7 @@ def describe_effect(finding: Finding) -> str:
 
 
 def describe_correction(found: Advice | None) -> str:
-    """The correction and the place to write it; empty where none is known."""
+    """The correction and where to write it; empty if unknown."""
     return f"{ADVICE_PLACE[found.kind]}{found.line}" if found else ""
 
 
@@ -133,7 +133,7 @@ def advise_steering_sign(findings: Iterable[Finding], source: str = "RUN", can: 
 
 
 def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
-    """Sentence on the steering clocks of several runs; of more than two, the range of those found from the data."""
+    """Sentence on the steering clocks of several runs; for more than two, the range of the estimated offsets."""
     found = [alignment for alignment in alignments.values() if alignment["method"] not in ("none", "by hand")]
     if len(found) <= 2:
         return "; ".join(f"{name}: {text}" for name, alignment in alignments.items()
@@ -150,7 +150,7 @@ def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def describe_clock(alignment: Mapping[str, Any]) -> str:
-    """Sentence on the clock of the steering, from `alignment_summary`; empty where there is only one clock."""
+    """Sentence on the clock of the steering, from `alignment_summary`; empty if there is only one clock."""
     if alignment["method"] == "none":
         return ""
     origin = "set by hand" if alignment["method"] == "by hand" else (
@@ -160,7 +160,7 @@ def describe_clock(alignment: Mapping[str, Any]) -> str:
 
 
 def _zone_note(offset: float) -> str:
-    """Explanation of an offset [s] close to a difference of time zones; empty for others."""
+    """Note for an offset [s] near a difference between time zones, else empty."""
     half_hours = round(offset / 1800.0)
     if not 0 < abs(half_hours) <= 28 or abs(offset - 1800.0 * half_hours) > MAX_ZONE_DEVIATION:
         return ""
@@ -169,8 +169,8 @@ def _zone_note(offset: float) -> str:
 
 @dataclass(frozen=True)
 class CheckedRun:
-    """One run of `st check`. vehicle_from: file or recording. warnings: of the reader, corrections included.
-    alignment: of `alignment_summary`. where: files, folder or run.yaml, as typed on the command line.
+    """One run of `st check`. vehicle_from: file or recording. warnings: of the reader, with the corrections applied.
+    alignment: from `alignment_summary`. where: files, folder or run.yaml, as given by the user.
     """
 
     name: str
@@ -257,7 +257,7 @@ def print_run(run: CheckedRun, console: Console) -> None:
 
 
 def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
-    """Print each run; for more than MAX_RUNS, each finding with its runs, and the runs without findings."""
+    """Print the runs one by one; if many, each finding with the names of its runs, and the runs without findings."""
     if len(runs) <= MAX_RUNS:
         for run in runs:
             print_run(run, console)
@@ -295,7 +295,7 @@ def group_by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, 
 
 
 def print_findings(runs: Mapping[str, Sequence[Finding]], console: Console, details: str = "st check") -> None:
-    """Print each error and warning once, and the number of notes. details: command or file that lists all."""
+    """Print each error and warning of the runs once, and the number of notes. details: command that lists all."""
     notes = 0
     for finding, names in group_by_name(runs):
         if finding.severity is Severity.NOTE:

@@ -72,7 +72,7 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
     """
     run = read(RunSource(bag.stem, "bag", (bag,)), settings=settings)
     car, recorded, _ = configuration_of(run.provenance["recorded"], vehicle)
-    # Until the vehicle is known, the steering wheel angle is read as that of the road wheels.
+    # The steering ratio is unknown here, so the steering wheel angle is read with ratio 1 and converted below.
     steering = settings.steering if settings else None
     log = run.log.with_steering(car) if steering is not None and steering.quantity == "wheel" else run.log
     predictor = recorded.nodes.get("predictor", {})

@@ -24,7 +24,7 @@ HEADER = "# Proposed by st check. Every command that reads it lists the correcti
 def check_file_name(file: Path) -> None:
     """Raises OutputError for a file name that no command reads, and for an existing file."""
     if file.name != RUN_FILE and not file.name.endswith(RUN_SUFFIX):
-        raise OutputError(f"--propose-correction {file}: name it run.yaml or NAME.run.yaml, else no command reads it")
+        raise OutputError(f"--propose-correction {file}: name it run.yaml or NAME.run.yaml; commands read only these")
     if file.exists():
         raise OutputError(f"--propose-correction {file}: exists; choose another name (no file is overwritten)")
 

@@ -83,7 +83,7 @@ def load_own_effects(folder: Path | None) -> dict[str, str]:
 
 
 def load_base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) -> Model:
-    """The base model of a name or a model file. Raises ConfigurationError."""
+    """The base model with this name or from this model file. Raises ConfigurationError."""
     if not name.endswith((".yaml", ".yml")):
         if name not in MODELS:
             raise ConfigurationError(f"--base {name}: unknown model; use {', '.join(MODELS)} or a model file (.yaml)")
@@ -102,7 +102,7 @@ def load_base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) ->
 
 
 def _read(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive]]:
-    """(suspect, reference) drives. Raises ConfigurationError where none can be used."""
+    """(suspect, reference) drives. Raises ConfigurationError if none can be used."""
     sources = find_runs(request.runs)
     healthy = find_runs(request.reference) if request.reference else []
     if not sources:
@@ -133,7 +133,7 @@ def _check_reference(suspect: Sequence[Drive], reference: Sequence[Drive]) -> No
 
 
 def _with_unique_names(suspect: Sequence[Drive], reference: Sequence[Drive]) -> list[Drive]:
-    """The reference drives, renamed where a run has the same name: results identify runs by name."""
+    """The reference drives; those with the name of a run are renamed, because results identify runs by name."""
     names = {d.name for d in suspect}
     renamed = []
     for drive in reference:
@@ -178,7 +178,7 @@ def sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, f
 def draw(found: Discovery, request: Request, output: FigureOutput) -> list[PageFigure]:
     """The figures of the page, in its order."""
     runs = _logs(request.drives)
-    # Only the channels that all runs have.
+    # Channels that all runs have.
     settings = replace(request.settings, channels=tuple(c for c in found.errors if c in request.settings.channels))
 
     def errors(model):
@@ -192,7 +192,7 @@ def draw(found: Discovery, request: Request, output: FigureOutput) -> list[PageF
 def write_results(found: Discovery, request: Request, update: VehicleUpdate | None, folder: Path,
                   drawn: Sequence[PageFigure] | None, seconds: dict[str, float],
                   relations: RelationSearch | None = None, report: RelationReport | None = None) -> dict[str, Path]:
-    """Write all files; paths by kind. drawn: None for no page. report: of the relations beyond the library."""
+    """Write all files; returns paths by kind. drawn: None for no page. report: of relations beyond the library."""
     files = {"discovery.json": folder / "discovery.json"}
     if update is not None:
         model = model_file(found, request, update)

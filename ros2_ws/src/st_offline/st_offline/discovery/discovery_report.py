@@ -84,7 +84,8 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
     about = ModelProvenance(f"{datetime.now(UTC):%Y-%m-%d}", data=files, note=note)
     named = {e.name: e.parameters for e in found.effects}
     complete = ModelFile.of(update.model, update.vehicle, about, intervals, "st discover: found in the runs")
-    from_start = "st discover: fitted to the reference drives" if request.healthy else "part of the base"
+    from_start = ("st discover: value of the healthy car, from the reference drives" if request.healthy
+                  else "part of the base")
     minor = {r.subject: r.text for r in found.reasons if r.rule == MINOR}
     kept = {}
     for effect in update.model.effects:
@@ -122,7 +123,7 @@ def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, conte
 
 
 def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Table]]:
-    """The collapsible tables of the page, narrow and wide, each sorted by size."""
+    """The folded tables of the page, narrow and wide ones, largest entries first."""
     metres = quantities.metres
     channels = []
     for name, g in sorted(found.errors.items(), key=lambda item: item[1].augmented / max(item[1].base, 1e-12)):
@@ -175,10 +176,10 @@ def _wide_tables(found: Discovery) -> list[Table]:
                        for name, strength in sorted(options.items(), key=lambda o: -o[1]))
     return [
         Table("Names that are not separable", "Separation: effect of the second that the first cannot reproduce."
-              + (f" After the next drive, of the pair it separates least: {driven}." if driven else ""),
+              + (f" After the next drive, for the pair that it separates least: {driven}." if driven else ""),
               report_text.PAIR_HEAD, report_text.pair_rows(found)),
         Table("Other effects that were tried", "Improvement: share of the errors over all channels that the effect "
-              "reduces in addition to the named effects. An alternative is fitted in place of the other name.",
+              "reduces in addition to the result. An alternative is fitted in place of the named effect.",
               ("effect", "fitted", "improvement, %", "verdict", "why"), candidates,
               f"the first {len(candidates)} of {len(tried)}; all in discovery.json"),
         Table("Not detectable in these drives", "", ("effect", "why", "drive"), hidden,
@@ -237,5 +238,5 @@ def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Dr
         if drive.problem:
             report_problem(drive.name, drive.problem, console)
     if from_cache:
-        console.print("[dim]Cached result of the same inputs; --fresh repeats the search.[/dim]")
+        console.print("[dim]Cached result for the same inputs; --fresh repeats the search.[/dim]")
     list_files({file: FILE_MEANINGS[name] for name, file in files.items()}, console)

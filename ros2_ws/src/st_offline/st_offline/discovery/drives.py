@@ -35,8 +35,8 @@ RESULT_FORMAT = 3  # version of the format of cached results; other versions are
 class Drive:
     """One run as read, or the problem why it cannot be used (log is then None).
 
-    about: for the report, with the findings (also of a refused run) and estimates of the checks; vehicle: name of the
-    car in a recording, "" without one.
+    about: for the report, with the findings (also of a refused run) and estimates of the checks. vehicle: name of the
+    car in the recording, "" if there is none.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Request:
 
 def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,
                 done: Callable[[], None], force: bool = False) -> list[Drive]:
-    """Read all runs, in the order of the sources. jobs: number of processes."""
+    """Read every run, in the order of the sources. jobs: number of parallel processes."""
     if jobs <= 1 or len(sources) < 2:
         drives = []
         for source in sources:
@@ -97,7 +97,7 @@ def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settin
 
 
 def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, force: bool = False) -> Drive:
-    """Read and check one run. An error is returned as its `problem`."""
+    """Read one run. An error in its files is stored as its `problem`."""
     try:
         if source.problem is not None:
             raise source.problem

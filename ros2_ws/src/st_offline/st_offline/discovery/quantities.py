@@ -54,7 +54,7 @@ def metres(value: float) -> str:
 
 
 def decimals(uncertainty: float) -> int:
-    """Decimals up to the second significant digit of an uncertainty; 3 if that is not known."""
+    """Decimals up to the second significant digit of an uncertainty; 3 if the uncertainty is unknown."""
     is_known = math.isfinite(uncertainty) and uncertainty > 0.0
     return max(1 - math.floor(math.log10(uncertainty) + 1e-6), 0) if is_known else 3
 
@@ -84,7 +84,7 @@ def value(p: FittedParameter, parameter: Parameter | None = None, interval: bool
 
 
 def values(effect: str, parameters: Mapping[str, FittedParameter], interval: bool = True) -> list[str]:
-    """A text for each parameter of an effect, with its name where there are several."""
+    """A text for each parameter of an effect, with the name of the parameter if there are several."""
     known = {p.name: p for p in EFFECTS[effect].parameters} if effect in EFFECTS else {}
     return [f"{plain(name) + ' ' if len(parameters) > 1 else ''}{value(p, known.get(name), interval)}"
             for name, p in parameters.items()]
@@ -150,10 +150,10 @@ def axis(c: Candidate) -> str:
 
 def in_newtons(c: Candidate, vehicle: VehicleParameters) -> str:
     """Unit of y as a force or moment of that car; "" for other terms."""
-    sizes = {"yaw_moment": f"1 rad/s² is a moment of {vehicle.yaw_inertia:.4g} N m, by the yaw inertia",
-             "side_force": f"1 m/s² is a force of {vehicle.mass:.4g} N, by the mass",
-             "front_force": f"1 is a force of {2.0 * vehicle.static_tyre_load_front:.4g} N, by the axle load",
-             "rear_force": f"1 is a force of {2.0 * vehicle.static_tyre_load_rear:.4g} N, by the axle load"}
+    sizes = {"yaw_moment": f"1 rad/s² is a moment of {vehicle.yaw_inertia:.4g} N m, from the yaw inertia",
+             "side_force": f"1 m/s² is a force of {vehicle.mass:.4g} N, from the mass",
+             "front_force": f"1 is a force of {2.0 * vehicle.static_tyre_load_front:.4g} N, from the axle load",
+             "rear_force": f"1 is a force of {2.0 * vehicle.static_tyre_load_rear:.4g} N, from the axle load"}
     return f"y = {sizes[c.term]} of the vehicle file" if c.term in sizes and not c.factor else ""
 
 

@@ -91,7 +91,7 @@ class {cls}(Effect):
 
 
 def name_of(relation: Relation) -> str:
-    """Name of the effect; numbered if the model already has a relation of that term."""
+    """Name of the effect, with a number if the model already has a relation for the same term."""
     name = f"proposed_{relation.candidate.term}"
     before = sum(e.name == name or e.name.startswith(f"{name}_") for e in relation.model.effects)
     return f"{name}_{before + 1}" if before else name
@@ -188,7 +188,7 @@ def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequenc
                 digests: dict[str, str], folder: Path) -> dict[str, Path]:
     """Write the effect file and the model file that uses it; paths by kind, empty without a relation.
 
-    A relation of the time in the run is not written, as it is not valid in other drives. The user's effects in the
+    A relation with the time in the run is not written, as it is not valid in other drives. The user's effects in the
     model are copied, so that one folder of effects is enough for every command.
     """
     relation = found.relation

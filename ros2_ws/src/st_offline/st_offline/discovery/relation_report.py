@@ -16,7 +16,7 @@ from .figures import display_unit
 from .relation_files import name_of, title_of
 from .vehicle_update import changed_keys
 
-P_DIFFERENT = 0.01  # p-value of equal ratios in all runs, below which the relation varies between runs
+P_DIFFERENT = 0.01  # the relation varies between runs if equal ratios in all runs have a p-value below this
 SQUARES = str.maketrans({"^": None, "2": "²"})
 ELSEWHERE = ("drive the same again, once beginning elsewhere on the course and once in the other direction, and add "
              "these runs: only then can the place, the course and the time in the run be separated")
@@ -109,14 +109,14 @@ def _alternatives(relation: Relation) -> list[str]:
                      "effects on the predictions: 1 the same, 0 unrelated")
     for name, share in relation.redundant.items():
         lines.append(f"{quantities.plain(name)} is named above, but is redundant with this relation (without it "
-                     f"{share:.1%} of the residual returns): it may be an artefact of the missing relation")
+                     f"the residual grows by {share:.1%}): the relation may be its actual cause")
     return lines
 
 
 def _files(relation: Relation, corrected: bool, folder: str) -> list[str]:
     """corrected: whether there are files of the result without the relation."""
     if relation.candidate.quantity == "run_time":
-        return ["no effect file is written: the time in a run has no meaning in other drives"]
+        return ["no effect file is written: a relation with the time in a run does not apply to other drives"]
     lines = [f"with the relation: the original vehicle file, proposed.yaml and effects/{name_of(relation)}.py. To "
              f"predict: --model {folder}/proposed.yaml --effects {folder}/effects of st evaluate, demo and export; "
              f"to search for further effects: --base {folder}/proposed.yaml --effects {folder}/effects of st discover; "
@@ -167,7 +167,7 @@ def _values_with_and_without(relation: Relation, discovery: Discovery, vehicle: 
 
 
 def next_drive_sentences(relation: Relation) -> list[str]:
-    """What to drive to separate the relation from rivals, to narrow its curve, and to cover sparse ranges."""
+    """Manoeuvres that separate the relation from its alternatives, narrow its interval, and cover sparse ranges."""
     c, drives = relation.candidate, relation.drives
     if c.quantity in INDEPENDENT_OF_MANOEUVRE:
         return [ELSEWHERE]

@@ -29,9 +29,10 @@ from .vehicle_update import SLIP_SPEED, VehicleUpdate
 MAX_PARTS = 6
 MAX_UNDETECTABLE = 4  # effects listed in a sentence; the table contains all
 MAX_KEYS = 3  # keys of a vehicle file listed in a sentence; the table contains all
-MIN_CHANGE = 0.005  # m; a step that changes the position by less is described by the channel it changes most
+MIN_CHANGE = 0.005  # m; smaller changes of the position error are replaced by the channel with the largest change
+MIN_EFFECTIVE = 0.02  # m; smaller reductions by effective corrections are not in the title
 MAX_SEPARATION = 10.0  # standard deviations
-MAX_RATIO = 1000.0  # of the expected error: beyond that predictions diverge
+MAX_RATIO = 1000.0  # times the expected error; predictions with larger errors have diverged
 Z95 = 1.96
 LIMITS = Limits()
 UNEXPLAINED = "a residual remains that no effect of the library explains"
@@ -45,8 +46,8 @@ EFFECT_NOTE = ("Errors: complete model, held-out drives. Without it: this effect
 
 
 def with_alternatives(found: Discovery, effect: FoundEffect, short: str = "") -> str:
-    """Name and value of an effect and of its alternatives, each with the value it takes if it replaces the effect; for
-    an added load, the upper limit. short: instead of name and value."""
+    """Name and value of an effect and of its alternatives, each fitted in place of the effect; for an added load, the
+    upper limit. short: text in place of the name and value of the effect."""
     numbers = {c.name: c.parameters for c in found.candidates}
     prefix = {name: "up to " for name in effect.alternatives
             if any(p.deviation < math.inf for p in get_effect(name).parameters)}
@@ -69,7 +70,7 @@ def effect_rows(found: Discovery) -> list[tuple[str, str, str, str, str]]:
 
 
 def most_reduced_channel(step: Step) -> str:
-    """The channel whose error a step reduces most; empty without any."""
+    """The channel whose error a step reduces most; empty if there is none."""
     ratios = {key: one.augmented / one.base for key, one in step.channels.items() if one.base > 0}
     best = min(ratios, key=ratios.__getitem__, default=None)
     return f"{channel(best)} error {100 * (ratios[best] - 1.0):+.0f} %".replace("-", "−") if best else ""
@@ -144,7 +145,7 @@ def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[st
 
 
 def drives(found: Discovery) -> list[tuple[str, str]]:
-    """Names and durations of the suspect and of the reference runs."""
+    """Names and durations of the suspect runs and of the reference runs."""
     lines = []
     for role in ("suspect", "reference"):
         runs = [run for run in found.runs if run.role == role]
@@ -185,7 +186,7 @@ def describe_varying(effect: VaryingEffect) -> str:
 
 
 def agreement(effect: FoundEffect) -> str:
-    """In how many runs (or parts of runs if there are few) and sites an effect is significant on its own."""
+    """Number of runs (if few: of parts of runs) and of sites in which an effect is significant on its own."""
     counts = []
     for partition in ("run", "site"):
         parts = effect.agreement.get(partition, ())
@@ -307,7 +308,7 @@ def next_drive(found: Discovery) -> str:
 
 
 def prior_quantities(found: Discovery) -> list[str]:
-    """Quantities of the vehicle file used as priors with their deviations."""
+    """Quantities of the vehicle file used as priors, with their standard deviations."""
     known = []
     for a in (a for a in found.assumed if not a.key.startswith("tyre_")):
         value, deviation = (decimal(number, decimals(a.deviation)) for number in (a.value, a.deviation))
@@ -345,7 +346,7 @@ def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
                      "it in the vehicle file and run st discover again")
     lines += update.objections if update is not None else ()
     lines += [f"{plain(e.name)} is negative ({short_values(e.name, {name: p})}), which is not causal: a clock or a "
-              "stated latency is wrong; check the clocks (st check, st align) before using it"
+              "configured latency is wrong; check the clocks (st check, st align) before using it"
               for e in found.effects for name, p in e.parameters.items() if p.unit == "s" and p.interval[1] < 0.0]
     if update is not None and update.folded:
         changes = {key: change for key, change in update.changes.items() if key != SLIP_SPEED}
@@ -379,7 +380,7 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     sensors = [plain(e.name) for e in rest if e.kind == "sensors"]
     if sensors:
         lines.append(f"{', '.join(sensors)}: either use model.yaml, or correct the sensors or the recordings "
-                     "(run.yaml) and run st discover again; both together would correct twice")
+                     "(run.yaml) and run st discover again; doing both corrects the error twice")
     others = [plain(e.name) for e in rest if update is None or e.name not in update.kept]
     if others:
         lines.append(f"predict with model.yaml, which adds {', '.join(others)}")
@@ -413,7 +414,7 @@ def format_changes(changes_of: Mapping[str, Sequence[float]]) -> str:
 
 
 def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, list[str]]]:
-    """(heading, lines) of the sections below the summary; empty sections are left out."""
+    """(question, sentences) below the summary; questions without sentences are left out."""
     why = {r.subject: r.text for r in found.reasons if r.rule in (MINOR, FORCES, IMPLAUSIBLE)}
     minor = [f"{with_alternatives(found, e)}: {why[e.name]}" for e in by_size(found.minor) if e.name in why]
     lines = [*((role, [text]) for role, text in drives(found)), ("meaning", meaning(found)),

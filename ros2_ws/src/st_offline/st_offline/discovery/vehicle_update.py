@@ -40,14 +40,14 @@ KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE
 
 @dataclass(frozen=True)
 class VehicleUpdate:
-    """vehicle, text: the updated car, content of vehicle.yaml; the original and "" where that is not written.
+    """vehicle, text: the updated car, content of vehicle.yaml; the original car and "" if that file is not written.
 
     model: for that vehicle, the effects that are not in the file; folded ones at null, or at a remainder that still
     improves the prediction. folded: effects in the file. changes: (before, after, low, high) by key, SI. kept: (before,
     after) by key of each effect that is not folded because predictions would change. error: (original, updated) mean
     position error after 5 s of the base model with each file, on each drive with the values found without it [m].
     worse: drives in which it is significantly larger with the updated file. objections: implausible values of the car.
-    slip_speed: minimum_slip_speed that the model needs, if it is more than that of the file [m/s], else 0.
+    slip_speed: minimum_slip_speed that the model needs [m/s], 0 if the value of the file is sufficient.
     """
 
     vehicle: VehicleParameters
@@ -126,7 +126,7 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
 
 def _without_file(vehicle: VehicleParameters, model: AugmentedModel, kept: Mapping[str, Mapping[str, Any]],
                   *measured: Any) -> VehicleUpdate:
-    """A model for the original file. measured: `error` and `worse`, if a file was tried."""
+    """Update that keeps the original file. measured: `error` and `worse`, if an updated file was tried."""
     needed = _slip_speed(vehicle, model)
     return replace(VehicleUpdate(vehicle, "", model, (), {}, kept, *measured),
                    slip_speed=needed if needed > vehicle.minimum_slip_speed else 0.0)
@@ -170,8 +170,8 @@ def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequen
 
 def _remaining_model(found: Discovery, car: VehicleParameters, folded: Sequence[type[Effect]],
                      drives: Sequence[DriveLog], vehicle: VehicleParameters) -> AugmentedModel:
-    """Model for the updated vehicle with the predictions of the whole model; without effective corrections if those
-    differ."""
+    """Model for the updated vehicle that predicts the same as the complete model; without effective corrections if the
+    predictions differ."""
     assert found.model is not None and found.named is not None
     values: dict[str, dict[str, float]] = {}
     for effect in folded:

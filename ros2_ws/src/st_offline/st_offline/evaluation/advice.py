@@ -32,8 +32,8 @@ from ..evaluation.tables import write_csv
 from ..evaluation.work import Task, load_models
 from ..terminal import line, list_files, rows_table
 
-REPETITIONS, ROUND_TIME = 5, 0.02  # measurements of each call; minimum processor time of one, s
-BATCH_STARTS = 960  # 20 full groups of lanes of the compiled batch
+REPETITIONS, ROUND_TIME = 5, 0.02  # measurements of each call; minimum processor time of a measurement [s]
+BATCH_STARTS = 960  # 20 groups of the compiled lanes
 
 Call = Callable[[], object]
 CallKey = tuple[str, float, str]
@@ -41,8 +41,8 @@ CallKey = tuple[str, float, str]
 
 @dataclass(frozen=True)
 class Cost:
-    """Processor time of one prediction [s]. floats: live, without numba. compiled: live, with numba; None if the model
-    cannot be compiled. batch: per start, if a whole drive is predicted as a batch."""
+    """Processor time of one prediction [s]. floats: a single one, without numba. compiled: a single one, with numba;
+    None if the model cannot be compiled. batch: mean of one prediction in a batch of a whole drive."""
 
     floats: float
     compiled: float | None
@@ -92,7 +92,7 @@ def median_times(calls: Mapping[CallKey, tuple[Call, int]]) -> dict[CallKey, flo
 ACROSS = 1  # index of the axes along, across, yaw
 LEVELS = (0.9, 0.5)
 WITHIN_SHARE = 0.9  # fraction of the starts that must be within the tolerance
-MIN_STARTS = 100  # in a speed bin: ten seconds of driving
+MIN_STARTS = 100  # in a speed bin: ten seconds of driving at 10 Hz
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,8 @@ class Accuracy:
     """Accuracy of one model and step with measured inputs, by whole `second` ahead.
 
     rms: of the lateral error [m]. level, width: level of the calibrated band and its mean lateral half-width [m]; None
-    with too few runs. within: by lower edge of speed [m/s], the lateral error [m] that WITHIN_SHARE of the starts do
-    not exceed up to each second, every run with the same weight.
+    with too few runs. within: by lower edge of the speed bin [m/s], the lateral error [m] that WITHIN_SHARE of the
+    starts do not exceed up to each second; all runs have the same weight.
     """
 
     second: tuple[int, ...]
@@ -147,8 +147,8 @@ def processor_time(cost: Cost) -> float:
 
 def cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
              tolerance: float) -> dict[float, tuple[Key | None, ...]]:
-    """By lower edge of speed [m/s]: for each second ahead the fastest (model, step) with a lateral error within the
-    tolerance [m] in WITHIN_SHARE of the starts; None if there is none."""
+    """By lower edge of the speed bin [m/s]: for each second ahead the (model, step) with the least processor time whose
+    lateral error is within the tolerance [m] in WITHIN_SHARE of the starts; None if there is none."""
     order = sorted(accuracies, key=lambda key: processor_time(costs[key]))
     speeds = sorted({low for one in accuracies.values() for low in one.within})
     seconds = max((len(one.second) for one in accuracies.values()), default=0)
@@ -216,7 +216,7 @@ def measure(sources: Sequence[RunSource], task: Task) -> Advice:
                     except StCoreError:  # no start with a complete horizon, for any model and step
                         continue
         if longest is None:
-            raise ConfigurationError("--advise: no run is as long as the horizon; give a longer run")
+            raise ConfigurationError("--advise: every run is shorter than the horizon; give longer ones")
         cost = costs(models, task.vehicle, longest, settings)
     accuracies = {}
     for (name, step), runs in samples.items():
@@ -230,7 +230,7 @@ def measure(sources: Sequence[RunSource], task: Task) -> Advice:
 
 
 def steps(settings: EvaluationSettings) -> list[EvaluationSettings]:
-    """Settings with MULTIPLES of the step, if a second and the horizon are whole numbers of steps."""
+    """Settings with MULTIPLES of the step, where a second and the horizon are whole numbers of steps."""
     found = []
     for multiple in MULTIPLES:
         step = round(multiple * settings.prediction.step, 9)

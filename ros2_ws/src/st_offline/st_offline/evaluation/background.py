@@ -1,4 +1,4 @@
-"""Runs a function in a forked child process, on a second core, without copying its inputs."""
+"""Runs a function on a second core in a forked child process, without copying its data."""
 
 import contextlib
 import multiprocessing
@@ -15,8 +15,8 @@ T = TypeVar("T")
 def in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
     """Start `work`; the function yielded waits for its result, which must be picklable.
 
-    In a Dask worker, which cannot have children, and if the child was killed for lack of memory, the work is done in
-    this process.
+    The work is done in this process in a Dask worker, which cannot have children, and if the child was killed for lack
+    of memory.
     """
     if multiprocessing.current_process().daemon:
         yield work

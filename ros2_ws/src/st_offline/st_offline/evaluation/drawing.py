@@ -31,10 +31,10 @@ SETTINGS = {
 }
 FORMATS = ("png", "pdf", "svg")
 WIDTH = 9.0  # inch; the page shows it 1:1 at 96 dpi
-TITLE_LETTERS = 104  # of a line of the title of a figure of WIDTH
+TITLE_LETTERS = 104  # per line of a title, at WIDTH
 TICK_ROOM = 0.09  # inch
 PAGE_DPI = 110  # of raster images inside an SVG
-MAX_POINTS = 900  # of a line; more cannot be distinguished on 9 inches
+MAX_POINTS = 900  # per line; more cannot be distinguished on 9 inches
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class PageFigure:
 
 @dataclass(frozen=True)
 class FigureOutput:
-    """Output of figures: files of these formats in a folder (None: no files); prefix: of their ids on the page."""
+    """Where figures go. folder: of the files, None for no files. prefix: of the ids on the page."""
 
     folder: Path | None
     formats: tuple[str, ...]
@@ -72,8 +72,8 @@ def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, capt
     """Save the figure and close it. Files carry the title; on the page it is a heading."""
     lines = textwrap.wrap(title, round(TITLE_LETTERS * figure.get_figwidth() / WIDTH))
     heading = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontweight="bold", fontsize=10)
-    # The layout is computed once, because it takes longer than the drawing. An engine "none" would still run before
-    # each file, and a removed one would be set again from the style.
+    # The layout is computed once, because it takes longer than the drawing. The engine "none" would still run before
+    # each file, and without an engine the style would set one again.
     figure.draw_without_rendering()
     with plt.rc_context({"figure.constrained_layout.use": False}):
         figure.set_layout_engine(None)
@@ -131,6 +131,6 @@ def reduce_points(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def break_at_gaps(time: np.ndarray, values: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
-    """The line with a break (NaN) where its points are more than `gap` apart."""
+    """The line with a NaN between points that are more than `gap` apart in time."""
     at = np.flatnonzero(np.diff(time) > gap) + 1
     return np.insert(time.astype(float), at, np.nan), np.insert(values.astype(float), at, np.nan)

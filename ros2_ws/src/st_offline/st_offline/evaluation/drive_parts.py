@@ -16,8 +16,8 @@ STANDSTILL_SPEED = 0.5  # m/s
 CURVATURE = (0.01, 0.005)  # 1/m
 LATERAL_ACCELERATION = (0.8, 0.4)  # m/s^2
 SHORTEST = 1.5  # s; a shorter part is merged into its longer neighbour
-HARD_ACCELERATION = 0.7  # m/s^2, mean longitudinal, either sign; a straight with more is called braking or accelerating
-BEND, U_TURN, CIRCLE = np.radians([30.0, 150.0, 240.0])  # minimum heading change of a turn, a U-turn, a circle
+MIN_LONGITUDINAL_ACCELERATION = 0.7  # m/s^2, mean magnitude in a straight that is called braking or accelerating
+MIN_TURN, MIN_U_TURN, MIN_CIRCLE = np.radians([30.0, 150.0, 240.0])  # heading change
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,10 @@ def _name(state: int, heading_change: float, acceleration: float) -> str:
     if state == -2:
         return "standing"
     size = abs(heading_change)
-    if state == 0 and size < BEND:
-        if abs(acceleration) <= HARD_ACCELERATION:
+    if state == 0 and size < MIN_TURN:
+        if abs(acceleration) <= MIN_LONGITUDINAL_ACCELERATION:
             return "straight"
         return "braking" if acceleration < 0.0 else "accelerating"
-    shape = "wide curve" if state == 0 else "circle" if size >= CIRCLE else "U-turn" if size >= U_TURN else "turn"
-    return ("left " if (state or heading_change) > 0 else "right ") + (shape if size >= BEND else "bend")
+    closed = "circle" if size >= MIN_CIRCLE else "U-turn" if size >= MIN_U_TURN else "turn"
+    shape = "wide curve" if state == 0 else closed
+    return ("left " if (state or heading_change) > 0 else "right ") + (shape if size >= MIN_TURN else "bend")

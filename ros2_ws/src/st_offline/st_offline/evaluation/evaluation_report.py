@@ -140,7 +140,7 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
     """content: of evaluation.json. bands: figures of the tested bands."""
     good = [r for r in reports if not r.problem]
     leading = [overview] if overview and len(good) > 1 else [f for r in good for f in r.figures[1:2]]
-    bytes_left, of_run = MAX_FIGURE_BYTES, list[PageFigure]()  # of the first run; the others are files
+    bytes_left, of_run = MAX_FIGURE_BYTES, list[PageFigure]()  # figures of the first run; of other runs only files
     for figure in (f for f in good[0].figures if f not in leading) if good else ():
         bytes_left -= len(figure.svg.encode())
         if len(leading) + len(bands) + len(of_run) < MAX_FIGURES and bytes_left > 0:
@@ -161,7 +161,7 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
 
 
 def overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> PageFigure | None:
-    """RMSE in hindsight of every model and run; of more than MAX_RUNS, those with the largest lateral error."""
+    """RMSE in hindsight of every model and run; at most MAX_RUNS, those with the largest lateral error."""
     if not reports:
         return None
     models = list(dict.fromkeys(m for r in reports for m in r.models))
@@ -224,5 +224,6 @@ def summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str
     return [f"{minutes:.1f} minutes, predictions of {horizon:g} s. With the measured inputs (hindsight) the error is "
             "that of the model; with the inputs of the start held (forecast) it includes the driver's later inputs: "
             f"lateral RMSE of {best} {', '.join([held, *ahead])}.",
-            f"Errors of the recordings bias them: {biased}." if biased else "The checks found no error or warning.",
+            f"Faults of the recordings bias these errors: {biased}." if biased else
+            "The checks found no error or warning.",
             *([f"{steering}."] if steering else [])]

@@ -22,7 +22,7 @@ from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, break_at_gaps, reduc
 SIDE = {"longitudinal": "ahead", "lateral": "left"}
 AXIS_LABEL = {axis: f"{axis} error, m\n(+ = predicted {side})" for axis, side in SIDE.items()}
 AXLES = ("front", "rear")
-NOTICEABLE_ERROR = 0.5  # m; half of the free width of a lane with a car in it
+NOTICEABLE_ERROR = 0.5  # m; the free width on each side of a car in the middle of its lane
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def chosen_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarr
     if times:
         rows = [complete[np.abs(evaluation.time[complete] - t).argmin()] for t in times]
     else:
-        # Without the first and last, which are the least representative.
+        # Without the first and the last start, which are the least representative.
         rows = complete[np.linspace(0, len(complete) - 1, 6).round().astype(int)[1:-1]]
     return np.unique(rows)
 
@@ -132,7 +132,7 @@ def _measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length: floa
     middle = 0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())
     near = (np.abs(log.x - middle[0]) < half) & (np.abs(log.y - middle[1]) < half)
     drawn = np.flatnonzero(near)[:: max(1, int(near.sum()) // 400)]
-    passes = np.flatnonzero(np.diff(np.cumsum(~near)[drawn])) + 1  # the car left the frame between two passes
+    passes = np.flatnonzero(np.diff(np.cumsum(~near)[drawn])) + 1  # the car was outside the frame between two passes
     axes.plot(*(np.insert(v[drawn], passes, np.nan) for v in (log.x, log.y)), color=MEASURED_COLOUR, lw=0.8, alpha=0.5)
     stride = max(1, len(log.x[around]) // 200)
     axes.plot(log.x[around][::stride], log.y[around][::stride], color=MEASURED_COLOUR, lw=1.2)
@@ -254,7 +254,7 @@ def slip(drawing: Drawing) -> PageFigure | None:
     title = f"{drawing.name} from {evaluation.time[row]:.1f} s: at the end {'; '.join(ends)}"
     peak = np.degrees(np.nanmax(np.abs(measured_slip)))
     caption = (f"Slip angles and forces that the models predict with the measured inputs; measured slip angles reach "
-               f"{peak:.1f}°. The start: the requested one, else that of the largest lateral acceleration.")
+               f"{peak:.1f}°. Start: the requested one, else that with the largest lateral acceleration.")
     return save_figure(figure, drawing.output, "slip_and_forces", title, caption)
 
 

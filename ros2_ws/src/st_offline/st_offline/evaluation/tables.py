@@ -24,7 +24,7 @@ Entry = dict[str, Any]
 
 
 def entry(errors: ModelErrors, select: np.ndarray | slice = ALL) -> Entry:
-    """Statistics of horizon means, and under `samples` of all points of all horizons; None without a score."""
+    """Statistics of horizon means and, in `samples`, of all points of all horizons; None if no start was scored."""
     complete = errors.complete[select]
     count = int(complete.sum())
     return {
@@ -125,7 +125,7 @@ def is_best(models: Models, model: str, mode: str, axis: str, kind: str, over: s
 
 
 def in_metres(value: float | None) -> str:
-    """To the centimetre, without a negative zero."""
+    """Number with two decimals, without a negative zero."""
     if value is None:
         return "-"
     return f"{value:.{DIGITS}f}".replace(f"-{0:.{DIGITS}f}", f"{0:.{DIGITS}f}")
@@ -159,8 +159,7 @@ def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) ->
 
 
 def latex_table(reports: Sequence[Any], over: str, what: str) -> str:
-    """The table in the paper's form, for the packages booktabs and multirow. what: settings and data, for the
-    caption."""
+    """The table in the paper's form, for the packages booktabs and multirow. what: settings and data in the caption."""
     models = list(next((r.models for r in reports), {}))
     legend = ", ".join(f"m$_{{{k + 1}}}$ {_tex(model)}" for k, model in enumerate(models))
     lines = [

@@ -117,7 +117,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
             ahead = inputs_ahead(run, signals, task.vehicle, task.settings.prediction, load_course(task.course))
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
                                       on_block=score, future_inputs=ahead)
-        finally:  # a failed check is a better explanation than the exception that it caused
+        finally:  # a failed check explains more than the exception that the same fault causes here
             findings, parts = checked()
             if isinstance(findings, Refused):
                 raise findings
@@ -190,7 +190,7 @@ def load_models(task: Task) -> list[Model]:
     names = [model.name for model in models]
     for name in names:
         if names.count(name) > 1:
-            raise ConfigurationError(f"two models are named {name}: give at most one model file, and each name once")
+            raise ConfigurationError(f"two models are named {name}: give each name once, and one model file at a time")
     return models
 
 
@@ -245,7 +245,7 @@ def inputs_ahead(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters
 
     Passes of the run itself are left out of the course. If both origins are known, the course is transformed into the
     map of the run; otherwise both must be in the same map. Raises RunError for planned columns that are not numbers,
-    and for a course of another place.
+    and for a course at another location.
     """
     found: dict[Mode, FutureInputs] = {}
     plan = _planned_columns(run.provenance["files"], vehicle)
@@ -259,7 +259,7 @@ def inputs_ahead(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters
                 others = others.moved(*origin_offset((latitude, longitude), *course.origin))
             except StCoreError as error:
                 raise RunError(Path(run.log.name), f"--course: {error}",
-                               "omit --course, or give a course of the same place") from None
+                               "leave the option out, or give a course of this location") from None
         found["course"] = course_inputs(others, signals, vehicle, prediction.horizon, prediction.step)
     return found
 
@@ -284,7 +284,7 @@ def _planned_columns(files: Mapping[str, str],
                            "write numbers with a decimal point, separated by commas") from None
         seconds, first, second = np.atleast_2d(rows).T
         if not np.isfinite(seconds).all() or (np.diff(seconds) <= 0.0).any():
-            raise ConfigurationError(f"{file}: t does not rise in the rows with planned columns; sort or correct them")
+            raise ConfigurationError(f"{file}: t does not increase in rows with planned columns; sort or correct them")
         time_ns = np.round(seconds * 1e6).astype(np.int64) * 1000
         if kind == INPUTS:
             return time_ns, (first, second)

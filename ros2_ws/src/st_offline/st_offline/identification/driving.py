@@ -25,7 +25,7 @@ from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_fig
 from .experiment import Experiment, Setup, number
 
 MAX_POINTS = 4000
-"""Dots of a scatter plot; more dots overlap without adding information."""
+"""Maximum number of points in a scatter plot; more only make it darker."""
 PAPER_COLOUR, FIT_COLOUR = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
 DEG = np.rad2deg(1.0)
 UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
@@ -53,7 +53,7 @@ def draw_offset(found: Identification, output: FigureOutput) -> PageFigure:
 
 
 def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
-    """Ratio of lateral to forward velocity versus curvature, slip removed; the slope is the distance to the axle."""
+    """Ratio of lateral to forward velocity versus curvature, slip removed; slope: INS ahead of the rear axle [m]."""
     data = found.figure
     with style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
@@ -76,7 +76,7 @@ def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
 
 
 def draw_stiffness(found: Identification, output: FigureOutput) -> PageFigure:
-    """Axle force versus slip angle, as in the paper; for the stiffness by prediction both slopes and 95 % regions."""
+    """Axle force versus slip angle, as in the paper; for stiffness by prediction, both slopes and 95 % regions."""
     paper = found.figure.get("paper")
     both = ", ".join(f"{axle} {_value(found[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
     cloud = "force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
@@ -139,7 +139,7 @@ def draw_prediction(found: Identification, output: FigureOutput) -> PageFigure:
         pair.legend(loc="lower left", fontsize=8)
         title = "; ".join(f"{e.parameter.replace('_', ' ')} {_value(e)}" for e in (first, second))
         caption = ("Left: predicted minus measured, dotted lines between runs. Right: the first parameter and the one "
-                   "it is correlated with most; intervals include systematic uncertainty.")
+                   "most correlated with it; intervals include systematic uncertainty.")
         return save_figure(figure, output, found.experiment, title, caption)
 
 
@@ -250,7 +250,7 @@ def stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:
             comparisons.append(f"The paper's regression gives no {name}: {other.verdict}")
             continue
         text = describe_contradiction(estimate, other.value, other.standard_uncertainty, "the paper's regression")
-        # The regression averages the tyre curve: a few per cent are expected; more indicates another error.
+        # The regression averages over the tyre's curve, so a difference of a few per cent is expected.
         if text and abs(estimate.value - other.value) > MAX_DISAGREEMENT * other.value:
             text += f" {ADVICE}"
             estimates.append(replace(estimate, status="doubtful", verdict=f"{estimate.verdict} Doubtful: {ADVICE}"))

@@ -18,8 +18,8 @@ from ..evaluation.drawing import FigureOutput, PageFigure
 
 @dataclass(frozen=True)
 class Setup:
-    """Inputs of every experiment in addition to its files. read: options of reading recordings. force: use drives that
-    the checks reject. model: for the prediction of drives.
+    """Inputs of every experiment in addition to its files. read: options for reading recordings. force: use drives that
+    the checks reject. model: base model of fits by prediction.
     """
 
     vehicle: VehicleParameters
@@ -28,7 +28,7 @@ class Setup:
     model: Model = MODELS["nonlinear"]
 
     def uncertainty_of(self, parameter: str) -> float:
-        """Standard uncertainty of a value of the vehicle file, SI; 0 where the file states none."""
+        """Standard uncertainty of a value of the vehicle file, SI; 0 if the file has none."""
         known = self.vehicle.provenance.get(parameter)
         return (known.uncertainty or 0.0) if known else 0.0
 
@@ -71,7 +71,7 @@ def _row(estimate: Estimate, vehicle: VehicleParameters) -> Sequence[str]:
 
 
 def number(value: float, spread: float) -> str:
-    """The value to the second significant digit of its uncertainty; to five digits without one."""
+    """The value to the second significant digit of its uncertainty; five digits if it has none."""
     if not math.isfinite(value):
         return "unknown"
     if not math.isfinite(spread) or spread <= 0.0:

@@ -23,7 +23,7 @@ NOTES = ("weighing", "driver", "payload")
 
 
 def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
-    """All files together: each row is one weighing."""
+    """Each row of the files is one weighing."""
     readings, names, loads, scales = [], [], [], set()
     for file in files:
         table = read_columns(file, {wheel: ("kg",) for wheel in WHEELS}, {"scale_uncertainty": ("kg",)}, NOTES)
@@ -190,7 +190,7 @@ def draw_height(found: Identification, output: FigureOutput) -> PageFigure:
         low, high = estimate.interval95
         title = f"CG {estimate.value:.3f} m above the ground, 95 % interval {low:.3f} to {high:.3f} m"
         caption = ("Left: rear load and the line with slope m (h - r) / l over tan(pitch). Right: the height from each "
-                   "lifted row alone.")
+                   "row with a lifted axle.")
         return save_figure(figure, output, "cg-height", title, caption)
 
 
@@ -200,7 +200,7 @@ CG_HEIGHT = Experiment("cg-height", "CG height from the axle-lift test (ISO 1039
 
 
 COLUMNS = {"load": ("n", "kn", "kg"), "slip_angle": ("deg", "rad"), "lateral_force": ("n", "kn")}
-# Colours of the three loads as in the paper, darkened for contrast on white; then for further loads.
+# Colours of the three loads, as in the paper but darker on white; then those of further loads.
 LOAD_COLOURS = ("#3baa32", "#1792b5", "#d1048b", "#8c6d1f", "#5a5a5a", "#7e2f8e")
 
 
@@ -216,13 +216,13 @@ def identify_lambda(files: Sequence[Path], setup: Setup) -> tuple[Identification
 
 
 def read_tables(files: Sequence[Path]) -> list[FlatPlank]:
-    """All rows of each tyre, from whichever files they are in. A column `tyre` is front or rear."""
+    """All rows of each tyre, from all files. The column `tyre` is front or rear."""
     rows: dict[str, list[tuple[np.ndarray, ...]]] = {}
     names: dict[str, list[str]] = {}
     for file in files:
         table = read_columns(file, COLUMNS, texts=("tyre",))
         if table.units["load"] == "kg":
-            raise RunError(file, "column load_kg: the load must be a force", "name the column load_n and give newtons")
+            raise RunError(file, "column load_kg: a load in newtons is expected", "name it load_n and give newtons")
         if "tyre" not in table.texts:
             raise RunError(file, "has no column tyre", "add one with front or rear in each row")
         axle = np.array([word.lower().removeprefix("tyre_") for word in table.texts["tyre"]])
