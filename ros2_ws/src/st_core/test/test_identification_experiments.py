@@ -162,7 +162,7 @@ def test_a_ratio_that_is_not_constant_is_said_with_its_centre(leaf):
     (lambda d: replace(d, steering=np.radians(d.steering)), "the steering wheel ranges over 18.9 deg, at least 90"),
     (lambda d: replace(d, steering=np.degrees(d.steering)), "the steering wheel angle reaches 3.09"),
     (lambda d: replace(d, left=np.degrees(d.left)), "the left wheel angle reaches"),
-    (lambda d: replace(d, steering=-d.steering), "turn against each other"),
+    (lambda d: replace(d, steering=-d.steering), "have opposite signs"),
     (lambda d: replace(d, steering=0.15 * d.left, left=d.steering * 0.05, right=d.steering * 0.05),
      "the steering wheel ranges over"),
     (lambda d: replace(d, steering=d.left * 6.0, left=d.steering / 9.0, right=d.steering / 9.0),

@@ -142,7 +142,7 @@ def test_steering_frames_without_a_usable_value_are_no_gap_of_the_logger(tmp_pat
     (tmp_path / "run.log").write_text("\n".join(line for k, line in enumerate(lines) if k not in lost))
     run = read(find_runs([tmp_path])[0], CAR)
     found = {one.name: one for one in check(run.log, CAR, run.auxiliary).findings}
-    assert re.search(r"100 of \d+ frames between .* were received and are not used: .*SteeringWheelAngle implausible "
+    assert re.search(r"100 of \d+ frames between .* were received but not used: .*SteeringWheelAngle implausible "
                      r"\(up to -?3276.7 deg\) in 100", found["values_missing"].text)
     assert "1 gap of the steering" in found["time_gaps"].text
     assert found["time_gaps"].value == pytest.approx(1.0, abs=0.1)

@@ -45,7 +45,7 @@ class AcrossRuns:
         if self.consistent:
             return (f"{self.name} is consistent across all {self.runs} runs, {self.mean:.{digits}f} ± {half:.{digits}f}"
                     f"{unit}: its cause is the sensor, its mounting, the projection or the car, and it is reliable")
-        return (f"{self.name} differs between the {self.runs} runs by more than their intervals allow, "
+        return (f"{self.name} differs significantly between the {self.runs} runs, "
                 f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it depends on the place, the "
                 "load or the day, or some of the runs are faulty")
 

@@ -15,9 +15,9 @@ MAX_LAG = 1.5  # s, search range to both sides
 MIN_COMMON_TIME = 15.0  # s
 ZERO, ONE = Estimate(0.0, 0.0, (0.0, 0.0)), Estimate(1.0, 0.0, (1.0, 1.0))
 LAG_TEST_LEVEL = 0.95
-LAG_TEST_SHIFT = 0.3  # s; the fit this far to both sides of a lag must be worse, else the drive determines no lag
+LAG_TEST_SHIFT = 0.3  # s; lags this much smaller and larger must fit worse, else the drive determines no lag
 BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residual with a scale to that with a bias; above it, a bias is reported
-MIN_CERTAIN_CORRELATION = 0.98  # above it, noise changes a scale by less than 4 %
+MIN_CERTAIN_CORRELATION = 0.98  # above it, noise reduces a scale by less than 4 %
 MIN_RESIDUAL_SHARE = 1e-4  # of the variance; interpolation and filters alone cause a residual of 1 % of a signal
 GRID_LOSS = 0.1  # of the variance; largest loss if a maximum is half a grid step off the grid
 
@@ -29,8 +29,7 @@ class Agreement:
     correlation: at that lag; correlation_without_lag: at zero lag. spread: standard deviation of the derived quantity.
     time, measured, derived: the filtered series at that lag, for a figure. other_lags: further lags [s] that do not
     fit significantly worse, as the drive repeats itself. is_late: whether the expected lag fits significantly worse.
-    determines_lag: whether lags LAG_TEST_SHIFT away fit significantly worse; slowly varying signals determine
-    none.
+    determines_lag: whether lags LAG_TEST_SHIFT away fit significantly worse; slow changes do not determine a lag.
     """
 
     lag: Estimate

@@ -26,13 +26,13 @@ SensorResult = tuple[Motion, list[Finding], dict[str, Estimate], list[Comparison
 """(corrected motion, findings, estimates by name of the finding, panels of the figure)."""
 
 
-# long: one sequence, each step checks the result of the previous corrections
+# One long function, since each check works on the result of the previous corrections.
 def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: AuxiliaryData | None = None) -> Checked:
     """Findings of one recording.
 
     Order: sampling; units, signs and axes; identities that hold for any vehicle (position, yaw, velocity,
-    accelerations, other speeds); relations with the vehicle. Every fault found is removed from a working copy before
-    the next check.
+    accelerations, other speeds); relations with the vehicle. Every fault is corrected in a working copy before the next
+    check.
 
     vehicle: for the relations with the vehicle; without one they are skipped. auxiliary: further recorded data. Never
     raises for the content of a recording: a channel that is too short or too inaccurate gives no finding.
@@ -98,7 +98,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
 
 
 def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:
-    """The findings without those that are due to a wrong yaw rate, one derived from yaw, or a course in place of yaw.
+    """The findings without those caused by a yaw rate that is wrong or derived from yaw, or by a course used as yaw.
 
     The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course, which
     differs by the sideslip.
@@ -216,7 +216,7 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def _check_yaw_lag(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:
-    """(corrected motion, finding) for a yaw that lags or leads the yaw rate, if positions confirm that yaw is wrong."""
+    """(corrected motion, finding) for a yaw that lags or leads yaw rate, if positions confirm that yaw is wrong."""
     if found is None or not (found.lag.significant and found.is_late) or abs(found.lag.value) < LIMITS.lag or (
             abs(found.correlation) < LIMITS.correlation):
         return motion, []

@@ -20,7 +20,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class Advice:
-    """Remedy of a finding. line: one line to paste, or what to look at.
+    """Remedy of a finding. line: one line to paste, or an instruction.
 
     kind: "run.yaml": `entry` is to be merged into the run's run.yaml; "vehicle": a value of the vehicle file;
     "option": an option of the command line; "look": nothing to paste.
@@ -41,10 +41,10 @@ class Advice:
 class Finding:
     """One fault or property of a recording.
 
-    name: stable, a key of docs/manual/checks.md. channels: fields of DriveLog (or time, wheel_speed, ins) it concerns.
+    name: stable, a key of docs/manual/checks.md. channels: affected fields of DriveLog (or time, wheel_speed, ins).
     text: one sentence. value, interval: estimate and its 95 % interval in `unit`, or None. where: stretches [s] after
     the first INS measurement; empty for the whole run. effect: approximate shift of the predicted or measured position
-    after 5 s [m], or None. tried: prediction error of the run after 5 s before and after the correction [m]; None where
+    after 5 s [m], or None. tried: prediction error of the run after 5 s before and after the correction [m]; None if
     the correction was not tried.
     """
 
@@ -190,8 +190,8 @@ class AuxiliaryData:
     geographic: bool = False
 
 
-HORIZON = 5.0  # s of prediction, after which the effect of a fault is judged
-WHEEL_SCALE = 0.03  # 1; wear and inflation change the radius of a tyre by that much
+HORIZON = 5.0  # s, prediction time at which the effect of a fault is evaluated
+WHEEL_SCALE = 0.03  # 1; change of the tyre radius with wear and inflation
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ class Limits:
     severe_lag: float = 0.05  # s; a larger one would be mistaken for a steering delay
     correlation: float = 0.6  # below it two estimates of a quantity are not compared
     bias_acceleration: float = 0.1  # m/s^2; 0.6 deg of mounting or road
-    tyre: float = 13.0  # m/s^2; beyond the grip of road tyres
+    tyre: float = 13.0  # m/s^2, lateral; above the limit of road tyres
     # Deviations of the ratio of steering to curvature that a faultless car may have from its vehicle file (ratio,
     # wheelbase, stiffnesses):
     steering_unit: float = 1.5

@@ -2,8 +2,8 @@
 
     r = d(yaw)/dt        a_x = dv_x/dt - v_y r        a_y = dv_y/dt + v_x r
 
-An accelerometer measures gravity as well: a slope acts as a bias of a_x, a banked road or a mounting angle as one of
-a_y. At a distance d behind the point of the velocities it measures an a_y that lags by d / v at speed v.
+An accelerometer measures gravity as well: a slope is a bias of a_x, a banked road or a mounting angle a bias of a_y. At
+a distance d behind the point of the velocities, its a_y lags by d / v at speed v.
 """
 
 import math
@@ -23,8 +23,8 @@ class Tolerances:
     """Smallest reported errors of a channel.
 
     against: name of the reference. unit: of the channel. lag [s], bias [unit]: smallest that are reported; scale:
-    smallest deviation from 1. severe: (lag, scale, bias) above which the finding is a warning whatever its effect on a
-    prediction, since identification and discovery use the channel too. position_effect: shift of the position after 5 s
+    smallest deviation from 1. severe: (lag, scale, bias) above which the finding is at least a warning, even without an
+    effect on predictions, since identification and discovery use the channel. position_effect: position shift after 5 s
     per unit of error [m]. correlation: with a lower correlation only the lag is judged. min_spread: no lag is reported
     for a smaller standard deviation of the channel [unit]. factors: names of units by their factor. causes: possible
     causes of a bias, as text.
@@ -159,12 +159,12 @@ GRAVITY = 9.80665
 GYRO_CUTOFF, ACCELERATION_CUTOFF, SPEED_CUTOFF = 4.0, 1.5, 1.5  # Hz
 GYRO_CORRELATION = 0.9  # of two outputs of one unit; lower if yaw is too coarse to be differentiated
 GYRO_SCALE = 0.02  # 1; a gyroscope's scale is known to 1 %
-GYRO_BIAS = 0.001  # rad/s; a faultless INS has half of it
+GYRO_BIAS = 0.001  # rad/s; twice that of a faultless INS
 ACCELERATION_SCALE = 0.35  # 1; roll and pitch of the body change it by up to a third
-ACCELERATION_LAG = 0.12  # s; filters of accelerometers take up to 0.1 s
+ACCELERATION_LAG = 0.12  # s; filters of accelerometers delay by up to 0.1 s
 ACCELEROMETER_ARM = 1.5  # m between accelerometer and INS point
 SEVERE_ACCELERATION = 0.3  # m/s^2; a road's crossfall of 2.5 % is 0.25
-SPEED_SPREAD = 0.5  # m/s; at one speed only slip and noise would be compared
+SPEED_SPREAD = 0.5  # m/s; at constant speed, only slip and noise would be compared
 WHEEL_LAG = 0.15  # s; wheel speeds are averaged over some revolutions
 FACTORS = {1.0 / GRAVITY: "g"}
 SPEED_FACTORS = {3.6: "km/h", 2.23694: "mph", 1.0 / 3.6: "divided by 3.6 twice"}
@@ -192,7 +192,7 @@ def yaw_rate_lag(motion: Motion) -> float:
 
 
 def correct_yaw_rate(motion: Motion, found: Agreement) -> Motion:
-    """The motion with lag, scale and bias of its yaw rate corrected, as far as they are known."""
+    """The motion with the known lag, scale and bias of its yaw rate corrected."""
     if found.correlation < LIMITS.correlation:
         return motion
     late = found.lag.value if found.lag.significant and found.is_late else 0.0

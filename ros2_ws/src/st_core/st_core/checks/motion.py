@@ -14,7 +14,7 @@ from .finding import AuxiliaryData
 MAX_GAP = 0.25  # s between samples; nothing is integrated across a longer one
 MOVING = 1.0  # m/s; slower driving is not used
 MIN_DRIVEN_WINDOWS = 5  # minimum number of windows in which the car drives
-MIN_COHERENCE = 0.5  # cosine between displacements of successive windows: 1 straight on, 0 for a random walk
+MIN_COHERENCE = 0.5  # cosine between displacements of successive windows: 1 on a straight, 0 for a random walk
 MIN_SPEED_VARIATION = 0.1  # standard deviation of the speed divided by its mean
 MIN_SIGNAL_TO_NOISE = 10.0  # forward velocity divided by the standard deviation of its noise
 
@@ -103,7 +103,7 @@ def has_varying_speed(speed: np.ndarray) -> bool:
 
 
 def moves_sideways(motion: Motion) -> bool:
-    """Whether the velocity is lateral rather than longitudinal: its axes are then not those of a car."""
+    """Whether the velocity is mainly lateral, which means that its axes are wrong."""
     return float(np.sum(motion.velocity_y**2)) > float(np.sum(motion.velocity_x**2))
 
 
@@ -216,7 +216,7 @@ def _slope(top: np.ndarray, bottom: np.ndarray) -> float:
     smaller, larger = sorted((top, bottom), key=lambda turns: float(np.percentile(np.abs(turns), 95)))
     if float(np.percentile(np.abs(smaller), 95)) < MIN_TURN and (
             float(np.std(larger)) < 0.5 * abs(float(np.mean(larger)))):
-        return float("nan")  # one hardly changes, and the other is a constant bias
+        return float("nan")  # almost no change: a ratio of bias or noise
     weights, slope = np.ones(len(top)), float("nan")
     # Prior of the intercept, which a circle does not determine: equivalent to windows that turn by MIN_TURN.
     prior = (len(top) * MIN_TURN**2) / max(float(np.square(bottom).mean()), 1e-300)

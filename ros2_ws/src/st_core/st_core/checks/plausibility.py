@@ -1,6 +1,6 @@
-"""Samples that neither a car nor a working sensor produces: spikes, sentinels, values out of range, wrap-arounds.
+"""Samples that are physically impossible or due to a sensor fault: spikes, sentinels, out of range, wrap-arounds.
 
-Each channel is examined alone, before any comparison, so that no faulty sample appears as a wrong unit of the run.
+Each channel is examined alone, before any comparison, so that a faulty sample is not taken for a wrong unit of the run.
 Implausible samples are reported, and no command uses them. A step from one sample to the next is large if it exceeds
 both the physical limit and a multiple of the median step of the channel, whatever its unit:
 
@@ -21,11 +21,11 @@ from .motion import MAX_GAP, spans, stretches
 
 STEP_MEDIAN_RATIO = 20.0  # times the median step; noise and quantisation stay below
 HALF_WINDOW = 0.1  # s before and after a sample, for the median of its neighbours; at least two updates
-MIN_SENTINEL_SAMPLES = 3  # samples of one value between two large steps
+MIN_SENTINEL_SAMPLES = 3  # samples with the same value between two large steps
 MIN_ZERO_TIME = 0.2  # s for the value 0
 SENTINEL_HOLD_RATIO = 3.0  # times the typical time that a channel holds a value, its update interval
 MIN_MOVING_SPEED = 1.0  # m/s
-MAX_BAD_SHARE = 0.5  # fraction of the samples above which the channel is unusable and nothing is left out
+MAX_BAD_SHARE = 0.5  # fraction of the samples above which the channel is unusable, and no sample is left out
 NOTE_SHARE = 0.01  # fraction of the samples up to which spikes are a note
 WRAP_LIMIT = 0.3  # of the largest plausible step; smaller wraps cannot be distinguished from changes of the channel
 WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # of the wrap's size: largest difference of its steps, asymmetry of its ends
@@ -34,7 +34,7 @@ MAX_NET_CHANGE = 0.5  # ratio of net change to sum of |steps| of a stretch: 1 fo
 JUMP_RATIO = 30.0  # times the 90th percentile of all steps; the largest of seventeen real drives is 15
 MAX_REVERSAL_ERROR = 0.3  # rad, of a heading that is reversed from one sample to the next
 MIN_SAMPLES = 20
-MAX_LISTED = 200  # maximum number of stretches that a finding lists
+MAX_LISTED = 200  # stretches listed in a finding
 STEP_TIME = 0.05  # s
 
 
@@ -187,8 +187,8 @@ def _is_moving(log: DriveLog) -> np.ndarray:
 
 
 def _find_jumps(channel: _Channel, large: np.ndarray, implausible: np.ndarray) -> np.ndarray:
-    """Samples after a step that is not a wrap-around, is not reversed and far exceeds all others, in any unit. Steps
-    after a held value belong to a frozen channel."""
+    """Samples after a step that is much larger than all others, is not reversed and is not a wrap-around, in any unit.
+    Steps after a held value belong to a frozen channel."""
     same = channel.step == 0.0
     on_hold = np.append(same[:1], same) | np.append(same, same[-1:])
     excluded = implausible | (on_hold & (channel.update <= 1.5 * channel.spacing))
@@ -241,7 +241,7 @@ def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) ->
     for k in np.flatnonzero(count >= MIN_SENTINEL_SAMPLES):
         begin, end = int(first[k]), int(last[k])
         zero = channel.values[begin] == 0.0
-        # A code is entered by implausible steps; a 0 may be the usual hold of a slow channel.
+        # A code begins with an implausible step; a 0 may be the usual hold of a slow channel.
         if zero and not (count[k] > SENTINEL_HOLD_RATIO * usual_count and duration[k] >= MIN_ZERO_TIME
                          and moving[begin:end + 1].mean() > 0.5):
             continue
@@ -299,12 +299,12 @@ def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
     text = {
         "sample_spikes": f"{channel.name} is {reading} {when}, " + (
             f"in sample {channel.rows[samples[0]] + 1}" if len(samples) == 1 else f"the largest of {count}")
-            + ", inconsistent with its neighbours",
+            + ", inconsistent with the neighbouring samples",
         "sentinel_values": f"{channel.name} is {reading} {when} ({count}): "
                            + ("0 while the car moves" if value == 0.0 else "a code for a missing measurement"),
         "out_of_range": f"{channel.name} reaches {reading} {when} ({count}), beyond the range of road cars",
         "channel_wraps": f"{channel.name} wraps around at ±{np.abs(channel.values).max():.4g} {unit} "
-                         f"{when} ({count}): the range of its signal is too small for this drive",
+                         f"{when} ({count}): its signal has too few bits for the values of this drive",
         "channel_jumps": f"{channel.name} jumps {len(samples)} time{'s' if len(samples) > 1 else ''} by up to "
                          f"{float(channel.step[samples - 1].max()):.4g} {unit} from one sample to the next "
                          f"{when}, and does not return: it is left out of all comparisons",
@@ -312,7 +312,7 @@ def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
     severity = (Severity.ERROR if share > (MAX_WRAPPED_SHARE if kind == "channel_wraps" else MAX_BAD_SHARE) else
                 Severity.NOTE if kind == "sample_spikes" and share <= NOTE_SHARE else Severity.WARNING)
     text += "" if severity is Severity.ERROR or kind == "channel_jumps" else "; left out"
-    advice = {"channel_wraps": "look at the definition of the signal: it needs more bits or a larger factor",
+    advice = {"channel_wraps": "change the definition of the signal: more bits, or a larger factor",
               "channel_jumps": "look at the sensor and the logger",
               }.get(kind, "look at the sensor and the logger; no command uses these samples")
     return Finding(kind, severity, (channel.name,), text, value, unit, None, where[:MAX_LISTED],
@@ -324,7 +324,7 @@ def _leave_out(log: DriveLog, rows: np.ndarray, steering: np.ndarray, blanked: M
         log = replace(log, **blanked)
     if rows.any() and not rows.all():
         kept = np.flatnonzero(~rows)
-        # Unwrapped across a wrong sample, yaw may have gained a turn there.
+        # Unwrapping across a wrong sample may have added a full turn to yaw.
         turns = np.where(np.diff(kept) > 1, np.round(np.diff(log.yaw[kept]) / (2.0 * np.pi)), 0.0)
         log = log.with_ins(kept)
         log = replace(log, yaw=log.yaw - 2.0 * np.pi * np.concatenate(([0.0], np.cumsum(turns))))

@@ -25,16 +25,16 @@ from .regression import Estimate, Regression, is_relevant, with_systematic
 WINDOW = 1.0  # s
 MIN_WINDOWS = 10
 ITERATIONS = 3
-# Fraction of the lag of positions that may remain after a lagging, or a leading (rare) yaw is corrected.
+# Fraction of the position lag that may remain after a lagging yaw, or (rarer) a leading yaw, is corrected.
 MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25
-MIN_LOSS_RATIO = 1.1  # losses whose ratio is below this do not decide between two explanations
-MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit in a second by another sign: RTK noise is 1 cm
-MAX_SIGN_MISFIT_RATIO = 1.2  # misfit with velocity_y reversed to that with the causes removed; below, both fit
+MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations below which neither is preferred
+MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit over a second by the opposite sign: RTK noise is 1 cm
+MAX_SIGN_MISFIT_RATIO = 1.2  # misfit with velocity_y reversed, divided by that with the causes removed; below, both fit
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
-SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a map projected on a spherical earth
+SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a projection on a spherical earth
 MIN_VELOCITY_BIAS = 0.05  # m/s; velocities of an INS are known to 0.03
 AXES = {"x_scale", "y_scale"}
-# Causes that are confounded at one speed; one of them is fitted, a bias only if its loss is clearly smaller.
+# Causes that are confounded at constant speed: one of them is fitted, a bias only if its loss is clearly smaller.
 BIASES = {"velocity_x_bias": {*AXES, "velocity_scale"}, "velocity_y_bias": {"yaw_offset"}}
 CONFOUNDED = {"velocity_scale": {*AXES, "velocity_x_bias"}, "yaw_offset": {"velocity_y_bias"}, **BIASES,
               **{axis: {"velocity_scale", "velocity_x_bias"} for axis in AXES}}
@@ -87,7 +87,7 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
     """(motion without the causes found, the findings, estimates of every cause as values of its finding)."""
     found: dict[str, Estimate] = {}
     corrected = motion
-    for _ in range(ITERATIONS):  # a large cause is not linear and biases the others until it is removed in the next one
+    for _ in range(ITERATIONS):  # a large cause is nonlinear and biases the others until the next iteration removes it
         problem = residual_regression(corrected)
         if len(problem.time) < MIN_WINDOWS:
             return motion, [], {}
@@ -166,7 +166,7 @@ def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def with_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
-    """The findings; those that the opposite sign of velocity_y explains equally well mention it, without a correction.
+    """The findings; those that the opposite sign of velocity_y explains equally well say so and lose their correction.
 
     On a steady circle velocity_y is constant, so a wrong sign equals an offset of yaw or a displaced measuring point.
     """
@@ -176,7 +176,7 @@ def with_sign_alternative(findings: list[Finding], recorded: Motion, corrected: 
     mirrored = scaled_misfit(replace(recorded, velocity_y=-recorded.velocity_y))
     if not mirrored < min(MAX_SIGN_MISFIT_RATIO * scaled_misfit(corrected), 0.5 * scaled_misfit(recorded)):
         return findings
-    look = Advice("look", "drive bends of different speed and radius, which separate the two")
+    look = Advice("look", "drive bends of different speed and radius, to distinguish the two")
     return [replace(finding, advice=look, channels=(*finding.channels, "velocity_y"),
                     text=f"{finding.text}, or velocity_y has the opposite sign (left is positive): both fit this drive")
             if finding.name in names else finding for finding in findings]
@@ -212,7 +212,7 @@ def _find_causes(problem: Regression, free: dict[str, float], always: tuple[str,
 def _combine_scales(problem: Regression, causes: dict[str, Estimate], always: tuple[str, ...]) -> tuple[str, ...]:
     """Names of the causes; equal scales of both axes, or of the only axis driven, are attributed to the velocity.
 
-    Positions are from satellites: a common scale error of both axes is far less likely than one of the speed.
+    An equal scale error of both axes of satellite positions is far rarer than a scale error of the velocity.
     """
     axes = [name for name in ("x_scale", "y_scale") if name in causes]
     if not axes or max(abs(causes[name].value) for name in axes) < SPHERICAL_EARTH_SCALE:
@@ -222,7 +222,7 @@ def _combine_scales(problem: Regression, causes: dict[str, Estimate], always: tu
         is_velocity = abs(causes["x_scale"].value - causes["y_scale"].value) < SPHERICAL_EARTH_SCALE
     else:
         _, scale, _ = problem.fit([*always, *causes])
-        # On a drive along one axis, the motion along the other decides between them.
+        # On a drive along one axis, the motion along the other axis decides between both explanations.
         is_velocity = (problem.loss([*always, *others, "velocity_scale"], scale)
                        <= MIN_LOSS_RATIO * problem.loss([*always, *causes], scale))
     return (*others, "velocity_scale") if is_velocity else tuple(causes)

@@ -1,8 +1,8 @@
 """Robust linear regression of the residual of an identity.
 
 Neighbouring samples share their errors, so intervals come from a bootstrap over blocks of driving
-(`st_core.regression`). Causes of a residual are added one at a time, the one that explains most first, all refitted
-together, until no further one is significant and relevant.
+(`st_core.regression`). Causes of a residual are selected by forward selection: the one that explains most is added, all
+are refitted, until no further cause is significant and relevant.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,7 +30,7 @@ class Estimate:
 
     @property
     def significant(self) -> bool:
-        """Whether 0 is outside the 95 % interval, widened by half because a dozen causes are tested."""
+        """Whether 0 is outside the 95 % interval widened by a factor 1.5, because a dozen causes are tested."""
         low, high = self.interval
         return min(abs(low), abs(high)) > 0.5 * (high - self.value) and low * high > 0.0
 
@@ -120,7 +120,7 @@ class Regression:
         return estimates
 
     def effect(self, name: str, value: float, seconds: float, window: float) -> float:
-        """RMS change of y in `seconds` [s] by a cause of this size, from windows of `window` [s]."""
+        """RMS change of y over `seconds` [s] due to a cause of this size, from windows of `window` [s]."""
         count = max(round(seconds / window), 1)
         column = self.columns[name]
         if len(column) < count:
@@ -133,8 +133,8 @@ class Regression:
                alongside: Sequence[str] = ()) -> dict[str, Estimate]:
         """The significant and relevant causes, selected one at a time and fitted together.
 
-        candidates: smallest value reported, by name. always: causes that are fitted in any case. alongside: causes with
-        which a candidate may become significant; without them they would act as slow noise.
+        candidates: smallest value reported, by name. always: causes that are fitted in any case. alongside: causes that
+        are fitted together with a candidate, because they would otherwise act as slow noise on it.
         """
         chosen: list[str] = []
         remaining = [name for name in candidates if np.abs(self.columns[name]).max(initial=0.0) > 0.0]

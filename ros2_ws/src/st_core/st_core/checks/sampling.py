@@ -15,19 +15,19 @@ STEERING = ("road_wheel_angle", "steering_wheel_angle")
 STAMPS_OF = {"INS": ("time",), "steering": ("road_wheel_angle",)}
 """Signal -> channels of a finding about its stamps."""
 MIN_HELD_SHARE = 0.7  # fraction of the changes that have the same interval in a channel held at a lower rate
-MIN_HELD_RATE = 15.0  # Hz; positions held at a lower rate are half a metre old at 15 m/s, on average a quarter
+MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, on average by half
 NOTE_SHARE = 0.01  # fraction of rows below which a fault of single rows is a note
 MAX_GAP_SHARE = 0.05  # fraction of the time lost in gaps; above it, whole driving conditions may be missing
 MIN_ROWS_PER_SAMPLE = 1.5  # of a slower sensor
 SPACING_TOLERANCE = 0.05  # relative, of the mean spacing of its samples, which a gap would increase
 MIN_FREEZE_TIME = 1.5  # s without any change
 MIN_CLIP_TIME = 0.3  # s at a limit
-MIN_CURVATURE_CHANGE = 0.1  # fraction of the curvature, while the steering is at a limit
-CLIP_RATIO = 8.0  # samples at a limit over those at the values next to it
+MIN_CURVATURE_CHANGE = 0.1  # relative change of the curvature while the steering is constant at its limit
+CLIP_RATIO = 8.0  # number of samples at a limit divided by that at the adjacent values
 FREEZE_PAUSE_RATIO = 10.0  # times the channel's usual pause without any change
-DISPENSABLE_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # paths can be scored without them
+DISPENSABLE_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # not needed to score predicted paths
 MAX_STEP_RATIO = 1.5  # times the median spacing, up to which no sample is lost between two
-MAX_GYRO_BIAS = 0.02  # rad/s; up to this mean yaw rate, a constant yaw is not frozen
+MAX_GYRO_BIAS = 0.02  # rad/s; a constant yaw counts as frozen only if the yaw rate is larger
 
 
 def describe_channels(motion: Motion, auxiliary: AuxiliaryData) -> dict[str, Channel]:
@@ -105,20 +105,20 @@ def _missing_values(channel: str, count: int, motion: Motion, auxiliary: Auxilia
         advice = "no action, if that is the rate of the sensor"
     else:
         text = f"{channel}: {count} rows have no usable value ({100 * share:.3g} %); they were left out"
-        advice = "look at the values that the logger writes there"
+        advice = "look at the values that the logger writes in these rows"
     severity = Severity.NOTE if rate or share <= NOTE_SHARE else Severity.WARNING
     return Finding("values_missing", severity, (channel,), text, share, advice=Advice("look", advice))
 
 
 def refused_frames(time: np.ndarray, frames: int, reason: str) -> Finding:
-    """Finding of steering frames that were received and are not used.
+    """Finding of steering frames that were received but not used.
 
     time: of these frames [s since the first INS measurement], ascending. frames: number of all frames. reason: of the
     decoder.
     """
     share = len(time) / frames
     text = (f"road_wheel_angle: {len(time)} of {frames} frames between {time[0]:.2f} and {time[-1]:.2f} s were "
-            f"received and are not used: {reason}")
+            f"received but not used: {reason}")
     severity = Severity.NOTE if share <= MAX_GAP_SHARE else Severity.WARNING
     advice = Advice("look", "look at the steering sensor, and at its range and max_rate in the signal table")
     return Finding("values_missing", severity, ("road_wheel_angle",), text, share,
@@ -148,7 +148,7 @@ def _check_stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
     step = np.diff(stamps)
     newest = np.maximum.accumulate(stamps)[:-1]
     findings = []
-    # After one step back, every row is lost until the newest stamp before it is reached again.
+    # After a step back, all rows are unusable until the stamps exceed the newest one before the step.
     old = (stamps[1:] <= newest) & (step != 0)
     for name, back, lost in (("time_order", step < 0, old), ("time_duplicates", step == 0, step == 0)):
         if not back.any():
@@ -251,8 +251,8 @@ def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Moti
         return []
     where = tuple(sorted((float(time[first[k]]), float(time[last[k]])) for k in found))
     limits = " and ".join(f"{limit:.4g}" for limit in sorted({float(values[first[k]]) for k in found}))
-    text = f"{name} stops at {limits} {UNITS[name]} {len(found)} times while other channels change: it is clipped"
-    advice = Advice("look", f"look at the range of the sensor and of its signal: {name} is larger than recorded there")
+    text = f"{name} stays at {limits} {UNITS[name]} {len(found)} times while other channels change: it is clipped"
+    advice = Advice("look", f"increase the range of the sensor or of its signal: the true {name} is larger there")
     return [Finding("channel_clipped", Severity.WARNING, (name,), text, float(np.abs(values[first[found]]).max()),
                     UNITS[name], where=where, advice=advice)]
 
@@ -276,7 +276,7 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
     if throughout:
         advice = Advice("look", f"record {name}; no correction can replace it")
     elif name == "road_wheel_angle":
-        advice = Advice("look", "look at the steering sensor: its frames repeat one value there")
+        advice = Advice("look", "look at the steering sensor: its frames repeat one value")
     else:
         stretches = [[round(begin, 2), round(end, 2)] for begin, end in where]
         advice = Advice("run.yaml", f"leave_out: {stretches}", {"leave_out": stretches})
@@ -328,7 +328,7 @@ IN_UNIT_OF_RELATED = ("velocity_x", "acceleration_x", "acceleration_y", "yaw_rat
 
 
 def _check_resolution(name: str, motion: Motion, speed: float) -> list[Finding]:
-    """Finding of a channel with rounding that shifts a start: standard deviation resolution / sqrt(12)."""
+    """Finding of a channel whose rounding, with standard deviation resolution / sqrt(12), shifts initial states."""
     step = resolution(motion.time, getattr(motion, name))
     distance, grows_with_speed = POSITION_EFFECT[name]
     effect = step / np.sqrt(12.0) * distance * (speed if grows_with_speed else 1.0)
@@ -360,7 +360,7 @@ RTK = (5, 6)  # NCOM position modes: RTK float, RTK integer
 
 
 def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
-    """Findings of the status and accuracy that the INS itself reports. start_ns: zero of the times [ns]."""
+    """Findings from the status and accuracy reported by the INS. start_ns: zero of the times [ns]."""
     if quality is None or len(quality.time_ns) < 2:
         return []
     time = (quality.time_ns - start_ns) * 1e-9
@@ -384,7 +384,7 @@ def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
     known = np.isfinite(accuracy)
     typical = float(np.median(accuracy[known])) if known.any() else 0.0
     if typical >= LIMITS.warning:
-        text = f"the standard deviation of position reported by the INS is {typical:.2f} m in the median"
+        text = f"the median standard deviation of position reported by the INS is {typical:.2f} m"
         findings.append(Finding("ins_accuracy", LIMITS.severity(typical), ("ins",), text, typical, "m",
                                 where=stretches(known & (accuracy >= LIMITS.warning)), effect=typical,
                                 advice=Advice("look", "record with RTK, or post-process")))

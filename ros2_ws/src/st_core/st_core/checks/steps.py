@@ -2,8 +2,8 @@
 
     d_k = p_k - p_{k-1} - integral of R(yaw) v dt
 
-A jump is one large d. A stale position, one receiver interval h old, is a step back along the track by v h; the next
-new position is an equal step forward.
+A jump is one large d. A stale position, one receiver interval h old, is a step back along the track by v h, followed by
+an equal step forward at the next new position.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from .motion import MAX_GAP, MOVING, Motion, integral, stretches
 from .sampling import resolution
 
 OUTLIER_SIGMAS = 6.0  # robust standard deviations beyond which a step is not noise
-MIN_NOISE = 0.05  # m; RTK positions have 2 cm, and those of an INS far less from sample to sample
+MIN_NOISE = 0.05  # m; noise between samples is 2 cm for RTK positions, and far less for those of an INS
 MIN_JUMP = 0.2  # m; the distance in 10 ms at 20 m/s
 MAX_LISTED_JUMPS = 50
 JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s to both sides of a jump, so that a gap remains; rounded to 10 ms
@@ -86,14 +86,14 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     trials = max(round(float(known.sum()) * spacing), 1)  # errors of neighbouring samples are not independent
     ends = binomtest(round(share * trials), trials).proportion_ci(method="wilson")
     interval = min(float(ends.low), share), max(float(ends.high), share)
-    text = (f"at {100 * share:.3g} % of the rows the position is {delay * 1e3:.0f} ms old: stale by one sample of the "
-            "receiver")
+    text = (f"at {100 * share:.3g} % of the rows the position falls back to one measured {delay * 1e3:.0f} ms earlier, "
+            "and returns later: in between it is stale by one sample of the receiver")
     severity = Severity.WARNING if share > WARNING_STALE_SHARE else Severity.NOTE
     stale = (back | forward) & (np.abs(age) < 1.6 * delay) & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors))
     return stale, [Finding(
         "position_stale", severity, ("x", "y"), text, share, "1", interval, stretches(motion.time[1:][back], 5.0)[:20],
         delay * float(np.median(speed[known])),
-        Advice("look", "stamp positions with their own time, or leave out rows with an old one"))]
+        Advice("look", "stamp positions with their own time, or leave out the rows with a stale position"))]
 
 
 def _check_jumps(motion: Motion, errors: np.ndarray, stale: np.ndarray, rounding: float) -> list[Finding]:
@@ -117,7 +117,7 @@ def _check_jumps(motion: Motion, errors: np.ndarray, stale: np.ndarray, rounding
 def _leave_out_jumps(where: Sequence[tuple[float, float]]) -> Advice:
     """Advice to leave out the jumps: nothing is compared and no prediction scored across the resulting gaps."""
     if len(where) > MAX_LISTED_JUMPS:
-        return Advice("look", "too many to leave out: use the positions of one receiver, with RTK, or post-process")
+        return Advice("look", "too many to leave out: record positions with RTK, or post-process the raw data")
     gaps: list[list[float]] = []
     for first, last in where:
         begin, end = round(first - JUMP_MARGIN, 2), round(last + JUMP_MARGIN, 2)
@@ -157,6 +157,6 @@ def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
     effect = deviation * float(np.median(motion.speed[1:][inside]))
     if slope < 0.5 or effect < LIMITS.min_reported_effect:
         return []
-    text = f"the stamps jitter by {deviation * 1e3:.1f} ms, but the motion is smooth: they are times of reception"
+    text = f"the stamps jitter by {deviation * 1e3:.1f} ms but the motion is smooth: they are times of reception"
     return [Finding("time_jitter", LIMITS.severity(effect), ("time",), text, deviation, "s", effect=effect, advice=
                     Advice("look", "use the time of measurement (GPS time)"))]

@@ -1,4 +1,4 @@
-"""Trial of corrections: each is applied to its run, and proposed unless predictions get worse.
+"""Trial of corrections: each is applied to its run, and proposed unless predictions become worse.
 
 The error is the distance between the measured position and that of the linear single-track model, 5 s after starts that
 lie 5 s apart, both from the corrected drive. A wrong steering ratio or offset of the vehicle file would favour
@@ -37,7 +37,7 @@ MAX_ERROR_RATIO, ERROR_NOISE = 1.1, 0.02
 GAIN_STEP, OFFSET_STEP = 0.03, 0.003  # 1, rad; of the derivatives
 MAX_GAIN, MAX_OFFSET = LIMITS.steering_unit - 1.0, 0.1  # 1, rad at the road wheels; no car has more
 MIN_STARTS = 4
-MAX_STARTS = 100  # spread over the run; more change the error by less than 1 %
+MAX_STARTS = 100  # evenly spaced in the run; with more, the error changes by less than 1 %
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 # Number of speeds, from the lowest to the highest of the run, at which the step size is checked for stability.
 SPEED_COUNT = 40
@@ -97,7 +97,7 @@ def _is_worse(before: float, after: float) -> bool:
 
 
 def _prediction_error(state: State | None) -> float | None:
-    """Root mean square distance after the horizon [m]; None where nothing can be predicted."""
+    """Root mean square distance after the horizon [m]; None if nothing can be predicted."""
     if state is None:
         return None
     log, vehicle = state
@@ -123,7 +123,7 @@ def _prediction_error(state: State | None) -> float | None:
 
 
 def _apply_advice(state: State, advice: Advice | None) -> State | None:
-    """The run with this correction; None where it cannot be applied here."""
+    """The run with this correction; None if it cannot be applied to data that are already read."""
     log, vehicle = state
     if advice is None or not advice.entry:
         return None
@@ -153,7 +153,7 @@ def _relabel_columns(log: DriveLog, entry: Mapping[str, Any]) -> DriveLog:
 
 def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog,
                   step: float) -> Finding | None:
-    """The finding `step_too_long` for all models together; None where the step [s] is short enough.
+    """The finding `step_too_long` for all models together; None if the step [s] is short enough.
 
     Its value is the minimum_slip_speed [m/s] that makes the step stable, as printed; else the longest stable step tried
     [s]; None if there is neither.

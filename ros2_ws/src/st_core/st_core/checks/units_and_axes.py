@@ -33,7 +33,7 @@ MIN_YAW_RANGE = 0.2  # rad of turning
 MAX_FOLLOW_MISFIT = 0.02  # fraction of the distance up to which positions are consistent with yaw and velocity
 MAX_MAP_MISFIT = 0.1  # fraction of the distance, and of the misfit in body axes, up to which velocities are in map axes
 MAX_SCALE_ERROR = 0.005  # of a faultless gyroscope or projection
-MIN_RATE_ERROR = 0.005  # of the time; quartz clocks have errors of 0.0001, nominal rates of a whole sample
+MIN_RATE_ERROR = 0.005  # relative error of the time; that of a crystal is 0.0001
 CLEAR_MISFIT_RATIO = 0.8
 TIE_MISFIT_RATIO = 0.97  # above it velocity_y is too small to determine its unit, which is then that of velocity_x
 DEGREE, GON = 180.0 / np.pi, 200.0 / np.pi
@@ -62,7 +62,7 @@ def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def _merge_yaw_findings(findings: list[Finding]) -> list[Finding]:
-    """One finding for a yaw that counts clockwise, and not from north: each correction alone leaves an error."""
+    """One finding for a yaw that counts clockwise and not from north: each correction alone would leave an error."""
     by_name = {finding.name: finding for finding in findings}
     if not {"yaw_convention", "yaw_offset"} <= by_name.keys():
         return findings
@@ -97,7 +97,7 @@ def check_time_unit(motion: Motion) -> Corrected:
         return motion, None
     factor = 1.0 / found.distance
     unit = match_unit(factor, TIMES)
-    # One ratio alone may also be the unit of velocity; then only a unit of time is accepted.
+    # A single ratio may also be due to the unit of velocity, so only factors of time units are accepted then.
     if not unit and (len(known) < 2 or 1 / 10 < factor < 10):
         return motion, None
     reason, advice = "", Advice("look", "look at the clock that stamps the rows")
@@ -130,14 +130,14 @@ def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate
 
 
 def yaw_is_late(motion: Motion, earlier: Motion) -> bool:
-    """Whether positions follow velocity and yaw clearly better with `earlier`, the drive with another time of yaw."""
+    """Whether positions agree clearly better with velocity and yaw in `earlier`, the drive with yaw shifted in time."""
     return _misfit(earlier) < CLEAR_MISFIT_RATIO * _misfit(motion)
 
 
 def _correct_both_turns(motion: Motion) -> Corrected:
     """Yaw rate in the same wrong unit as yaw (of either sense), known from the course; yaw is corrected later."""
     r = ratios(motion)
-    # The course over one short bend has an error of ten per cent; yaw and yaw rate decide together.
+    # The course in one short bend is uncertain by ten per cent, so both yaw and yaw rate must agree.
     size = _angle_unit(r.rate_course, SAME_RATIO_FACTOR)
     if size in ANGLES and is_near(abs(r.yaw_rate), 1.0, LIMITS.unit) and (
             is_near(abs(r.yaw_course), size, LIMITS.unit)):
@@ -181,7 +181,7 @@ def _correct_north_east(motion: Motion) -> Corrected:
 
 
 def _common_sign(values: np.ndarray, turn: np.ndarray) -> int:
-    """Sign of the correlation of values and turn; 0 where it is weak."""
+    """Sign of the correlation of values and turn; 0 if it is weak."""
     known = np.isfinite(values)
     if known.sum() < 50 or not np.std(values[known]) * np.std(turn[known]) > 0.0:
         return 0
@@ -227,7 +227,7 @@ def _scale_yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
 
 
 def _angle_unit(factor: float, within: float = 1.06) -> float:
-    """The unit of angles, or 1, near the magnitude of a factor; that magnitude where none is near."""
+    """The factor of an angle unit, or 1, near the magnitude of a factor; else that magnitude."""
     size = abs(factor)
     return min((unit for unit in (*ANGLES, 1.0) if is_near(size, unit, within)),
                key=lambda unit: abs(np.log(size / unit)), default=size)
@@ -244,7 +244,7 @@ def _without_wraps(motion: Motion, yaw: np.ndarray) -> np.ndarray:
 
 
 def _correct_position_axes(motion: Motion) -> Corrected:
-    """Positions mirrored or exchanged, where yaw and yaw rate agree."""
+    """Correct mirrored or exchanged positions, if yaw and yaw rate agree."""
     r = ratios(motion)
     if not (is_near(r.yaw_course, -1.0, LIMITS.unit) and is_near(r.yaw_rate, 1.0, LIMITS.unit)):
         return motion, None

@@ -1,4 +1,4 @@
-"""Relations that involve the vehicle, with bounds so wide that only a faulty recording exceeds them.
+"""Relations that involve the vehicle, with limits so wide that only a faulty recording exceeds them.
 
 Steering: the road wheel angle of a car without slip is atan(L r / v_x). Errors of ratio and wheelbase change it by
 about ten per cent, understeer at 20 m/s may nearly double it, a wrong unit makes it 57 times as large. Rear axle: at
@@ -31,7 +31,7 @@ MIN_STEERING_ANGLE = 0.01  # rad, root mean square
 MIN_ANGLE_FOR_SIGN = 0.003  # rad, root mean square; fast wide bends determine the sign, not the size
 MAX_OPPOSITE_CORRELATION = -0.8  # of steering and curvature, up to which the sensor has the opposite sign
 MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels, of the steering and of that derived from curvature
-MIN_GAIN = 1e-6  # of steering versus curvature; with a smaller one the angle is constant, reported as frozen
+MIN_GAIN = 1e-6  # of steering versus curvature; below it the angle is constant, which is reported as frozen
 
 
 def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: bool) -> CheckResult:
@@ -121,7 +121,7 @@ def _lateral_shift(error: float, speed: float, vehicle: VehicleParameters) -> fl
 
 def _unit_finding(gain: Estimate, understeer: float, vehicle: VehicleParameters,
                   wheel_measured: bool) -> Finding | None:
-    """understeer: factor from the vehicle file; its stiffnesses may be guesses, so 1 is accepted as well."""
+    """understeer: factor from the vehicle file; as its stiffnesses may be rough, the factor 1 is accepted as well."""
     value, limit = gain.value, LIMITS.steering_unit
     if abs(value) < MIN_GAIN or (gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * understeer):
         return None
@@ -203,7 +203,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
         return [], {}, None
     forward, lateral, rate = (mean[use] for mean in means)
     if abs(float(forward @ rate)) > MAX_COSINE * float(np.linalg.norm(forward) * np.linalg.norm(rate)):
-        return [], {}, None  # on one circle heading, point and slip of the axle are confounded
+        return [], {}, None  # on a single circle, heading, point and slip of the axle are confounded
     problem = Regression(over.time[use], lateral[:, None], {
         "heading": -forward[:, None], "point": rate[:, None], "slip": -(forward**2 * rate)[:, None],
         "roll": -(over.change(motion.velocity_x * motion.yaw_rate)[use] / WINDOW)[:, None]})
@@ -212,7 +212,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     heading = with_systematic("heading_misaligned", found["heading"])
     point = with_systematic("measuring_point", found["point"].shifted(-declared))
     low, high = (declared + end for end in point.interval)
-    # The point is as far behind the axle as it is declared ahead, and the slip of the rear axle has the wrong sign.
+    # With the opposite sign, the point appears as far behind the axle as it is ahead, with a slip of the wrong sign.
     is_mirrored = low < -declared < high and declared > LIMITS.mounting and found["slip"].interval[1] < 0.0
     place = _sign_finding() if is_mirrored else _point_finding(point, motion, vehicle)
     findings = [finding for finding in (_heading_finding(heading, forward), place) if finding]
@@ -289,7 +289,7 @@ def check_tyre_limit(motion: Motion) -> list[Finding]:
     text = f"v_x times yaw rate reaches {largest:.0f} m/s^2; tyres reach about 10: speed or yaw rate is wrong there"
     where = tuple((float(t), float(t) + WINDOW) for t in over.time[impossible][:20])
     return [Finding("lateral_acceleration_impossible", Severity.ERROR, ("velocity_x", "yaw_rate"), text, largest,
-                    "m/s^2", where=where, advice=Advice("look", "look at the stretches listed"))]
+                    "m/s^2", where=where, advice=Advice("look", "look at speed and yaw rate in these stretches"))]
 
 
 def check_standstill(motion: Motion) -> list[Finding]:

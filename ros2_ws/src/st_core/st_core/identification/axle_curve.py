@@ -4,8 +4,8 @@
 
 F_model is the axle force in the model's equations of motion in steady cornering at equal slip of both axles, without
 forward acceleration: every effect that acts in that state is included, offsets cancel. The slip angle is computed from
-the measured steering, as in a regression, so compliance and roll steer change the curve. No curve is given beyond the
-driven slip. Checked by: test_axle_curve.py.
+the measured steering, as in a regression, so compliance and roll steer change the curve. The curve ends at the driven
+slip. Checked by: test_axle_curve.py.
 """
 
 from collections.abc import Iterable
@@ -108,7 +108,7 @@ def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven
     abs_slip = np.abs(np.asarray(driven_slip, float))
     abs_slip = abs_slip[np.isfinite(abs_slip)]
     if len(abs_slip) < 2 or not abs_slip.max() > 0.0:
-        raise StCoreError(f"{axle} axle: {len(abs_slip)} driven slip angles; two or more above 0 are needed")
+        raise StCoreError(f"{axle} axle: {len(abs_slip)} driven slip angles; at least two above 0 are needed")
     slip = np.linspace(0.0, float(np.quantile(abs_slip, DRIVEN_QUANTILE)), 41)
     model = get_model(model)
     if original is None:
@@ -127,7 +127,7 @@ def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleP
     """Models with values drawn from a normal distribution about those of `model`, within the bounds of each parameter.
 
     covariance: (p, p) of `model.vector` [SI]; rows of zeros for constants. vehicle: draws outside the limits of a
-    vehicle file are dropped. Raises StCoreError for fewer than MIN_DRAWS: the uncertainty is as wide as the bounds.
+    vehicle file are dropped. Raises StCoreError if fewer than MIN_DRAWS are left: the values are hardly determined.
     """
     low, high = np.array([p.bounds for _, p in model.free]).T.reshape(2, -1)
     values = np.random.default_rng(0).multivariate_normal(model.vector, covariance, count, method="eigh")

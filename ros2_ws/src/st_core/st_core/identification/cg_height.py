@@ -66,9 +66,11 @@ class LiftedCar:
 
 def pitch_from_lift(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.ndarray,
                     wheelbase: float) -> np.ndarray:
-    """Pitch [rad] relative to the first row, from the lift [m] of the ground under the front wheels.
+    """Pitch [rad] relative to the first row, from the lift of the ground under the front wheels [m]; (n,) each.
 
-    theta = asin((lift + r_front - r_rear) / l) minus its value in the first row; (n,) each. Raises IdentificationError.
+        theta_k = asin((lift_k + r_front,k - r_rear,k) / l),    pitch_k = theta_k - theta_0
+
+    Raises IdentificationError.
     """
     rise = (lift + front_radius - rear_radius) / wheelbase
     if not np.isfinite(rise).all() or np.abs(rise).max() >= math.sin(MAX_PITCH):
@@ -82,8 +84,8 @@ def pitch_from_lift(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.
 def cg_height(data: Lift, car: LiftedCar) -> Identification:
     """Estimate of cg_height [m].
 
-    Raises IdentificationError, with the numbers, for rows that do not determine it: no level row, too little pitch,
-    pitch in the wrong unit, load that falls as the nose rises.
+    Raises IdentificationError, with the numbers, for unusable rows: no level row, too little pitch, pitch in the wrong
+    unit, load that falls as the nose rises.
     """
     level = _check_rows(data)
     line = fit_line(np.tan(data.pitch), data.rear_load, data.lifts)
@@ -111,21 +113,21 @@ def cg_height(data: Lift, car: LiftedCar) -> Identification:
     estimate = Estimate(
         "cg_height", height, "m", spread, symmetric_interval(height, spread, freedom), method, used,
         f"The CG is {height:.3f} m above the ground, {arm:.3f} m above the wheel centres; the average over the pitch "
-        f"angles, as in the paper, is {average:.3f} m.{deflection_note}")
+        f"angles, the method of the paper, is {average:.3f} m.{deflection_note}")
     edges = np.arange(0.0, data.pitch.max() + BIN, BIN)
     counts = np.histogram(data.pitch, edges)[0]
     coverage = Coverage("pitch", "deg", np.degrees(edges), counts, 1, 2)
     warnings = [*_order_warnings(data), *_load_warnings(data, car, level)]
     if abs(average - height) > 2.0 * spread:
         warnings.append(f"The average over the pitch angles, {average:.3f} m, differs from the fit, {height:.3f} m, by "
-                        "more than twice its uncertainty: the average gives small and large pitch angles equal weight.")
+                        "more than twice its uncertainty: it gives small pitch angles the same weight as large ones.")
     figure = {"pitch": data.pitch, "rear_load": data.rear_load, "lifts": data.lifts, "single": single, "usable": usable,
               "average": average, "slope": line.slope, "levels": line.levels, "radius": radius}
     return Identification("cg-height", (estimate,), used, (), None, (coverage,), tuple(warnings), figure)
 
 
 def _check_rows(data: Lift) -> np.ndarray:
-    """Mask of the level rows. Raises IdentificationError for unusable rows."""
+    """Mask (n,) of the level rows. Raises IdentificationError for unusable rows."""
     pitch, load = data.pitch, data.rear_load
     if not (np.isfinite(pitch).all() and np.isfinite(load).all() and (load > 0.0).all()):
         raise IdentificationError("every row needs a pitch and a rear load above 0 kg")
@@ -140,8 +142,8 @@ def _check_rows(data: Lift) -> np.ndarray:
                                   "further; if the column is in radians, name it pitch_rad")
     steps = len(np.unique(np.round(np.degrees(pitch[~level]), 1)))
     if not level.any() or steps < 2:
-        raise IdentificationError(f"{int(level.sum())} level rows and {steps} lifted pitch angles: at least one "
-                                  "level row and two lifted pitch angles are needed")
+        raise IdentificationError(f"{int(level.sum())} level rows and {steps} lifted pitch angles: at least one level "
+                                  "row and two lifted pitch angles are needed")
     if pitch[~level].max() <= 0.0:
         raise IdentificationError(f"pitch is never positive, down to {math.degrees(pitch.min()):.1f} deg: nose up is "
                                   "positive, the front axle is lifted")
@@ -153,7 +155,7 @@ def _radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float, float 
     front, rear = (radius[level & np.isfinite(radius)] for radius in (data.front_radius, data.rear_radius))
     if not len(front) or not len(rear):
         raise IdentificationError("the level rows have no wheel radius: measure the height of the front and rear wheel "
-                                  "centres over the ground of the loaded, level car")
+                                  "centres above the ground with the car loaded and level")
     for name, values in (("front", front), ("rear", rear)):
         if not (values.min() > 0.1 and values.max() < 1.0):
             raise IdentificationError(f"{name} wheel radius {values.min():.3g} to {values.max():.3g} m is not within "
@@ -167,8 +169,8 @@ def _radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float, float 
 
 def _single_heights(data: Lift, car: LiftedCar, level: np.ndarray, radius: float,
                     line: Line) -> tuple[np.ndarray, np.ndarray]:
-    """Height from each single row (n,), and the mask of usable rows; the level load is the mean of the level rows of
-    that lift."""
+    """Height from each single row (n,), and mask of the rows that determine one; the level load is the mean over the
+    level rows of the lift."""
     groups = np.asarray(data.lifts)
     zero = np.array([data.rear_load[level & (groups == name)].mean() if (level & (groups == name)).any()
                      else line.levels[name] for name in data.lifts])

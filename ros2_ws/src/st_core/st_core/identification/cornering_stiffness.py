@@ -121,7 +121,7 @@ class AxleRegression:
         else:
             slip = np.rad2deg(np.quantile(np.abs(self.samples.slip[self.samples.used]), DRIVEN_QUANTILE))
             model_error = (f"model error +/- {100 * self.model_error / self.stiffness:.1f} % included"
-                           if np.isfinite(self.model_error) else "its change with the slip range is not known")
+                           if np.isfinite(self.model_error) else "its change with the slip range is unknown")
             verdict = (f"{self.stiffness:.0f} N/rad +/- {100 * self.uncertainty / self.stiffness:.1f} % from "
                        f"{self.basis}. Secant over slip angles up to {slip:.1f} deg, compliance and roll steer "
                        f"included; {model_error}.")
@@ -145,7 +145,7 @@ def slip_angles(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.nda
 
 
 def axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[AxleRegression, AxleRegression]:
-    """Regressions of (front, rear) axle on drives with measured sideslip; a rejected value has its reasons.
+    """Regressions of (front, rear) axle on drives with measured sideslip; a rejected value comes with its reasons.
 
     vehicle: mass, inertia, lengths, lever arm, steering are used; its stiffnesses are not. Steering offset and ratio
     must be correct. Raises IdentificationError for no drive, a repeated name, or a drive that is too short.

@@ -43,8 +43,8 @@ BOUND_TOLERANCE = 1e-3
 """Distance to a bound, as a fraction of the range between both bounds, below which a value counts as at the bound."""
 MAX_CONDITION = 1e12
 MIN_CURVATURE_RATIO = 0.2
-"""Minimum ratio of the second derivative of the loss to the weighted squares; 0.7 for the distribution that it assumes.
-"""
+"""Minimum ratio of the second derivative of the loss to its Gauss-Newton approximation; 0.7 for the assumed
+distribution of errors."""
 
 Values = Mapping[str, float]
 
@@ -234,7 +234,8 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     if np.linalg.cond(total / np.outer(size, size)) > MAX_CONDITION:
         raise IdentificationError(f"{', '.join(names)}: not determined by the data; drive with more variety of speed "
                                   "and bends, or free fewer parameters")
-    # The loss is less curved than its weighted squares, so each block has more influence by that ratio.
+    # The Gauss-Newton approximation overestimates the curvature of the loss, so the influence of each block is larger
+    # by that ratio.
     ratio = np.clip((np.diag(problem.loss.curvature(rows, slopes)) / np.diag(total)).mean(), MIN_CURVATURE_RATIO, 1.0)
     influence = group.leave_out(ratio * hessian, gradient)
 

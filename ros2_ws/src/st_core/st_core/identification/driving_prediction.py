@@ -80,8 +80,8 @@ def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
                       nuisance: Sequence[str] = NUISANCE) -> Identification:
     """Both stiffnesses with their uncertainty from the scatter between runs.
 
-    vehicle: all other values, and the start values of the fit. base: linear, nonlinear, or either with effects that are
-    known (`augment`: for example drive force on steered wheels). also: further parameters to fit and report, of
+    vehicle: all other values, and the start values of the fit. base: linear, nonlinear, or one of these with known
+    effects (`augment`: for example drive force on steered wheels). also: further parameters to fit and report, of
     `driving_fit.FREE_PARAMETERS` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). nuisance:
     fitted too, not reported. Raises IdentificationError for too little excitation.
     """
@@ -100,7 +100,7 @@ def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
     for estimate, slip in zip(result.estimates, driven_slip(logs, vehicle, settings), strict=False):
         share = 100.0 * systematic.get(estimate.parameter, 0.0) / max(abs(estimate.value), 1e-300)
         model_error = (f"the value changes with the slip range, model error +/- {share:.1f} % included" if systematic
-                       else "its change with the slip range is not known: drive small and large lateral accelerations")
+                       else "its change with the slip range is unknown: drive small and large lateral accelerations")
         verdict = f"{estimate.verdict} {kind} over slip angles up to {np.rad2deg(slip):.1f} deg; {model_error}."
         estimates.append(replace(estimate, verdict=verdict))
     return replace(result, estimates=(*estimates, *result.estimates[len(STIFFNESSES):]),
@@ -155,7 +155,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                          base: str | Model = "nonlinear") -> Identification:
     """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported too.
 
-    Raises IdentificationError without transients: half a second of |r_dot| above 0.3 rad/s^2 is needed to either side.
+    Raises IdentificationError without transients: |r_dot| above 0.3 rad/s^2 is needed for 0.5 s in each direction.
     """
     settings = TRANSIENT_SETTINGS
     logs, notices = prepare_drives(logs, vehicle)
@@ -189,13 +189,13 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 def make_identification(experiment: str, vehicle: VehicleParameters, fit: DrivingFit, method: str,
                         reported: Sequence[str], covered: Sequence[Coverage],
                         systematic: Mapping[str, float] | None = None) -> Identification:
-    """Result of a fit. reported: parameters returned as estimates, with their correlation. systematic: standard
-    uncertainties that the scatter of the drives does not contain, added in quadrature."""
+    """Result of a fit. reported: parameters that become estimates, with their correlation. systematic: standard
+    uncertainties in addition to the scatter between drives, added in quadrature."""
     spread = fit.spread
     share = SINGLE_TRACK_ERROR * vehicle.wheelbase**2 * fit.curvature_square
     extra = [np.hypot((systematic or {}).get(n, 0.0), share * v if n in STIFFNESSES else 0.0)
              for n, v in zip(fit.names, fit.values, strict=True)]
-    # Independent of the drives, so added to the variances alone.
+    # Systematic errors are taken as uncorrelated between parameters: only the variances increase.
     covariance = spread.covariance + np.diag(np.square(extra))
     chosen = [fit.names.index(name) for name in reported]
     uncertainty = np.sqrt(np.diag(covariance))

@@ -34,7 +34,7 @@ MAXIMUM_ACCELERATION = 2.5  # m/s^2, lateral
 CURVATURE_EDGES = np.array([-0.3, -0.05, -0.02, -0.005, 0.005, 0.02, 0.05, 0.3])  # 1/m, left +
 MIN_CURVATURE = 0.03  # 1/m; d_y is not identifiable from wider bends
 MIN_TIGHT_TIME = 5.0  # s of tight bends, to each side
-SAMPLE_INTERVAL = 0.1  # s between the samples kept; after the filter, closer ones add no information
+SAMPLE_INTERVAL = 0.1  # s between the samples in the fit; filtered samples at a shorter interval are redundant
 
 
 def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
@@ -100,8 +100,8 @@ def _lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, gr
     curvature = rate / speed
     seconds = [float(np.count_nonzero(side * curvature > MIN_CURVATURE)) * SAMPLE_INTERVAL for side in (1.0, -1.0)]
     if min(seconds) < MIN_TIGHT_TIME:
-        return (f"cg_to_ins_y is not estimated: tighter than R = {1 / MIN_CURVATURE:.0f} m are {seconds[0]:.0f} s "
-                f"to the left and {seconds[1]:.0f} s to the right, {MIN_TIGHT_TIME:g} s to each are needed.")
+        return (f"cg_to_ins_y is not given: tighter than R = {1 / MIN_CURVATURE:.0f} m there are {seconds[0]:.0f} s to "
+                f"the left and {seconds[1]:.0f} s to the right; {MIN_TIGHT_TIME:g} s to each side are needed.")
     d_y = 0.0
     for _ in range(4):  # the equation is nearly linear in d_y
         forward = speed + rate * d_y
@@ -128,10 +128,10 @@ def _estimate(name: str, value: float, spread: Spread, index: int, factor: float
 
 
 def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters) -> str:
-    """A sentence if the slip s contradicts the rear stiffness of the vehicle file, else an empty text."""
+    """A sentence if the slip s contradicts the rear stiffness of the vehicle file, else ""."""
     expected = rear_slip_coefficient(vehicle)
     found, uncertainty = -slip, float(np.sqrt(variance))
     if uncertainty > 0.5 * expected or abs(found - expected) < 2.0 * uncertainty:
         return ""
     return (f"Rear slip per v_x^2 r is {found:.2e} +/- {uncertainty:.1e} s^2/m, the vehicle file's stiffness gives "
-            f"{expected:.2e}: that stiffness, or the load on the rear axle, is incorrect.")
+            f"{expected:.2e}: that stiffness, or the load on the rear axle, is wrong.")

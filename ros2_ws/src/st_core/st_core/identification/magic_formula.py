@@ -31,7 +31,7 @@ from .result import Coverage, Estimate, Identification, IdentificationError, Sta
 
 MAX_SLIP = math.radians(40.0)
 MIN_SLIP = math.radians(3.0)
-LEVEL_GAP = 0.04  # relative; loads closer than this are one level, because the load of the carriage varies
+LEVEL_GAP = 0.04  # relative; loads closer than this count as one level, since the load varies during a sweep
 MIN_POINTS = 7  # at the nominal load; five parameters are fitted to them
 SLIP_BINS = np.radians([0.0, 0.75, 1.5, 3.0, 5.0, 8.0, 12.0, 20.0])
 MIN_FILLED_BINS = 3
@@ -162,7 +162,7 @@ class TyreFit:
 def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
     """Fit in two stages, then simultaneous. start: has nominal_load and all parameters that are not fitted.
 
-    Raises IdentificationError for a table that does not determine the parameters.
+    Raises IdentificationError for a table that does not determine a tyre.
     """
     levels, level = load_levels(data)
     data, flipped = check_table(data, levels, level, start.nominal_load)
@@ -183,7 +183,7 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
 
 
 def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
-    """Estimates of the parameters of a tyre, named "tyre_front.p_cy1", as in the vehicle file."""
+    """Estimates of the tyre's parameters, named as in the vehicle file, such as "tyre_front.p_ky1"."""
     found = fit_tyre(data, start)
     fit, tyre = found.fit, found.tyre
     levels, level = found.levels, found.level
@@ -207,11 +207,11 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
             verdict.append(f"{key} ended at its bound {end:g}: the value is set by the bound, not by the data.")
         elif open_ends == 1:
             end = interval.low if interval.lower_open else interval.high
-            verdict.append(f"The data bound it on one side only: the interval ends at the bound {end:g}.")
+            verdict.append(f"The data determine only one end of the interval; the other is the bound {end:g}.")
         if open_ends == 2:
             verdict.append(f"The data do not determine it within {interval.low:g} to {interval.high:g}; it is written "
                            "because, with the other parameters, it reproduces the stiffness at the tested loads.")
-            # Uniform distribution in the range: all values are equally likely.
+            # Standard deviation of a uniform distribution in the range.
             spread = (interval.high - interval.low) / math.sqrt(12.0)
         estimates.append(Estimate(key, value, "1", spread, (interval.low, interval.high), method, (data.name,),
                                   " ".join(verdict), status))
@@ -295,7 +295,7 @@ def _warnings(data: FlatPlank, found: TyreFit, peak: float) -> list[str]:
     shift, spread = found.fit.values[-1], found.fit.deviations[-1]
     if abs(shift) > 3.0 * spread and abs(shift) > math.radians(0.02):
         sentences.append(f"The curves are shifted by {math.degrees(shift):+.2f} deg of slip angle (conicity, "
-                         "plysteer, or the wheel's zero); the tyre model is symmetric and has no such shift.")
+                         "plysteer, or the zero of the wheel angle); the models' tyre is symmetric, without a shift.")
     grid = np.linspace(data.slip.min(), data.slip.max(), 61)
     largest = max(float(np.abs(tyre_force(grid, load, found.staged) - tyre_force(grid, load, found.tyre)).max())
                   for load in found.levels)

@@ -77,8 +77,8 @@ def mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: f
     )
     warnings = _side_warnings(chosen.mean(axis=0))
     if n == 1:
-        warnings.append("One weighing: its interval contains only the uncertainty of the scales. Roll the car off and "
-                        "on and weigh again, three times at least.")
+        warnings.append("One weighing: the interval contains only the uncertainty of the scales. Roll the car off and "
+                        "on and weigh again, at least three times.")
     if rejected:
         warnings.append(f"{len(rejected)} of {len(readings)} weighings have another loading and were left out.")
     figure = {"readings": readings, "kept": keep, "names": weighings.names, "masses": all_masses,
@@ -99,8 +99,8 @@ def describe_swapped_axles(found: Identification, wheelbase: float, expected: fl
 def _check_readings(weighings: Weighings) -> np.ndarray:
     readings = np.asarray(weighings.readings, dtype=float)
     if readings.ndim != 2 or readings.shape[1] != len(WHEELS) or not len(readings):
-        raise IdentificationError(f"readings of shape {readings.shape}: four wheels per weighing, and at least one "
-                                  "weighing, are needed")
+        raise IdentificationError(f"readings of shape {readings.shape}: expected four wheels per weighing, and at "
+                                  "least one weighing")
     for row, name in zip(readings, weighings.names, strict=True):
         for wheel, value in zip(WHEELS, row, strict=True):
             if not (math.isfinite(value) and value > 0.0):
@@ -110,7 +110,7 @@ def _check_readings(weighings: Weighings) -> np.ndarray:
             if abs(a - b) > MAX_SIDE_DIFFERENCE * (a + b):
                 raise IdentificationError(
                     f"weighing {name}: the {axle} wheels carry {a:.1f} and {b:.1f} kg, "
-                    f"{100 * abs(a - b) / (a + b):.0f} % of the axle apart; are two "
+                    f"a difference of {100 * abs(a - b) / (a + b):.0f} % of the axle load; are two "
                     "columns exchanged, or is a wheel not on its scale?")
     if not (math.isfinite(weighings.scale_uncertainty) and weighings.scale_uncertainty > 0.0):
         raise IdentificationError(f"scale uncertainty {weighings.scale_uncertainty:g} kg: give the standard "

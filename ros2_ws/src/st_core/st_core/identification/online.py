@@ -32,9 +32,9 @@ STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
 FITTED = ("steering_wheel_offset", "steering_ratio", *STIFFNESSES, MISALIGNMENT, DELAY, RELAXATION)
 
 SETTINGS = DrivingFitSettings(interval=1.0, min_windows=20)
-BUFFER, SPACING_NS = 400.0, 19_000_000  # s of driving kept; ns between samples kept, 20 ms with jitter
+BUFFER, SPACING_NS = 400.0, 19_000_000  # s of driving stored; ns, minimum between stored samples: 20 ms with jitter
 FIT_INTERVAL = 15.0  # s of usable driving
-MIN_SPEED = 2.0  # m/s of samples kept
+MIN_SPEED = 2.0  # m/s, of stored samples
 MAX_GAP = 0.1  # s; a longer pause between samples is not driving time
 SYSTEMATIC = (math.radians(0.05), 0.005, 0.03)
 """Largest errors on the simulated Leaf in bends and slaloms: of offset [rad], ratio and scale (relative)."""
@@ -63,7 +63,8 @@ class Tracked:
 
 @dataclass
 class DrivingTime:
-    """Driving used so far [s], by kind; loaded: bends above MIN_LOADED_ACCELERATION. rejected [s]: by reason."""
+    """Duration of the driving used so far [s], by kind; loaded: bends above MIN_LOADED_ACCELERATION. rejected: by
+    reason."""
 
     used: float = 0.0
     straight: float = 0.0
@@ -176,7 +177,7 @@ class OnlineIdentifier:
         self._fit = fit
 
     def estimates(self) -> tuple[Tracked, ...]:
-        """Current estimate of each parameter, with the reason where it is not estimated."""
+        """Current estimate of each parameter, or the reason why it is not estimated."""
         missing, implausible = self._missing_driving(), self._implausible_values()
         estimates = []
         for k, name in enumerate(NAMES):
@@ -207,7 +208,7 @@ class OnlineIdentifier:
         driven.speeds[sum(speed >= edge for edge in SPEED_BINS[1:])] += time
 
     def _missing_driving(self) -> Mapping[str, str]:
-        """Missing excitation as text, by parameter; "" where there is enough."""
+        """Text of the missing driving, by parameter; "" if there is enough."""
         driven = self.driving_time
         bends = min(driven.left, driven.right)
         filled = sum(time >= 5.0 for time in driven.speeds)

@@ -74,8 +74,8 @@ class Coverage:
 class Identification:
     """Outcome of one experiment.
 
-    An estimate with zero inside its 95 % interval is doubtful at most, and unidentifiable where only positive values
-    are possible; parameters of the Magic Formula, which can be zero, are exempt.
+    An estimate with zero inside its 95 % interval is doubtful, or unidentifiable if only positive values are possible;
+    parameters of the Magic Formula are exempt, because zero is a valid value of them.
 
     experiment: name of the experiment in `st identify`. used: names of the data. rejected: (data, reason). correlation:
     matrix of the estimates, in their order, or None. coverage: excitation by signal. warnings: sentences. figure:
@@ -127,7 +127,7 @@ def _with_status(estimate: Estimate) -> Estimate:
 
 
 def describe_contradiction(estimate: Estimate, value: float, standard_uncertainty: float, origin: str) -> str:
-    """A sentence if a value of another experiment differs significantly (two-sided, 5 %), else an empty text.
+    """A sentence if a value of another experiment differs significantly (two-sided, 5 %), else "".
 
         z = (x_1 - x_2) / sqrt(u_1^2 + u_2^2),    reported when |z| > 1.96
     """
@@ -190,7 +190,7 @@ def describe_stale_scales(vehicle: VehicleParameters, found: Iterable[Identifica
 
 
 def compare_with_file(vehicle: VehicleParameters, estimate: Estimate) -> str:
-    """A sentence if the value contradicts that of the vehicle file and its uncertainty, else an empty text."""
+    """A sentence if the value differs significantly from that of the vehicle file, else ""."""
     before = vehicle.provenance.get(estimate.parameter)
     if before is None or before.uncertainty is None or estimate.status == "unidentifiable":
         return ""

@@ -129,14 +129,14 @@ def signal_coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence[
 
 
 def require_coverage(coverages: Sequence[Coverage], advice: str) -> None:
-    """Raises IdentificationError, with the numbers, for signals with too little excitation; advice: what to drive."""
+    """Raises IdentificationError, with the numbers, for too little excitation. advice: the required driving."""
     insufficient = [coverage.describe() for coverage in coverages if not coverage.sufficient]
     if insufficient:
         raise IdentificationError(f"too little excitation: {'; '.join(insufficient)}. {advice}")
 
 
 def _away_from_edges(time_ns: np.ndarray) -> np.ndarray:
-    """Mask of the samples at least FILTER_SETTLING_TIME away from the ends of their gap-free section."""
+    """Mask of the samples at least FILTER_SETTLING_TIME away from the ends of their gap-free stretch."""
     edge = round(FILTER_SETTLING_TIME / NANOSECOND)
     breaks = np.flatnonzero(np.diff(time_ns) > round(MAXIMUM_GAP / NANOSECOND))
     begins = time_ns[np.concatenate(([0], breaks + 1))]

@@ -111,7 +111,7 @@ def steering_ratio(data: Turntable) -> Identification:
     limits = VEHICLE_QUANTITIES["steering_ratio"]
     ratio = 1.0 / line.slope if line.slope else math.inf
     if not (limits.minimum <= ratio <= limits.maximum):
-        hint = ("steering wheel and road wheels turn against each other: left is positive in every column"
+        hint = ("steering wheel and road wheels have opposite signs: left is positive in every column"
                 if ratio < 0.0 else "are steering-wheel and road-wheel columns exchanged, or their units?")
         raise IdentificationError(f"the steering wheel turns {ratio:.3g} times as far as the road wheels, limit "
                                   f"{limits.minimum:g} to {limits.maximum:g}: {hint}")
@@ -170,6 +170,6 @@ def _warnings(data: Turntable, line: Line) -> list[str]:
                          "is not affected.")
     if len(line.levels) > 1:
         play = math.degrees(max(line.levels.values()) - min(line.levels.values()))
-        sentences.append(f"The sweeps lie up to {play:.2f} deg apart at the road wheel: play, friction, or turntables "
-                         "that were set to zero again.")
+        sentences.append(f"The sweeps differ by up to {play:.2f} deg at the road wheel: play, friction, or turntables "
+                         "that were zeroed in between.")
     return sentences

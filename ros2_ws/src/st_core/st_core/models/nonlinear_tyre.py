@@ -15,7 +15,7 @@ from ._base import Axles, Model, axle_slip_angles, motion
 
 
 class Parameters(NamedTuple):
-    """kg, kg m^2, m, m/s; tyre parameters per wheel, lambda_ky included."""
+    """mass [kg], yaw_inertia [kg m^2], lengths [m], minimum_slip_speed [m/s]; tyres: of one wheel, with lambda_ky."""
 
     mass: float
     yaw_inertia: float
