@@ -97,8 +97,8 @@ def test_an_incomplete_one_is_refused(attributes, message):
 @pytest.mark.parametrize(("change", "message"), [
     ({"null": 3.0}, "null is outside its bounds"), ({"initial": -1.0}, "initial is outside its bounds"),
     ({"theory": 3.0}, "theory is outside its bounds"), ({"initial": 0.0}, "initial equals null"),
-    ({"bounds": (1.0, 0.0)}, "not two rising numbers"),
-    ({"bounds": (0.0, np.inf)}, "not two rising numbers"), ({"source": " "}, "source is empty"),
+    ({"bounds": (1.0, 0.0)}, "not two increasing numbers"),
+    ({"bounds": (0.0, np.inf)}, "not two increasing numbers"), ({"source": " "}, "source is empty"),
     ({"unit": ""}, "unit is empty"),
 ])
 def test_a_parameter_that_contradicts_itself_is_refused(change, message):

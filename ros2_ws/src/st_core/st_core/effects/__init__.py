@@ -55,8 +55,8 @@ def load_folder(path: str) -> tuple[str, ...]:
 
 
 def load_file(folder: str, name: str) -> tuple[type[Effect], ...]:
-    """The effects of one module of a folder, imported if it is not yet; other modules of the folder are not. Raises
-    ConfigurationError as `load_folder`."""
+    """Import one module of a folder, unless it is already imported, and return its effects. Raises ConfigurationError
+    as `load_folder`."""
     finder, package = _package(folder)
 
     def registered() -> tuple[type[Effect], ...]:
@@ -98,8 +98,8 @@ def _load(finder: FileFinder, package: str, names: Sequence[str]) -> None:
 
 
 def _check_others(names: Iterable[str], known: Iterable[str], folder: str) -> None:
-    """Raises ConfigurationError for unknown effects in confounded_with and members. known: names of effects, and of the
-    files of the folder, loaded or not: each has the name of its effect."""
+    """Raises ConfigurationError for unknown effects in confounded_with and members. known: names of effects and of the
+    files in the folder; a file has the name of its effect."""
     for name in sorted(names):
         for key in ("confounded_with", "members"):
             for other in getattr(EFFECTS[name], key):

@@ -26,9 +26,9 @@ TOTAL_DELAY = "total delay of the steering"  # dead time and lag; the equations 
 COMBINATIONS = {"front cornering stiffness over mass": "N/(rad kg)", "rear cornering stiffness over mass": "N/(rad kg)",
                 "stability factor K": "s^2/m^2", "steady-state yaw gain at 20 m/s": "1/s",
                 TOTAL_DELAY: "s"}
-"""Unit by name. Predictions depend on these combinations; single vehicle parameters are not separable in them. Yaw
-inertia over mass is not one of them: delays and relaxation act like it in a fit, and four of six intervals on cars with
-other dynamics missed the truth."""
+"""Unit by name. Predictions depend on these combinations; the vehicle parameters in them are not separable. Yaw inertia
+over mass is left out: delays and relaxation have a similar influence in a fit, and four of six intervals for cars with
+other dynamics did not contain the true value."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class Parameter:
     null: value without effect. initial: start of a fit, of typical magnitude. bounds: physical limits, inclusive.
     source: of initial and bounds. meaning: in a few words, with the sign. odd: whether it changes sign with left and
     right exchanged. fit: False for a constant of the car, not fitted; null is then its default. identity: the estimate
-    of `st_core.checks.check` that measures it without a fit to the car, same value, sign and unit; "" without one.
+    of `st_core.checks.check` that measures it without a fit to the car, same value, sign and unit; "" if there is none.
     theory: its value by physics, if the same in any car. quantity: key of the vehicle file that it is a difference
-    from, same unit and sign, if neither `vehicle` nor `fold` of the effect has it. shape: whether it is a coordinate of
-    a family of curves; a value on its bounds is then valid. model_error: standard deviation of the
-    values from models of other equations for the same car; from the development cars of `bench/strangers`. deviation:
+    from, same unit and sign, if neither `vehicle` nor `fold` of the effect has it. shape: whether it selects a curve
+    from a family; a value on a bound is then valid. model_error: standard deviation of the values fitted to one car
+    with models of other equations; from the development cars of `bench/strangers`. deviation:
     prior standard deviation about null of an addition to the measured car, such as a load, instead of the uncertainties
     of the vehicle file; inf for other parameters.
     Raises ConfigurationError if these contradict each other.
@@ -67,7 +67,7 @@ class Parameter:
     def __post_init__(self):
         low, high = self.bounds
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise ConfigurationError(f"parameter {self.name}: bounds {self.bounds} are not two rising numbers")
+            raise ConfigurationError(f"parameter {self.name}: bounds {self.bounds} are not two increasing numbers")
         for which in ("null", "initial", "theory"):
             value = getattr(self, which)
             if value is not None and not low <= value <= high:
@@ -146,16 +146,17 @@ class Effect:
             the motion
         observe(measured, theta) -> Measured: readings for true values; correct(measured, theta): the inverse
 
-    name: unique. physics: the equation in a line, with the sign. excited_by: driving that excites it. kind: of
+    name: unique. physics: the equation in a line, with the sign. excited_by: driving that makes it observable. kind: of
     EFFECT_KINDS. slot: of SLOTS, where it acts. confounded_with: effects that are hard to separate from it
     (one of the two may name the other), by sensitivity vectors of a single-track car on circle, step, sweep and limit.
-    needs: channels, all of which it needs to be observable and separable. members: names of the effects it is the sum
-    of. combinations: of COMBINATIONS, that it changes. ratio_to: key of the vehicle file; drives show only the ratio of
-    its quantity to that one. at_peak_force: observable only near the peak force of an axle. applies_to: base models.
+    needs: channels, all of which it needs to be observable and separable. members: names of the effects that it
+    combines. combinations: of COMBINATIONS, that it changes. ratio_to: key of the vehicle file; only the ratio of its
+    quantity to that one is observable. at_peak_force: observable only near the peak force of an axle. applies_to: base
+    models.
     converts: (from, to) of an effect that turns one base model into another, such as linear to nonlinear.
     extra_units: of `extra_states`, for exports. costly: evaluates the tyres again, left out of a fast model at null.
-    forward_only: the search adds it in forward steps only, since in a joint fit of the whole library it absorbs a part
-    of others. order: among the effects at one hook, lowest first.
+    forward_only: the search adds it in forward steps only, since in a joint fit of the whole library it absorbs parts
+    of other effects. order: of the effects at one hook, lowest first.
     """
 
     name: ClassVar[str]
@@ -274,7 +275,7 @@ def _wrong_names(effect: type[Effect]) -> Iterator[str]:
         yield "members must name two other effects or more"
     names = [p.name for p in effect.parameters]
     if len(set(names)) != len(names) or "constants" in names:
-        yield f"parameters {', '.join(names)}: a name is used twice, or is constants"
+        yield f"parameters {', '.join(names)}: a name is used twice, or is the reserved name constants"
 
 
 def _wrong_pairs(effect: type[Effect]) -> Iterator[str]:

@@ -3,8 +3,8 @@
     u = sum of in_i quantity_i, held at low and at low + 5 spacing beyond;   t(u) = (u - low) / spacing
     f(u) = sum over k of c_k (B(t(u) - k) + parity B(t(-u) - k)),   B the cubic B-spline on whole numbers, k = -1 ... 6
 
-f, times one `by_` quantity if requested, times one `to_` weight is added to that term. parity: -1 odd, +1 even, 0
-neither. All weights, the range and the parity are constants, so that all relations of a kind share a compiled function.
+f, optionally times one `by_` quantity, is added with a weight `to_` to a term. parity: -1 odd, +1 even, 0 neither.
+All weights, the range and the parity are constants, so that all relations of a kind share a compiled function.
 Three kinds: `law` of present quantities, `law_memory` of a quantity q with a lag or of its rate,
 
     s_dot = (q - s) / tau,   s = q at the start;   u = s, or u = (q - s) / tau
@@ -85,7 +85,7 @@ def factor_of_curve(instant, theta):
 
 
 def curve_of_readings(measured, theta):
-    """f of the readings."""
+    """The curve f evaluated with sensor readings."""
     return curve(theta.in_acceleration_y * measured.velocity_x * measured.yaw_rate
                  + theta.in_speed * measured.velocity_x + theta.in_yaw_rate * measured.yaw_rate, theta)
 
@@ -96,7 +96,7 @@ def _constant(name: str, meaning: str, null: float = 0.0) -> Parameter:
 
 
 def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
-    """Parameters of a kind of relation: coefficients, range, parity, weights; more: further constants."""
+    """Parameters of a kind of relation: coefficients, range, parity, weights, and the constants `more`."""
     return (
         *(Parameter(f"c{k}", "1", null=0.0, initial=1.0, bounds=(-MAX_HEIGHT, MAX_HEIGHT),
                     meaning=f"coefficient of spline {k}", source="of the relation") for k in range(SPLINES)),

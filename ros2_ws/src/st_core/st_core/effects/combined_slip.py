@@ -17,7 +17,7 @@ MAX_SQUARE_RATIO = 0.98**2  # maximum of (F_x / D)^2, so that the derivative of 
 
 
 class Drive(NamedTuple):
-    """mass [kg]; drive_front, brake_front: share of the drive and of the brake force on the front axle [1]."""
+    """mass [kg]; drive_front, brake_front: fraction of the drive and of the brake force on the front axle [1]."""
 
     mass: float
     drive_front: float

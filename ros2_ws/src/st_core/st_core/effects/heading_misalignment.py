@@ -5,7 +5,7 @@ from ._base import ANY, Effect, Parameter, register
 
 
 def rotate(m, yaw, angle):
-    """Readings in axes rotated by `angle` to the left, with that yaw."""
+    """Readings in axes rotated by `angle` [rad] to the left; yaw [rad]: value of the result."""
     c, s = cos(angle), sin(angle)
     return m._replace(yaw=yaw, velocity_x=c * m.velocity_x + s * m.velocity_y,
                       velocity_y=c * m.velocity_y - s * m.velocity_x,

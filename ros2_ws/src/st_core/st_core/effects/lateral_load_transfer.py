@@ -1,4 +1,4 @@
-"""Load transfer to the outer wheels, which reduces the axle force, as tyre force is degressive in load.
+"""Load transfer to the outer wheels, which reduces the axle force because tyre force is degressive in load.
 
     dF = share m a_y h / track, split between the axles;   F = F(F_z / 2 + dF) + F(F_z / 2 - dF) of two tyres
 

@@ -3,8 +3,8 @@
     y_point = y - shift a_y,   v_y there is v_y - shift v_x r_dot,   v_x there is v_x + shift a_y r,   a_y = v_x r
 
 shift = height of the point above the roll axis, times the roll angle per lateral acceleration. Steady roll: the delay
-of the body, about 50 ms, is not included, nor is the change of speed in r_dot. A single live sample has no yaw
-acceleration; its lateral velocity is left uncorrected. Source: rigid-body kinematics, velocity of a point.
+of the body, about 50 ms, is not included, nor is the change of speed in r_dot. Without yaw acceleration, as for a
+single live sample, the lateral velocity is not corrected. Source: rigid-body kinematics, velocity of a point.
 """
 
 from ..ops import cos, sin

@@ -17,7 +17,7 @@ class SteeringRatio(Effect):
     order = 40
     parameters = (
         Parameter("factor", "1", null=1.0, initial=1.05, bounds=(0.5, 2.0), meaning="true steering ratio / the file's",
-                  source="learnt ratios of one car type spread by 10-20 % in fleets",
+                  source="identified ratios of one car type vary by 10-20 % in fleets",
                   model_error=0.009),
     )
 

@@ -16,7 +16,8 @@ STIFFEST_LOAD, SCALE = TYRE_QUANTITIES["p_ky2"], TYRE_QUANTITIES["lambda_ky"]
 
 
 def _with_stiffest_load(tyre, static_load, factor):
-    """One tyre with its stiffest load times `factor`, K at static_load [N] unchanged within the limits of a file."""
+    """One tyre with the load of its largest stiffness times `factor`, K at static_load [N] unchanged; values within the
+    limits of a vehicle file."""
     stiffest = min(max(tyre.p_ky2 * factor, STIFFEST_LOAD.minimum), STIFFEST_LOAD.maximum)
     changed = tyre._replace(p_ky2=stiffest)
     ratio = magic_formula_stiffness(static_load, tyre) / magic_formula_stiffness(static_load, changed)

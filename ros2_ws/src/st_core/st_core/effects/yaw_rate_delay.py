@@ -1,6 +1,6 @@
 """Delay of the measured yaw rate, to first order: r_measured(t) = r(t - time) ~ r - time r_dot; time > 0: it lags.
 
-Needs the yaw acceleration of the recording. A single live sample has none; its yaw rate is not corrected.
+Needs the yaw acceleration of the recording. Without it, as for a single live sample, the yaw rate is not corrected.
 """
 
 from ._base import Effect, Parameter, register
