@@ -33,7 +33,7 @@ POSITION_TOLERANCE = 0.3
 DISTANCE_TOLERANCE = 0.1
 # Largest acceleration on tyres [m/s^2]: bounds the error of the trapezoidal rule over longer steps.
 MAX_ACCELERATION = 10.0
-# Longer gaps are not examined, since the car may be anywhere [s].
+# Longer gaps are not examined, since the motion in them is unknown [s].
 MAX_EXAMINED_GAP = 10.0
 # Positions may be noisier than those of RTK: a jump also exceeds NOISE_FACTOR times the median of the steps before it
 # (MIN_NOISE_STEPS to NOISE_STEPS of them) ...
@@ -63,7 +63,7 @@ def unexplained_step(spacing: float, before: Sequence[float], after: Sequence[fl
 
 
 def _exceeds_noise(step: float, times_ns: Sequence[int], rows: Sequence[Sequence[float]]) -> bool:
-    """Whether an unexplained step [m] is larger than those between the samples before it."""
+    """Whether an unexplained step [m] is larger than the noise of the steps before it."""
     if step > MAX_NOISE:
         return True
     if len(times_ns) <= MIN_NOISE_STEPS:
@@ -93,8 +93,8 @@ class PositionJump(NamedTuple):
 class MeasurementHistory:
     """INS and steering samples of the last `span` seconds, in order of time.
 
-    Samples out of order are sorted in; late ones (by over half a second), repeated ones and those with a NaN are
-    refused. Within half a second the order of arrival does not affect the content, the filtered acceleration included.
+    Samples out of order are sorted in; those late by over half a second, repeated ones and those with a NaN are
+    refused. Within half a second, the order of arrival does not affect the content or the filtered acceleration.
     When the INS time jumps back (a replay that restarts), both signals restart; `generation` counts that. Nothing is
     known between samples further apart than maximum_gap, nor across a position jump: `jumps` counts those since the
     start, `jump` is the newest one.
@@ -223,7 +223,7 @@ class FrozenSteeringDetector:
             self._implied = implied
             return
         self._implied += (implied - self._implied) * spacing / FROZEN_TIME_CONSTANT
-        # The low-pass and the tyres still follow the steering before it became constant.
+        # The low-pass and the tyres still respond to the steering before it became constant.
         if sample.time_ns > self._since_ns + 3.0 * FROZEN_TIME_CONSTANT / NANOSECOND:
             self._low, self._high = min(self._low, self._implied), max(self._high, self._implied)
 

@@ -157,7 +157,7 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
     if not isinstance(effects, Mapping):
         names = list(effects)
         if len(set(names)) != len(names):
-            raise ConfigurationError(f"effects {', '.join(names)}: one is named twice")
+            raise ConfigurationError(f"effects {', '.join(names)}: duplicate name; give each effect once")
         effects = {n: {p.name: p.initial for p in get_effect(n).parameters} for n in names}
     if isinstance(base, AugmentedModel):
         for name in effects:
@@ -172,7 +172,7 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
 
 def _check_applicable(base: Model, effects: Sequence[type[Effect]]) -> None:
     models = {base.name}
-    # An effect may turn the model into one that another effect turns into a third: one pass per such effect.
+    # Effects may convert the model one after another: one pass for each such effect.
     conversions = [effect.converts for effect in effects if effect.converts]
     for _ in conversions:
         models |= {to for start, to in conversions if start in models}

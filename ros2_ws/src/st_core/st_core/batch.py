@@ -63,7 +63,7 @@ class LogBatch:
     (n, 2 * steps + 1) on the half-step grid.
     points [s]: of the horizon, multiples of step; None: 0, step, ... horizon. substeps: integration steps in a step;
     auto = as few as are stable at the speeds of the log. Warns once where one step is too long for them.
-    backend: lanes or numpy; None: the fastest there is. maximum_gap [s], filter_cutoff [Hz], acceleration: as in
+    backend: lanes or numpy; None: the fastest available. maximum_gap [s], filter_cutoff [Hz], acceleration: as in
     LogSignals; they are taken from there when `log` is one. signals: those that a model needs beyond its inputs,
     (time [ns], values) by name.
     Raises ConfigurationError for a horizon or points that are not whole numbers of steps, a missing signal, substeps
@@ -99,8 +99,8 @@ class LogBatch:
         off_grid = np.abs(numbers * self.step - requested) > 1.0e-9
         if np.any(off_grid) or np.any(np.diff(numbers) <= 0) or not len(numbers) or numbers[0] < 0 \
                 or numbers[-1] > self.steps:
-            raise ConfigurationError(f"points: {list(points)} are not rising multiples of {self.step:g} s within the "
-                                     f"horizon of {self.steps * self.step:g} s")
+            raise ConfigurationError(f"points: {list(points)} are not increasing multiples of {self.step:g} s within "
+                                     f"the horizon of {self.steps * self.step:g} s")
         return numbers
 
     def _check_planned(self, planned: tuple[np.ndarray, ...], substeps: int | str,
@@ -159,7 +159,7 @@ class LogBatch:
         return self._substeps
 
     def _blocks(self, count: int, separate: bool) -> Iterable[Block]:
-        """Cached if there is only one."""
+        """Blocks of all starts; cached if there is only one."""
         if (count, separate) not in self._single_block:
             blocks = self._planned(count, separate)
             first_two = list(islice(blocks, 2))

@@ -106,7 +106,7 @@ CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
     Channel("position", "position", "m", 1e-3, ("x", "y"), ("position_lateral", "position_longitudinal"),
             errors=_position_residuals, accumulates=True, noise=_position_noise),
 )}
-"""Channels by name, the one with most information on the car first."""
+"""Channels by name; the most informative one about the car first."""
 
 CHANNEL_OF_COLUMN = {column: channel for channel in CHANNELS.values() for column in channel.columns}
 POSITION_5S = "position_5s"

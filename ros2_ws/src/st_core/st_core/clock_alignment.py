@@ -30,7 +30,7 @@ CUTOFFS = (0.5, 4.0)  # Hz; the first while the drift is unknown, the second for
 STAMP_GRID = 50e-6  # s; resolution of the stamps of loggers, a lower limit of the uncertainty
 GOOD_PEAK, USABLE_PEAK = 0.95, 0.80
 MIN_OVERLAP = 20.0  # s
-MAX_DISAGREEMENT = 0.005  # s, of one signal with all
+MAX_DISAGREEMENT = 0.005  # s, between the offset of a single signal and that of all
 GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s
 STEP_SEARCH = 5.0, 40.0  # s; the second if one offset does not fit the whole recording
 
@@ -57,9 +57,9 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     """Alignment by the signals of both recordings.
 
     Coarse: masked normalised cross-correlation at all lags, averaged over the signals. Fine: robust joint fit of offset
-    and drift (`clock_fit.fit`). The verdict rests on the height of the peak, a similar second peak, enough variation,
-    agreement between the signals, and steps of a clock. The recordings must overlap by 40 % of the shorter one, or by
-    20 s if nothing fits with that. search: bounds of reference minus other time [s]; None for all.
+    and drift (`clock_fit.fit`). The verdict depends on the height of the peak, a similar second peak, the variation of
+    the signals, their agreement, and steps of a clock. The recordings must overlap by 40 % of the shorter one, or by
+    20 s if no offset fits with that. search: bounds of reference minus other time [s]; None for all.
 
     Never raises for the content of a recording: a refused alignment has its reasons. Valid for drifts of a few hundred
     ppm and recordings of up to two days. Checked by: the synthetic pair in tests/golden/test_alignment.py, and
@@ -71,7 +71,7 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     pairs = _resampled_pairs(usable)
     fine = pairs[CUTOFFS[-1]]
     if not fine:
-        return refused_alignment(*reasons, "the shared signals are known for a few seconds only")
+        return refused_alignment(*reasons, "the shared signals were measured for a few seconds only")
     result = _align_with_overlap(fine, pairs, usable, reasons, _min_overlap(fine), search)
     if result.verdict is Verdict.REFUSED and max((s.correlation for s in result.signals), default=0.0) < USABLE_PEAK:
         short = _align_with_overlap(fine, pairs, usable, reasons, MIN_OVERLAP, search)
@@ -188,12 +188,12 @@ def _with_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other
                       f"against {r_first:.2f} (repeated laps?)")
     why = "little motion" if strongest >= GOOD_PEAK else f"the signals differ (correlation {strongest:.2f} at best)"
     if solution.offset_deviation > USABLE_DEVIATION:
-        refusals.append(f"{why}: the offset is only known to {solution.offset_deviation * 1e3:.0f} ms")
+        refusals.append(f"{why}: the uncertainty of the offset is {solution.offset_deviation * 1e3:.0f} ms")
     elif solution.offset_deviation > GOOD_DEVIATION:
-        doubts.append(f"{why}: the offset is only known to {solution.offset_deviation * 1e3:.1f} ms")
+        doubts.append(f"{why}: the uncertainty of the offset is {solution.offset_deviation * 1e3:.1f} ms")
     for row in result.signals:
         if abs(row.difference) > max(MAX_DISAGREEMENT, 3 * row.deviation):
-            doubts.append(f"{row.name} alone gives an offset {row.difference * 1e3:+.1f} ms away")
+            doubts.append(f"the offset from {row.name} alone differs by {row.difference * 1e3:+.1f} ms")
     if abs(result.drift_ppm) - 2.0 * (result.drift_deviation or 0.0) > UNUSUAL_DRIFT_PPM:
         doubts.append(f"a drift of {result.drift_ppm:.0f} ppm exceeds that of quartz clocks")
     lags = window_lags(pairs, solution.offset, STEP_SEARCH[weakest < GOOD_PEAK])
@@ -272,10 +272,10 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     """Alignment by frames in which the INS sends its own time.
 
     Args:
-        other_time_ns: when each frame was logged.
-        reference_time_ns: the time it carried, UTC; frames of an unlocked unit (no time) left out.
+        other_time_ns: log stamp of each frame.
+        reference_time_ns: time contained in the frame, UTC; without frames of an unlocked unit, which contain no time.
         resolution: of that time [s].
-        latency: delay from the instant that a frame names to its stamp in the log [s].
+        latency: delay from the time in a frame to its stamp in the log [s].
 
     A robust straight line (soft L1) through the medians per second.
     """
@@ -289,7 +289,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     time, offset = _medians_per_second(time, offset)
     middle = float(time[0] + time[-1]) / 2
     solution, residual, scale, covariance = _robust_line(time - middle, offset)
-    # Truncation to the resolution does not average out when frames and steps beat slowly.
+    # Truncation to the resolution does not average out if the frame interval is nearly a multiple of the resolution.
     rounding = resolution / np.sqrt(12)
     result = Alignment(
         at_ns=o0 + round(middle * 1e9), offset_ns=r0 - o0 + round(float(solution[0]) * 1e9),

@@ -12,8 +12,8 @@ MAX_SPAN = 48 * 3600.0  # s; in a longer recording the clock was set while it ra
 
 
 class Verdict(StrEnum):
-    """Verdict on an alignment. doubtful: look at the figure before use; refused: none was found; not needed: everything
-    was recorded on one clock."""
+    """Verdict on an alignment. doubtful: check the figure before use; refused: none was found; not needed: all signals
+    were recorded on one clock."""
 
     GOOD = "good"
     DOUBTFUL = "doubtful"
@@ -58,7 +58,7 @@ class SignalLag:
 class Alignment:
     """Conversion of the other clock to the reference clock.
 
-    at_ns: instant on the other clock of `offset_ns`. drift_ppm: by how much the reference clock runs faster.
+    at_ns: instant on the other clock of `offset_ns`. drift_ppm: rate of the reference clock minus that of the other.
     offset_deviation [s], drift_deviation [ppm]: one standard deviation; the offset's includes that of the latency.
     method: "time frame", "shared signals", "by hand" or "none". overlap: common time [s].
     peak, second_peak: (offset in s, correlation) of the coarse search, None without one.

@@ -58,7 +58,7 @@ def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> tuple[Requ
 
 def _check_docstring(effect: type[Effect], vehicle: VehicleParameters) -> str:
     text = effect.__doc__ or sys.modules[effect.__module__].__doc__ or ""
-    return "" if text.strip() else "no docstring; write the equation there, with units and signs"
+    return "" if text.strip() else "no docstring; write one with the equation, units and signs"
 
 
 def _check_null(effect: type[Effect], vehicle: VehicleParameters) -> str:

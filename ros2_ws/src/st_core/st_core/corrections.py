@@ -21,7 +21,7 @@ MAXIMUM_GAP = 0.25
 """Longest gap across which a signal shifted in time is interpolated [s]."""
 
 MAX_VALUES = {"scale": 1e12, "add": 1e12, "earlier": 60.0, "ahead": 100.0}
-"""Largest magnitude of each field; a channel that is a minute late belongs to another recording."""
+"""Largest magnitude of each field; a channel with a delay of a minute belongs to another recording."""
 
 STEERING = ("road_wheel_angle", "steering")
 _COMPONENTS = {"position": ("x", "y"), "velocity": ("velocity_x", "velocity_y")}

@@ -6,13 +6,13 @@ At every start the passes near the car are candidates. A candidate predicts, as 
 
 e: lateral distance to the pass, which a driver reduces to 0; A and B follow from the present distance and direction.
 Its weight is exp(-d^2 / 2), d^2 the sum of squared differences in position, direction, recent speed and recent
-curvature, each divided by its scale. The weighted mean of the candidates, "course" below, is mixed with held inputs:
+curvature, each divided by its scale. The weighted mean of the candidates, "course" below, is combined with held inputs:
 
     curvature: held, course        speed: acceleration held, zero, decaying with DECAY_TIME, course
     weight of each ~ E^-2,     E: mean square error of ended forecasts, exponentially forgotten with FORGETTING_TIME
 
 The error of a curvature is that of the position after the distance driven, the error of a speed that of the distance
-driven. If the driver leaves the recorded line or speed, the held one of the two gradually gets all the weight within
+driven. If the driver leaves the recorded line or speed, the weight of the held curvature or speed approaches 1 within
 seconds, independently of the other. Source: Bates and Granger, The combination of forecasts, 1969. Checked by:
 test_course.py; docs/manual/forecast.md.
 """
@@ -38,7 +38,7 @@ RETURN_LENGTHS = (40.0, 100.0)
 SCALES = {"position": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
 """m, rad, fraction of the speed, 1/m: differences between drives of one driver on one course."""
 MAX_DIFFERENCE = 7.0
-"""d of the best candidate above which the driver follows none."""
+"""d of the best candidate above which no candidate is used."""
 RECENT_TIME = 2.0
 """s of past driving that is compared with a candidate."""
 BLEND_TIME = 0.3
@@ -129,7 +129,7 @@ class CourseTracker:
     def update(self, ego: EgoMotion) -> CourseForecast:
         """The forecast from this start; without inputs where the motion is not finite or no pass continues."""
         if not all(map(math.isfinite, ego)) or ego.velocity_x < MIN_SPEED:
-            return CourseForecast(None, reason="course: the car's own motion is not known or too slow")
+            return CourseForecast(None, reason="course: the motion of the car is unknown or too slow")
         elapsed = self._advance(ego)
         self._score(ego, elapsed)
         near = self.course.near(ego.x, ego.y, ego.direction)
@@ -140,7 +140,7 @@ class CourseTracker:
         squares = np.array([square for square, _, _ in candidates])
         weights = np.exp(-0.5 * squares)
         if squares.min() > MAX_DIFFERENCE**2:
-            return CourseForecast(None, reason="course: the driver follows no earlier drive in line and speed")
+            return CourseForecast(None, reason="course: no earlier drive agrees with this one in line and speed")
         return self._mix(candidates, weights / weights.sum(), ego)
 
     def _advance(self, ego: EgoMotion) -> float:

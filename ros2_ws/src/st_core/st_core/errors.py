@@ -1,4 +1,4 @@
-"""The exceptions of st_core; everything it raises on purpose is one of these."""
+"""Exceptions of st_core; all errors that it raises deliberately."""
 
 
 class StCoreError(ValueError):

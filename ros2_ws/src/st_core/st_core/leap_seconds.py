@@ -1,4 +1,4 @@
-"""GPS time and UTC: which leap seconds lie between them.
+"""Leap seconds between GPS time and UTC.
 
 GPS time counts from 1980-01-06T00:00:00 without leap seconds: UTC = GPS - leap seconds. Both bridges read their table
 here. Source: IERS Bulletin C, complete. Checked by: test_packet_time.py and test_ins_time.py of the bridges.

@@ -12,7 +12,7 @@ from .vehicle import VehicleParameters
 INS_SIGNALS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate")
 OPTIONAL_INS_SIGNALS = ("acceleration_x", "acceleration_y")
 STEERING = ("road_wheel_angle", "steering_wheel_angle")
-SLOPE_HALF_WIDTH = 0.025  # s to both sides of a sample: more attenuates 2.5 Hz by over 3 %, less amplifies noise
+SLOPE_HALF_WIDTH = 0.025  # s before and after a sample; more would attenuate 2.5 Hz by over 3 %, less amplify noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class DriveLog:
             if time.ndim != 1 or time.dtype.kind != "i":
                 raise StCoreError(f"{self.name}: {base} must be one-dimensional, in whole nanoseconds")
             if len(time) > 1 and not (np.diff(time) > 0).all():
-                raise StCoreError(f"{self.name}: {base} does not rise strictly")
+                raise StCoreError(f"{self.name}: {base} is not strictly increasing")
             self._set(base, time, np.int64)
             for signal in signals:
                 value = getattr(self, signal)

@@ -126,8 +126,8 @@ def plan_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs
                  vehicle: VehicleParameters) -> str:
     """Reason, in one line, why a plan is not used for a forecast from a start [ns] over a horizon [s]; "" if it is.
 
-    state, inputs: measured at the start. In this order: empty, not finite, time not rising, stale, in the past, late,
-    short, coarse, infeasible, contradicting the measurement.
+    state, inputs: measured at the start. In this order: empty, not finite, times not increasing, stale, in the past,
+    late, short, coarse, infeasible, contradicting the measurement.
     """
     return (_format_problem(plan) or _timing_problem(plan, start_ns, horizon) or _demand_problem(plan, state, vehicle)
             or _consistency_problem(plan, start_ns, state, inputs))
@@ -137,7 +137,7 @@ def _format_problem(plan: PlannedInputs) -> str:
     if len(plan.time_ns) < 2:
         return f"plan: {len(plan.time_ns)} points; at least two are needed"
     if (np.diff(plan.time_ns) <= 0).any():
-        return "plan: its time does not rise"
+        return "plan: its times are not increasing"
     for name in ("road_wheel_angle", "velocity_x_dot", "speed"):
         values = getattr(plan, name)
         if values is not None and not np.isfinite(values).all():
@@ -170,7 +170,7 @@ def _demand_problem(plan: PlannedInputs, state: VehicleState, vehicle: VehiclePa
         return f"plan: steering rate of {rate:.2f} rad/s at the road wheel (limit {MAX_STEERING_RATE:g})"
     speed = plan.speed
     if speed is None:
-        # The trapezoidal rule by hand: scipy is not imported in the live path.
+        # The trapezoidal rule is written out, because scipy is not imported by the live nodes.
         mean = 0.5 * (plan.velocity_x_dot[1:] + plan.velocity_x_dot[:-1])
         speed = state.velocity_x + np.cumsum([0.0, *(mean * np.diff(plan.time_ns) * NANOSECOND)])
     lateral = speed * speed * angle / steady_state_steering(speed, np.ones_like(speed), vehicle)

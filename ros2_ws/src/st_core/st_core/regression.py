@@ -1,7 +1,7 @@
 """Statistics of regressions: covariance from blocks of driving, intervals, pooling of runs, robust scale, ridge.
 
 Neighbouring samples share slow errors of INS and road, so treating them as independent would underestimate the
-uncertainty by far. With the influence psi_c of block c on the estimate, and k blocks,
+uncertainty considerably. With the influence psi_c of block c on the estimate, and k blocks,
 
     covariance = k / (k - 1) sum_c psi_c psi_c^T * sqrt(f f^T)
     least squares:  psi_c = (k - 1) / k (A - A_c)^-1 g_c,   A_c = J_c^T J_c, g_c = J_c^T e_c: shift by leaving c out

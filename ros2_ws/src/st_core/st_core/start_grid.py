@@ -1,4 +1,4 @@
-"""Layout of start times for a batch: the instants to sample, and the place of each start among them.
+"""Layout of start times for a batch: the instants to sample, and the position of each start among them.
 
 Windows of starts 0.1 s apart overlap fifty-fold. Where the starts are multiples of half an integration step apart, the
 instants are shared: one grid for the log, stored as [phase, index] of grid point g = index * q + phase, q half steps

@@ -37,8 +37,8 @@ class TimeSeries:
     """The last `span` seconds of a signal: rows of numbers by time in integer nanoseconds.
 
     columns: names, in row order; a row may be shorter, the owner fills in the remaining columns (NaN until then).
-    angles: columns interpolated the short way round. span [s]: at least one second is kept. maximum_gap [s]: nothing is
-    known between samples further apart. Memory is bounded by the span, and by MAXIMUM_SAMPLES at any rate.
+    angles: columns interpolated along the shorter arc. span [s]: at least one second is kept. maximum_gap [s]: between
+    samples further apart the signal is unknown. Memory is bounded by the span and by MAXIMUM_SAMPLES.
 
     breaks: by sample time [ns], the reason why nothing is known between the previous sample and this; set by the owner.
     """

@@ -1,7 +1,7 @@
 """Axle and tyre force laws, stateless: slip angle and load in, lateral force out.
 
-Sign, once for the whole package: a slip angle is positive when the wheel slides to its left, so the force that opposes
-it is negative. Linear: F_y = -C alpha with C > 0. The Magic Formula table keeps its SAE sign, p_ky1 < 0, which makes
+Sign convention of the package: a slip angle is positive when the wheel slides to its left, so the force that opposes it
+is negative. Linear: F_y = -C alpha with C > 0. The Magic Formula table keeps its SAE sign, p_ky1 < 0, which makes
 its stiffness K negative and its force oppose alpha without a further minus sign.
 """
 
@@ -41,7 +41,7 @@ def slip_angle(velocity_lateral, velocity_forward, minimum_speed):
     """alpha = atan(v_sy / max(|v_x|, v_eps)) [rad], in wheel axes; + when the wheel slides to its left.
 
     velocity_lateral, velocity_forward: of the wheel, in wheel axes [m/s]. minimum_speed: v_eps [m/s], > 0; below it the
-    angle is underestimated on purpose. Source: paper, slip angle equation.
+    angle is deliberately underestimated. Source: paper, slip angle equation.
     """
     return atan(velocity_lateral / maximum(absolute(velocity_forward), minimum_speed))
 

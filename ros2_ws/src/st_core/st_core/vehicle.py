@@ -107,8 +107,8 @@ _TYRE_UNCERTAINTIES = {
     "p_ky2": Uncertainty(0.5, True, f"{_TYRE_CURVES}, 1.0 to 2.8"),
 }
 DEFAULT_UNCERTAINTIES: Mapping[str, Uncertainty] = {
-    "mass": Uncertainty(0.03, True, "a weighed car, half a tank of fuel and one person more or less"),
-    "cg_to_front_axle": Uncertainty(0.03, False, "axle loads weighed to 1 %, half a tank and one person more or less"),
+    "mass": Uncertainty(0.03, True, "a weighed car, +/- half a tank of fuel and one person"),
+    "cg_to_front_axle": Uncertainty(0.03, False, "axle loads weighed to 1 %, +/- half a tank and one person"),
     "cg_height": Uncertainty(0.05, False, "passenger cars by tilt table, 0.45 to 0.65 m (NHTSA, SAE 1999-01-1336)"),
     "yaw_inertia": Uncertainty(0.15, True, "estimates from mass and dimensions compared with measured cars (NHTSA, SAE "
                                            "1999-01-1336)"),

@@ -15,7 +15,7 @@ from .errors import ConfigurationError
 
 MAX_CHARACTERS = 1 << 20
 MAX_NESTING = 40
-LARGEST_INTEGER = 2**63  # a larger one is a typing mistake, and could overflow a float
+LARGEST_INTEGER = 2**63  # a larger one is a typing error, and could overflow a float
 
 
 class _Loader(yaml.SafeLoader):

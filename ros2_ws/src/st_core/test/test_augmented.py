@@ -22,7 +22,7 @@ STATE, HELD = VehicleState(0.0, 0.0, 12.0, 0.1, 0.3, 0.2), ControlInput(0.08, -0
     ("linear", ["friction"], "effect friction: does not apply to a linear model, only to nonlinear"),
     ("kinematic", ["mass"], "effect mass: does not apply to a kinematic model, only to linear or nonlinear"),
     ("nonlinear", ["tyre_saturation"], "effect tyre_saturation: does not apply to a nonlinear model"),
-    ("linear", ["mass", "mass"], "one is named twice"),
+    ("linear", ["mass", "mass"], "duplicate name"),
     ("linear", {"mass": {}}, "effect mass: factor: no value given"),
     ("linear", {"mass": {"factor": 9.0}}, "effect mass: factor: 9.0 is outside 0.6 to 2 1"),
     ("linear", {"mass": {"factor": "heavy"}}, "effect mass: factor: 'heavy' is not a number"),

@@ -84,7 +84,7 @@ class Good(Effect):
         return 0.0 * instant.yaw_rate, 0.0 * instant.yaw_rate, -theta.gain * instant.yaw_rate
 ''')
     effect, = load_file(str(tmp_path), "good")
-    assert broken(effect, leaf) == {"the equation is written in the file": "no docstring; write the equation there, "
-                                    "with units and signs"}
+    assert broken(effect, leaf) == {"the equation is written in the file": "no docstring; write one with the equation, "
+                                    "units and signs"}
     with pytest.raises(ConfigurationError, match=r"broken.py: cannot be loaded"):
         load_file(str(tmp_path), "broken")

@@ -81,12 +81,12 @@ def test_growth_tells_where_the_step_is_too_long(car):
 
 
 @pytest.mark.parametrize(("changes", "key", "number"), [
-    ({"cg_to_front_axle": 0.8}, "cg_to_front_axle", "0.704 is outside 0.35 to 0.68 of road cars"),
+    ({"cg_to_front_axle": 0.8}, "cg_to_front_axle", "0.704 is outside the range of road cars, 0.35 to 0.68"),
     ({"yaw_inertia": 1500.0}, "yaw_inertia", "k^2 / (l_f l_r) 0.526"),
     ({"cg_height": 0.95}, "cg_height", "0.352"),
     ({"cornering_stiffness_front": 40_000.0}, "cornering_stiffness_front, cornering_stiffness_rear", "8.94 deg/g"),
-    ({"steering_ratio": 1.0 / 0.9}, "steering_ratio", "1.11 is outside 9 to 26"),
-    ({"cornering_stiffness_rear": 250_000.0}, "cornering_stiffness_rear", "36.8 1/rad is outside 4 to 30"),
+    ({"steering_ratio": 1.0 / 0.9}, "steering_ratio", "1.11 is outside the range of road cars, 9 to 26"),
+    ({"cornering_stiffness_rear": 250_000.0}, "cornering_stiffness_rear", "36.8 1/rad is outside the range of road cars, 4 to 30"),
 ])
 def test_what_no_road_car_has_is_named_with_its_number(leaf, changes, key, number):
     assert not handling.objections(leaf)

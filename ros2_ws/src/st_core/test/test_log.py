@@ -40,7 +40,7 @@ def test_an_empty_log_has_no_duration() -> None:
     [
         ({"x": np.zeros(3)}, "x has 3 values"),
         ({"yaw": np.full(101, np.nan)}, "yaw has values that are not finite"),
-        ({"ins_time_ns": np.zeros(101, dtype=np.int64)}, "does not rise strictly"),
+        ({"ins_time_ns": np.zeros(101, dtype=np.int64)}, "is not strictly increasing"),
         ({"ins_time_ns": np.arange(101) * 0.01}, "whole nanoseconds"),
         ({"acceleration_x": np.zeros(5)}, "acceleration_x has 5 values"),
     ],

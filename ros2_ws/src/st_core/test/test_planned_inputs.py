@@ -78,7 +78,7 @@ def test_a_steady_turn_follows_the_planned_curvature(leaf):
     ({"time_ns": np.zeros(0, int), "road_wheel_angle": np.zeros(0), "velocity_x_dot": np.zeros(0)}, "0 points"),
     ({"road_wheel_angle": np.where(np.arange(61) == 7, np.nan, 0.02)}, "road_wheel_angle is not finite at point 7"),
     ({"velocity_x_dot": np.full(61, np.inf)}, "velocity_x_dot is not finite at point 0"),
-    ({"time_ns": np.full(61, START)}, "time does not rise"),
+    ({"time_ns": np.full(61, START)}, "times are not increasing"),
     ({"issued_ns": START - 10**9}, "issued 1.00 s before the start"),
     ({"issued_ns": START + 10**9}, "clocks disagree"),
     ({"time_ns": START - 10**10 + np.arange(61) * 10**8}, "ended 4.00 s before"),

@@ -207,7 +207,7 @@ def test_a_law_that_makes_one_run_surely_worse_is_no_proposal(laws):
     assert deterioration(laws, "law", before, slightly, Limits()) == ""
     mixed = before + np.where(second, 0.05, -0.2) + noise
     said = [deterioration(laws, "law", before, after, Limits()) for after in (mixed, before + 0.1)]
-    assert f"raises the held-out error of {laws.windows.names[1]}" in said[0]
+    assert f"raises the held-out position error of {laws.windows.names[1]}" in said[0]
     assert "raises the held-out position error after 5 s from 0.500 to 0.6" in said[1]
 
 

@@ -1,4 +1,4 @@
-"""Lanes: parallel predictions in vector registers, compiled by numba from the functions of the model.
+"""Lanes, parallel predictions in vector registers, compiled by numba from the functions of the model.
 
 All functions of a model are inlined into one loop over lanes that contains a whole Runge-Kutta step; LLVM vectorises
 it. Three vectors are interleaved, because the chain of operations within one is long.

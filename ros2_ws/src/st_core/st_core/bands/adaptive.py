@@ -38,7 +38,7 @@ SCALE_FORGETTING = 120.0  # s: two minutes contain most manoeuvres of a driver o
 DEFAULT_SCALE = (0.3, 0.3, 0.02)
 """m, m, rad at 1 s ahead, growing with the square of the time: initial values, replaced within the first horizons."""
 WARM_UP = 120.0  # s of scored driving before a band without a calibration is issued
-MAX_WEIGHT = 1.0  # s. After a pause, one score counts as one second of driving
+MAX_WEIGHT = 1.0  # s, of driving that one score counts for, also after a pause
 
 
 class AdaptiveBand:
@@ -114,7 +114,7 @@ class AdaptiveBand:
 
     def follow(self, starts_ns: np.ndarray, conditions: np.ndarray,
                errors: np.ndarray) -> tuple[dict[float, np.ndarray], np.ndarray]:
-        """Factors along a recorded drive, each from the scores that had arrived by then; a call continues the previous.
+        """Factors along a recorded drive, each from the scores available at that time; continues the previous call.
 
         starts_ns: (n,) ascending [ns]. conditions: (n, 4). errors: (n, points, 3) in the predicted frame; not finite
         where not scored. Returns by level (n,), and the scales (n, points, 3).

@@ -1,7 +1,7 @@
 """Bands while driving: half-widths for all models and modes, from the conditions at the start of a prediction.
 
-`LiveBands` runs once per tick, after a tenth of a second of other work, with cold caches. The number of separate numpy
-operations then determines its duration, so all models are computed together.
+`LiveBands` runs at 10 Hz with cold processor caches, so that the number of numpy operations determines its duration:
+all models are computed together.
 
 Coverage while driving is tested sequentially for being significantly below the nominal level p, against the alternative
 q = ALTERNATIVE_RATIO p. Each scored window contributes its log likelihood ratio:
@@ -230,4 +230,4 @@ class Coverages:
                  for level in [max(coverage.inside)]]
         if not found:
             return ""
-        return f"coverage far below the nominal level: {', '.join(found)}; have car, road or driving changed?"
+        return f"coverage far below the nominal level: {', '.join(found)}; has the car, road or driving changed?"

@@ -1,4 +1,4 @@
-"""Power and false alarms of the tests on these drives: predicted from the curvature of the loss, or measured.
+"""Power and false-alarm rate of the tests on these drives: predicted from the curvature of the loss, or measured.
 
 Measured: simulated drives have the residuals of the final fit, with random signs of whole blocks, plus the change of
 the errors by a known effect. The effect counts as found if one forward step of the search, from the quadratic, selects
@@ -39,8 +39,8 @@ def predicted(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> Cer
 
 
 def confounded_with(problem: Problem, fit: Fit, effect: str, scores: Scores, limits: Limits) -> str:
-    """The effect of the fit that masks `effect`: if the values of that one were known, `effect` would be found at one
-    parameter scale; "" for none."""
+    """The effect of the fit that masks `effect`: with its values known, `effect` would be found at a size of one
+    parameter scale; "" if there is none."""
     q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
     names = [n for n in fit.names if not problem.space.overlaps(effect, (n,))]
     indices, best, found = problem.space.indices(effect), "", limits.detection_power
@@ -68,8 +68,8 @@ def _power(problem: Problem, fit: Fit, index: int, share: float, information: fl
 
 
 def _required(problem: Problem, rows: np.ndarray, reduction: float, limits: Limits) -> float:
-    """Smallest gain per residual of an effect that is named. rows: residuals of the final fit. reduction: of the mean
-    position error [m]."""
+    """Smallest gain per residual with which an effect is named. rows: residuals of the final fit. reduction: of the
+    mean position error [m]."""
     required = limits.negligible if reduction > limits.relevant_position else limits.relevant
     unexplained = residual_over_noise(problem, rows) > limits.max_noise_ratio
     return max(required, limits.unexplained_share) if unexplained else required

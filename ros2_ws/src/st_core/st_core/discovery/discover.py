@@ -71,8 +71,8 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
     standard deviation of the steering clock [s] by run; time stamps of runs without one are taken as exact.
     progress(stage, done, total): called during the work.
 
-    Raises StCoreError for runs in which nothing can be predicted, ConfigurationError for settings that do not fit the
-    base. Checked by: test_discovery*.py, bench/discovery.
+    Raises StCoreError if the runs contain no usable prediction, ConfigurationError for settings that are not valid for
+    the base. Checked by: test_discovery*.py, bench/discovery.
     """
     return _Analysis(runs, vehicle, base, reference, settings or DiscoverySettings(), progress, sensor_estimates or {},
                      parallel, clocks or {}).result()
@@ -172,14 +172,14 @@ class _Analysis:
             model=space.at(fit.vector) if fit.names else None, named=self._named_model(found, judged),
             warnings=tuple(self.warnings), leave_one_out=judged.leave_one_out, axle_curves=judged.curves,
             assumed=self._assumed(), combinations=judged.combinations, clock_errors=self.clock_errors,
-            # What the best model does not explain is noise for every later comparison, whatever its cause.
+            # The residual of the best model counts as noise in all later comparisons, whatever its cause.
             noise={c: error.augmented for c, error in errors.items()}, acceleration_gain=float(fit.vector[-1]))
 
     def _judged(self, search: Search, found: Found, parts: Mapping[str, Partition],
                 floor: Mapping[str, float]) -> _JudgedEffects:
         """The effects of the search by verdict, with force curves and combinations of the axles."""
         problem = self.problem
-        # All other parameters of the library are free too, for intervals that include what they could contribute.
+        # All other parameters of the library are free too, so that intervals include their possible contribution.
         joint_fit = joint(problem, found.fit) if problem.prior is None else None
         position = problem.position_error(problem.held_out_rows(found.fit))
         unexplained = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
@@ -238,7 +238,7 @@ class _Analysis:
         if self.reference:
             healthy = healthy_car(self.reference, self.vehicle, space, settings, self.threads, self._tick("reference"))
             start, prior, gain_between_drives = healthy.vector, healthy.prior, healthy.gain
-            # The residual of the healthy car is not a change since then.
+            # The residual of the healthy car counts as noise: it is not a change since the reference drives.
             by_column = {c: max(by_column[c], float(v))
                          for c, v in zip(self.windows.columns, healthy.residual, strict=True)}
             by_column["position_5s"] = healthy.position
@@ -263,7 +263,7 @@ class _Analysis:
         corrections = clock_corrections(runs, self.vehicle, self.space, self.settings, deviations, self.threads,
                                         self._tick("clocks"))
         self.clock_errors |= corrections
-        known = (f"the steering clock is known to ± {1e3 * max(uncertain):.0f} ms only, in {len(uncertain)} of "
+        known = (f"the steering clock has an uncertainty of ± {1e3 * max(uncertain):.0f} ms, in {len(uncertain)} of "
                  f"{len(runs)} runs")
         if corrections:
             known += (f"; the search corrects it by {1e3 * min(corrections.values()):.0f} to "
@@ -297,7 +297,7 @@ class _Analysis:
                                  "cannot be separated from properties of the car")
         if self.problem.blocks < 10:
             count = f"{self.problem.blocks} block{'' if self.problem.blocks == 1 else 's'}"
-            self.warnings.append(f"only {count} of {self.settings.block:g} s: tests are weak")
+            self.warnings.append(f"only {count} of {self.settings.block:g} s: tests have little power")
         rate = self.windows.joined.yaw_rate * self.windows.joined.velocity_x
         turning = np.abs(rate) > 0.5
         if turning.mean() < 0.05:
@@ -408,7 +408,7 @@ class _Analysis:
     def _candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[CandidateEffect, ...]:
         """Gain and verdict of every effect of the library."""
         problem, space, rows = self.problem, self.space, []
-        # An effect that was tried in place of several others is listed where it explains most.
+        # An effect that was tried in place of several others is listed with the one where it explains most.
         rivals = {r.name: r for r in sorted((r for others in found.rivals.values() for r in others),
                                             key=lambda r: (self._is_alternative(r), r.share))}
         for name in space.hypotheses:
@@ -429,7 +429,7 @@ class _Analysis:
                 verdict = decision.judge(Evidence(name, gain, p_value), self.limits)
                 if verdict.rule == decision.ACCEPTED:
                     verdict = Reason("explains less", name, {"gain": gain},
-                                     f"it reduces the errors by {share_of(gain):.1%}; others reduce them by more, and "
+                                     f"it reduces the errors by {share_of(gain):.1%}; effects that reduce them by more "
                                      "were tried first")
             else:
                 verdict, gain = Reason("included", name, {}, "part of a named effect, or contains it"), 0.0

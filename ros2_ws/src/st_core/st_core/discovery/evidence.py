@@ -185,7 +185,7 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
         block_scores = score_of(problem, without, effect, fit.sensitivities)
     rows, after = problem.held_out_rows(without), problem.held_out_rows(fit)
     reduction = problem.position_error(rows) - problem.position_error(after)
-    if problem.prior is not None:  # the healthy car is known: no other parameter compensates for the effect
+    if problem.prior is not None:  # the parameters of the healthy car are known, so none compensates for the effect
         rows = problem.errors.at(problem.vector_without(fit, effect))
     overall, somewhere = error_reductions(reduction, partitions.get("condition"))
     return Evidence(effect, min(float(gain.sum()) / problem.residual_count, problem.held_out_gain(without, fit)),

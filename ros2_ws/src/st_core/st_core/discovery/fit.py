@@ -16,7 +16,7 @@ MAX_REUSE_DISTANCE = 0.25  # parameter scales, up to which cached sensitivities 
 SENSITIVITY_CACHE_SIZE = 4  # vectors
 MIN_LOSS_FALL = 2e-4  # per residual; a fit ends at a smaller reduction of the loss
 FOLDS = 8  # groups of blocks, each held out once
-MAX_SCALED = 5.0  # clip limit of a residual, in robust scales of the baseline residuals; a few windows cannot dominate
+MAX_SCALED = 5.0  # clip limit of a residual, in robust scales of the baseline residuals; limits single windows
 DIVERGED = 100.0  # m: position error of a prediction that diverges
 MAX_QUADRATIC_RISE = 0.05  # per residual; at a larger predicted increase of the loss, held-out folds are simulated
 RIDGE = 1e-6  # fraction of the mean curvature added to the diagonal, for finite steps without information
@@ -233,7 +233,7 @@ class Problem:
 
     def stepper(self, names: Iterable[str], vector: np.ndarray,
                 indices: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        """A function of a Hessian (a, a) and a gradient (a,) that gives the best step (a,) from the vector."""
+        """A function (Hessian (a, a), gradient (a,)) -> best step (a,) from the vector."""
         prior, limits = self.prior_curvature(names, indices), self.distance_to_bounds(vector, indices)
         prior_gradient = prior @ self.distance(vector)[indices]
 

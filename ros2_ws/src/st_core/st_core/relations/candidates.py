@@ -34,7 +34,7 @@ MIN_RANGES = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "accele
 MEMORY = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
           "lean": ("acceleration_y", "lagging", 0.15)}
 """Quantity with memory -> (source, kind, lag [s])."""
-ALL_TERMS = {**TERMS, "both_grip": ("1", "of the lateral force of both axles, as a share of it")}
+ALL_TERMS = {**TERMS, "both_grip": ("1", "relative change of the lateral force of both axles")}
 TYPICAL_SIZES = {"front_steer": 0.005, "rear_steer": 0.005, "front_force": 0.02, "rear_force": 0.02, "front_grip": 0.1,
                  "rear_grip": 0.1, "both_grip": 0.1, "yaw_moment": 0.05, "side_force": 0.1, "sensor_yaw_rate": 0.005,
                  "sensor_acceleration_y": 0.2, "sensor_velocity_y": 0.05, "sensor_heading": 0.005}

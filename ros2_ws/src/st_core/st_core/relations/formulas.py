@@ -13,7 +13,7 @@ from .relation_fit import RelationFit, RelationFits
 
 MAX_FORMULAS, POINTS = 3, 61
 MIN_EXPLAINED = 0.5  # fraction of the gain of the curve, from its quadratic, that a shape must explain
-MIN_EXPLAINED_MORE = 1e-3  # fraction of the gain of the curve by which a shape with more numbers must explain more
+MIN_EXPLAINED_MORE = 1e-3  # fraction of the gain of the curve that each further parameter of a shape must explain
 FULL_SHARE = 0.98  # fraction of the gain of the best shape: a simpler shape that explains more is preferred
 NEAR_SHARE = 0.9  # the same, if the held-out loss of the simpler shape is not significantly higher
 MIN_KEPT_GAIN = 0.9  # minimum fraction of the held-out gain of the curve that a formula retains when simulated
@@ -132,10 +132,10 @@ def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadr
     """Up to MAX_FORMULAS shapes, the preferred one first. profile: quadratic of the loss about the coefficients (8,),
     by block, all other parameters profiled out; fold: (b,).
 
-    The numbers of a shape minimise the loss. Only shapes that explain MIN_EXPLAINED are considered; the best is the one
-    with the lowest held-out loss. A shape with fewer numbers is preferred if it explains FULL_SHARE as much; or
-    NEAR_SHARE, with a held-out loss within one standard error of the paired differences of blocks (Breiman et al.
-    1984).
+    The parameters of a shape minimise the loss. Only shapes that explain MIN_EXPLAINED are considered; the best is the
+    one with the lowest held-out loss. A shape with fewer parameters is preferred if it explains FULL_SHARE of the gain
+    of the best; or NEAR_SHARE, with a held-out loss within one standard error of the paired differences of blocks
+    (Breiman et al. 1984).
     """
     at = np.linspace(candidate.low, candidate.high, POINTS)
     to_splines, value = np.linalg.pinv(candidate.splines(at).T, rcond=1e-6), coefficients @ candidate.splines(at)
@@ -195,8 +195,8 @@ def simulated_formulas(fits: RelationFits, fit: RelationFit, without: RelationFi
     """Formulas that keep MIN_KEPT_GAIN of the held-out gain of the curve when simulated in its place.
 
     Each fold is simulated with the numbers fitted to the others, after one refitting step of the parameters of the
-    discovered model. If a parameter of the vehicle file acts like a constant, a curve without odd symmetry is known up
-    to a constant only; its formula therefore gets an additional constant if it fails without one. Within the driven
+    discovered model. If a parameter of the vehicle file acts like a constant, a curve without odd symmetry is only
+    determined up to a constant; its formula gets an additional constant if it fails without one. Within the driven
     range a formula must have the sign of the curve and stay below MAX_RANGE times its largest value, and it must not
     increase the held-out position error of the discovered model.
     """

@@ -99,10 +99,10 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
     projected out of its evidence. A relation is reported if its p-value over all candidates is below
     `limits.false_alarm`, if its held-out gain reaches `limits.relevant` of the residual or `limits.relevant_position`
     significantly, if the predicted path improves at level `limits.false_alarm` (not required of a sensor relation), and
-    if it harms no run. Relations that the drives do not separate from it are listed, and redundant effects of the
-    answer. reported: (finding, channel) of `st check`; a relation that only imitates a late or wrong sensor that a
-    finding reports is not proposed.
-    Raises StCoreError for drives in which nothing can be predicted.
+    if no run becomes significantly worse. Relations that the drives do not separate from it are listed, and redundant
+    effects of the result. reported: (finding, channel) of `st check`; a relation that only imitates a late or wrong
+    sensor that a finding reports is not proposed.
+    Raises StCoreError if the drives contain no usable prediction.
     """
     settings = settings or DiscoverySettings()
     used = tuple(c for c in settings.channels if c in found.noise)
@@ -141,7 +141,7 @@ def _select(screened: Sequence[Screened], fits: RelationFits, without: RelationF
     if not significant:
         name, (gain, p_value) = next(iter(tried.items()))
         return RelationSearch(None, f"no relation is significant. The best, {name}, lowers the held-out loss by "
-                              f"{gain:.3f} per scored error, p = {p_value:.2g} over all candidates; "
+                              f"{gain:.3f} per residual, p = {p_value:.2g} over all candidates; "
                               f"p < {limits.false_alarm:g} is required", tried, detection_limits)
     explained = {trial: finding for trial in significant if (finding := _reported(trial.candidate, reported))}
     fitted, accepted, against = _fit_candidates([s for s in significant if s not in explained], fits, without, vehicle,
@@ -177,7 +177,7 @@ def _fit_candidates(significant: Sequence[Screened], fits: RelationFits, without
         if rejected := selection.rejected_curve(fits, fit, vehicle):
             against[trial] = rejected
             continue
-        fitted[trial] = fit  # a possible rival, also if not accepted
+        fitted[trial] = fit  # possibly an alternative to the accepted relation, even if rejected itself
         reason = selection.deterioration(fits, name, before, after, limits) or selection.small_gain(
             fits, trial.candidate, without.held_out - fit.held_out, before - after, limits)
         if reason:
@@ -195,7 +195,7 @@ def _reported(candidate: Candidate, reported: Collection[tuple[str, str]]) -> st
 
 
 def _too_short(windows: RunWindows, settings: DiscoverySettings) -> str:
-    """Why these drives are too short for any relation; "" if they are not."""
+    """Reason why these drives are too short for a relation; "" if they are long enough."""
     if len(set(windows.run)) == 1:
         return "only one run: a relation needs a second drive for validation; give two or more"
     blocks = int(windows.block.max()) + 1 if len(windows) else 0
@@ -208,7 +208,7 @@ def _too_short(windows: RunWindows, settings: DiscoverySettings) -> str:
 def _make_relation(best: Screened, fitted: Fitted, without: RelationFit, fits: RelationFits,
                    p_values: Mapping[str, float], settings: DiscoverySettings, vehicle: VehicleParameters,
                    named: Sequence[str]) -> tuple[Relation, str]:
-    """The relation with everything reported of it, and a sentence on its gain."""
+    """The relation with its statistics, and a sentence on its gain."""
     fit, limits, c = fitted[best], settings.limits, best.candidate
     gains = without.held_out - fit.held_out
     before, after = (selection.held_out_positions(fits, f) for f in (without, fit))

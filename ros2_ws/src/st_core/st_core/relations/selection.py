@@ -151,7 +151,7 @@ def by_block(fits: RelationFits, values: np.ndarray) -> np.ndarray:
 
 
 def rejected_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParameters) -> str:
-    """Why a curve is rejected whatever its gain: it is on its bound, or the car is unstable; "" if it is accepted."""
+    """Reason to reject a curve regardless of its gain: at its bound, or an unstable car; "" if it is accepted."""
     assert fit.candidate is not None
     name = fit.candidate.name
     if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * MAX_HEIGHT:
@@ -165,8 +165,8 @@ def rejected_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParamet
 
 
 def deterioration(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray, limits: Limits) -> str:
-    """Why a relation increases held-out errors, "" if it does not: the mean position error after 5 s rises, or that of
-    one run rises significantly and by `limits.relevant_position` or more. before, after: (n,) [m]."""
+    """Reason to reject a relation that increases held-out errors, else "": the mean position error after 5 s rises, or
+    that of one run, significantly and by `limits.relevant_position` or more. before, after: (n,) [m]."""
     rise = after - before
     if not np.isfinite(rise).any():
         return ""
@@ -180,8 +180,8 @@ def deterioration(fits: RelationFits, name: str, before: np.ndarray, after: np.n
         if len(of_run) <= 2 or np.nanmean(rise[windows]) < limits.relevant_position:
             continue
         if lower_bound(of_run, limits.undecided_p / len(names)) > 0.0:  # Bonferroni over the runs
-            return (f"{name} is significant, but raises the held-out error of {names[k]}: "
-                    f"{np.nanmean(before[windows]):.3f} to {np.nanmean(after[windows]):.3f} m after 5 s")
+            return (f"{name} is significant, but raises the held-out position error of {names[k]} after 5 s from "
+                    f"{np.nanmean(before[windows]):.3f} to {np.nanmean(after[windows]):.3f} m")
     return ""
 
 
@@ -195,7 +195,7 @@ def gain_text(fits: RelationFits, gains: np.ndarray, position_gain: np.ndarray, 
 
 def small_gain(fits: RelationFits, candidate: Candidate, gains: np.ndarray, position_gain: np.ndarray,
                limits: Limits) -> str:
-    """Why the effect size is below the thresholds, "" if it is not: too little held-out gain, possibly none, or no
+    """Reason why the effect size is below the thresholds, else "": too little held-out gain, possibly none, or no
     significant gain (`limits.false_alarm`) in the predicted path.
 
     The path criterion does not apply to sensor relations, nor with fewer than two blocks with a position.
