@@ -109,7 +109,7 @@ def _alternatives(relation: Relation) -> list[str]:
                      "effects on the predictions: 1 the same, 0 unrelated")
     for name, share in relation.redundant.items():
         lines.append(f"{quantities.plain(name)} is named above, but is redundant with this relation (without it "
-                     f"the residual grows by {share:.1%}): the relation may be its actual cause")
+                     f"{share:.1%} of the residual returns): it may only have represented the relation")
     return lines
 
 
