@@ -57,7 +57,7 @@ def test_weighings_with_another_loading_are_left_out(leaf):
 
 
 @pytest.mark.parametrize(("change", "said"), [
-    (lambda r: r[:, :3], "shape (3, 3): four wheels"),
+    (lambda r: r[:, :3], "shape (3, 3): expected four wheels"),
     (lambda r: np.where(np.arange(4) == 1, np.nan, r), "weighing 1: front_right reads nan kg; all four wheels"),
     (lambda r: r * [1, 1, 1, 0], "weighing 1: rear_right reads 0 kg"),
     (lambda r: r[:, [0, 2, 1, 3]] * [1, 0.7, 1.2, 1], "the front wheels carry"),
