@@ -102,7 +102,7 @@ def test_a_position_jump_restarts_the_tracker(leaf):
     assert found[199].inputs is not None and found[200].inputs is None
     assert all(np.isfinite(one.inputs.road_wheel_angle).all() for one in found if one.inputs is not None)
     nothing = CourseTracker(course, leaf).update(EgoMotion(T0, *[math.nan] * 8))
-    assert nothing.inputs is None and "not known" in nothing.reason
+    assert nothing.inputs is None and "unknown" in nothing.reason
 
 
 def test_a_file_is_read_back_and_a_run_is_never_predicted_from_itself():
