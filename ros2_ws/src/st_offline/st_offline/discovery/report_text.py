@@ -30,7 +30,6 @@ MAX_PARTS = 6
 MAX_UNDETECTABLE = 4  # effects listed in a sentence; the table contains all
 MAX_KEYS = 3  # keys of a vehicle file listed in a sentence; the table contains all
 MIN_CHANGE = 0.005  # m; smaller changes of the position error are replaced by the channel with the largest change
-MIN_EFFECTIVE = 0.02  # m; smaller reductions by effective corrections are not in the title
 MAX_SEPARATION = 10.0  # standard deviations
 MAX_RATIO = 1000.0  # times the expected error; predictions with larger errors have diverged
 Z95 = 1.96
