@@ -97,7 +97,7 @@ def test_too_few_runs_make_no_file_and_nothing_is_overwritten(folder, tmp_path):
     assert few.exit_code == 2 and "2 runs support at most 66.7%" in few.output
     assert not (tmp_path / "b.yaml").exists()
     again = st("calibrate", base / "new", "--vehicle", base / "car.yaml", "--output", base / "bands.yaml")
-    assert again.exit_code == 2 and "exists already" in again.output
+    assert again.exit_code == 2 and "bands.yaml exists: " in again.output
 
 
 def test_without_bands_evaluate_names_the_command_that_makes_them(folder, tmp_path):

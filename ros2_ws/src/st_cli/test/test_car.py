@@ -229,4 +229,4 @@ def test_check_prints_the_uncertainty_in_force_and_what_is_unusual(new):
                                                  "minimum_slip_speed: {value: 3.0", "minimum_slip_speed: {value: 8.0"))
     done = st_car("check", new)
     assert done.exit_code == 0 and "yaw_inertia +/- 100 kg m^2 (from the file)" in done.stdout
-    assert "vehicle.yaml: unusual: yaw_inertia: k^2 / (l_f l_r) 0.526 is outside 0.6 to 1.4" in done.stdout
+    assert "yaw_inertia: k^2 / (l_f l_r) 0.526 is outside the range of road cars, 0.6 to 1.4" in done.stdout

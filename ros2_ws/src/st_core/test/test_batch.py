@@ -206,7 +206,7 @@ def test_signals_a_model_asks_for(leaf, log):
 
 @pytest.mark.parametrize(("wrong", "message"), [
     ({"points": (0.51,)}, r"points: \[0.51\] are not increasing multiples of 0.05 s within the horizon of 5 s"),
-    ({"points": (5.05,)}, "within the horizon"), ({"points": (2.0, 1.0)}, "rising"), ({"points": ()}, "points"),
+    ({"points": (5.05,)}, "within the horizon"), ({"points": (2.0, 1.0)}, "increasing"), ({"points": ()}, "points"),
     ({"horizon": 1.01}, "horizon: 1.01 s is not a whole number of steps"),
     ({"inputs": "guessed"}, "inputs: 'guessed' is neither measured nor held"),
     ({"substeps": 0}, "substeps: 0 is not auto and outside 1 to 64"), ({"substeps": 1.5}, "substeps: 1.5"),

@@ -26,7 +26,7 @@ SensorResult = tuple[Motion, list[Finding], dict[str, Estimate], list[Comparison
 """(corrected motion, findings, estimates by name of the finding, panels of the figure)."""
 
 
-# One long function, since each check works on the result of the previous corrections.
+# long: one sequence, each check works on the result of the previous corrections
 def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: AuxiliaryData | None = None) -> Checked:
     """Findings of one recording.
 

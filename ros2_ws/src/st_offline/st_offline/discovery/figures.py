@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from st_core.channels import UNITS
 from st_core.discovery import Discovery
-from st_core.discovery.result import LocalEstimate
+from st_core.discovery.result import LocalEstimate, Step
 from st_core.discovery.where_parts import Samples
 from st_core.log import DriveLog
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
@@ -58,7 +58,6 @@ def waterfall(scene: Scene) -> PageFigure | None:
         axes.set_axisbelow(True)
         first, last = steps[0].position_5s.base, steps[-1].position_5s.augmented
         rows = [f"{scene.found.base.base.name} model, {scene.found.start}"]
-        named = {e.name for e in scene.found.effects}
         axes.barh(0, first, color=scene.colour, height=0.62)
         _label(axes, first, 0, quantities.metres(first))
         for row, step in enumerate(steps, 1):
@@ -70,8 +69,7 @@ def waterfall(scene: Scene) -> PageFigure | None:
             change = f"{after - before:+.2f} m".replace("-", "−")
             small = abs(after - before) < report_text.MIN_CHANGE and report_text.most_reduced_channel(step)
             _label(axes, max(before, after, *ends), row, small or change)
-            text = f"{quantities.plain(step.effect)}  {quantities.short_values(step.effect, step.parameters)}"
-            rows.append(f"+ {text}" if step.effect in named else f"+ ({text})")
+            rows.append(_step_label(scene.found, step))
         end = "model without effective corrections" if scene.found.effective else "complete model"
         axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
         axes.barh(len(steps) + 1, last, color=AFTER, height=0.62)
@@ -90,6 +88,12 @@ def waterfall(scene: Scene) -> PageFigure | None:
         caption = ("Each row adds one effect and refits all values: value and change are those of that step. Line: "
                    "95 % interval of the change. In parentheses: part of the fit, not named.")
         return save_figure(figure, scene.output, "waterfall", "Error of each step of the search", caption)
+
+
+def _step_label(found: Discovery, step: Step) -> str:
+    """Effect and values of a step, in parentheses if it is not named."""
+    text = f"{quantities.plain(step.effect)}  {quantities.short_values(step.effect, step.parameters)}"
+    return f"+ {text}" if step.effect in {e.name for e in found.effects} else f"+ ({text})"
 
 
 def _label(axes: plt.Axes, x: float, row: int, text: str) -> None:
