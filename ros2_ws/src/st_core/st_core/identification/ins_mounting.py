@@ -101,8 +101,8 @@ def _lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, gr
     seconds = [float(np.count_nonzero(side * curvature > MIN_CURVATURE)) * SAMPLE_INTERVAL for side in (1.0, -1.0)]
     if min(seconds) < MIN_TIGHT_TIME:
         left, right = seconds
-        return (f"cg_to_ins_y is not estimated: of bends tighter than R = {1 / MIN_CURVATURE:.0f} m there are {left:.0f} s "
-                f"to the left and {right:.0f} s to the right; {MIN_TIGHT_TIME:g} s to each side are needed.")
+        return (f"cg_to_ins_y is not estimated: of bends tighter than R = {1 / MIN_CURVATURE:.0f} m there are "
+                f"{left:.0f} s to the left and {right:.0f} s to the right; {MIN_TIGHT_TIME:g} s to each side are needed.")
     d_y = 0.0
     for _ in range(4):  # the equation is nearly linear in d_y
         forward = speed + rate * d_y
