@@ -102,7 +102,7 @@ def _lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, gr
     if min(seconds) < MIN_TIGHT_TIME:
         left, right = seconds
         return (f"cg_to_ins_y is not estimated: of bends tighter than R = {1 / MIN_CURVATURE:.0f} m there are "
-                f"{left:.0f} s to the left and {right:.0f} s to the right; {MIN_TIGHT_TIME:g} s to each side are needed.")
+                f"{left:.0f} s to the left and {right:.0f} s to the right; {MIN_TIGHT_TIME:g} s each are needed.")
     d_y = 0.0
     for _ in range(4):  # the equation is nearly linear in d_y
         forward = speed + rate * d_y
