@@ -154,7 +154,7 @@ def test_the_clocks_of_many_runs_are_one_sentence():
     found = {str(n): alignment_summary(Alignment(0, -n * 100_000_000, 0.0, 0.001 * n, 0.1, "shared signals", verdict))
              for n, verdict in enumerate((Verdict.GOOD, Verdict.GOOD, Verdict.DOUBTFUL), 1)}
     assert check_report.describe_clocks({**found, "csv": {"method": "none"}}) == (
-        "INS minus steering clock of 3 runs: -0.300 to -0.100 s, found from the data, at worst ± 3.0 ms, "
+        "INS minus steering clock of 3 runs: -0.300 to -0.100 s, found from the data, standard deviation up to 3.0 ms, "
         "1 of them doubtful")
     assert check_report.describe_clocks({**found, "set": {**found["1"], "method": "by hand"}}).endswith(
         "; set: INS minus steering clock: -0.100 s, set by hand")

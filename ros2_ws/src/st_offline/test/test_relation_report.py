@@ -214,5 +214,5 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
 def test_a_run_that_becomes_much_worse_is_in_the_first_line():
     one = replace(proposal("rear_steer", "acceleration_y", -1.0), runs={"lap": (0.8, 0.5), "rain": (0.20, 0.26)})
     report = relation_report(RelationSearch(one, "", {}), ANSWER, CAR, "out")
-    assert "WORSE by a quarter or more in rain (0.20 → 0.26 m)" in report.headline
-    assert report.groups[0][1][0].startswith("WORSE by a quarter or more in rain")
+    assert "ERRORS LARGER by 25 % or more in rain (0.20 → 0.26 m)" in report.headline
+    assert report.groups[0][1][0].startswith("ERRORS LARGER by 25 % or more in rain")

@@ -26,7 +26,7 @@ MAX_RUNS = 8  # runs that are printed one by one; with more, each finding is pri
 SEVERITY_ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 MEANING = {
     Severity.ERROR: "an evaluation would be meaningless", Severity.WARNING: "an evaluation would be biased",
-    Severity.NOTE: "harmless here",
+    Severity.NOTE: "negligible here",
 }
 QUANTITY_UNITS = {**{f"{channel}_bias": unit for channel, unit in CHANNEL_UNITS.items()},
                   **dict.fromkeys(("yaw_offset", "heading_misaligned", "steering_offset"), "rad"),
@@ -142,7 +142,7 @@ def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
     deviation = max(alignment["offset_deviation_s"] or 0.0 for alignment in found)
     doubtful = sum(alignment["verdict"] != "good" for alignment in found)
     of_all = (f"INS minus steering clock of {len(found)} runs: {offsets[0]:+.3f} to {offsets[-1]:+.3f} s"
-              f"{_zone_note(offsets[0])}, found from the data, at worst ± {1e3 * deviation:.1f} ms, "
+              f"{_zone_note(offsets[0])}, found from the data, standard deviation up to {1e3 * deviation:.1f} ms, "
               f"{doubtful or 'none'} of them doubtful")
     by_hand = [f"{name}: {describe_clock(alignment)}" for name, alignment in alignments.items()
                if alignment["method"] == "by hand"]
@@ -307,5 +307,5 @@ def print_findings(runs: Mapping[str, Sequence[Finding]], console: Console, deta
         line(f"{escape(', '.join(dict.fromkeys(names)))}: [{SEVERITY_STYLE[severity]}]{severity.value}: "
              f"{escape(' | '.join(filter(None, parts)))}[/]", console)
     if notes:
-        line(f"[dim]{notes} note{'' if notes == 1 else 's'} of the checks, harmless here: {details} lists them[/dim]",
+        line(f"[dim]{notes} note{'' if notes == 1 else 's'} of the checks, negligible here: {details} lists them[/dim]",
              console)

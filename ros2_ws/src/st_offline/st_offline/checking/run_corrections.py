@@ -32,7 +32,7 @@ def check_file_name(file: Path) -> None:
 def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
     """Text of a run.yaml: the run as it was read, and its corrections, each below its finding.
 
-    Corrections of notes, which are harmless, and other advice become comments. Paths are relative to `file`.
+    Corrections of notes, which are negligible, and other advice become comments. Paths are relative to `file`.
     """
     corrections: dict[str, Any] = {}
     lines = [HEADER]

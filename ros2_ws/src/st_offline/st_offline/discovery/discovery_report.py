@@ -146,7 +146,7 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
     expected = "the noise" if found.start == "vehicle file" else "that of the reference drives"
     narrow = [
         Table("Corrections of the vehicle file", "The values and intervals of the effects, in the keys of the file and "
-              "SI units.", ("key", "file given", "vehicle.yaml", "95 %"), changes),
+              "SI units.", ("key", "given file", "vehicle.yaml", "95 %"), changes),
         Table("Held-out error of each channel", "Root mean square at the end of the horizon; of the position after 5 s "
               "the mean. After: with model.yaml. Sorted by the reduction.",
               ("error of", "before", "after", "reduced by (95 %)", "noise", "worst run", "worse in"),

@@ -108,7 +108,7 @@ def _title_with_causes(relation: Relation) -> str:
 
 
 def effect_file(relation: Relation, runs: Sequence[str], created: str) -> str:
-    """Text of an effect file with the fitted curve, interpolated linearly between KNOTS points."""
+    """Source of an effect file: the fitted curve, interpolated linearly between KNOTS points."""
     c = relation.candidate
     meaning = ALL_TERMS[c.term][1] + (f", for each {QUANTITIES[c.factor]} of {c.factor.replace('_', ' ')}"
                                       if c.factor else "")

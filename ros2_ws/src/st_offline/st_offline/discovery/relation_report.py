@@ -44,7 +44,7 @@ def relation_report(found: RelationSearch, discovery: Discovery, vehicle: Vehicl
     without, with_it = relation.position_5s
     runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)"
                      for name, (before, after) in relation.worse_runs().items())
-    worse, causes = f"WORSE by a quarter or more in {runs}", relation.formulas[0].causes if relation.formulas else ""
+    worse, causes = f"ERRORS LARGER by 25 % or more in {runs}", relation.formulas[0].causes if relation.formulas else ""
     proposal = [f"{f'{worse}. ' if runs else ''}{title_of(relation)}. A proposal is not established: try it, then keep "
                 "or delete it", *([f"textbook causes: {causes}. These drives do not show the cause"] if causes else [])]
     headline = (f"PROPOSAL, not established: {title_of(relation)}; {without:.2f} m → {with_it:.2f} m (held-out)"
@@ -143,7 +143,7 @@ def _errors_by_run(relation: Relation, discovery: Discovery) -> Table:
 
 
 def _values_with_and_without(relation: Relation, discovery: Discovery, vehicle: VehicleParameters) -> list[Table]:
-    """The same quantities fitted without and with the relation: which value belongs to which file."""
+    """Values of the effects fitted without and with the relation, each for its own files; empty without any."""
     if discovery.model is None:
         return []
     rows = []

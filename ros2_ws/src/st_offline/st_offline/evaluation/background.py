@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 @contextmanager
 def in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
-    """Start `work`; the function yielded waits for its result, which must be picklable.
+    """Start `work`; the yielded function waits for its result, which must be picklable.
 
     The work is done in this process in a Dask worker, which cannot have children, and if the child was killed for lack
     of memory.

@@ -118,7 +118,7 @@ def values(models: Models, model: str, mode: str, axis: str, over: str) -> Mappi
 
 
 def is_best(models: Models, model: str, mode: str, axis: str, kind: str, over: str) -> bool:
-    """Whether no model has a smaller magnitude, to the printed digits; several may be best, as in the paper."""
+    """Whether no model has a smaller magnitude, in the printed digits; several may be best, as in the paper."""
     sizes = {m: round(abs(size), DIGITS) for m in models
              if (size := values(models, m, mode, axis, over)[kind]) is not None}
     return model in sizes and sizes[model] == min(sizes.values())
