@@ -266,12 +266,12 @@ class _Analysis:
         known = (f"the steering clock has an uncertainty of ± {1e3 * max(uncertain):.0f} ms, in {len(uncertain)} of "
                  f"{len(runs)} runs")
         if corrections:
-            known += (f"; the search corrects it by {1e3 * min(corrections.values()):.0f} to "
-                      f"{1e3 * max(corrections.values()):.0f} ms, run by run. An error common to all runs")
+            warning += (f"; the search corrects each run, by {1e3 * min(corrections.values()):.0f} to "
+                        f"{1e3 * max(corrections.values()):.0f} ms. An error common to all runs")
         else:
-            known += ": its error"
-        self.warnings.append(f"{known} looks like steering delay or lag, yaw inertia or tyre relaxation (log frames of "
-                             "the INS on CAN, or give the offset)")
+            warning += ": its error"
+        self.warnings.append(f"{warning} looks like steering delay or lag, yaw inertia or tyre relaxation (log INS "
+                             "frames on CAN, or give the offset)")
         return apply_clock_corrections(runs, corrections)
 
     def _channels(self, settings: DiscoverySettings) -> DiscoverySettings:
@@ -301,7 +301,7 @@ class _Analysis:
         rate = self.windows.joined.yaw_rate * self.windows.joined.velocity_x
         turning = np.abs(rate) > 0.5
         if turning.mean() < 0.05:
-            self.warnings.append("nearly all is straight driving: tyres, steering ratio and mass are not identifiable")
+            self.warnings.append("nearly all driving is straight: tyres, steering ratio and mass are not identifiable")
         elif min((rate > 0.5).sum(), (rate < -0.5).sum()) < 0.05 * turning.sum():
             self.warnings.append("turns to one side only: offsets of sensors and steering resemble changes of the car")
 
@@ -366,8 +366,8 @@ class _Analysis:
                      for n in fit.names if n not in found.fit.names)
 
     def _varying_effects(self, found: Found, parts: Mapping[str, Partition]) -> list[tuple[VaryingEffect, Fit | None]]:
-        """The significant effect that varies between parts of the drives, at most one, and its fit: one that the search
-        rejected for that, else the one that varies most."""
+        """At most one significant effect that varies between parts of the drives, and its fit: one that the search
+        rejected because it varies, else the one that varies most."""
         collected: list[tuple[VaryingEffect, Fit | None]] = []
         # An effect of the final fit, or an alternative to one, is not also reported as varying.
         rivals = [r for others in found.rivals.values() for r in others]
@@ -406,7 +406,7 @@ class _Analysis:
                 *(verdict for _, verdict, _ in found.refused.values())]
 
     def _candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[CandidateEffect, ...]:
-        """Gain and verdict of every effect of the library."""
+        """Every effect of the library with its gain and verdict, largest gain first."""
         problem, space, rows = self.problem, self.space, []
         # An effect that was tried in place of several others is listed with the one where it explains most.
         rivals = {r.name: r for r in sorted((r for others in found.rivals.values() for r in others),
@@ -446,7 +446,7 @@ class _Analysis:
 
     def _untestable(self, found: Found, power: Certificate, judged: _JudgedEffects,
                     manoeuvres: Catalogue | None) -> tuple[NotTestable, ...]:
-        """Effects that are not detectable in these drives."""
+        """Effects that are not detectable in these drives, each with the reason and a manoeuvre that shows it."""
         listed = {*(name for e in judged.named for name in (e.name, *e.alternatives)), *(e.name for e in judged.minor)}
         collected = []
         problem, scores = self.problem, found.scores
@@ -480,7 +480,7 @@ class _Analysis:
         return result
 
     def _residual_signature(self, residual: float, statements: Sequence[ErrorCondition]) -> tuple[str, ...]:
-        """Description of the residual, empty where it is near the noise."""
+        """Description of the residual; empty if it is near the noise."""
         if residual <= self.limits.max_noise_ratio:
             return ()
         return (f"errors are up to {residual:.1f} times the noise",

@@ -74,7 +74,6 @@ class Sensitivities:
         return Sensitivities(vector, self.indices, self.values + (step / square)[:, None, None] * error)
 
     def with_values(self, indices: np.ndarray, values: np.ndarray) -> "Sensitivities":
-        """The sensitivities with those to some parameters replaced."""
         new = self.values.copy()
         new[np.searchsorted(self.indices, indices)] = values
         return Sensitivities(self.vector, self.indices, new)
@@ -320,7 +319,7 @@ class Problem:
 
     def fit_at(self, names: tuple[str, ...], vector: np.ndarray, indices: np.ndarray,
                sensitivities: Sensitivities) -> Fit:
-        """The `Fit` with the values of a vector, with the quadratic and the held-out loss there."""
+        """The `Fit` at a vector, with the quadratic approximation and the held-out loss there."""
         q = self.loss.quadratic(self.errors.at(vector), sensitivities.of(indices))
         fit = Fit(names, vector, indices, sensitivities, q, np.zeros(self.blocks))
         return replace(fit, held_out=self.held_out_loss(fit, self.fold))

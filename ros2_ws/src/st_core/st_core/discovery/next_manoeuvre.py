@@ -63,8 +63,8 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
 
 
 def simulated(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Windows]]:
-    """All manoeuvres at speeds up to MAX_SPEED_RATIO times the driven one, and the windows of a simulated drive of
-    each, with the recorded channels. Simulated with the base model without effects: accurate enough for excitation."""
+    """Manoeuvres at speeds up to MAX_SPEED_RATIO times the driven one, with the windows of a simulated drive of each
+    and the recorded channels. The base model without effects is accurate enough to compare excitation."""
     model = augment(base, {})
     fastest = MAX_SPEED_RATIO * float(np.nanquantile(windows.speeds, 0.95))
     settings = replace(windows.settings, windows=50)
@@ -74,7 +74,7 @@ def simulated(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Window
         try:
             log = drive(manoeuvre, model, windows.vehicle)
         except StCoreError:
-            continue  # the base spins there
+            continue  # the base model spins
         lateral = np.abs(log.velocity_x * log.yaw_rate)
         if (lateral > MAX_LATERAL_ACCELERATION).any():
             log = log.slice(0, int(log.ins_time_ns[max(int(np.argmax(lateral > MAX_LATERAL_ACCELERATION)) - 1, 1)]))
@@ -156,7 +156,7 @@ def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], d
     strength, pair = weakest[name]
     chosen = next(m for m in CATALOGUE if m.name == name)
     return NextManoeuvre(name, pair, strength, {n: s for n, (s, _) in weakest.items()}, REPETITIONS, chosen.duration,
-                         chosen.speed, f"of the catalogue, it separates {pair[0]} and {pair[1]} best")
+                         chosen.speed, f"separates {pair[0]} and {pair[1]} best, of the catalogue")
 
 
 def most_informative(problem: Problem, effect: str, driven: Catalogue) -> str:

@@ -140,10 +140,9 @@ class ForceCurve:
 
 @dataclass(frozen=True)
 class VaryingEffect:
-    """A significant effect that varies between parts of the drives. resembles: effect of the library that
-    describes it best.
-    varies_with: run, site, time, place or condition. values: in each part. position_5s_reduction [m]: of
-    the mean position error after 5 s."""
+    """A significant effect that varies between parts of the drives. resembles: effect of the library that describes it
+    best. varies_with: run, site, time, place or condition. values: in each part. position_5s_reduction [m]: of the mean
+    position error after 5 s."""
 
     resembles: str
     varies_with: str

@@ -115,7 +115,7 @@ def _prediction_interval(ratios: Mapping[str, tuple[float, float]]) -> float:
     return TWO_SIDED * float(np.sqrt(between + error**2))
 
 
-def steps(problem: Problem, final: Fit, order: Sequence[str], ends: HorizonErrors,
+def steps(problem: Problem, final: Fit, order: Sequence[str], errors: HorizonErrors,
           partitions: Mapping[str, Partition]) -> tuple[list[Step], Fit]:
     """The steps from the base model to the final one, one effect at a time, and the fit of the base. `loss.scale` is
     re-estimated in each step and restored afterwards."""
@@ -126,7 +126,7 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: HorizonError
     fit = problem.fit((), problem.all_sensitivities(problem.start))
     problem.loss.rescale(fit.vector)
     fit = base = problem.refit(fit)
-    collected, before = [], ends.of(fit)
+    collected, before = [], errors.of(fit)
     for k, effect in enumerate(order):
         if k == len(order) - 1:
             fit = final
@@ -134,11 +134,11 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: HorizonError
             fit = problem.fit(order[:k + 1], fit.sensitivities, None, (effect,), 3)
             problem.loss.rescale(fit.vector)
             fit = problem.refit(fit, 1)
-        after = ends.of(fit)
-        changes = {c: ends.change(c, before[c], after[c]) for c in after}
+        after = errors.of(fit)
+        changes = {c: errors.change(c, before[c], after[c]) for c in after}
         position = changes.pop("position_5s", None) or next(iter(changes.values()))
         key = "position_5s" if "position_5s" in after else next(iter(after))
-        old, new = ends.by_run(before[key]), ends.by_run(after[key])
+        old, new = errors.by_run(before[key]), errors.by_run(after[key])
         collected.append(Step(effect, get_effect(effect).kind, parameters(problem, fit, effect, partitions),
                               position, changes, {n: (old[n], new[n]) for n in new}))
         before = after
@@ -146,12 +146,12 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: HorizonError
     return collected, base
 
 
-def channel_errors(ends: HorizonErrors, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[str, ChannelError]:
+def channel_errors(errors: HorizonErrors, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[str, ChannelError]:
     """Errors before and after by channel, and of the position after 5 s."""
-    before, after, result = ends.of(base), ends.of(final), {}
+    before, after, result = errors.of(base), errors.of(final), {}
     for channel in after:
-        change = ends.change(channel, before[channel], after[channel])
-        old, new = ends.by_run(before[channel]), ends.by_run(after[channel])
+        change = errors.change(channel, before[channel], after[channel])
+        old, new = errors.by_run(before[channel]), errors.by_run(after[channel])
         if channel != "position_5s":
             old, new = ({n: float(np.sqrt(v)) for n, v in values.items()} for values in (old, new))
         noise = floor.get(channel, 0.0)
@@ -172,13 +172,13 @@ def leave_one_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, f
 
 
 def budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit | None,
-           ends: HorizonErrors) -> list[BudgetLine]:
+           errors: HorizonErrors) -> list[BudgetLine]:
     """Contribution of each kind of cause when added last and when added first, to the mean position error after 5 s
     and to the loss, normalised by the residual scale of the final fit. corrected: fit with effective corrections.
     varying: fit with an effect that varies between parts of the drives."""
     def size(fit: Fit) -> tuple[float, float]:
         """(mean position error [m], loss per residual)."""
-        end = ends.of(fit)
+        end = errors.of(fit)
         values = end.get("position_5s", np.zeros(1))
         return float(np.nanmean(values)), float(fit.held_out.sum()) / problem.residual_count
 

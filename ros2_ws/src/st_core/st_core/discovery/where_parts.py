@@ -143,7 +143,7 @@ def range_text(quantity: str, unit: str, low: float, high: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Means:
-    """Mean squares of bins, with the bootstrap standard deviation of their logarithm and the number of blocks."""
+    """By bin: mean square, bootstrap standard deviation of its logarithm, number of blocks."""
 
     mean: np.ndarray
     deviation: np.ndarray
@@ -152,7 +152,7 @@ class _Means:
 
 def excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range, ...], reference: Samples | None,
              noise: Mapping[str, float], seed: int, resamples: int) -> tuple[BinExcess, ...]:
-    """Every channel in every range with enough blocks, with `significant` set. noise: floor without a reference."""
+    """Excess of every channel in every range with at least MIN_BLOCKS blocks. noise: floor without a reference."""
     found = []
     expected_members = membership(reference)[1] if reference is not None else None
     for number, (channel, squares) in enumerate(samples.squares.items()):

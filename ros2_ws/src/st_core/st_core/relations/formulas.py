@@ -99,7 +99,7 @@ CAUSES: Mapping[tuple[str, ...], str] = {
     ("sensor_velocity_y", "speed"): "a misaligned unit",
     ("sensor_heading", "speed"): "a heading that depends on speed: a misaligned antenna baseline",
     ("sensor_heading", "acceleration_y"): "a heading affected by body roll",
-    ("front_steer", "steering_rate"): "a damper or play in the steering, a late or early angle",
+    ("front_steer", "steering_rate"): "a damper or play in the steering, a delayed or advanced angle signal",
     ("front_steer", "lagging_steering"): "a steering map with a lag, compliance of the column",
     ("front_steer", "lean"): "roll steer of the front suspension",
     ("front_steer", "run_time"): "an angle sensor that drifts, a linkage that settles",
@@ -112,7 +112,7 @@ CAUSES: Mapping[tuple[str, ...], str] = {
     ("side_force", "position_x"): "a banked road or wind at a place",
     ("side_force", "position_y"): "a banked road or wind at a place",
     # Of two quantities.
-    ("front_steer", "speed", "steering_rate"): "a delay of the steering that changes with speed (- later)",
+    ("front_steer", "speed", "steering_rate"): "a delay of the steering that changes with speed (negative: later)",
     ("front_steer", "speed", "steering"): "a steering ratio that changes with speed, power steering, an active rack",
     ("rear_steer", "speed", "acceleration_y"): "roll steer or compliance of the rear that changes with speed",
     ("yaw_moment", "acceleration_x", "steering"): "torque steer of turned wheels, a differential",

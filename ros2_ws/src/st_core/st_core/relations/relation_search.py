@@ -23,7 +23,7 @@ MIN_REPORTED_RATIO = 1.25  # held-out error of a run with the relation to that w
 MEASURED_BY = {"sensor_yaw_rate": ("yaw_rate",), "sensor_acceleration_y": ("acceleration_y",),
                "sensor_velocity_y": ("velocity_y",), "sensor_heading": ("yaw",)}
 STEERING_TIMING = ("steering_rate", "lagging_steering")
-"""Quantities of relations of the front steering that imitate a late or early steering signal."""
+"""Quantities of relations of the front steering that imitate a delayed or advanced steering signal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +146,8 @@ def _select(screened: Sequence[Screened], fits: RelationFits, without: RelationF
     explained = {trial: finding for trial in significant if (finding := _reported(trial.candidate, reported))}
     fitted, accepted, against = _fit_candidates([s for s in significant if s not in explained], fits, without, vehicle,
                                                 limits, tick)
-    against |= {trial: f"{trial.candidate.name} is significant, but st check reports the sensor itself: {finding}. "
-                       "Correct that first and search again" for trial, finding in explained.items()}
+    against |= {trial: f"{trial.candidate.name} is significant, but may be the sensor fault that st check reports: "
+                       f"{finding}. Correct it first and search again" for trial, finding in explained.items()}
     if not accepted:
         first = next(trial for trial in significant if trial in against)
         return RelationSearch(None, against[first], tried, detection_limits)

@@ -50,7 +50,8 @@ class Screened:
 
 def screen(fits: RelationFits, without: RelationFit, vehicle: VehicleParameters, seed: int,
            tick: Callable[[], None]) -> list[Screened]:
-    """Every candidate that these drives excite and that changes a prediction. without: fit without a relation."""
+    """Statistics of every candidate that the drives excite and that changes a prediction. without: fit without a
+    relation."""
     distance = ((without.vector - fits.start) / fits.space.scale)[without.indices]
     base = fits.predicted_held_out(without.q, without.penalty, distance)
     car = fits.loss.sensitivities(without.vector, fits.car)
