@@ -138,7 +138,7 @@ class Checked:
         return tuple(finding for finding in self.findings if finding.severity is severity)
 
     def as_dict(self) -> dict[str, Any]:
-        """The run's part of check.json."""
+        """The part of check.json on this run."""
         return {"findings": [finding.as_dict() for finding in self.findings],
                 "channels": {name: asdict(channel) for name, channel in self.channels.items()},
                 "estimates": {name: list(values) for name, values in self.estimates.items()}}

@@ -120,7 +120,7 @@ def refused_frames(time: np.ndarray, frames: int, reason: str) -> Finding:
     text = (f"road_wheel_angle: {len(time)} of {frames} frames between {time[0]:.2f} and {time[-1]:.2f} s were "
             f"received but not used: {reason}")
     severity = Severity.NOTE if share <= MAX_GAP_SHARE else Severity.WARNING
-    advice = Advice("look", "look at the steering sensor, and at its range and max_rate in the signal table")
+    advice = Advice("look", "check the steering sensor, and its range and max_rate in the signal table")
     return Finding("values_missing", severity, ("road_wheel_angle",), text, share,
                    where=stretches(time, MAX_GAP), advice=advice)
 
@@ -160,11 +160,11 @@ def _check_stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
         if reset:
             text = (f"the stamps of the {signal} go back {int(back.sum())} time{'s' if back.sum() > 1 else ''}, by up "
                     f"to {largest:.4g} s: {count} of {len(stamps)} rows ({100 * share:.3g} %) are not used")
-            advice = "look at the logger: its clock was set back, or it restarted; split the recording there into runs"
+            advice = "check the logger: its clock was set back, or it restarted; split the recording there into runs"
         else:
             text = (f"{count} of {len(stamps)} stamps of the {signal} "
                     f"{'go back' if name == 'time_order' else 'are duplicates'}; those rows were left out")
-            advice = "look at how the rows were stamped and merged"
+            advice = "check how the rows were stamped and merged"
         severity = Severity.WARNING if reset or share > NOTE_SHARE else Severity.NOTE
         findings.append(Finding(name, severity, STAMPS_OF[signal], text, share, where=where,
                                 advice=Advice("look", advice)))
@@ -187,7 +187,7 @@ def _check_gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, f
     text = (f"{len(long)} gap{'s' if len(long) > 1 else ''} of the {signal}, {missing:.2f} s in all, longest "
             f"{spacing[long].max():.2f} s: nothing is scored there")
     return [Finding("time_gaps", severity, STAMPS_OF[signal], text, missing, "s", where=where,
-                    advice=Advice("look", "look at the logger: lost packets, a full buffer, a restart"))]
+                    advice=Advice("look", "check the logger: lost packets, a full buffer, a restart"))]
 
 
 def find_stuck_channels(motion: Motion, channels: Mapping[str, Channel]) -> list[Finding]:
@@ -311,7 +311,7 @@ def _smooth_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.concatenate([rate, np.full(len(time) - len(rate), rate[-1] if len(rate) else 0.0)])
 
 
-# Position error after 5 s per unit of a wrong start [m], and whether it grows with the speed [s].
+# Position error after 5 s per unit of error of the initial state [m], and whether it is proportional to speed [s].
 POSITION_EFFECT = {
     "x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
     "velocity_y": (LIMITS.settling * HORIZON, False), "yaw_rate": (LIMITS.settling * HORIZON, True)}

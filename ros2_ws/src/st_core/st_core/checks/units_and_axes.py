@@ -100,7 +100,7 @@ def check_time_unit(motion: Motion) -> Corrected:
     # A single ratio may also be due to the unit of velocity, so only factors of time units are accepted then.
     if not unit and (len(known) < 2 or 1 / 10 < factor < 10):
         return motion, None
-    reason, advice = "", Advice("look", "look at the clock that stamps the rows")
+    reason, advice = "", Advice("look", "check the clock that stamps the rows")
     if unit:
         factor, (name, symbol) = unit, TIMES[unit]
         reason, advice = f": {name}?", Advice("run.yaml", f"units: {{t: {symbol}}}", {"units": {"t": symbol}})
@@ -361,6 +361,6 @@ def _correct_yaw_offset(motion: Motion) -> Corrected:
         1.0: ": is it counted from north?", -1.0: ": is it counted from north or south?",
         2.0: ": does it point backwards?", -2.0: ": does it point backwards?"}
     reason = turns.get(round(exact / (np.pi / 2), 3), "")
-    text = f"yaw is {angle:+.2f} rad ({angle * DEGREE:+.0f} deg) off the direction in which positions move{reason}"
+    text = f"yaw differs by {angle:+.2f} rad ({angle * DEGREE:+.0f} deg) from the direction of travel{reason}"
     finding = replace(_error("yaw_offset", ("yaw",), text, angle, Advice.correct("yaw", add=-float(exact))), unit="rad")
     return replace(motion, yaw=motion.yaw - exact), finding

@@ -306,5 +306,5 @@ def check_standstill(motion: Motion) -> list[Finding]:
             text = f"{name} is {value:.3g} {unit} while position and yaw are constant"
             where = tuple((float(t), float(t) + 2.0) for t in over.time[still][:20])
             findings.append(Finding("standstill_motion", Severity.WARNING, (name,), text, value, unit, where=where,
-                                    advice=Advice("look", f"look at the bias of {name}")))
+                                    advice=Advice("look", f"check the bias of {name}")))
     return findings

@@ -224,7 +224,7 @@ def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[st
     name, value = fit.names[index], fit.values[index]
     basis = f"{fit.n_predictions} predictions in {fit.spread.basis[index]}"
     if name in fit.at_bound:
-        return (f"Stopped at its bound {value:.4g}: the data do not determine it, or contradict the rest of the "
+        return (f"Stopped at its bound {value:.4g}: the data do not determine it, or contradict other values of the "
                 "vehicle file."), "unidentifiable"
     if not FREE_PARAMETERS[name].relative:
         return (f"{value:.4g} +/- {uncertainty:.2g} {FREE_PARAMETERS[name].unit}, from {basis}.",

@@ -118,7 +118,7 @@ def slip_coverage(data: FlatPlank, levels: np.ndarray, level: np.ndarray) -> tup
 
 
 SHIFT = "slip_shift"
-# With p_ky4 < 1 the stiffness would never reach its largest value p_ky1 F_z0, and p_ky1 would lose its meaning; with
+# With p_ky4 < 1 the stiffness never reaches p_ky1 F_z0, which is then not its maximum; with
 # p_ky4 > 2 it would change its sign at some load.
 FIT_BOUNDS = {SHIFT: (-math.radians(2.0), math.radians(2.0)), "p_ky4": (1.0, 2.0)}
 NOMINAL_PARAMETERS = ("p_cy1", "p_dy1", "p_ey1")

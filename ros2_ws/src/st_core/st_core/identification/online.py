@@ -228,7 +228,7 @@ class OnlineIdentifier:
         """Reasons why values are implausible, by parameter."""
         fit, (offset, ratio, scale) = self._fit, self._fit.values
         if fit.unexplained > MAX_UNEXPLAINED:
-            return dict.fromkeys(NAMES, f"the model leaves {100 * fit.unexplained:.0f} % of the yaw rate unexplained: "
+            return dict.fromkeys(NAMES, f"the residual is {100 * fit.unexplained:.0f} % of the yaw rate: "
                                         "road, load or a sensor differ from the assumptions of the model")
         reasons = {}
         if abs(offset) > MAX_OFFSET:
