@@ -38,7 +38,7 @@ MAX_EXAMINED_GAP = 10.0
 # Positions may be noisier than those of RTK: a jump also exceeds NOISE_FACTOR times the median of the steps before it
 # (MIN_NOISE_STEPS to NOISE_STEPS of them) ...
 NOISE_STEPS, MIN_NOISE_STEPS, NOISE_FACTOR = 20, 5, 6.0
-# ... or is larger than any noise [m].
+# ... or exceeds any noise [m].
 MAX_NOISE = 5.0
 
 # delta' of a frozen angle varies by more than this [rad], about 20 deg of the steering wheel, plus this fraction of it.

@@ -166,7 +166,7 @@ REQUIREMENTS = {
     "at null it changes nothing, to the last bit": _check_null,
     "at its initial values it changes something": _check_change,
     "finite at its bounds, and at standstill": _check_finite,
-    "the same on floats, in batches, compiled and in CasADi": _check_backends,
+    "equal on floats, in batches, compiled and in CasADi": _check_backends,
     "left and right are mirror images, except for surroundings and parameters with odd=True": _check_mirror,
     "it does not make the car unstable": _check_stability,
     "correct() inverts observe()": _check_correction,

@@ -141,7 +141,7 @@ class Course:
         except ConfigurationError as error:
             raise ConfigurationError(f"{origin}: {error}") from None
         except (KeyError, TypeError, ValueError):
-            raise ConfigurationError(f"{origin}: not a complete course file; make one with st course build") from None
+            raise ConfigurationError(f"{origin}: not a complete course file; write one with st course build") from None
 
     @classmethod
     def _read(cls, text: str) -> "Course":
@@ -149,7 +149,7 @@ class Course:
         document = load(head)
         keys = ["schema", "spacing", "columns", "origin", "hash", "passes"]
         if not isinstance(document, dict):
-            raise ConfigurationError("not a course file; make one with st course build")
+            raise ConfigurationError("not a course file; write one with st course build")
         check_keys("", document, keys, required=keys)
         if (document["schema"], document["spacing"], document["columns"]) != (SCHEMA, SPACING, list(COLUMNS)):
             raise ConfigurationError(f"schema: {document['schema']} with spacing {document['spacing']} is not readable "

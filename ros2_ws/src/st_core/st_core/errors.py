@@ -6,4 +6,4 @@ class StCoreError(ValueError):
 
 
 class ConfigurationError(StCoreError):
-    """A vehicle file or setting that makes a start impossible. Its text is one line for the user."""
+    """An unusable file or setting. The text is one line for the user."""

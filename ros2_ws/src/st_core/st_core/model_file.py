@@ -1,4 +1,4 @@
-"""A model as a file, model.yaml: base model, effects with values and intervals, and where they come from.
+"""A model as a file, model.yaml: base model, effects with values and intervals, and their provenance.
 
     base: nonlinear
     vehicle: {name: "Nissan Leaf ZE0", hash: "..."}             and, when embedded, parameters: {a vehicle file}
@@ -29,7 +29,7 @@ from .yaml_text import check_keys, load, number, quoted
 
 Interval = tuple[float, float] | None
 MAX_LISTED_DIFFERENCES = 3  # between two cars, in a message
-HEADER = "# Model file: base model, effects on top of it (SI units, 95 % intervals), and where they come from.\n"
+HEADER = "# Model file: base model, its effects (SI units, 95 % intervals), and their provenance.\n"
 
 
 @dataclass(frozen=True)

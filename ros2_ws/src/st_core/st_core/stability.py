@@ -24,7 +24,7 @@ _warned: set[tuple[str, str, float]] = set()
 
 
 class StepTooLongWarning(UserWarning):
-    """The integration step is outside the stability region of Runge-Kutta at a speed that occurs."""
+    """The integration step is outside the stability region of Runge-Kutta at a speed of the drive."""
 
 
 def lateral_modes(model: str | Model, vehicle: VehicleParameters, speed: float) -> np.ndarray:

@@ -31,7 +31,7 @@ GAIN, START_GAIN, SETTLING = 0.1, 0.3, 30.0
 """1/s, 1/s, s. Errors outside a 90 % band for 5 s widen it by 57 %: fast enough for a run of two minutes, and 5 % wider
 than the best fixed factor (docs/manual/bands.md)."""
 MIN_FACTOR, MAX_FACTOR = 0.05, 100.0
-"""From sensor noise to the size of a road: limits that no finite prediction exceeds for long."""
+"""From sensor noise to the size of a road: no finite prediction exceeds these limits for long."""
 DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}
 """Without a calibration: median and 90 % quantile of the largest of 300 correlated normal errors of unit scale."""
 SCALE_FORGETTING = 120.0  # s: two minutes contain most manoeuvres of a driver on a road
@@ -82,7 +82,7 @@ class AdaptiveBand:
         """
         scale = self.scale(condition) if scale is None else scale
         factors = self.factors
-        if self._issued and start_ns <= self._issued[-1][0]:  # time has jumped back: their scores never arrive
+        if self._issued and start_ns <= self._issued[-1][0]:  # after a jump back in time their scores never arrive
             self._issued.clear()
         self._issued.append((start_ns, scale, factors))
         if len(self._issued) > 10_000:  # scores that never arrive
@@ -141,7 +141,7 @@ class AdaptiveBand:
 
 
 def _initial_factor(band: Band | None, level: float) -> float:
-    """The calibrated factor; for a level that is not calibrated, that of the nearest one in proportion of defaults."""
+    """The calibrated factor; for another level, that of the nearest one, scaled by the ratio of the default factors."""
     if band is None or level in band.factors:
         return _default_factor(level) if band is None else band.factors[level]
     nearest = min(band.factors, key=lambda known: abs(known - level))

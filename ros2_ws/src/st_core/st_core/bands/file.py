@@ -131,12 +131,12 @@ class Bands:
         except ConfigurationError as error:
             raise ConfigurationError(f"{origin}: {error}") from None
         except (KeyError, TypeError, ValueError, AttributeError, IndexError):
-            raise ConfigurationError(f"{origin}: not a complete bands file; make one with st calibrate") from None
+            raise ConfigurationError(f"{origin}: not a complete bands file; write one with st calibrate") from None
 
     @classmethod
     def _read(cls, document: Any) -> "Bands":
         if not isinstance(document, dict):
-            raise ConfigurationError("not a bands file; make one with st calibrate")
+            raise ConfigurationError("not a bands file; write one with st calibrate")
         keys = ["schema", "units", "vehicle", "settings", "recordings", "runs", "seen", "bands", "hash"]
         check_keys("", document, keys, required=keys)
         if document["schema"] != SCHEMA:

@@ -224,7 +224,7 @@ class Coverages:
         coverage.add(score.start_ns, float(score.horizon[-1]), inside)
 
     def warning(self) -> str:
-        """Warning of bands with coverage significantly below the nominal level, in one line; empty without one."""
+        """One line on bands with coverage significantly below the nominal level; empty without any."""
         found = [f"{mode} of {model} (the {level:.0%} band {coverage.share(level):.0%} so far)"
                  for (model, mode), coverage in self.by_pair.items() if coverage.warns
                  for level in [max(coverage.inside)]]

@@ -203,7 +203,7 @@ AUXILIARY_HOOKS = ("constants", "fold")
 EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "specific_force")
 EFFECTS: dict[str, type[Effect]] = {}
 UNLISTED: dict[str, type[Effect]] = {}
-"""Effects for models built by programs, not in the library of a search; `get_effect` has them."""
+"""Effects that only programs use, not in the library of a search; `get_effect` finds them."""
 
 
 def register(effect: type[Effect]) -> type[Effect]:
@@ -228,7 +228,7 @@ def _enter(effect: type[Effect], registry: dict[str, type[Effect]]) -> type[Effe
         raise ConfigurationError(f"effect {name}: {problem}")
     names = [*(p.name for p in effect.parameters), "constants"]
     theta = namedtuple("Theta", names, module=effect.__module__)  # type: ignore[misc]  # names known at run time only
-    theta.__qualname__ = f"{effect.__qualname__}.Theta"  # pickled by this path: compiled kernels are cached by type
+    theta.__qualname__ = f"{effect.__qualname__}.Theta"  # pickled by this path, as compiled kernels are cached by type
     effect.Theta = theta
     if effect.fold is None and effect.vehicle:
         effect.fold = staticmethod(effect.vehicle)

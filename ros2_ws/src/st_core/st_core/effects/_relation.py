@@ -27,16 +27,16 @@ FACTOR_INPUTS = ("steering", "acceleration_y")
 TERMS = {
     "front_steer": ("rad", "of the front wheels, added to the road wheel angle"),
     "rear_steer": ("rad", "of the rear wheels, to the left +"),
-    "front_force": ("1", "lateral force of the front axle over its static load, left +"),
-    "rear_force": ("1", "lateral force of the rear axle over its static load, left +"),
-    "front_grip": ("1", "of the front axle's lateral force, as a share of it"),
-    "rear_grip": ("1", "of the rear axle's lateral force, as a share of it"),
+    "front_force": ("1", "lateral force of the front axle divided by its static load, left +"),
+    "rear_force": ("1", "lateral force of the rear axle divided by its static load, left +"),
+    "front_grip": ("1", "relative change of the lateral force of the front axle"),
+    "rear_grip": ("1", "relative change of the lateral force of the rear axle"),
     "yaw_moment": ("rad/s^2", "yaw acceleration by a moment on the body, left +"),
     "side_force": ("m/s^2", "lateral acceleration by a force on the body, left +"),
-    "sensor_yaw_rate": ("rad/s", "on the reading of the yaw rate sensor"),
-    "sensor_acceleration_y": ("m/s^2", "on the reading of the accelerometer"),
-    "sensor_velocity_y": ("m/s", "on the lateral velocity of the INS"),
-    "sensor_heading": ("rad", "on the heading of the INS"),
+    "sensor_yaw_rate": ("rad/s", "added to the reading of the yaw rate sensor"),
+    "sensor_acceleration_y": ("m/s^2", "added to the reading of the accelerometer"),
+    "sensor_velocity_y": ("m/s", "added to the lateral velocity of the INS"),
+    "sensor_heading": ("rad", "added to the heading of the INS"),
 }
 """Terms that a curve is added to: unit, and meaning with its sign."""
 

@@ -16,7 +16,7 @@ class CgPosition(Effect):
     applies_to = ANY
     parameters = (
         Parameter("shift", "m", null=0.0, initial=0.1, bounds=(-0.5, 0.5),
-                  meaning="CG further forward than in the file", source="load in the boot moves it by 0.1-0.2 m"),
+                  meaning="CG further forward than in the file", source="a load in the boot moves it by 0.1-0.2 m"),
     )
 
     @staticmethod

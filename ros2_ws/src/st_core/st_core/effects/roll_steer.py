@@ -17,7 +17,7 @@ TWO_PI = 6.283185307179586
 class RollSteer(Effect):
     name = "roll_steer"
     physics = "delta = delta_measured - gradient a_y, body roll lagging a_y; adds gradient to the understeer gradient"
-    excited_by = "sweeps, where the roll lags; steady cornering shows it as a softer front axle"
+    excited_by = "sweeps, where the roll lags; in steady cornering not separable from a softer front axle"
     kind, slot = "physics", "front axle"
     confounded_with = ("steering_compliance", "steering_ratio", "front_stiffness")
     combinations = ("front cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")

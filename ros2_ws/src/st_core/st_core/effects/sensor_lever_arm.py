@@ -9,7 +9,7 @@ from ._base import ANY, Effect, Parameter, register
 class SensorLeverArm(Effect):
     name = "sensor_lever_arm"
     physics = "INS point = that of the file + (x, y), in body axes; v_y there is v_y + r x"
-    excited_by = "tight turns, both ways; v_y of the INS shows x, v_x shows y"
+    excited_by = "tight turns to both sides; v_y of the INS depends on x, v_x on y"
     kind, slot = "sensors", "position"
     confounded_with = ("cg_position", "heading_misalignment")
     needs = ("velocity_y",)  # without it yaw may be the course, which hides both

@@ -19,7 +19,7 @@ class SteeringDelay(Effect):
     parameters = (
         Parameter("time", "s", null=0.0, initial=0.04, bounds=(-0.2, 0.5),
                   meaning="delay of the wheels behind the measured angle",
-                  source="buses and filters add up to 0.2 s; no steering takes half a second",
+                  source="buses and filters add up to 0.2 s; half a second is beyond any steering",
                   model_error=0.004),
     )
 
