@@ -353,7 +353,7 @@ def straight(leaf, seed: int) -> DriveLog:
 def test_straight_driving_is_said_to_show_little(leaf):
     found = discover([straight(leaf, seed) for seed in range(3)], leaf, settings=FEW)
     assert found.effects == () and found.outcome in {"none", "not_testable"}
-    assert any("straight driving: tyres, steering ratio and mass are not identifiable" in text
+    assert any("driving is straight: tyres, steering ratio and mass are not identifiable" in text
                for text in found.warnings)
     assert {"steering_ratio", "mass"} <= {n.name for n in found.not_testable}
 
