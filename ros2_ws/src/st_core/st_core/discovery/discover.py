@@ -263,8 +263,8 @@ class _Analysis:
         corrections = clock_corrections(runs, self.vehicle, self.space, self.settings, deviations, self.threads,
                                         self._tick("clocks"))
         self.clock_errors |= corrections
-        known = (f"the steering clock has an uncertainty of ± {1e3 * max(uncertain):.0f} ms, in {len(uncertain)} of "
-                 f"{len(runs)} runs")
+        warning = (f"the steering clock has an uncertainty of ± {1e3 * max(uncertain):.0f} ms, in {len(uncertain)} of "
+                   f"{len(runs)} runs")
         if corrections:
             warning += (f"; the search corrects each run, by {1e3 * min(corrections.values()):.0f} to "
                         f"{1e3 * max(corrections.values()):.0f} ms. An error common to all runs")
