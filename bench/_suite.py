@@ -12,7 +12,7 @@ from st_core.vehicle import VehicleParameters
 from st_live.configuration import VirtualCar, add_files, live_parameters
 from st_live.node import Monitor
 from st_live.session import NODES
-from st_live.suite import Suite, claimed_domain
+from st_live.suite import Suite, claim_domain
 from st_recordings.paths import config
 
 
@@ -26,7 +26,7 @@ def running_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full")
     """
     left_out = os.environ.get("ST_BENCH_WITHOUT", "").split(",")
     nodes = [node for node in NODES if node[1] not in left_out]
-    with claimed_domain() as domain, tempfile.TemporaryDirectory(prefix="st-bench-") as name:
+    with claim_domain() as domain, tempfile.TemporaryDirectory(prefix="st-bench-") as name:
         rates = ["--ncom-rate", str(ncom_rate), "--can-rate", can_rate]
         car = VirtualCar(config("vehicle/leaf.yaml"), ["--scenario", "S6", "--duration", str(duration), *rates])
         folder = Path(name)

@@ -10,7 +10,7 @@ from pathlib import Path
 from st_live.configuration import bridge_parameters, live_parameters
 from st_live.node import Monitor
 from st_live.session import NODES, STOP_ORDER, Supervisor
-from st_live.suite import Suite, claimed_domain, free_udp_port
+from st_live.suite import Suite, claim_domain, free_udp_port
 from st_recordings.paths import config
 
 from .car import Car, Circle, Drive
@@ -93,7 +93,7 @@ def running(folder: Path, ncom_rate: int = 100, full_bus: bool = False, drive: D
         channel = f"239.74.163.3:{port}"
         car = Car(Wire((LOOPBACK, port)), can_wire(channel), drive or Circle(), ncom_rate, full_bus)
         stack.callback(car.close)
-        domain = stack.enter_context(claimed_domain())
+        domain = stack.enter_context(claim_domain())
         monitor = stack.enter_context(Monitor(domain))
         vehicle = folder / "leaf.yaml"
         shutil.copy(config("vehicle/leaf.yaml"), vehicle)

@@ -56,7 +56,7 @@ def test_the_course_is_published_scored_and_better_than_held_inputs(folder: Path
 @pytest.mark.parametrize("run", ["second", "replayed"])
 def test_predictions_and_scores_with_the_course_are_verified(folder: Path, run: str) -> None:
     text = st("verify", folder / run)
-    assert "with inputs of a plan or course are among them" in text and "live equals offline" in text
+    assert "more with inputs of a plan or course, and" in text and "live equals offline" in text
 
 
 def test_a_file_that_is_no_course_is_refused_in_one_line_before_a_node_starts(folder: Path, tmp_path: Path) -> None:

@@ -189,9 +189,9 @@ def test_full_folder_is_refused(tmp_path: Path) -> None:
 
 
 def test_second_suite_in_one_domain_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from st_live.suite import claimed_domain
+    from st_live.suite import claim_domain
 
-    with claimed_domain() as domain:
+    with claim_domain() as domain:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
         first = start_demo("--scenario", "S2", "--duration", "60", "--output", str(tmp_path / "first"))
         try:
@@ -199,7 +199,7 @@ def test_second_suite_in_one_domain_is_refused(tmp_path: Path, monkeypatch: pyte
             second = start_demo("--output", str(tmp_path / "second"))
             text, _ = second.communicate(timeout=60)
             assert second.returncode == 2
-            assert f"another suite runs in ROS domain {domain} already" in text
+            assert f"another suite is running in ROS domain {domain}" in text
             assert not list((tmp_path / "second").iterdir())
         finally:
             os.kill(first.pid, signal.SIGINT)

@@ -63,4 +63,4 @@ def test_the_plan_is_published_scored_and_better_than_held_inputs(folder: Path, 
 @pytest.mark.parametrize("run", ["run", "replayed"])
 def test_predictions_and_scores_with_the_plan_are_verified(folder: Path, run: str) -> None:
     text = st("verify", folder / run)
-    assert "with inputs of a plan or course are among them" in text and "live equals offline" in text
+    assert "more with inputs of a plan or course, and" in text and "live equals offline" in text

@@ -17,7 +17,7 @@ from rich.console import Console
 from st_cli.verbs import demo, live, raw_logs
 from st_live import configuration, session
 from st_live.node import Status, SuiteState, progress_view
-from st_live.suite import SuiteError, chosen_domain_id, claimed_domain, merge
+from st_live.suite import SuiteError, claim_domain, merge, read_domain_id
 from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStatus
 
 from tools import develop
@@ -146,7 +146,7 @@ def test_a_command_that_is_not_there_is_named() -> None:
 def test_a_domain_that_is_none_is_refused(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", text)
     with pytest.raises(SuiteError, match=r"ROS_DOMAIN_ID: .* from 0 to 232"):
-        chosen_domain_id()
+        read_domain_id()
 
 
 @pytest.mark.parametrize("home", [None, "/proc"])
@@ -162,7 +162,7 @@ def test_logs_of_ros_find_a_place_without_a_home(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_domain_is_claimed_once_at_a_time() -> None:
-    with claimed_domain() as first, claimed_domain() as second:
+    with claim_domain() as first, claim_domain() as second:
         assert first != second
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, pytest.raises(OSError, match="in use"):
             probe.bind(("", 7400 + 250 * first + 10))

@@ -156,7 +156,7 @@ def test_the_same_numbers_start_by_start(live):
         assert comparison.n_settling == 7
         # One second of horizon at the end is incomplete on both sides.
         assert comparison.n_scores == {"hindsight": 43, "forecast": 43}
-        assert comparison.largest < 1e-9 and comparison.yaw < 1e-9
+        assert comparison.largest < 1e-9 and comparison.yaw_difference < 1e-9
     result = st_verify(live.folder)
     assert result.exit_code == 0 and "106 predictions and 172 scores compared" in result.output.replace("\n", " ")
 
@@ -165,8 +165,8 @@ def test_two_millimetres_are_found_and_where(live):
     live.shift_one = 0.002
     found = verify(live.write())
     kinematic, linear = found.comparisons
-    assert kinematic.position == pytest.approx(0.002, abs=1e-9) and kinematic.start < 1e-9
-    assert kinematic.at_ns == T0 + 10_000_000 * (20 * 10 + 9) and linear.position < 1e-9
+    assert kinematic.path_difference == pytest.approx(0.002, abs=1e-9) and kinematic.start_difference < 1e-9
+    assert kinematic.worst_start_ns == T0 + 10_000_000 * (20 * 10 + 9) and linear.path_difference < 1e-9
     result = st_verify(live.folder)
     assert result.exit_code == 1 and "live differs from offline" in result.output
     assert st_verify(live.folder, "--tolerance", "0.003").exit_code == 0
@@ -196,7 +196,7 @@ def test_a_slow_predictor_is_compared_and_a_restart_settles_again(period):
     starts = np.arange(60) * period + rng.normal(0.0, 2e-3, 60)
     starts[30:] += 10 * period + 2.0
     starts_ns = np.round(1e9 * starts).astype(np.int64)
-    kept = verification.settled(starts_ns, starts_ns[:1], cutoff=5.0)
+    kept = verification.find_settled(starts_ns, starts_ns[:1], cutoff=5.0)
     assert not kept[0] and not kept[30]
     assert kept.sum() >= 60 - 2 * (1 + int(0.7 / period))
 
@@ -204,8 +204,8 @@ def test_a_slow_predictor_is_compared_and_a_restart_settles_again(period):
 def test_a_score_of_its_own_is_found(live):
     live.score_shift = -0.005
     found = verify(live.write())
-    assert found.comparisons[1].error["hindsight"] == pytest.approx(0.005, abs=1e-9)
-    assert found.comparisons[1].error["forecast"] < 1e-9 and found.largest == pytest.approx(0.005, abs=1e-9)
+    assert found.comparisons[1].score_difference["hindsight"] == pytest.approx(0.005, abs=1e-9)
+    assert found.comparisons[1].score_difference["forecast"] < 1e-9 and found.largest == pytest.approx(0.005, abs=1e-9)
 
 
 def test_a_truncated_recording_is_reported(live):
@@ -258,8 +258,8 @@ def test_another_vehicle_is_another_prediction(live, tmp_path):
     other.write_text(LEAF.replace(f"{stiffness}70000.0", f"{stiffness}60000.0"))
     found = verify(live.write(), other)
     kinematic, linear = found.comparisons
-    assert not found.same_configuration and kinematic.position < 1e-9 and linear.position > 0.01
-    assert linear.start < 1e-9
+    assert not found.same_configuration and kinematic.path_difference < 1e-9 and linear.path_difference > 0.01
+    assert linear.start_difference < 1e-9
     assert "another vehicle" in st_verify(live.folder, "--vehicle", other).output
 
 

@@ -26,8 +26,8 @@ from .timeseries import NANOSECOND, half_step_grid
 from .types import STATE_NAMES, InputSequence
 from .vehicle import VehicleParameters
 
-MODES: tuple[Mode, ...] = ("hindsight", "forecast")
-"""Modes of every evaluation; plan and course are added where their inputs are given."""
+MODES: tuple[Mode, ...] = ("hindsight", "forecast")  # of every evaluation
+PLANNED_MODES: tuple[Mode, ...] = ("plan", "course")  # of an evaluation for which their inputs are given
 AXES = ("longitudinal", "lateral", "yaw")
 BLOCK = 1024  # starts predicted together; each model and mode then takes 7 MB
 PREFETCHED_BLOCKS = 2  # computed in advance, one per thread

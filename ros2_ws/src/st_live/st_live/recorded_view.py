@@ -1,4 +1,4 @@
-"""Draws a recorded run into a Rerun recording (.rrd), one picture every 0.1 s."""
+"""Draws a recorded run as a Rerun recording (.rrd) with a picture every 0.1 s."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -24,9 +24,8 @@ from .configuration import recordings_of
 
 TIMELINE = "measured"
 PLOT_SPAN = 40.0  # s
-# Metres shown around the car, heading up: 5 s ahead at 30 km/h, and part of the track behind.
-AHEAD, BEHIND, SIDEWAYS = 44.0, 16.0, 34.0
-AROUND, GRID = 50.0, 20.0  # metres shown around the car on the map, and between the lines of its grid
+AHEAD, BEHIND, SIDEWAYS = 44.0, 16.0, 34.0  # m shown around the car, heading up; 44 m are 5 s at 30 km/h
+AROUND, GRID = 50.0, 20.0  # m shown around the car on the map, and between the lines of its grid
 PLOTS = {
     "lateral": "lateral error over the last 5 s, m (+ predicted left)",
     "longitudinal": "longitudinal error, m (+ predicted ahead)",
@@ -37,28 +36,27 @@ PLOTS = {
 WHITE = (255, 255, 255)
 RINGS = (10, 20, 30, 40, 50, 60)  # m around the car
 LIGHT_GREY = (228, 228, 228)
-GHOST_STRENGTH = 0.4  # colour of earlier predictions; 1: full colour, 0: white
+GHOST_STRENGTH = 0.4  # colour strength of earlier predictions; 1: full colour, 0: white
 GHOST_STRIDE, TRACK_STRIDE, RIBBON_STRIDE = 5, 2, 2  # every n-th point is drawn
-RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}
+RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}  # colour strength by probability
 # Half the line width in screen points, the same at every zoom.
 THIN, THICK, TRACK = (rr.Radius.ui_points(points) for points in (0.6, 1.8, 4.0))
-# Each model is drawn narrower and above the previous one, so that all are visible where they agree.
+# The path of each model is narrower than the previous one and above it, so that all are visible where they agree.
 MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0.6))
 Projection = Callable[[np.ndarray, np.ndarray], np.ndarray]  # map x, y to the screen
 Pose = tuple[float, float, float]
-PERIOD_NS = 100_000_000
+PERIOD_NS = 100_000_000  # between pictures
 FLUSH_PERIOD = 5.0  # s between writes; few large chunks load quickly
 TEXT_PERIOD_NS = 1_000_000_000
 LEVELS = ("ok", "warning", "**error**", "stale")
-# Kind of message by topic.
-TOPICS = {
+TOPICS = {  # kind of message by topic
     "predictor/status": "status", "ins/odometry": "odometry", "vehicle/steering": "steering",
     **{f"predictor/{model}/prediction": "prediction" for model in MODEL_COLOUR},
     "evaluator/errors": "error", "evaluator/summary": "summary", "/diagnostics": "diagnostics",
 }
 
 
-def blueprint() -> rrb.Blueprint:
+def make_blueprint() -> rrb.Blueprint:
     """Layout of the panels."""
     now = rrb.TimeRangeBoundary.cursor_relative
     window = rrb.VisibleTimeRange(TIMELINE, start=now(seconds=-PLOT_SPAN), end=now())
@@ -113,14 +111,11 @@ def grid(pose: Pose, spacing: float, reach: float) -> list[tuple[np.ndarray, np.
 
 
 class Scene:
-    """Draws into a recording: a map with north up, and a picture with the heading up.
-
-    Both are in the screen axes of Rerun's 2D views (x right, y down). car: for the outline.
-    """
+    """Draws a map with north up and a view with the heading up, in the axes of Rerun's 2D views (x right, y down)."""
 
     def __init__(self, recording: rr.RecordingStream, car: VehicleParameters):
         self._stream, self._car = recording, car
-        self._named: list[str] = []
+        self._named: list[str] = []  # models whose name is in the view, and models with error plots
         self._scored: set[str] = set()
         angle = np.linspace(0.0, 2.0 * math.pi, 73)
         rings = [np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1) for r in RINGS]
@@ -132,13 +127,13 @@ class Scene:
             labels=[f"{r} m" for r in RINGS[1::2]], show_labels=True), static=True)
         for name, unit in (("steering", "road wheel angle"), ("speed", "speed"),
                            ("lateral_acceleration", "v_x r")):
-            self._series(f"plots/{name}/measured", unit, MEASURED_COLOUR)
+            self._add_series(f"plots/{name}/measured", unit, MEASURED_COLOUR)
 
-    def _series(self, entity: str, name: str, colour: str) -> None:
+    def _add_series(self, entity: str, name: str, colour: str) -> None:
         self._stream.log(entity, rr.SeriesLines(colors=[rgb(colour)], names=[name], widths=[2.0]), static=True)
 
     def draw_motion(self, time_ns: int, velocity_x: float, yaw_rate: float, road_wheel_angle: float | None) -> None:
-        """Points of the plots; road_wheel_angle in rad, None while unknown."""
+        """Add points to the plots. SI; road_wheel_angle: None while unknown."""
         self._set_time(time_ns)
         self._stream.log("plots/speed/measured", rr.Scalars([velocity_x]))
         self._stream.log("plots/lateral_acceleration/measured", rr.Scalars([velocity_x * yaw_rate]))
@@ -146,11 +141,11 @@ class Scene:
             self._stream.log("plots/steering/measured", rr.Scalars([math.degrees(road_wheel_angle)]))
 
     def draw_error(self, end_ns: int, model: str, longitudinal: float, lateral: float) -> None:
-        """Horizon means [m] of one forecast, drawn at the end of its horizon."""
+        """Add the horizon means [m] of one forecast to the plots, at the end of its horizon."""
         if model not in self._scored:
             self._scored.add(model)
             for quantity in ("lateral", "longitudinal"):
-                self._series(f"plots/{quantity}/{model}", model, colour_of(model))
+                self._add_series(f"plots/{quantity}/{model}", model, colour_of(model))
         self._set_time(end_ns)
         self._stream.log(f"plots/lateral/{model}", rr.Scalars([lateral]))
         self._stream.log(f"plots/longitudinal/{model}", rr.Scalars([longitudinal]))
@@ -160,7 +155,7 @@ class Scene:
         self._stream.log("text", rr.TextDocument(markdown, media_type="text/markdown"))
 
     def draw_paths(self, time_ns: int, pose: Pose, history: History) -> None:
-        """Car, track, predictions with bands, and ghosts, in both pictures. pose: x, y [m], yaw [rad]."""
+        """Draw car, track, predictions with bands, and earlier predictions in both views. pose: x, y [m], yaw [rad]."""
         self._set_time(time_ns)
         lines = [north_up(x, y, pose) for x, y in grid(pose, GRID, 2.0 * AROUND)]
         self._log_lines("map/grid", lines, [LIGHT_GREY], THIN, order=-1.0)
@@ -178,22 +173,23 @@ class Scene:
             path = history.newest(model, now_ns)
             self._log_lines(f"{root}/paths/{model}", [project(path.x, path.y)] if path else [], [rgb(colour_of(model))],
                             MODEL_WIDTHS[min(number, len(MODEL_WIDTHS) - 1)], order=3.0 + 0.1 * number)
-            self._ribbons(f"{root}/bands/{model}", project, path.ribbons if path else (), model, number)
+            self._draw_ribbons(f"{root}/bands/{model}", project, path.ribbons if path else (), model, number)
             for age, ghost in history.ghosts(model, now_ns):
                 ghosts.append(project(ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
                 ghost_colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
-            # A line from the car to the position predicted for now, a horizon ago.
+            # A line from the car to the position that was predicted for now one horizon ago.
             if point := history.expected(model, now_ns):
                 errors.append(project(np.array([pose[0], point[0]]), np.array([pose[1], point[1]])))
                 error_colours.append(rgb(colour_of(model)))
         self._log_lines(f"{root}/ghosts", ghosts, ghost_colours, THIN, order=1.0)
         self._log_lines(f"{root}/errors", errors, error_colours, THICK, order=4.5)
 
-    def _ribbons(self, entity: str, project: Projection, ribbons: Sequence[Ribbon], model: str, number: int) -> None:
-        """Fill the bands with lines from edge to edge, since Rerun cannot fill areas in 2D.
+    def _draw_ribbons(self, entity: str, project: Projection, ribbons: Sequence[Ribbon], model: str,
+                      number: int) -> None:
+        """Fill the bands with lines from edge to edge, because Rerun cannot fill areas in 2D.
 
-        Each line is as wide as the distance to the next. The edges of the widest band are drawn above all areas, so
-        that every model is visible.
+        Each line is as wide as the distance to the next. The edges of the widest band are drawn above all areas to
+        show the bands of every model.
         """
         edges = [project(*side.T) for band in ribbons[:1] for side in (band.left, band.right)]
         self._log_lines(f"{entity}/edges", edges, [rgb(colour_of(model), 0.6)], THIN, order=0.8)
@@ -208,7 +204,7 @@ class Scene:
             self._log_lines(f"{entity}/{level:.0%}", strips, [rgb(colour_of(model), strength)], radii, order=order)
 
     def _log_name(self, model: str) -> None:
-        """Show colour and name in the lower left corner, because names at the paths would overlap if models agree."""
+        """Show colour and name in the lower left corner; next to the paths, names would overlap where models agree."""
         if model not in self._named:
             corner = (-SIDEWAYS + 6.0, BEHIND - 7.0 - 5.0 * len(self._named))
             self._named.append(model)
@@ -224,9 +220,9 @@ class Scene:
 
 
 def draw(path: Path, file: Path, vehicle: Path | None = None) -> int:
-    """Draw a bag, or the bag in the folder of a run, as Rerun recording `file` (.rrd); returns the number of pictures.
+    """Draw a bag, or the bag in the folder of a run, into `file` (.rrd); returns the number of pictures.
 
-    vehicle: file instead of the recorded one, for the outline. Raises RunError, ConfigurationError.
+    vehicle: file to use instead of the recorded one, for the outline. Raises RunError, ConfigurationError.
     """
     bag, _ = recordings_of(path)
     open_bag(bag)
@@ -234,36 +230,36 @@ def draw(path: Path, file: Path, vehicle: Path | None = None) -> int:
     batches = rr.ChunkBatcherConfig(flush_tick=FLUSH_PERIOD, flush_num_bytes=2_000_000)
     stream = rr.RecordingStream("single_track_predictor", batcher_config=batches)
     stream.send_recording_name(path.name)
-    stream.set_sinks(rr.FileSink(str(file)), default_blueprint=blueprint())
-    feed = Feed(Scene(stream, car), recorded.nodes.get("predictor", {}).get("map_frame", "map"))
+    stream.set_sinks(rr.FileSink(str(file)), default_blueprint=make_blueprint())
+    collector = Collector(Scene(stream, car), recorded.nodes.get("predictor", {}).get("map_frame", "map"))
     pictures, due_ns = 0, 0
     with AnyReader([bag], default_typestore=typestore(definitions_folder())) as reader:
-        connections = [c for c in reader.connections if _suite_topic(c.topic)]
+        connections = [c for c in reader.connections if _find_suite_topic(c.topic)]
         for connection, log_ns, data in reader.messages(connections=connections):
             if log_ns >= due_ns:
-                feed.draw()
+                collector.draw()
                 pictures, due_ns = pictures + 1, log_ns + PERIOD_NS
-            feed.take(str(_suite_topic(connection.topic)), reader.deserialize(data, connection.msgtype))
-    feed.draw()
+            collector.take(str(_find_suite_topic(connection.topic)), reader.deserialize(data, connection.msgtype))
+    collector.draw()
     stream.flush()
     stream.disconnect()
     return pictures
 
 
-def _suite_topic(name: str) -> str | None:
-    """The key of TOPICS for a recorded topic in any namespace; None for other topics."""
+def _find_suite_topic(name: str) -> str | None:
+    """The topic of TOPICS that a recorded topic in any namespace corresponds to; None for other topics."""
     return next((topic for topic in TOPICS if name == topic or name.endswith(f"/{topic.lstrip('/')}")), None)
 
 
-class Feed:
-    """Collects messages between pictures and draws the newest state."""
+class Collector:
+    """Collects messages and draws the newest state when requested."""
 
     def __init__(self, scene: Scene, map_frame: str):
         self._scene, self._map_frame = scene, map_frame
         self._history = History()
         self._sample: InsSample | None = None
         self._angle: float | None = None
-        self._rows: list[Any] = []
+        self._statistics: list[Any] = []
         self._ticks = "predictor: no status yet"
         self._health: dict[str, tuple[int, str, str]] = {}
         self._text_due_ns = 0
@@ -281,18 +277,18 @@ class Feed:
             end_ns = to_nanoseconds(message.header.stamp) + round(message.horizon[-1] * 1e9)
             self._scene.draw_error(end_ns, message.model, message.longitudinal_mean, message.lateral_mean)
         elif kind == "summary":
-            self._rows = message.statistics
+            self._statistics = message.statistics
         elif kind == "status":
             skipped = message.skipped_stale + message.skipped_overrun + message.skipped_slow
             reason = f" ({message.reason})" if message.reason else ""
             self._ticks = f"Ticks {message.due}, predicted {message.predicted}, skipped {skipped}{reason}"
         elif kind == "diagnostics":
-            for s in message.status:
-                level = s.level if isinstance(s.level, int) else int.from_bytes(s.level, "little")
-                self._health[s.name] = (level, s.name, s.message)
+            for check in message.status:
+                level = check.level if isinstance(check.level, int) else int.from_bytes(check.level, "little")
+                self._health[check.name] = (level, check.name, check.message)
 
     def draw(self) -> None:
-        """One picture of the newest sample, if there is a new one."""
+        """Draw the newest INS sample unless it has been drawn already."""
         sample, self._sample = self._sample, None
         if sample is None:
             return
@@ -301,25 +297,26 @@ class Feed:
         self._scene.draw_paths(sample.time_ns, (sample.x, sample.y, sample.yaw), self._history)
         if not 0 <= self._text_due_ns - sample.time_ns <= TEXT_PERIOD_NS:
             self._text_due_ns = sample.time_ns + TEXT_PERIOD_NS
-            self._scene.draw_text(sample.time_ns, error_text(self._rows, self._ticks, list(self._health.values())))
+            text = format_errors(self._statistics, self._ticks, list(self._health.values()))
+            self._scene.draw_text(sample.time_ns, text)
 
 
-def error_text(rows: Sequence[Any], ticks: str, health: Sequence[tuple[int, str, str]]) -> str:
-    """Markdown of the running errors and of the checks not OK.
+def format_errors(statistics: Sequence[Any], ticks: str, health: Sequence[tuple[int, str, str]]) -> str:
+    """Markdown text of the errors so far and of all checks that are not OK.
 
-    rows: statistics of st_msgs/ErrorSummary. health: (level, name, message) of every check.
+    statistics: of st_msgs/ErrorSummary. health: (level, name, message) of every check.
     """
     lines = ["| model | mode | starts | RMSE long., m | lat., m |", "|---|---|--:|--:|--:|"]
     for mode in ("forecast", "hindsight"):
-        for row in (r for r in rows if r.mode == mode and r.n_starts):
+        for row in (s for s in statistics if s.mode == mode and s.n_starts):
             errors = (row.longitudinal_rmse, row.lateral_rmse)
             numbers = " | ".join("-" if math.isnan(e) else f"{e:.2f}" for e in errors)
             lines.append(f"| {row.model} | {mode} | {row.n_starts} | {numbers} |")
     if len(lines) == 2:
         lines = ["Waiting for the first complete horizon."]
-    lines += ["", *(f"- {line}" for line in band_lines(rows)), "", ticks, ""]
-    wrong = [entry for entry in health if entry[0] > 0]
-    lines += [f"- {LEVELS[min(level, 3)]}: {name}: {message}" for level, name, message in sorted(wrong, reverse=True)]
-    if health and not wrong:
+    lines += ["", *(f"- {line}" for line in band_lines(statistics)), "", ticks, ""]
+    problems = [entry for entry in health if entry[0] > 0]
+    lines += [f"- {LEVELS[min(level, 3)]}: {name}: {text}" for level, name, text in sorted(problems, reverse=True)]
+    if health and not problems:
         lines.append("All nodes OK.")
     return "\n".join(lines)

@@ -25,7 +25,7 @@ from .configuration import REPLAY_NODES, TRUNCATED, add_files, replay_parameters
 from .node import Monitor
 from .page import LiveView
 from .session import Outcome, start_nodes
-from .suite import Child, Suite, SuiteError, chosen_domain_id, claimed_domain
+from .suite import Child, Suite, SuiteError, claim_domain, read_domain_id
 
 SETTLING_TIME = 1.0  # s after the last message, for the last predictions to reach evaluator and recorder
 PROGRESS_PERIOD = 0.2  # s
@@ -81,8 +81,8 @@ def player_options(steering: SteeringField | None, car: VehicleParameters) -> li
 def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mapping[str, Mapping[str, Any]], rate: float,
           console: Console, view: LiveView | None, options: Sequence[str]) -> Outcome:
     """topics: type -> topic played as the nodes' input (bag.BagDrive). options: further ones of the player."""
-    chosen = chosen_domain_id()
-    reserved = claimed_domain() if chosen is None else nullcontext(chosen)
+    chosen = read_domain_id()
+    reserved = claim_domain() if chosen is None else nullcontext(chosen)
     problem, interrupted = "", False
     predictor = parameters["predictor"]
     with reserved as domain, Suite(folder, parameters, domain) as suite, Monitor(domain) as monitor:

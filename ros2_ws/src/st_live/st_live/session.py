@@ -1,4 +1,4 @@
-"""One run of the live suite, on the virtual Leaf or the real car; supervised nodes that end or hang are restarted."""
+"""Runs the live suite with the virtual Leaf or the real car; a supervisor restarts nodes that end or hang."""
 
 import os
 import select
@@ -17,32 +17,32 @@ from rich.text import Text
 
 from .node import Monitor, Status, health, progress_view, ticks
 from .page import LiveView
-from .suite import REALTIME_PERMISSION, Parameters, Suite, SuiteError, chosen_domain_id, claimed_domain
+from .suite import REALTIME_PERMISSION, Parameters, Suite, SuiteError, claim_domain, read_domain_id
 
 SILENCE_TIMEOUT = 8.0  # s without /diagnostics (published once a second) after which a running node counts as hung
-FIRST_STATUS_TIMEOUT = 30.0  # s from a start to the first /diagnostics
+FIRST_STATUS_TIMEOUT = 30.0  # s from the start of a node to its first /diagnostics
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # s between a failure and the restart
-BACK_OFF_RESET_TIME = 60.0  # s without a failure after which the delay is BACK_OFF_FIRST again
-MAX_OWN_DELAY = 2.0  # s; if this process was delayed by more, silence of the nodes is not evaluated
+BACK_OFF_RESET_TIME = 60.0  # s without a failure after which the next back-off is the first one again
+MAX_OWN_DELAY = 2.0  # s; after a longer delay of this process, messages of the nodes may still be unread
 WARN, ERROR = 1, 2
-NODES = (  # package, executable, in the order of their start: subscribers first, so that they miss no message
+NODES = (  # package, executable; subscribers start first, so that they miss no message
     ("st_predictor", "recorder"),
     ("st_predictor", "evaluator"),
     ("st_predictor", "predictor"),
     ("oxts_bridge", "oxts_bridge"),
     ("canedge_bridge", "canedge_bridge"),
 )
-# The predictor ends while data still arrive, so that its last tick has inputs; the recorder ends last.
+# The predictor ends while data still arrive, so that its last tick has inputs. The recorder ends last.
 STOP_ORDER = ("predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_bridge", "recorder")
 END_MARGIN = 0.5  # s between the end of the run and the end of the source
-START_TIMEOUT = 60.0  # s for all nodes to appear in the graph
-DISCOVERY_TIME = 1.5  # s until running nodes are in the graph; they announce themselves every second
+START_TIMEOUT = 60.0  # s until all nodes are in the graph
+DISCOVERY_TIME = 1.5  # s until nodes of another suite are in the graph; they announce themselves every second
 LOG_PERIOD = 10.0  # s between lines if the output is not a terminal
 
 
 @dataclass
 class _Supervised:
-    """One node. restart_at: time of its restart [s, monotonic], None while it runs. cause: of the last restart."""
+    """One node. Times are monotonic [s]; restart_at is None while it runs. cause: why it was last restarted."""
 
     package: str
     name: str
@@ -83,11 +83,10 @@ class Supervisor:
                 self._suite.start_node(node.package, node.name)
                 node.started, node.responded, node.restart_at = now, False, None
             if node.cause:
-                self._monitor.add_status(self._status(node, now))
+                self._monitor.add_status(self._make_status(node, now))
 
     def _check(self, node: _Supervised, now: float) -> None:
-        ended = self._suite.reap(node.name)
-        if ended is not None:
+        if (ended := self._suite.reap(node.name)) is not None:
             output = ended.last_lines(1) or "no output"
             self._schedule_restart(node, now, f"ended with status {ended.process.returncode} ({output})")
             return
@@ -105,19 +104,17 @@ class Supervisor:
         node.back_off = min(2 * node.back_off, BACK_OFF_LAST)
         node.restarts += 1
 
-    def _status(self, node: _Supervised, now: float) -> Status:
+    def _make_status(self, node: _Supervised, now: float) -> Status:
         times = "once" if node.restarts == 1 else f"{node.restarts} times"
         running = node.restart_at is None and node.responded
-        text = f"restarted {times}; the last time it {node.cause}"
+        text = f"restarted {times}; before the last restart it {node.cause}"
         level, text = (WARN, text) if running else (ERROR, f"not running; {text}")
         return Status(f"suite: {node.name}", level, text, now)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a run.
-
-    statuses: exit statuses of the processes that ran to the end. health: text of the checks not OK at the end.
+    """Outcome of a run. statuses: exit statuses of the processes stopped at the end. health: checks not OK before that.
     """
 
     statuses: dict[str, int]
@@ -134,18 +131,19 @@ class Outcome:
 def run(folder: Path, parameters: Parameters, title: str, duration: float | None,
         source: Callable[[Suite], float] | None = None, console: Console | None = None, view: LiveView | None = None,
         supervised: bool = False, realtime: bool = False) -> Outcome:
-    """Start all nodes, then the source (the virtual Leaf), show the run, stop everything in order.
+    """Start all nodes, then the source, show the run, and stop everything in order.
 
-    duration in s; None: until Ctrl-C, or until the end of the source, which returns its duration [s]. supervised: a
-    node that ends or hangs is restarted; else it ends the run. realtime: real-time scheduling for bridges and
-    predictor, see suite.py. Raises SuiteError if a node does not start or is already running.
+    duration: in s; None: until Ctrl-C or the end of the source. source: function that starts the virtual Leaf and
+    returns the duration of its drive [s]; None: the real car. supervised: restart nodes that end or hang, instead of
+    ending the run. realtime: real-time scheduling for bridges and predictor. Raises SuiteError if a node does not start
+    or is already running.
     """
     console = console or Console()
-    # A demo must not exchange messages with another suite on this computer; on the car the user's domain is used.
-    chosen = chosen_domain_id()
+    # With the virtual Leaf a free domain is used, so that no other suite receives its messages; with the car, domain 0.
+    chosen = read_domain_id()
     if chosen is None and not source:
         chosen = 0
-    reserved = claimed_domain() if chosen is None else nullcontext(chosen)
+    reserved = claim_domain() if chosen is None else nullcontext(chosen)
     with _StopRequest() as stop, reserved as domain, Monitor(domain) as monitor:
         if chosen is not None:
             stop.wait(DISCOVERY_TIME)
@@ -158,11 +156,10 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
             console.print(escape(text), highlight=False, soft_wrap=True)
             if suite.denied:
                 names = ", ".join(sorted(suite.denied))
-                console.print(f"[yellow]real-time scheduling is not permitted for {names}: "
+                console.print(f"[yellow]real-time scheduling is not permitted for {names}; to permit it: "
                               f"{escape(REALTIME_PERMISSION)}[/yellow]", highlight=False, soft_wrap=True)
             if view:
-                predictor = parameters["predictor"]
-                view.open(folder, domain, predictor, title, console)
+                view.open(folder, domain, parameters["predictor"], title, console)
             if source:
                 available = source(suite) - END_MARGIN
                 duration = min(duration or available, available)
@@ -176,33 +173,33 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
 
 
 def _check_no_other_suite(monitor: Monitor, domain: int, allowed: int) -> None:
-    """Raises SuiteError for another suite in the domain: each would receive the measurements of the other."""
+    """Raises SuiteError if a node runs more than `allowed` times: two suites would get each other's measurements."""
     counts = Counter(monitor.node_names())
     others = [name for _, name in NODES if counts[name] > allowed]
     if others:
-        raise SuiteError(f"another suite runs in ROS domain {domain} already ({', '.join(others)}): end it, or set "
+        raise SuiteError(f"another suite is running in ROS domain {domain} ({', '.join(others)}): end it, or set "
                          "ROS_DOMAIN_ID to another number")
 
 
 def start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]],
                 stopped: Callable[[], bool] = lambda: False) -> bool:
-    """Start nodes and wait until all are in the graph; False as soon as the run is `stopped`. Raises SuiteError."""
+    """Start nodes and wait until all are in the graph; False if `stopped` returns True before. Raises SuiteError."""
     for package, executable in nodes:
         suite.start_node(package, executable)
     end = time.monotonic() + START_TIMEOUT
     while not stopped() and (missing := monitor.wait_for_nodes({executable for _, executable in nodes}, 0.5)):
         suite.check()
         if time.monotonic() > end:
-            raise SuiteError(f"not up after {START_TIMEOUT:.0f} s: {', '.join(sorted(missing))} "
-                             f"(logs in {suite.folder / 'logs'})")
+            raise SuiteError(f"not in the ROS graph after {START_TIMEOUT:.0f} s: {', '.join(sorted(missing))}; see the "
+                             f"logs in {suite.folder / 'logs'}")
     return not stopped()
 
 
 def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
            duration: float | None, stop: "_StopRequest") -> str:
-    """Show the run until its duration is over or until Ctrl-C.
+    """Show the run until its duration has passed or until Ctrl-C; returns an empty text.
 
-    Without a supervisor, a process that ends also ends the run and is named in the returned text, which else is empty.
+    Without a supervisor, the end of a process ends the run too, and the text names the process.
     """
     started = time.monotonic()
     last_line = started

@@ -1,11 +1,10 @@
-"""Runs the suite as processes: starts the nodes with one parameter file, watches them and stops them in order.
+"""Starts the nodes of the suite as processes with one parameter file, watches them and stops them in order.
 
 Nodes are started by their console scripts, which exist with and without `ros2 run`. Each child leaves the process group
-of the terminal, so that Ctrl-C reaches only this process, which then ends the children in order. If this process is
-killed, the kernel interrupts the children (parent-death signal, set by util-linux' setpriv).
+of the terminal: Ctrl-C reaches only this process, which then ends the children in order. If this process is killed, the
+kernel interrupts the children (parent-death signal, set by setpriv of util-linux).
 
-Priorities on a busy computer: bridges and predictor, then recorder and evaluator, then the views. Bridges and predictor
-may get real-time scheduling (`st live --realtime`); the others lower their priority (st_ros.scheduling.lower_priority).
+Bridges and predictor have priority, and real-time scheduling with `st live --realtime`; all others lower their own.
 """
 
 import os
@@ -30,7 +29,7 @@ LAST_DOMAIN = 101  # the ports of higher domains are in the system's ephemeral r
 LARGEST_DOMAIN = 232  # higher domains have no valid port
 # Priorities of SCHED_RR: above other programs, far below the kernel's own threads (50 and more).
 REALTIME_PRIORITIES = {"oxts_bridge": 22, "canedge_bridge": 22, "predictor": 21}
-VIEW_NICE = 5  # a third of the nodes' CPU share under contention; the page needs a few percent of a core
+VIEW_NICE = 5  # a third of the CPU share of bridges and predictor under contention
 DISCOVERY_RANGE, RMW = "ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION"
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 REALTIME_PERMISSION = ('echo "$USER - rtprio 30" | sudo tee /etc/security/limits.d/single-track.conf, '
@@ -40,7 +39,7 @@ Parameters = Mapping[str, Mapping[str, Any]]
 
 
 class SuiteError(RuntimeError):
-    """A process of the suite could not be started or has ended; the text names it and its log."""
+    """The suite cannot start or continue; the text says why, and names the process and its log if one has ended."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class Child:
         return "\n".join(self.log.read_text(errors="replace").strip().splitlines()[-count:])
 
     def wait_for(self, text: str, timeout: float) -> str:
-        """The first line of the log that contains `text`; empty after `timeout` [s], or if the process ends before."""
+        """The first line of the log that contains `text`; empty after `timeout` [s] or if the process ends first."""
         end = time.monotonic() + timeout
         while time.monotonic() < end and self.process.poll() is None:
             for line in self.log.read_text(errors="replace").splitlines(keepends=True):
@@ -68,7 +67,7 @@ class Child:
 class Processes:
     """Processes with their logs in folder/logs; leaving the `with` block ends them.
 
-    realtime: request REALTIME_PRIORITIES. denied: names of the processes for which that was not permitted.
+    realtime: request REALTIME_PRIORITIES. denied: names of the processes whose request was not permitted.
     """
 
     def __init__(self, folder: Path, domain_id: int | None = None, realtime: bool = False):
@@ -103,7 +102,7 @@ class Processes:
                                  f"(log: {child.log})")
 
     def reap(self, name: str) -> Child | None:
-        """Remove and return the child of that name if it has ended, so that it can be restarted; else None."""
+        """Remove and return the child with this name if it has ended; else None."""
         for child in self.children:
             if child.name == name and child.process.poll() is not None:
                 self.children.remove(child)
@@ -111,14 +110,14 @@ class Processes:
         return None
 
     def kill(self, name: str) -> None:
-        """Kill a child that does not respond."""
+        """Kill and remove the child with this name, which does not respond to signals it can handle."""
         for child in [c for c in self.children if c.name == name]:
             child.process.kill()
             child.process.wait()
             self.children.remove(child)
 
     def stop(self, name: str | None = None, timeout: float = STOP_TIMEOUT) -> dict[str, int]:
-        """End one child, or all in the order of their start; returns exit statuses. timeout: for each [s]."""
+        """End one child, or all in the order of their start; returns the exit statuses. timeout: for each child [s]."""
         statuses = {}
         for child in [c for c in self.children if name in (None, c.name)]:
             statuses[child.name] = _end(child.process, timeout)
@@ -148,7 +147,7 @@ class Suite(Processes):
 
 
 def _set_realtime(pid: int, name: str) -> bool:
-    """Real-time scheduling for a process of REALTIME_PRIORITIES; False if it is not permitted."""
+    """Give a process of REALTIME_PRIORITIES real-time scheduling; False if that is not permitted."""
     if name in REALTIME_PRIORITIES:
         try:
             os.sched_setscheduler(pid, os.SCHED_RR, os.sched_param(REALTIME_PRIORITIES[name]))
@@ -179,8 +178,8 @@ def find_executable(package: str, executable: str) -> str:
             return str(candidate)
     if found := shutil.which(executable):
         return found
-    raise SuiteError(f"{executable} of package {package} not found: start with ./st, or source the workspace's "
-                     "install/setup.bash")
+    raise SuiteError(f"{executable} of package {package} not found: start with ./st, or source install/setup.bash of "
+                     "the workspace")
 
 
 def merge(base: Path, overrides: Parameters) -> dict[str, dict[str, Any]]:
@@ -206,7 +205,7 @@ def free_udp_port() -> int:
         return probe.getsockname()[1]
 
 
-def chosen_domain_id() -> int | None:
+def read_domain_id() -> int | None:
     """ROS_DOMAIN_ID of the user; None if it is not set. Raises SuiteError for an invalid one."""
     text = os.environ.get("ROS_DOMAIN_ID", "")
     if not text:
@@ -216,24 +215,25 @@ def chosen_domain_id() -> int | None:
     return int(text)
 
 
-def loopback(environment: Mapping[str, str]) -> dict[str, str]:
-    """Variables to add to `environment` so that all nodes started with them stay on the loopback interface.
+def loopback_environment(environment: Mapping[str, str]) -> dict[str, str]:
+    """Environment variables that keep the messages of all nodes on the loopback interface.
 
-    For Fast DDS that is a profile (config/dds/loopback.xml). The range LOCALHOST, which has the same effect for any
-    middleware, would enable shared memory, over which a node restarted after `kill -9` may receive nothing
-    (docs/manual/reliability.md, Transport). It is used for other middleware, and with a profile of the user.
+    The discovery range LOCALHOST does so with any middleware, but makes Fast DDS use shared memory, over which a node
+    restarted after `kill -9` may receive nothing (docs/manual/reliability.md, Transport). Fast DDS therefore gets the
+    profile config/dds/loopback.xml instead, unless the user has set another profile.
     """
-    own = str(config("dds/loopback.xml"))
-    if environment.get(PROFILES, own) != own or not environment.get(RMW, "rmw_fastrtps_cpp").startswith("rmw_fastrtps"):
+    profile = str(config("dds/loopback.xml"))
+    uses_fast_dds = environment.get(RMW, "rmw_fastrtps_cpp").startswith("rmw_fastrtps")
+    if environment.get(PROFILES, profile) != profile or not uses_fast_dds:
         return {DISCOVERY_RANGE: "LOCALHOST"}
-    return {DISCOVERY_RANGE: "SYSTEM_DEFAULT", PROFILES: own}
+    return {DISCOVERY_RANGE: "SYSTEM_DEFAULT", PROFILES: profile}
 
 
 @contextmanager
-def claimed_domain() -> Iterator[int]:
+def claim_domain() -> Iterator[int]:
     """A ROS domain that no process on this computer uses, reserved until the end of the block.
 
-    Binding its first discovery port (DDS: 7400 + 250 * domain + 10) reserves it; participants use the next port.
+    The first discovery port of the domain (DDS: 7400 + 250 * domain + 10) is bound; participants use the next ports.
     """
     for domain in range(LAST_DOMAIN, 0, -1):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as claim:
@@ -243,4 +243,4 @@ def claimed_domain() -> Iterator[int]:
                 continue
             yield domain
             return
-    raise SuiteError("no free ROS domain: set ROS_DOMAIN_ID")
+    raise SuiteError("all ROS domains are in use on this computer: set ROS_DOMAIN_ID to share one")

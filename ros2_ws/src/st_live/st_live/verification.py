@@ -1,4 +1,4 @@
-"""Compares predictions and scores recorded from the nodes with those of the library, for every start."""
+"""Implements `st verify`: recomputes the recorded predictions and scores of the nodes with the library and compares."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 from st_core.errors import ConfigurationError
 from st_core.evaluation import Mode
-from st_core.log_evaluation import MODES, EvaluationSettings, FutureInputs, evaluate_blocks
+from st_core.log_evaluation import MODES, PLANNED_MODES, EvaluationSettings, FutureInputs, evaluate_blocks
 from st_core.log_signals import LogSignals
 from st_core.models import Model, get_model
 from st_core.palette import MODEL_COLOUR
@@ -37,41 +37,41 @@ from st_recordings.runs.bag import read_bag, was_interrupted
 from .configuration import TRUNCATED, recordings_of
 from .suite import SuiteError
 
-PLANNED_MODES: tuple[Mode, ...] = ("plan", "course")
-# Each node starts its filter of the forward acceleration with the first sample it receives, which may differ.
-# After this number of time constants, 2e-9 of the difference remains.
+# Each node starts its filter of the forward acceleration with the first sample it receives, and nodes may receive
+# different first samples. The effect on the filter's output decays to 2e-9 after this number of time constants.
 SETTLING_TIME_CONSTANTS = 20.0
-# A pause this long without prediction may be a restart of the predictor [s]; a busy computer pauses for less.
+# A longer time without a prediction [s] may be a restart of the predictor; a busy computer causes shorter pauses.
 RESTART_PAUSE = 1.0
 
 
 @dataclass
 class Comparison:
-    """Numbers and largest differences of the predictions and scores of one model."""
+    """Counts of the compared predictions and scores of one model, and the largest absolute differences."""
 
     model: str
-    n_starts: int = 0  # predictions compared
-    start: float = 0.0  # position at the start only [m], where a difference is due to the state, not the prediction
-    position: float = 0.0  # of any point [m]
-    yaw: float = 0.0  # of any point [rad]
-    at_ns: int = 0  # start of the prediction with the largest difference
-    n_scores: dict[str, int] = field(default_factory=lambda: dict.fromkeys(MODES, 0))  # complete ones compared
-    error: dict[str, float] = field(default_factory=lambda: dict.fromkeys(MODES, 0.0))  # at any point, by mode [m]
-    n_cut: int = 0  # scores left incomplete because the nodes ended
-    n_disagree: int = 0  # other scores complete on one side only, except those at position jumps
-    n_settling: int = 0  # predictions not compared, see `settled`
-    n_planned: int = 0  # predictions with inputs of a plan or course
-    planned: float = 0.0  # largest difference of the position of any point of these [m]
+    n_starts: int = 0  # forecasts compared
+    start_difference: float = 0.0  # of the first position [m], which depends on the estimated state only
+    path_difference: float = 0.0  # of the position of any point [m]
+    yaw_difference: float = 0.0  # of any point [rad]
+    worst_start_ns: int = 0  # start of the forecast with the largest path difference
+    n_scores: dict[str, int] = field(default_factory=lambda: dict.fromkeys(MODES, 0))  # complete on both sides, by mode
+    score_difference: dict[str, float] = field(default_factory=lambda: dict.fromkeys(MODES, 0.0))  # by mode [m]
+    n_cut: int = 0  # scores incomplete only because the nodes stopped
+    n_disagree: int = 0  # scores complete on one side only for any other reason than a position jump
+    n_settling: int = 0  # forecasts not compared because the acceleration filter had not settled
+    n_planned: int = 0  # predictions with inputs of a plan or course compared
+    planned_difference: float = 0.0  # of the position of any point of these [m]
 
     @property
     def largest(self) -> float:
         """The largest difference of a position or an error [m]."""
-        return max(self.position, self.planned, *self.error.values())
+        return max(self.path_difference, self.planned_difference, *self.score_difference.values())
 
 
 @dataclass(frozen=True)
 class Verification:
-    """Comparison of all models. same_configuration: whether vehicle and settings have the hash of the predictions."""
+    """Comparisons of all models. same_configuration: whether all predictions were made with this vehicle and settings.
+    """
 
     comparisons: list[Comparison]
     vehicle: str
@@ -89,9 +89,9 @@ class Verification:
 
 def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = None,
            read: ReadSettings | None = None) -> Verification | None:
-    """Compare every prediction and score in a recording with those of the library; None without predictions.
+    """Compare every recorded prediction and score with the library's; None for a recording without predictions.
 
-    vehicle: file instead of the one in the recording. Raises RunError, ConfigurationError.
+    vehicle: file to use instead of the recorded vehicle. Raises RunError, ConfigurationError.
     """
     bag, score_bags = recordings_of(path)
     predictions = read_predictions(bag, progress)
@@ -126,21 +126,21 @@ def _settings(recorded: RecordedConfiguration) -> PredictionSettings:
     return PredictionSettings(**{name: float(given[name]) for name in names})
 
 
-def settled(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np.ndarray:
-    """Whether the forward acceleration at each start is independent of the first INS sample received.
+def find_settled(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np.ndarray:
+    """Whether the acceleration filter had settled at each start, (n,).
 
-    The filter settles from the first start after the first recorded INS sample, and again after every pause that may be
-    a restart of the predictor: at least RESTART_PAUSE and three prediction intervals.
+    It starts to settle at the first start after the first recorded INS sample, and again after every pause that may be
+    a restart of the predictor: longer than RESTART_PAUSE and than three prediction intervals.
 
-    starts_ns: of predictions, increasing. cutoff: of the filter [Hz].
+    starts_ns: of the predictions, increasing. cutoff: of the filter [Hz].
     """
-    known = starts_ns >= ins_time_ns[0] if len(ins_time_ns) else np.zeros(len(starts_ns), bool)
+    has_ins = starts_ns >= ins_time_ns[0] if len(ins_time_ns) else np.zeros(len(starts_ns), bool)
     intervals = np.diff(starts_ns)
     pause = max(round(1e9 * RESTART_PAUSE), 3 * np.median(intervals)) if len(intervals) else 0
-    begins = np.concatenate([np.ones(min(len(starts_ns), 1), bool), intervals > pause])
-    begins |= np.diff(known, prepend=False)
-    since_ns = starts_ns - np.maximum.accumulate(np.where(begins, starts_ns, starts_ns[:1]))
-    return known & (since_ns > SETTLING_TIME_CONSTANTS / (2.0 * np.pi * cutoff) * 1e9)
+    restarts = np.concatenate([np.ones(min(len(starts_ns), 1), bool), intervals > pause])
+    restarts |= np.diff(has_ins, prepend=False)
+    since_ns = starts_ns - np.maximum.accumulate(np.where(restarts, starts_ns, starts_ns[:1]))
+    return has_ins & (since_ns > SETTLING_TIME_CONSTANTS / (2.0 * np.pi * cutoff) * 1e9)
 
 
 def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Predictions,
@@ -149,25 +149,25 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Pr
     horizon = live.step * (live.states.shape[1] - 1)
     settings = EvaluationSettings(PredictionSettings(horizon=horizon, step=live.step, minimum_speed=0.0))
     result = Comparison(model.name)
-    is_settled = settled(live.starts_ns, signals.log.ins_time_ns, cutoff)
+    is_settled = find_settled(live.starts_ns, signals.log.ins_time_ns, cutoff)
     result.n_settling = int((~is_settled).sum())
     starts_ns, live_states = live.starts_ns[is_settled], live.states[is_settled]
     future_inputs: dict[Mode, FutureInputs] = {mode: predictions.inputs_at for mode, predictions in planned.items()}
-    # Without the recorded prediction of a plan or course its inputs are unknown, so its score cannot be compared.
+    # The inputs of a plan or course are known only from its recorded predictions; other scores cannot be recomputed.
     scores = {mode: scored.at(planned[mode].starts_ns) if mode in planned else scored for mode, scored in scores.items()
               if mode in MODES or mode in planned}
     for rows, block in evaluate_blocks([model], car, signals, starts_ns, settings, future_inputs):
         computed, recorded = block.trajectories[model.name, "forecast"], live_states[rows]
-        known = np.isfinite(computed).all(axis=(1, 2)) & np.isfinite(recorded).all(axis=(1, 2))
-        difference = computed[known] - recorded[known]
+        finite = np.isfinite(computed).all(axis=(1, 2)) & np.isfinite(recorded).all(axis=(1, 2))
+        difference = computed[finite] - recorded[finite]
         distance = np.hypot(difference[..., 0], difference[..., 1])
-        result.n_starts += int(known.sum())
+        result.n_starts += len(distance)
         if distance.size:
-            if distance.max() > result.position:
-                result.at_ns = int(starts_ns[rows][known][distance.max(axis=1).argmax()])
-            result.position = max(result.position, float(distance.max()))
-            result.start = max(result.start, float(distance[:, 0].max()))
-            result.yaw = max(result.yaw, float(np.abs(difference[..., 4]).max()))
+            if distance.max() > result.path_difference:
+                result.worst_start_ns = int(starts_ns[rows][finite][distance.max(axis=1).argmax()])
+            result.path_difference = max(result.path_difference, float(distance.max()))
+            result.start_difference = max(result.start_difference, float(distance[:, 0].max()))
+            result.yaw_difference = max(result.yaw_difference, float(np.abs(difference[..., 4]).max()))
         for mode, predictions in planned.items():
             _compare_planned(result, predictions, starts_ns[rows], block.trajectories[model.name, mode])
         for mode, scored in scores.items():
@@ -185,7 +185,7 @@ def _compare_planned(result: Comparison, planned: PlannedPredictions, starts_ns:
     distance = distance[np.isfinite(distance).all(axis=1)]
     result.n_planned += len(distance)
     if distance.size:
-        result.planned = max(result.planned, float(distance.max()))
+        result.planned_difference = max(result.planned_difference, float(distance.max()))
 
 
 def _compare_scores(result: Comparison, mode: str, scored: Scores, starts_ns: np.ndarray, errors: np.ndarray) -> None:
@@ -194,23 +194,23 @@ def _compare_scores(result: Comparison, mode: str, scored: Scores, starts_ns: np
     both = complete & scored.complete[recorded]
     cut = complete & scored.cut[recorded]
     result.n_cut += int(cut.sum())
-    # The live nodes do not score across a position jump; offline, `st check` finds the jumps and excludes them.
+    # The evaluator does not score across a position jump; the library does, unless the jump is excluded from the run.
     excluded = cut | scored.jumped[recorded]
     result.n_disagree += int(((complete != scored.complete[recorded]) & ~excluded).sum())
     result.n_scores[mode] = result.n_scores.get(mode, 0) + int(both.sum())
     if both.any():
         difference = np.abs(errors[computed][both][..., :2] - scored.errors[recorded][both][..., :2])
-        result.error[mode] = max(result.error.get(mode, 0.0), float(difference.max()))
+        result.score_difference[mode] = max(result.score_difference.get(mode, 0.0), float(difference.max()))
 
 
 def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: bool, output: Path | None,
                    console: Console, read: ReadSettings | None = None) -> int:
-    """Run `st verify` and print the result.
+    """Run `st verify`, print the result and return the exit status.
 
-    Returns 0 if no difference exceeds `tolerance` [m] and every score is complete on both sides, 1 if not, 2 if there
-    is nothing to compare. replayed: play the recording through the nodes first.
+    0: no difference exceeds `tolerance` [m], and no score is complete on one side only without a known reason; 1: any
+    other result; 2: nothing to compare. replayed: play the recording through the nodes and compare their output.
     """
-    from .replaying import replay_bag  # needs ROS, which comparing does not
+    from .replaying import replay_bag  # needs ROS; comparing does not
 
     result = None if replayed else _verify_with_progress(bag, vehicle, console, read)
     if result is None:
@@ -225,14 +225,14 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: 
     if result is None or not result.n_starts:
         settling = sum(c.n_settling for c in result.comparisons) if result else 0
         why = (f"all {settling} predictions start too soon after the first sample received" if settling
-               else "no prediction was made from this recording")
+               else "the nodes made no prediction from this recording")
         console.print(f"nothing to compare: {why}")
         return 2
     console.print(_table(result))
     for warning in result.warnings:
         console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
     if not result.same_configuration:
-        console.print("[yellow]the predictions have the hash of another vehicle or of other settings[/yellow]")
+        console.print("[yellow]the predictions were made with another vehicle or other settings[/yellow]")
     return _print_conclusion(result, tolerance, console)
 
 
@@ -245,7 +245,7 @@ def _verify_with_progress(path: Path, vehicle: Path | None, console: Console,
 
 
 def _table(result: Verification) -> Table:
-    """Table of the comparisons, at most 80 columns wide for an hour of driving."""
+    """Table of the comparisons, at most 80 columns wide for a drive of one hour."""
     table = Table(title=f"Live against library ({result.vehicle}): largest differences", title_justify="left",
                   title_style="bold", box=None, collapse_padding=True, pad_edge=False)
     table.add_column("model")
@@ -253,31 +253,28 @@ def _table(result: Verification) -> Table:
                     "forecast\nscores\nnumber, mm", "only on\none side"):
         table.add_column(heading, justify="right", no_wrap=True)
     for c in result.comparisons:
-        scores = [f"{c.n_scores[mode]}, {c.error[mode] * 1000:.2g}" for mode in MODES]
-        table.add_row(Text(c.model, style=MODEL_COLOUR.get(c.model, "")), str(c.n_starts), f"{c.start * 1000:.2g}",
-                      f"{c.position * 1000:.2g}", *scores, str(c.n_disagree))
+        scores = [f"{c.n_scores[mode]}, {c.score_difference[mode] * 1000:.2g}" for mode in MODES]
+        table.add_row(Text(c.model, style=MODEL_COLOUR.get(c.model, "")), str(c.n_starts),
+                      f"{c.start_difference * 1000:.2g}", f"{c.path_difference * 1000:.2g}", *scores, str(c.n_disagree))
     return table
 
 
 def _print_conclusion(result: Verification, tolerance: float, console: Console) -> int:
-    scores = sum(sum(c.n_scores.values()) for c in result.comparisons)
-    disagree, cut = (sum(getattr(c, name) for c in result.comparisons) for name in ("n_disagree", "n_cut"))
-    passed = result.largest <= tolerance and not disagree
-    if n_planned := sum(c.n_planned for c in result.comparisons):
-        largest = max(c.planned for c in result.comparisons)
-        n_scores = sum(c.n_scores.get(mode, 0) for c in result.comparisons for mode in PLANNED_MODES)
-        console.print(f"{n_planned} predictions and {n_scores} scores with inputs of a plan or course are among them, "
-                      f"largest difference of a path {largest * 1000:.3g} mm", highlight=False, soft_wrap=True)
+    n_scores = sum(sum(c.n_scores.values()) for c in result.comparisons)
+    n_disagree, n_cut, n_settling, n_planned = (sum(getattr(c, name) for c in result.comparisons)
+                                                for name in ("n_disagree", "n_cut", "n_settling", "n_planned"))
+    passed = result.largest <= tolerance and not n_disagree
     verdict = "[green]live equals offline[/green]" if passed else "[red]live differs from offline[/red]"
-    worst = max(result.comparisons, key=lambda c: c.position)
+    worst = max(result.comparisons, key=lambda c: c.path_difference)
     where = ""
-    if worst.at_ns and not passed:
-        time = f"{datetime.fromtimestamp(worst.at_ns * 1e-9, UTC):%H:%M:%S.%f}"[:-3]
-        where = f"; largest difference of a path: {worst.model} at {time} UTC"
-    console.print(f"{verdict}: {result.n_starts} predictions and {scores} scores compared, largest difference "
-                  f"{result.largest * 1000:.3g} mm (limit {tolerance * 1000:g} mm), {disagree} scores complete on one "
-                  f"side only, {cut} more incomplete because the nodes ended{where}", highlight=False, soft_wrap=True)
-    settling = sum(c.n_settling for c in result.comparisons)
-    console.print(f"[dim]{settling} predictions not compared: the filter of the forward acceleration still depends "
-                  f"on the first sample each node received[/dim]", highlight=False, soft_wrap=True)
+    if worst.worst_start_ns and not passed:
+        time = f"{datetime.fromtimestamp(worst.worst_start_ns * 1e-9, UTC):%H:%M:%S.%f}"[:-3]
+        where = f"; the path that differs most: {worst.model} at {time} UTC"
+    planned = f", {n_planned} more with inputs of a plan or course," if n_planned else ""
+    console.print(f"{verdict}: {result.n_starts} predictions{planned} and {n_scores} scores compared, largest "
+                  f"difference {result.largest * 1000:.3g} mm (limit {tolerance * 1000:g} mm); {n_disagree} scores "
+                  f"complete on one side only, {n_cut} incomplete because the nodes stopped{where}",
+                  highlight=False, soft_wrap=True)
+    console.print(f"[dim]{n_settling} predictions not compared: the filter of the forward acceleration had not settled "
+                  "since each node received its first sample[/dim]", highlight=False, soft_wrap=True)
     return 0 if passed else 1

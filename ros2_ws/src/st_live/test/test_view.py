@@ -21,7 +21,7 @@ from st_core.palette import LABEL_AT, MODEL_COLOUR, label_index, rgb
 from st_core.vehicle import VehicleParameters
 from st_live.nodes.passenger import PassengerFrames
 from st_live.page import PAGE, LiveView, PageServer, check_new_rerun_file
-from st_live.recorded_view import error_text, grid, heading_up, north_up
+from st_live.recorded_view import format_errors, grid, heading_up, north_up
 from st_live.rerun_server import POLICY
 from st_live.suite import SuiteError
 from st_msgs.msg import Band, ErrorStatistics, InsStatus, PlannedPrediction, Prediction, PredictionError, Steering
@@ -128,10 +128,10 @@ def test_names_of_models_that_predict_the_same_do_not_cover_each_other() -> None
 def test_the_table_on_the_page_has_a_row_per_model_and_mode_and_names_what_is_wrong() -> None:
     rows = [ErrorStatistics(model=m, mode=k, n_starts=7, longitudinal_rmse=1.234, lateral_rmse=float("nan"))
             for m in ("kinematic", "linear") for k in ("forecast", "hindsight")]
-    text = error_text(rows, "Ticks 9", [(0, "a", "fine"), (1, "b", "late"), (2, "c", "silent")])
+    text = format_errors(rows, "Ticks 9", [(0, "a", "fine"), (1, "b", "late"), (2, "c", "silent")])
     assert [text.count(f"| {mode} | 7 | 1.23 | - |") for mode in ("forecast", "hindsight")] == [2, 2]
     assert text.index("**error**: c: silent") < text.index("warning: b: late") and "fine" not in text
-    assert "Waiting" in error_text([], "", []) and "All nodes OK." in error_text([], "", [(0, "a", "fine")])
+    assert "Waiting" in format_errors([], "", []) and "All nodes OK." in format_errors([], "", [(0, "a", "fine")])
 
 
 def test_the_page_of_rerun_may_request_nothing_external() -> None:

@@ -11,7 +11,7 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from st_core.evaluation import ErrorStatistics as Statistics
-from st_core.evaluation import Mode, Score
+from st_core.evaluation import Score
 from st_core.planned_inputs import PlannedInputs
 from st_core.prediction import Start
 from st_core.types import InputSequence, InsSample, Trajectory, cg_to_ins_position
@@ -24,7 +24,6 @@ from .map_drawing import BAND_MODE, Path, ribbon
 
 QUATERNION_TOLERANCE = 0.01  # of the squared length; float32 rounding causes 1e-7, an unset orientation has length 0
 _NEVER_NS = 9_223_372_036 * 1_000_000_000  # rmw's value for "never"; rclpy returns this or more
-PLANNED_MODES: tuple[Mode, ...] = ("plan", "course")  # modes of st_msgs/PlannedPrediction
 
 
 def ins_sample(message: Odometry, map_frame: str) -> InsSample | str:
@@ -46,7 +45,7 @@ def ins_sample(message: Odometry, map_frame: str) -> InsSample | str:
 
 
 class PathBuilder:
-    """One nav_msgs/Path, refilled for every prediction, because constructing 101 poses takes ten times as long."""
+    """One nav_msgs/Path that is refilled for every prediction; constructing its poses would take ten times as long."""
 
     def __init__(self, map_frame: str, points: int):
         self.message = PathMessage(poses=[PoseStamped() for _ in range(points)])
@@ -101,8 +100,7 @@ def planned_inputs(message: InputPlan, base_frame: str, vehicle: VehicleParamete
 
 def planned_message(start: Start, model: str, plan_ns: int, inputs: InputSequence, trajectory: Trajectory,
                     vehicle: VehicleParameters, map_frame: str, configuration_hash: str) -> PlannedPrediction:
-    """The message without issued_at and compute_time. plan_ns: stamp of the plan, 0 for a course. inputs: on the
-    half-step grid of the horizon."""
+    """As `prediction_message`, with inputs on the half-step grid. plan_ns: stamp of the plan, 0 for a course."""
     message = PlannedPrediction(
         model=model, configuration_hash=configuration_hash, plan_stamp=from_nanoseconds(plan_ns),
         road_wheel_angle=_float64(inputs.road_wheel_angle), velocity_x_dot=_float64(inputs.velocity_x_dot))
@@ -114,8 +112,8 @@ def _fill(message: Prediction | PlannedPrediction, start: Start, trajectory: Tra
           map_frame: str) -> None:
     message.header.stamp = from_nanoseconds(start.time_ns)
     message.header.frame_id = map_frame
-    message.step, message.cg_to_ins_x, message.cg_to_ins_y = (
-        trajectory.step, float(vehicle.cg_to_ins_x), float(vehicle.cg_to_ins_y))
+    message.step = trajectory.step
+    message.cg_to_ins_x, message.cg_to_ins_y = float(vehicle.cg_to_ins_x), float(vehicle.cg_to_ins_y)
     message.x, message.y, message.velocity_x, message.velocity_y, message.yaw, message.yaw_rate = map(
         _float64, trajectory.states.T)
 
@@ -168,15 +166,15 @@ def recorded_qos(profile: QoSProfile) -> Qos:
     """QoS of a publisher as a bag stores it."""
     return Qos(reliability=profile.reliability.name.lower(), durability=profile.durability.name.lower(),
                history=profile.history.name.lower(), depth=profile.depth, liveliness=profile.liveliness.name.lower(),
-               deadline_ns=_nanoseconds(profile.deadline), lifespan_ns=_nanoseconds(profile.lifespan),
-               liveliness_lease_ns=_nanoseconds(profile.liveliness_lease_duration))
+               deadline_ns=_qos_nanoseconds(profile.deadline), lifespan_ns=_qos_nanoseconds(profile.lifespan),
+               liveliness_lease_ns=_qos_nanoseconds(profile.liveliness_lease_duration))
 
 
-def _nanoseconds(duration: Duration) -> int:
+def _qos_nanoseconds(duration: Duration) -> int:
     # 0 is rmw's "not specified", which is equivalent to "never" in an offered QoS.
     return duration.nanoseconds if 0 < duration.nanoseconds < _NEVER_NS else INFINITE_NS
 
 
 def _float64(values: Sequence[float] | np.ndarray) -> array:
-    """array('d') is the only type rosidl accepts without checking each element."""
+    """The values as array('d'), the only type that rosidl accepts without checking each element."""
     return array("d", np.ascontiguousarray(values, np.float64).tobytes())

@@ -61,13 +61,13 @@ def foxglove(
 
     from rich.console import Console
     from st_live.configuration import vehicle_file
-    from st_live.suite import Suite, SuiteError, chosen_domain_id, merge
+    from st_live.suite import Suite, SuiteError, merge, read_domain_id
     from st_recordings.paths import config
 
     console = Console()
     with report_errors("foxglove", SuiteError):
         car = vehicle_file(vehicle)
-        domain = chosen_domain_id() if domain is None else domain
+        domain = read_domain_id() if domain is None else domain
         markers = merge(config("nodes.yaml"), {"markers": {"vehicle_file": str(car)}})["markers"]
         with tempfile.TemporaryDirectory(prefix="st-foxglove-") as name, \
                 Suite(Path(name), {"markers": markers}, domain or 0) as suite:

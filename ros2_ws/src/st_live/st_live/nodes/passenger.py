@@ -1,7 +1,7 @@
 """Node passenger: serves the passenger's page of a running suite.
 
-It runs in its own process and subscribes best effort with short queues. Publishers neither wait for it nor resend, so
-it may be slow, stopped or killed without delaying a prediction.
+It runs in its own process and subscribes with best-effort reliability and short queues. Publishers neither wait for it
+nor resend, so it can be slow, stopped or killed without delaying a prediction.
 """
 
 import argparse
@@ -20,6 +20,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from st_core.log_evaluation import PLANNED_MODES
 from st_core.palette import MODEL_COLOUR
 from st_core.types import InsSample, cg_to_ins_position, map_to_body
 from st_core.vehicle import VehicleParameters
@@ -34,33 +35,30 @@ from ..suite import VIEW_NICE
 
 TRACK_SPAN, TRACK_STEP = 20.0, 0.2  # s of measured track shown, and between its points
 PATH_STRIDE = 2  # every PATH_STRIDE-th point of a prediction is sent
-STALE = 1.0  # s; an older prediction or steering angle is not shown
+MAX_AGE = 1.0  # s; an older prediction or steering angle is not shown
 DIAGNOSTICS_TIMEOUT = 3.0  # s until a node counts as silent; nodes of the suite publish diagnostics once a second
-MISSED_REPORTS = 3  # reporting intervals until a node that reports less often counts as silent
+MISSED_REPORTS = 3  # reporting intervals until a node with longer intervals counts as silent
 BAND_LEVEL = 0.9
 LEVELS = ("ok", "warning", "error", "error")  # of diagnostic_msgs; stale counts as an error
-INPUTS = {"forecast": "held", "course": "of the course", "plan": "planned"}  # by mode, the preferred last
-# Topic -> method that takes its messages.
-TOPICS = {
+INPUTS = {"forecast": "held", "course": "of the course", "plan": "planned"}  # by mode, the preferred mode last
+TOPICS = {  # kind of message by topic
     "predictor/status": "status", "ins/status": "ins_status", "ins/odometry": "odometry",
     "vehicle/steering": "steering",
     **{f"predictor/{model}/prediction": "prediction" for model in MODEL_COLOUR},
-    **{f"predictor/{model}/{mode}": mode for mode in convert.PLANNED_MODES for model in MODEL_COLOUR},
+    **{f"predictor/{model}/{mode}": mode for mode in PLANNED_MODES for model in MODEL_COLOUR},
     "evaluator/errors": "error", "/diagnostics": "diagnostics",
 }
 PERIOD = 0.1  # s between frames
 TYPES = {"status": PredictorStatus, "ins_status": InsStatus, "odometry": Odometry, "steering": Steering,
          "prediction": Prediction, "plan": PlannedPrediction, "course": PlannedPrediction, "error": PredictionError,
          "diagnostics": DiagnosticArray}
-# Queue depth by kind of message, else DEFAULT_DEPTH; all scores of one instant arrive together.
-DEPTH = {"error": 200, "diagnostics": 50}
-DEFAULT_DEPTH = 3
+QUEUE_DEPTHS, DEFAULT_QUEUE_DEPTH = {"error": 200, "diagnostics": 50}, 3  # all scores of one instant arrive together
 
 
 class PassengerFrames:
     """Turns messages of a running suite into frames for the page. Times are in s of one monotonic clock.
 
-    All positions are those of the centre of gravity in the current axes of the car: x forward, y left.
+    Positions in a frame are of the centre of gravity, in the current axes of the car: x forward, y left.
     """
 
     def __init__(self, car: VehicleParameters, map_frame: str):
@@ -69,14 +67,14 @@ class PassengerFrames:
         self._received: float | None = None  # time of the newest odometry
         self._steering: tuple[float | None, float] = None, -math.inf  # [rad], received [s]
         self._reason = ""
-        self._mode: tuple[str, float] = ("", 0.0)
+        self._position_mode: tuple[str, float] = ("", 0.0)  # text, received [s]
         self._track: deque[tuple[float, float, float]] = deque()  # (measured s, x, y)
-        # By mode and model.
+        # By mode and model: time of arrival [s] with the message or the errors [m].
         self._predictions: dict[str, dict[str, tuple[float, Any]]] = {mode: {} for mode in INPUTS}
         self._errors: dict[str, dict[str, tuple[float, dict[str, float]]]] = {mode: {} for mode in INPUTS}
         self._health: dict[str, tuple[float, float, dict[str, tuple[int, str]]]] = {}  # received, timeout [s], checks
         self._handlers: dict[str, Callable[[Any, float], None]] = {
-            name: partial(self._take_prediction, mode=name) if name in convert.PLANNED_MODES
+            name: partial(self._take_prediction, mode=name) if name in PLANNED_MODES
             else getattr(self, f"_take_{name}") for name in set(TOPICS.values())}
 
     def take(self, topic: str, message: Any, now: float) -> None:
@@ -84,16 +82,16 @@ class PassengerFrames:
         self._handlers[TOPICS[topic]](message, now)
 
     def frame(self, now: float) -> dict[str, Any]:
-        """JSON-able content of the page. `received`: time of the newest odometry, null before the first."""
-        level, text = self._worst_check(now)
-        sample, (mode, mode_time), (angle, angle_time) = self._sample, self._mode, self._steering
+        """Content of the page, for JSON. `received`: time of the newest odometry, null before the first."""
+        level, text = self._find_worst_check(now)
+        sample, (mode, mode_time), (angle, angle_time) = self._sample, self._position_mode, self._steering
         frame: dict[str, Any] = {
             "received": self._received and round(self._received, 4), "light": level, "text": text, "mode": mode,
             "mode_age": round(now - mode_time, 1), "reason": self._reason,
-            "errors": {model: error | {"age": round(now - at, 1)} for mode, of_model in self._errors.items()
-                       if mode == "forecast" or any(now - at < STALE for at, _ in self._predictions[mode].values())
-                       for model, (at, error) in of_model.items()},
-            "steering": None if angle is None or now - angle_time > STALE else round(angle, 4),
+            "errors": {model: error | {"age": round(now - at, 1)} for mode, errors in self._errors.items()
+                       if mode == "forecast" or any(now - at < MAX_AGE for at, _ in self._predictions[mode].values())
+                       for model, (at, error) in errors.items()},
+            "steering": None if angle is None or now - angle_time > MAX_AGE else round(angle, 4),
         }
         if sample is None:
             return frame
@@ -102,20 +100,20 @@ class PassengerFrames:
         return frame | {
             "pose": [round(value, 3) for value in pose], "speed": round(sample.velocity_x, 2),
             "lateral_acceleration": round(sample.velocity_x * sample.yaw_rate, 2),
-            "track": _in_car(track[:, 0], track[:, 1], pose),
-            "paths": {model: self._path(message, pose, mode) for mode, of_model in self._predictions.items()
-                      for model, (at, message) in of_model.items() if now - at < STALE},
+            "track": _to_car_axes(track[:, 0], track[:, 1], pose),
+            "paths": {model: self._make_path(message, pose, mode) for mode, predictions in self._predictions.items()
+                      for model, (at, message) in predictions.items() if now - at < MAX_AGE},
         }
 
     def _cg_position(self, sample: InsSample) -> tuple[float, float]:
         x, y = cg_to_ins_position(sample.x, sample.y, sample.yaw, -self._car.cg_to_ins_x, -self._car.cg_to_ins_y)
         return float(x), float(y)
 
-    def _path(self, message: Any, pose: tuple[float, float, float], mode: str) -> dict[str, Any]:
+    def _make_path(self, message: Any, pose: tuple[float, float, float], mode: str) -> dict[str, Any]:
         x, y, yaw = (np.asarray(column)[::PATH_STRIDE] for column in (message.x, message.y, message.yaw))
-        path: dict[str, Any] = {"points": _in_car(x, y, pose), "step": PATH_STRIDE * message.step,
+        path: dict[str, Any] = {"points": _to_car_axes(x, y, pose), "step": PATH_STRIDE * message.step,
                                 "inputs": INPUTS[mode], "yaw": np.round(yaw - pose[2], 3).tolist()}
-        # All bands of a start are in its forecast.
+        # The forecast from the same start contains the bands of all modes.
         _, forecast = self._predictions["forecast"].get(message.model, (0.0, None))
         bands = forecast.bands if forecast and forecast.header.stamp == message.header.stamp else ()
         band = next((b for b in bands if b.mode == mode and abs(b.level - BAND_LEVEL) < 1e-6), None)
@@ -123,8 +121,8 @@ class PassengerFrames:
             path["band"] = np.round(np.asarray(band.across, float)[::PATH_STRIDE], 2).tolist()
         return path
 
-    def _worst_check(self, now: float) -> tuple[str, str]:
-        """(level, text) of the worst check; a silent node is an error; "none" without diagnostics."""
+    def _find_worst_check(self, now: float) -> tuple[str, str]:
+        """(level, text) of the worst check; a silent node is an error, and without checks the level is "none"."""
         current = [(level, f"{node}: {text}") for node, (at, timeout, checks) in self._health.items()
                    for level, text in (checks.values() if now - at < timeout else
                                        [(2, f"silent for {now - at:.0f} s")])]
@@ -141,7 +139,7 @@ class PassengerFrames:
         if isinstance(sample, str):
             return
         measured = sample.time_ns * 1e-9
-        if self._track and measured < self._track[-1][0]:  # a replay that starts over
+        if self._track and measured < self._track[-1][0]:  # a replay has started again
             self._track.clear()
             for errors in self._errors.values():
                 errors.clear()
@@ -152,7 +150,7 @@ class PassengerFrames:
                 self._track.popleft()
 
     def _take_ins_status(self, message: Any, now: float) -> None:
-        self._mode = message.position_mode_text, now
+        self._position_mode = message.position_mode_text, now
 
     def _take_steering(self, message: Any, now: float) -> None:
         usable = message.valid and math.isfinite(message.road_wheel_angle)
@@ -167,7 +165,7 @@ class PassengerFrames:
             self._predictions[mode][message.model] = now, message
 
     def _take_error(self, message: Any, now: float) -> None:
-        """Errors [m] at the end of the horizon [s] that has just passed."""
+        """Store the errors [m] at the end of a horizon [s]."""
         if message.complete and message.mode in INPUTS:
             self._errors[message.mode][message.model] = now, {
                 "longitudinal": round(message.longitudinal[-1], 2), "lateral": round(message.lateral[-1], 2),
@@ -175,7 +173,7 @@ class PassengerFrames:
 
     def _take_diagnostics(self, message: Any, now: float) -> None:
         for node in {status.name.partition(": ")[0] for status in message.status}:
-            last = self._health.get(node, (now, 0.0, {}))[0]  # other nodes may report at longer intervals
+            last = self._health.get(node, (now, 0.0, {}))[0]
             self._health[node] = now, max(DIAGNOSTICS_TIMEOUT, MISSED_REPORTS * (now - last)), {}
         for status in message.status:
             node, _, check = status.name.partition(": ")
@@ -183,7 +181,7 @@ class PassengerFrames:
             self._health[node][2][check] = level, f"{check}: {status.message}" if check else status.message
 
 
-def _in_car(x: np.ndarray, y: np.ndarray, pose: tuple[float, float, float]) -> list[list[float]]:
+def _to_car_axes(x: np.ndarray, y: np.ndarray, pose: tuple[float, float, float]) -> list[list[float]]:
     """[[forward, left], ...] in m of map points, seen from a car at pose (x, y [m], yaw [rad])."""
     forward, left = map_to_body(x - pose[0], y - pose[1], pose[2])
     return np.round(np.stack([forward, left], axis=1), 2).tolist()
@@ -198,7 +196,7 @@ class PassengerNode(Node):
 
     def _subscribe(self, topic: str) -> PolledSubscription:
         kind = TOPICS[topic]
-        qos = QoSProfile(depth=DEPTH.get(kind, DEFAULT_DEPTH), reliability=ReliabilityPolicy.BEST_EFFORT)
+        qos = QoSProfile(depth=QUEUE_DEPTHS.get(kind, DEFAULT_QUEUE_DEPTH), reliability=ReliabilityPolicy.BEST_EFFORT)
         return PolledSubscription(self, TYPES[kind], topic, qos)
 
     def _send_frame(self) -> None:
@@ -209,7 +207,7 @@ class PassengerNode(Node):
                 self._frames.take(topic, message, time.monotonic() - waited)
                 received = True
         if received and len(self._subscriptions_by_topic) == 1:
-            # Not earlier, because the player of `st replay` counts the subscribers of its topics before it begins.
+            # Not before a message arrives: the player of `st replay` counts the subscribers of its topics at its start.
             self._subscriptions_by_topic |= {topic: self._subscribe(topic) for topic in TOPICS
                                              if topic not in self._subscriptions_by_topic}
         if self._server.clients:

@@ -1,4 +1,4 @@
-"""Prediction bands (st_core.bands) in the messages of the predictor and the coverage counts of the evaluator."""
+"""Adds prediction bands (st_core.bands) to the predictor's messages, and reports their coverage for the evaluator."""
 
 import math
 from array import array
@@ -10,7 +10,7 @@ from st_core.alignment import MeasurementHistory
 from st_core.bands import AdaptiveBands, Coverages, LiveBands, conditions_now
 from st_core.bands.live import HalfWidths
 from st_core.evaluation import Evaluator, Mode
-from st_core.log_evaluation import MODES, EvaluationSettings
+from st_core.log_evaluation import MODES, PLANNED_MODES, EvaluationSettings
 from st_core.models import Model
 from st_core.prediction import PredictionSettings, Runner, Start
 from st_core.types import InsSample, Trajectory
@@ -20,13 +20,12 @@ from st_ros import diagnostics
 from st_ros.diagnostics import Check
 
 from .. import params
-from ..convert import PLANNED_MODES
 
 AXES = ("along", "across", "yaw")
 
 
 class PredictionBands:
-    """Bands around the predicted paths: those of a file, adapted to the errors of this run, or both.
+    """Bands around the predicted paths: from a bands file, adapted to the errors of this run, or both.
 
     file_hashes: hash of the model file by model, "" for a model of the paper. models, runners: as for `Evaluator`.
     Raises ConfigurationError for bands of another car, model or configuration.
@@ -34,7 +33,7 @@ class PredictionBands:
 
     def __init__(self, values: SimpleNamespace, vehicle: VehicleParameters, file_hashes: Mapping[str, str],
                  settings: PredictionSettings, models: Sequence[Model], runners: Mapping[str, Runner]):
-        self._reason, self._text = "", ""
+        self._reason, self._calibration = "", ""  # why there is no band; origin of the bands file
         self._calibrated: LiveBands | None = None
         self._adaptive: AdaptiveBands | None = None
         file = params.load_bands(values)
@@ -42,7 +41,7 @@ class PredictionBands:
             prefix = f"bands_file: {values.bands_file}: "
             evaluation = EvaluationSettings(settings)
             params.translate_errors(values, lambda: file.check(vehicle, file_hashes, evaluation), prefix)
-            self._text = f"calibrated on {file.runs} runs"
+            self._calibration = f"calibrated on {file.runs} runs"
         if values.adaptive_bands:
             time = settings.step * np.arange(1, settings.steps + 1)
             self._adaptive = AdaptiveBands(time, list(file_hashes), (*MODES, *PLANNED_MODES), file)
@@ -53,7 +52,7 @@ class PredictionBands:
             self._messages = BandMessages(self._calibrated.half_widths)
 
     def add_ins(self, sample: InsSample) -> None:
-        """Add a measurement, with which earlier predictions are scored."""
+        """Add a measurement, which is needed to score earlier predictions."""
         if self._adaptive:
             self._scorer.add_ins(sample)
 
@@ -67,10 +66,10 @@ class PredictionBands:
         Valid until the next call.
         """
         if self._adaptive:
-            condition = conditions_now(history, time_ns) if self._text else ()  # needed by bands of a file only
-            found, self._reason = self._adaptive.issue(time_ns, condition, modes)
-            return {model: [band for band in bands if (model, band.mode) in found]
-                    for model, bands in (self._messages.fill() if found else {}).items()}
+            condition = conditions_now(history, time_ns) if self._calibration else ()  # needed by bands of a file only
+            issued, self._reason = self._adaptive.issue(time_ns, condition, modes)
+            return {model: [band for band in bands if (model, band.mode) in issued]
+                    for model, bands in (self._messages.fill() if issued else {}).items()}
         if self._calibrated is None:
             return {}
         condition = conditions_now(history, time_ns)
@@ -97,33 +96,33 @@ class PredictionBands:
             return Check("bands", diagnostics.WARN, f"no band: {self._reason}")
         if self._calibrated:
             levels = " and ".join(f"{100 * level:g} %" for level in self._calibrated.levels)
-            return Check("bands", diagnostics.OK, f"{levels}, {self._text}")
+            return Check("bands", diagnostics.OK, f"{levels}, {self._calibration}")
         if self._adaptive is None:
             return Check("bands", diagnostics.OK, "off (bands_file is empty, adaptive_bands is false)")
         values = {f"{model} {mode} {100 * level:g} %": f"{inside / n:.3f} of {n}"
                   for (model, mode), (n, counts) in self._adaptive.counts.items() for level, inside in counts.items()}
         if (seconds := self._adaptive.remaining_warm_up) > 0.0:
             return Check("bands", diagnostics.OK, "adaptive, learning: no band yet", {"driving required [s]": seconds})
-        text = f"adaptive, {self._text or 'estimated from the errors of this run'}"
+        text = f"adaptive, {self._calibration or 'estimated from the errors of this run'}"
         return Check("bands", diagnostics.OK, text, values)
 
 
 class BandMessages:
-    """Reused band messages, since constructing them takes ten times as long as filling them.
+    """Band messages, which are reused because constructing them takes ten times as long as filling them.
 
-    half_widths: by model; the arrays are read at every `fill`.
+    half_widths: by model; `fill` copies the current values of the arrays.
     """
 
     def __init__(self, half_widths: Mapping[str, HalfWidths]):
         self._messages: dict[str, list[Band]] = {}
         self._copies: list[tuple[memoryview, memoryview]] = []
-        for model, of_model in half_widths.items():
-            self._messages[model] = [self._make_message(*key, widths) for key, widths in of_model.items()]
+        for model, model_widths in half_widths.items():
+            self._messages[model] = [self._make_message(*key, widths) for key, widths in model_widths.items()]
 
     def _make_message(self, mode: str, level: float, widths: np.ndarray) -> Band:
         zeros = array("f", bytes(4 * len(widths)))
         message = Band(mode=mode, level=level, **dict.fromkeys(AXES, zeros))
-        # The message has copied the arrays; views of source and target make every refill a plain copy.
+        # The message holds copies of the arrays. With views of source and target, `fill` only has to copy memory.
         self._copies += [(memoryview(getattr(message, axis)), memoryview(column))
                          for axis, column in zip(AXES, widths.T, strict=True)]
         return message
@@ -136,7 +135,7 @@ class BandMessages:
 
 
 def read_bands(message: Prediction) -> HalfWidths:
-    """Half-widths of a prediction's bands by mode and level; bands of another length than the path are ignored."""
+    """Half-widths of the bands of a prediction by mode and level; a band not as long as the path is ignored."""
     points = len(message.x)
     columns = {(band.mode, band.level): [getattr(band, axis) for axis in AXES] for band in message.bands}
     return {key: np.array(widths, float).T for key, widths in columns.items()

@@ -1,7 +1,4 @@
-"""Node evaluator: scores every prediction once its horizon has passed, and checks the measurements for consistency.
-
-Errors and their statistics are published and recorded.
-"""
+"""Node evaluator: scores each prediction once its horizon has passed, and publishes and records the errors."""
 
 import time
 from pathlib import Path
@@ -13,6 +10,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from st_core.bands import Coverages
 from st_core.evaluation import ErrorStatistics, Evaluator, Mode, Score
+from st_core.log_evaluation import PLANNED_MODES
 from st_core.models import get_model
 from st_core.prediction import predict
 from st_core.types import ControlInput, Trajectory, VehicleState
@@ -30,12 +28,12 @@ from ._inputs import Inputs
 
 NICE = 5  # lower priority than bridges and predictor: a third of their CPU share under contention
 WORK_PERIOD, SUMMARY_PERIOD = 0.05, 1.0  # s
-MODES = ("forecast", "hindsight")
+MODES = ("forecast", "hindsight")  # scored for every forecast, in the order of the summary
 LEVELS = {"warning": diagnostics.WARN, "error": diagnostics.ERROR}
-HISTORY_SPAN = 65.0  # measurements kept [s]: the longest horizon of a predictor plus the wait for late signals
-ERROR_DEPTH = 1000  # at the end of a run, the scores of the last horizon are published at once for every model and mode
+HISTORY_SPAN = 65.0  # s of measurements kept: the longest horizon of a predictor plus the wait for late signals
+ERROR_DEPTH = 1000  # at the end of a run, the scores of a whole horizon are published at once, of all models and modes
 QUEUE_DEPTH = 500  # queued predictions per topic: 50 s at 10 Hz, 5 s of a fast replay
-# Tolerance for rounding on another computer [SI]; with another vehicle file a path differs by centimetres after 1 s.
+# Rounding differs between computers by less [SI]; with another vehicle file a path differs by centimetres after 1 s.
 TRAJECTORY_TOLERANCE = 1.0e-6
 
 
@@ -66,7 +64,7 @@ class EvaluatorNode(Node):
             **{("forecast", model): PolledSubscription(self, Prediction, f"predictor/{model}/prediction", qos)
                for model in self._models},
             **{(mode, model): PolledSubscription(self, PlannedPrediction, f"predictor/{model}/{mode}", qos)
-               for mode in convert.PLANNED_MODES for model in self._models}}
+               for mode in PLANNED_MODES for model in self._models}}
         error_qos = QoSProfile(depth=ERROR_DEPTH)
         self._error_publisher = self.create_publisher(PredictionError, "evaluator/errors", error_qos)
         self._summary_publisher = self.create_publisher(ErrorSummary, "evaluator/summary", LATCHED)
@@ -118,7 +116,7 @@ class EvaluatorNode(Node):
         self._core.add_prediction(model, start_ns, trajectory, mode)
 
     def _check_configuration(self, model: str, message: Prediction, trajectory: Trajectory) -> None:
-        """Recompute one prediction of each configuration, because hindsight must use the vehicle of the forecast."""
+        """Recompute one forecast of each configuration, because hindsight must use the same vehicle and model."""
         key, view = (message.configuration_hash, model), self._core.view(model)
         if key in self._configuration_mismatch:
             return
@@ -126,7 +124,7 @@ class EvaluatorNode(Node):
         inputs = ControlInput(message.road_wheel_angle, message.velocity_x_dot)
         horizon = trajectory.step * (len(trajectory.states) - 1)
         predicted = predict(view.model, self._vehicle, start, inputs, horizon, trajectory.step)
-        # A model with memory depends on earlier steering angles too and cannot be recomputed from the held inputs.
+        # A model with memory also depends on earlier steering angles, which the message does not contain.
         self._configuration_mismatch[key] = not view.has_memory and not np.allclose(
             predicted.states, trajectory.states, rtol=0.0, atol=TRAJECTORY_TOLERANCE, equal_nan=True)
 
@@ -164,8 +162,9 @@ class EvaluatorNode(Node):
         if self._rejection:
             level, text = diagnostics.WARN, self._rejection
         elif mismatched:
-            level = diagnostics.WARN
-            text = f"predictions of {', '.join(mismatched)} were made with another vehicle or model than this node uses"
+            level, text = diagnostics.WARN, (
+                f"predictions of {', '.join(mismatched)} were made with another vehicle or model than this node uses: "
+                "set the same vehicle_file and model_file in predictor and evaluator")
         recording = (recording_check(self._bag) if self._bag else
                      Check("recording", diagnostics.OK, "off (output_directory is empty)"))
         verdict = self._consistency.verdict

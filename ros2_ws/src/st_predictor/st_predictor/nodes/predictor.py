@@ -1,4 +1,4 @@
-"""Node predictor: at each tick, predicts one path per model from the newest instant with INS and steering data."""
+"""Node predictor: at each tick, predicts a path with every model from the newest instant with INS and steering data."""
 
 import math
 import time
@@ -12,6 +12,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from st_core.compiled import compile_models
 from st_core.evaluation import Mode
+from st_core.log_evaluation import PLANNED_MODES
 from st_core.models import get_model
 from st_core.prediction import Predictor, Skip, Start, configuration_hash
 from st_core.timeseries import NANOSECOND
@@ -27,20 +28,19 @@ from ._future_inputs import CourseInput, PlanInput
 from ._inputs import Inputs
 
 MAX_OVERRUN_NS = 10_000_000_000  # a longer step is a jump of the clock, as in a replay, not an overrun
-# Queues are emptied this often between ticks, so that a tick has only a few milliseconds of input to process [s].
-DRAIN_PERIOD = 0.02
-STATUS_PERIOD = 1.0
+DRAIN_PERIOD = 0.02  # s; queues are emptied between ticks, so that a tick has little input to process
+STATUS_PERIOD = 1.0  # s
 # Messages queued for a slow subscriber. Fast DDS resends the whole queue to a subscriber that was stopped: after a stop
 # of 3 s a recorder received nothing for 90 s at depth 50 (half a megabyte per topic), and for 3 s at depth 10.
 # In a replay at 100 predictions per second, a recorder delayed by 0.5 s lost 50 of 590 at depth 10, none at 1000.
 LIVE_DEPTH, REPLAY_DEPTH = 10, 1000
 MAX_WAIT_SHARE = 0.5  # longest wait for samples as a fraction of the period, so that the next tick is not late
 JUMP_WARNING_DURATION = 10.0  # a position jump is reported as a warning for this long [s]
-BUSY_TICK_SHARE = 0.5  # fraction of the period; a longer tick causes a warning: the computer is too slow or too busy
+BUSY_TICK_SHARE = 0.5  # fraction of the period; a longer tick causes a warning
 
 
 class TickCounter:
-    """Counts ticks from the first one with inputs; rclpy's timer keeps its time grid and drops the ticks it missed."""
+    """Counts ticks from the first one with inputs. rclpy's timer keeps its time grid and drops the ticks it missed."""
 
     def __init__(self) -> None:
         self.predicted = self.stale = self.overrun = self.slow = 0
@@ -56,11 +56,11 @@ class TickCounter:
         return max(0, round((next_due_ns - before) / period_ns) - 1)
 
     def count(self, missed: int, skipped: str | None) -> None:
-        """Count one tick that follows `missed` dropped ones. skipped: None (it predicted), "stale" or "slow"."""
+        """Count a tick and the `missed` ticks dropped before it. skipped: why it made no prediction, "stale" or "slow".
+        """
         if not self._started and skipped == "stale":
             return
-        if self._started:
-            self.overrun += missed
+        self.overrun += missed if self._started else 0
         self._started = True
         if skipped is None:
             self.predicted += 1
@@ -93,6 +93,7 @@ class PredictorNode(Node):
         settings = self._core.settings
         self._course = CourseInput(self, params.load_course(values), self._vehicle, settings.horizon, settings.step)
         self._path = convert.PathBuilder(values.map_frame, settings.steps + 1)
+        self._simulated = self.get_parameter("use_sim_time").value
         self._make_publishers()
         self._counter = TickCounter()
         self._skip: Skip | None = Skip("stale", "INS: nothing received yet")
@@ -103,8 +104,7 @@ class PredictorNode(Node):
         self._state_age = math.nan  # as last published [s]
         self._state_ages: list[float] = []  # of the predictions since the last status [s]
         self._period = 1.0 / values.rate
-        # Simulated time advances only while the executor runs, so waiting for later samples would be pointless.
-        self._simulated = self.get_parameter("use_sim_time").value
+        # Simulated time advances only while the executor runs: no sample can arrive during a wait.
         self._wait = 0.0 if self._simulated else min(values.sample_wait, MAX_WAIT_SHARE * self._period)
         steady_timer(self, DRAIN_PERIOD, self._inputs.drain)
         self._timer = self.create_timer(self._period, self._tick)
@@ -131,14 +131,15 @@ class PredictorNode(Node):
         return backend or "interpreted"
 
     def _make_publishers(self) -> None:
-        qos = QoSProfile(depth=REPLAY_DEPTH if self.get_parameter("use_sim_time").value else LIVE_DEPTH)
+        qos = QoSProfile(depth=REPLAY_DEPTH if self._simulated else LIVE_DEPTH)
         self._outputs: dict[str, tuple[Publisher, Publisher]] = {
             model: (self.create_publisher(PathMessage, f"predictor/{model}/path", qos),
                     self.create_publisher(Prediction, f"predictor/{model}/prediction", qos))
             for model in self._core.models
         }
-        self._other_outputs = {(mode, model): self.create_publisher(PlannedPrediction, f"predictor/{model}/{mode}", qos)
-                               for mode in convert.PLANNED_MODES for model in self._core.models}
+        self._planned_outputs = {
+            (mode, model): self.create_publisher(PlannedPrediction, f"predictor/{model}/{mode}", qos)
+            for mode in PLANNED_MODES for model in self._core.models}
         self._status_publisher = self.create_publisher(PredictorStatus, "predictor/status", LATCHED)
 
     def _add_ins(self, sample: InsSample) -> bool:
@@ -153,7 +154,7 @@ class PredictorNode(Node):
         period_ns = round(self._period / NANOSECOND)
         next_due_ns = self.get_clock().now().nanoseconds + self._timer.time_until_next_call()
         missed = self._counter.count_missed(next_due_ns, period_ns)
-        # Waiting for the next sample makes the newest state up to one sample period younger.
+        # After the wait the prediction starts from the next sample, whose state is newer.
         self._inputs.wait(next_due_ns - period_ns, self._wait)
         began = time.perf_counter()
         start = self._find_start(self.get_clock().now().nanoseconds)
@@ -163,7 +164,7 @@ class PredictorNode(Node):
             self._predict(start)
         self._bands.observe_scores()
         if self._skip and self._simulated:
-            self._publish_status()  # the player of `st replay` waits for every tick to end
+            self._publish_status()  # the player of `st replay` waits for a message from every tick
         if (before and before.kind) != (self._skip and self._skip.kind) or self._jumps != self._core.history.jumps:
             self._jumps = self._core.history.jumps
             self._diagnostics.publish()
@@ -176,9 +177,9 @@ class PredictorNode(Node):
         before, self._last_start_ns = self._last_start_ns, start.time_ns
         if start.time_ns != before:
             return start
-        # Repeating a prediction is useless to a planner and would count twice in the statistics.
+        # A planner does not need the same prediction again, and the statistics would count it twice.
         signal, age = max(self._core.ages(now_ns).items(), key=lambda item: item[1])
-        return Skip("stale", f"{signal}: nothing new since the last tick, newest sample is {age:.2f} s old")
+        return Skip("stale", f"{signal}: no new sample since the last tick, the newest is {age:.2f} s old")
 
     def _predict(self, start: Start) -> None:
         self._plan.drain()
@@ -212,8 +213,7 @@ class PredictorNode(Node):
                 path_publisher.publish(self._path.fill(start.time_ns, trajectory, car))
                 self._not_finite.discard(model)
             else:
-                # Viewers cannot draw it; the evaluator scores it as incomplete.
-                self._not_finite.add(model)
+                self._not_finite.add(model)  # viewers cannot draw such a path; the evaluator scores it as incomplete
         self._bands.add_predictions(start, issued)
         if before != (bool(self._plan.problem), self._course.used):
             self._diagnostics.publish()
@@ -230,7 +230,7 @@ class PredictorNode(Node):
                                               self._map_frame, self._hash[model])
             message.compute_time = compute_time
             message.issued_at = self.get_clock().now().to_msg()
-            self._other_outputs[mode, model].publish(message)
+            self._planned_outputs[mode, model].publish(message)
             issued[model][mode] = trajectory
 
     def _publish_status(self) -> None:
@@ -253,7 +253,7 @@ class PredictorNode(Node):
         elif self._skip:
             level, text = diagnostics.ERROR, f"no prediction: {self._reason()}"
         elif self._not_finite:
-            level, text = diagnostics.WARN, f"not finite, no path: {', '.join(sorted(self._not_finite))}"
+            level, text = diagnostics.WARN, f"prediction not finite, no path: {', '.join(sorted(self._not_finite))}"
         ages = self._core.ages(self.get_clock().now().nanoseconds)
         known_ages = {f"age {signal} [s]": age for signal, age in ages.items() if math.isfinite(age)}
         slowest, self._slowest_tick = self._slowest_tick, 0.0
@@ -288,8 +288,8 @@ class PredictorNode(Node):
         frozen = self._core.frozen_steering
         if frozen is None:
             return Check("steering", diagnostics.OK, "consistent with the yaw rate")
-        text = (f"angle constant at {frozen.angle:.4f} rad for {frozen.seconds:.1f} s while the yaw rate corresponds "
-                f"to {frozen.low:.4f} to {frozen.high:.4f} rad: the sensor may be frozen")
+        text = (f"angle constant at {frozen.angle:.4f} rad for {frozen.seconds:.1f} s, but the yaw rate corresponds to "
+                f"{frozen.low:.4f} to {frozen.high:.4f} rad: check whether the sensor is frozen")
         return Check("steering", diagnostics.WARN, text)
 
     def close(self) -> None:
