@@ -296,6 +296,6 @@ DRIVING = (
     Fault("steering angle frozen, counter runs", 60.0, on_can(lambda: changes.Steering().frozen), WITHIN, STEERING,
           "constant at", settles=90.0),
     Fault("steering counts the other way", 60.0, on_can(lambda: changes.Steering().flipped), WITHIN, CONSISTENCY,
-          "it has the opposite sign", settles=90.0),
+          "opposite sign", settles=90.0),
 )
 FAULTS = (*INS, *CAN, *KILLED, *HANGING, *MACHINE)

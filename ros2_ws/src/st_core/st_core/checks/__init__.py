@@ -1,9 +1,9 @@
-"""Consistency checks of a recording: a violated identity reveals a fault of a sensor, unit, clock or projection.
+"""Consistency checks of a recording, which reveal faults of sensors, units, clocks and projections.
 
     checked = check(log, vehicle, auxiliary)
     for finding in checked.findings: print(finding.severity, finding.text, finding.advice)
 
-`st check`, every other command and the live node call the same function.
+All commands and the live node call the same function.
 """
 
 from .across_runs import AcrossRuns, compare_runs, pool_estimates

@@ -1,4 +1,4 @@
-"""Estimates of one quantity in several runs: consistent for a fault of the sensor, varying if due to place or load."""
+"""Comparison of the estimates of several runs: a sensor fault is consistent, an effect of place or load varies."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,11 +18,11 @@ MAX_RELATIVE_SPREAD = 0.25  # standard deviation between consistent runs, divide
 
 @dataclass(frozen=True)
 class AcrossRuns:
-    """One quantity in several runs, in `unit`.
+    """One quantity [unit] in several runs.
 
-    mean, interval: random effects, between-run variance included (DerSimonian and Laird 1986). between: standard
-    deviation between runs beyond their own intervals. reported: number of runs in which it is a finding. consistent:
-    whether the differences between the runs are explained by their intervals, or small (MAX_RELATIVE_SPREAD).
+    mean, interval: by random effects, which includes the variance between runs (DerSimonian and Laird 1986). between:
+    standard deviation between runs in excess of their uncertainties. reported: number of runs with this finding.
+    consistent: whether the differences between the runs are within their intervals, or small (MAX_RELATIVE_SPREAD).
     """
 
     name: str
@@ -38,13 +38,13 @@ class AcrossRuns:
 
     @property
     def text(self) -> str:
-        """A sentence with the verdict."""
+        """Sentence on the consistency of the runs."""
         half = 0.5 * (self.interval[1] - self.interval[0])
         digits = max(1 - math.floor(math.log10(max(half, 1e-9))), 0)
         unit = "" if self.unit == "1" else f" {self.unit}"
         if self.consistent:
             return (f"{self.name} is consistent across all {self.runs} runs, {self.mean:.{digits}f} ± {half:.{digits}f}"
-                    f"{unit}: its cause is the sensor, its mounting, the projection or the car, and it is reliable")
+                    f"{unit}: its cause is the sensor, its mounting, the projection or the car; the value is reliable")
         return (f"{self.name} differs significantly between the {self.runs} runs, "
                 f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it depends on the place, the "
                 "load or the day, or some of the runs are faulty")
@@ -55,7 +55,7 @@ class AcrossRuns:
 
 
 def compare_runs(runs: Sequence[Checked]) -> list[AcrossRuns]:
-    """Every quantity that is a finding in some run and was measured in MIN_RUNS or more, the most frequent first."""
+    """Comparison of the findings of any run with estimates in at least MIN_RUNS runs, the most frequent first."""
     units = {finding.name: finding.unit for run in runs for finding in run.findings if finding.interval is not None}
     compared = []
     for name, unit in units.items():
@@ -64,10 +64,10 @@ def compare_runs(runs: Sequence[Checked]) -> list[AcrossRuns]:
             continue
         reported = sum(any(finding.name == name for finding in run.findings) for run in runs)
         mean, interval, between, excess = _random_effects(rows)
-        missed = int(((rows[:, 1] > mean) | (rows[:, 2] < mean)).sum())
+        outside = int(((rows[:, 1] > mean) | (rows[:, 2] < mean)).sum())
         homogeneous = excess <= chi2.ppf(CONFIDENCE, len(rows) - 1)
         similar = between < MAX_RELATIVE_SPREAD * abs(mean - neutral_value(name))
-        consistent = missed <= binom.ppf(CONFIDENCE, len(rows), 0.05) and (homogeneous or similar)
+        consistent = outside <= binom.ppf(CONFIDENCE, len(rows), 0.05) and (homogeneous or similar)
         if not consistent or not interval[0] <= neutral_value(name) <= interval[1]:
             compared.append(AcrossRuns(name, unit, len(rows), reported, mean, interval, between,
                                        float(rows[:, 0].min()), float(rows[:, 0].max()), bool(consistent)))
@@ -75,7 +75,7 @@ def compare_runs(runs: Sequence[Checked]) -> list[AcrossRuns]:
 
 
 def pool_estimates(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, tuple[float, float, float]]:
-    """Estimates (value, low, high) of several runs pooled by random effects; those of a single run are unchanged."""
+    """Estimates (value, low, high) of each quantity, pooled over the runs by random effects."""
     result = {}
     for name in dict.fromkeys(name for run in runs for name in run):
         rows = np.array([run[name] for run in runs if name in run], float)
@@ -85,12 +85,12 @@ def pool_estimates(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, t
 
 
 def neutral_value(name: str) -> float:
-    """Value of the quantity in a recording without fault."""
+    """Value of the quantity in a faultless recording."""
     return 1.0 if name.endswith("_scale") or name == "steering_sign" else 0.0
 
 
 def _random_effects(rows: np.ndarray) -> tuple[float, tuple[float, float], float, float]:
-    """(mean, its interval, standard deviation between rows, Cochran's Q) of rows (value, low, high)."""
+    """(mean, its 95 % interval, standard deviation between rows, Cochran's Q) of rows (value, low, high)."""
     deviation = np.maximum((rows[:, 2] - rows[:, 1]) / (2 * 1.96), 1e-12)
     mean, error, between, excess = random_effects(rows[:, 0], np.square(deviation))
     return mean, symmetric_interval(mean, error, max(len(rows) - 1, 1)), float(np.sqrt(between)), excess

@@ -1,4 +1,4 @@
-"""Lag, scale and bias between two estimates of one quantity."""
+"""Lag, scale and bias of a measured quantity relative to the same quantity derived from other channels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,24 +11,24 @@ from ..clock_types import MAX_SPAN
 from ..regression import symmetric_interval
 from .regression import Estimate, Regression
 
-MAX_LAG = 1.5  # s, search range to both sides
+MAX_LAG = 1.5  # s, in both directions
 MIN_COMMON_TIME = 15.0  # s
 ZERO, ONE = Estimate(0.0, 0.0, (0.0, 0.0)), Estimate(1.0, 0.0, (1.0, 1.0))
 LAG_TEST_LEVEL = 0.95
-LAG_TEST_SHIFT = 0.3  # s; lags this much smaller and larger must fit worse, else the drive determines no lag
-BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residual with a scale to that with a bias; above it, a bias is reported
-MIN_CERTAIN_CORRELATION = 0.98  # above it, noise reduces a scale by less than 4 %
+LAG_TEST_SHIFT = 0.3  # s; the drive determines a lag if lags this much smaller and larger fit worse
+BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residuals with a scale and with a bias above which a bias is reported
+MIN_CERTAIN_CORRELATION = 0.98  # at a higher correlation, noise reduces a scale by less than 4 %
 MIN_RESIDUAL_SHARE = 1e-4  # of the variance; interpolation and filters alone cause a residual of 1 % of a signal
-GRID_LOSS = 0.1  # of the variance; largest loss if a maximum is half a grid step off the grid
+GRID_LOSS = 0.1  # of the variance; largest decrease of a maximum that lies between two lags of the grid
 
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
     """Lag [s], scale [1] and bias [unit] of a measured quantity relative to a derived one.
 
-    correlation: at that lag; correlation_without_lag: at zero lag. spread: standard deviation of the derived quantity.
-    time, measured, derived: the filtered series at that lag, for a figure. other_lags: further lags [s] that do not
-    fit significantly worse, as the drive repeats itself. is_late: whether the expected lag fits significantly worse.
+    correlation: at this lag. correlation_without_lag: at zero lag. spread: standard deviation of the derived quantity.
+    time, measured, derived: filtered series at this lag, for a figure. other_lags: further lags [s] that do not fit
+    significantly worse, because the drive repeats itself. is_late: whether the expected lag fits significantly worse.
     determines_lag: whether lags LAG_TEST_SHIFT away fit significantly worse; slow changes do not determine a lag.
     """
 
@@ -50,9 +50,9 @@ def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, 
               derived_is_angle: bool = False, biased: bool = True, expected_lag: float = 0.0) -> Agreement | None:
     """Agreement of two estimates of a quantity; None if they overlap by less than MIN_COMMON_TIME or are constant.
 
-    time, measured_time: ascending [s]; values NaN where unknown. cutoff [Hz]: of the low-pass on both.
-    derived_is_angle: the rate of `derived` is compared. biased: whether a bias is possible. expected_lag: of a
-    faultless channel [s].
+    time, measured_time: ascending [s]; values NaN where unknown. cutoff: of the low-pass filter on both [Hz].
+    derived_is_angle: whether to compare the rate of `derived`. biased: whether to estimate a bias. expected_lag: lag of
+    a faultless channel [s].
     """
     if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > MAX_SPAN:
         return None
@@ -67,25 +67,25 @@ def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, 
         return None
     if not abs(solution.offset) <= MAX_LAG:
         return None
-    freedom = max(len(reference.time) * STEP / 10.0 - 1.0, 1.0)
+    degrees_of_freedom = max(len(reference.time) * STEP / 10.0 - 1.0, 1.0)
     lag = Estimate(-solution.offset, solution.offset_deviation,
-                   symmetric_interval(-solution.offset, solution.offset_deviation, freedom))
+                   symmetric_interval(-solution.offset, solution.offset_deviation, degrees_of_freedom))
     rows, x = _common_samples(pair, solution.offset)
     if len(rows) * STEP < MIN_COMMON_TIME or not float(np.std(x)) > 0.0:
         return None
-    at, y = other.time[rows], other.values[rows]
-    problem = Regression(at, y[:, None], {"scale": x[:, None], "bias": np.ones((len(at), 1))})
+    common_time, y = other.time[rows], other.values[rows]
+    problem = Regression(common_time, y[:, None], {"scale": x[:, None], "bias": np.ones((len(rows), 1))})
     correlation = float(np.corrcoef(x, y)[0, 1]) if float(np.std(y)) > 0.0 else 0.0
     scale, bias = _fit_line(problem, x, correlation, biased)
     neighbours = solution.offset - LAG_TEST_SHIFT, solution.offset + LAG_TEST_SHIFT
-    return Agreement(lag, scale, bias, correlation, float(np.std(x)), at, y, x,
+    return Agreement(lag, scale, bias, correlation, float(np.std(x)), common_time, y, x,
                      tuple(-alternative.offset for alternative in others),
                      _fits_worse(pair, -expected_lag, solution.offset, cutoff), _correlation(pair, 0.0),
                      all(_fits_worse(pair, offset, solution.offset, cutoff) for offset in neighbours))
 
 
 def _fits_worse(pair: Pair, offset: float, best: float, cutoff: float) -> bool:
-    """Whether the residual with an offset is significantly larger than with the best one (F test, 95 %)."""
+    """Whether the residual with an offset is significantly larger than with the best offset (F test, 95 %)."""
     if abs(offset - best) < 1e-6:
         return False
     (smallest, residual), common = _residual_shares(pair, [best, offset])
@@ -99,9 +99,9 @@ def _correlation(pair: Pair, offset: float) -> float:
 
 
 def _best_offsets(pair: Pair, cutoff: float) -> list[Fit]:
-    """The best offset and all that are not significantly worse, the smallest first.
+    """Fits of the best offset and of all that are not significantly worse, the smallest offset first.
 
-        (1 - r^2) / (1 - r_best^2) <= F(0.975; n, n),   n = 2 cutoff T   independent samples of the residual in T
+        (1 - r^2) / (1 - r_best^2) <= F(0.975; n, n),   n = 2 cutoff T: independent samples of the residual in time T
     """
     curve = mean_correlation([pair], MIN_COMMON_TIME, (-MAX_LAG, MAX_LAG))
     if curve is None or not curve[1].max() > 0.0:
@@ -125,25 +125,25 @@ def _best_offsets(pair: Pair, cutoff: float) -> list[Fit]:
 
 def _f_limit(samples: float, cutoff: float, level: float = 0.975) -> float:
     """Quantile of the ratio of two estimates of equal variances, at probability `level`."""
-    freedom = max(2.0 * cutoff * STEP * samples, 1.0)
-    return float(fisher.ppf(level, freedom, freedom))
+    degrees_of_freedom = max(2.0 * cutoff * STEP * samples, 1.0)
+    return float(fisher.ppf(level, degrees_of_freedom, degrees_of_freedom))
 
 
 def _residual_shares(pair: Pair, offsets: Sequence[float]) -> tuple[list[float], int]:
-    """(1 - r^2 at each offset, number of samples), from the samples common to all offsets, since the ends of a filtered
-    derivative are its least accurate part."""
+    """(1 - r^2 at each offset, number of samples), from the samples common to all offsets, since a filtered derivative
+    is least accurate at its ends."""
     series = [_common_samples(pair, offset) for offset in offsets]
     common = np.flatnonzero(np.bincount(np.concatenate([rows for rows, _ in series])) == len(series))
     values = pair.other.values[common]
-    with np.errstate(invalid="ignore", divide="ignore"):  # a constant series, as at standstill, has r = 0
+    with np.errstate(invalid="ignore", divide="ignore"):  # r = 0 for a constant series, as at standstill
         r = [float(np.nan_to_num(np.corrcoef(derived[np.isin(rows, common)], values)[0, 1]))
              for rows, derived in series]
     return [max(1.0 - correlation**2, MIN_RESIDUAL_SHARE) for correlation in r], len(common)
 
 
 def _fit_line(problem: Regression, derived: np.ndarray, correlation: float, biased: bool) -> tuple[Estimate, Estimate]:
-    """(scale, bias). In one long bend the two are confounded: then the one with the smaller residual is estimated, and
-    the other is assumed faultless."""
+    """(scale, bias). If both are confounded, as in one long bend, only the one with the smaller residual is estimated,
+    and the other is assumed to be faultless."""
     confounded = abs(float(derived.mean())) > float(derived.std()) and abs(correlation) < MIN_CERTAIN_CORRELATION
     if biased and not confounded:
         both = problem.estimates(("scale", "bias"))
@@ -158,7 +158,7 @@ def _fit_line(problem: Regression, derived: np.ndarray, correlation: float, bias
 
 
 def _common_samples(pair: Pair, offset: float) -> tuple[np.ndarray, np.ndarray]:
-    """(rows of `other` known on both sides at this offset [s], the reference there)."""
+    """(rows of `other` for which both series are known at this offset [s], the reference values there)."""
     reference, other = pair.reference, pair.other
     place = (other.time + offset - reference.origin) / STEP
     index = np.clip(np.floor(place).astype(np.int64), 0, max(len(reference.values) - 2, 0))

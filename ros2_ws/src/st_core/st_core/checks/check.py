@@ -1,4 +1,4 @@
-"""All checks of one recording, ordered so that one fault gives one finding."""
+"""Runs all checks of a recording, in an order in which each fault gives one finding."""
 
 from dataclasses import replace
 
@@ -16,26 +16,25 @@ from .plausibility import broken_channels, without_implausible
 from .regression import Estimate, with_systematic
 from .steps import check_position_steps
 from .trial import try_corrections
-from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, yaw_is_late
+from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, is_yaw_late
 
 CHANGED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
-MAX_INS_DISTANCE = 3.0  # m, from the rear axle forward to the INS of a road car
-MAX_REAR_COMPLIANCE = 0.01  # s^2/m, sideslip of the rear axle per lateral acceleration; road cars 0.003 to 0.008
-MIN_INS_SAMPLES = 50  # with fewer only the time stamps can be checked
+MAX_INS_DISTANCE = 3.0  # m; largest distance of the INS ahead of the rear axle
+MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; sideslip of the rear axle per lateral acceleration: road cars 0.003 to 0.008
+MIN_INS_SAMPLES = 50  # with fewer samples, only the time stamps are checked
 SensorResult = tuple[Motion, list[Finding], dict[str, Estimate], list[Comparison]]
 """(corrected motion, findings, estimates by name of the finding, panels of the figure)."""
 
 
-# long: one sequence, each check works on the result of the previous corrections
+# long: one sequence, in which each check works on the result of the previous corrections
 def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: AuxiliaryData | None = None) -> Checked:
     """Findings of one recording.
 
-    Order: sampling; units, signs and axes; identities that hold for any vehicle (position, yaw, velocity,
-    accelerations, other speeds); relations with the vehicle. Every fault is corrected in a working copy before the next
-    check.
+    The order is: sampling; units, signs and axes; identities that hold for any vehicle (position, yaw, velocity,
+    accelerations, other speeds); comparison with the vehicle. Each check works on a copy without the faults found.
 
-    vehicle: for the relations with the vehicle; without one they are skipped. auxiliary: further recorded data. Never
-    raises for the content of a recording: a channel that is too short or too inaccurate gives no finding.
+    vehicle: None skips the comparison with the vehicle. auxiliary: data recorded in addition to the drive. Never raises
+    for the content of a recording: a channel that is too short or too inaccurate gives no finding.
     """
     auxiliary = auxiliary or AuxiliaryData()
     start_ns = auxiliary.start_ns
@@ -43,7 +42,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         start_ns = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
     log, implausible = without_implausible(log, start_ns)
     known = {(finding.name, finding.channels) for finding in auxiliary.implausible}
-    # A channel that keeps its implausible samples is reported again.
+    # The reader has already reported the samples that it left out or kept.
     implausible = [*auxiliary.implausible,
                    *(finding for finding in implausible if (finding.name, finding.channels) not in known)]
     motion = Motion.of(log, start_ns, auxiliary)
@@ -56,10 +55,10 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         findings += sampling.check_quality(auxiliary.quality, start_ns)
     if not driven:
         findings += vehicle_relations.check_standstill(motion) if long_enough else []
-        return Checked(_ordered(findings), channels, ())
+        return Checked(_sort(findings), channels, ())
     broken = broken_channels(implausible)
-    if broken & {*INS_SIGNALS}:  # every comparison with a broken channel would fail as well
-        return Checked(_ordered([*findings, *sampling.find_stuck_channels(motion, channels)]), channels, ())
+    if broken & {*INS_SIGNALS}:  # every further check needs all of these channels
+        return Checked(_sort([*findings, *sampling.find_stuck_channels(motion, channels)]), channels, ())
     motion = replace(motion, acceleration_x=None if "acceleration_x" in broken else motion.acceleration_x,
                      acceleration_y=None if "acceleration_y" in broken else motion.acceleration_y)
     stuck = sampling.find_stuck_channels(motion, channels)
@@ -93,15 +92,15 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         estimates = {name: value for name, value in estimates.items() if name not in CHANGED_BY_SIDESLIP}
     if vehicle is not None:
         findings = try_corrections(findings, log, vehicle)
-    return Checked(_ordered(findings), channels, tuple(panels),
+    return Checked(_sort(findings), channels, tuple(panels),
                    {name: (estimate.value, *estimate.interval) for name, estimate in estimates.items()})
 
 
 def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:
-    """The findings without those caused by a yaw rate that is wrong or derived from yaw, or by a course used as yaw.
+    """The findings without those that are due to a wrong yaw rate, or to channels that were derived, not measured.
 
     The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course, which
-    differs by the sideslip.
+    differs from yaw by the sideslip.
     """
     if any(f.severity is Severity.ERROR and "yaw_rate" in f.channels for f in findings):
         findings = [f for f in findings if f.name != "steering_unrelated"]
@@ -112,11 +111,10 @@ def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: 
 
 
 def _without_sideslip(finding: Finding, motion: Motion) -> Finding:
-    """A finding of a drive without velocity_y, whose yaw may be the course over ground: not corrected if the sideslip
-    explains it.
+    """The finding of a drive without velocity_y, without a correction if the unmeasured sideslip explains it.
 
-    The sideslip at a point l ahead of the rear axle is tau r, tau = l/v - K v, so the yaw rate r lags the course by
-    tau. `sideslip.with_steady_sideslip` removes it from a course as far as l and K of the vehicle file are correct.
+    Yaw may then be the course. The sideslip at a point l ahead of the rear axle is tau r with tau = l/v - K v, so the
+    yaw rate r lags the course by tau. `sideslip.with_steady_sideslip` corrects that, if l and K are correct.
     """
     if finding.name not in CHANGED_BY_SIDESLIP:
         return finding
@@ -128,20 +126,20 @@ def _without_sideslip(finding: Finding, motion: Motion) -> Finding:
         if finding.value is None or not low <= finding.value <= high:
             return finding
         severity = Severity.NOTE
-    text = f"{finding.text}; velocity_y is not measured, so yaw may be the course, and the lag due to sideslip"
+    text = f"{finding.text}; velocity_y is not measured, so yaw may be the course and the lag may be due to sideslip"
     advice = Advice("look", "record the heading of the car and velocity_y; without them the sensor's error is unknown")
     return replace(finding, severity=severity, text=text, advice=advice)
 
 
-def _ordered(findings: list[Finding]) -> tuple[Finding, ...]:
-    """By severity, then by effect; findings of accelerations last, since no prediction depends on them."""
+def _sort(findings: list[Finding]) -> tuple[Finding, ...]:
+    """The findings by severity, those of accelerations last, since no prediction depends on them, then by effect."""
     return tuple(sorted(findings, key=lambda finding: (
-        [*Severity].index(finding.severity), finding.of_acceleration, -(finding.effect or np.inf))))
+        [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf))))
 
 
 def _check_sensors_at_true_rate(motion: Motion, time_unit: Finding | None,
                                 removed: dict[str, float]) -> tuple[list[Finding], SensorResult]:
-    """(finding of a wrong nominal sampling rate, result of `_check_sensors` with the times at the true rate)."""
+    """(finding of a wrong nominal sampling rate, result of `_check_sensors` at the true rate)."""
     result = _check_sensors(motion, removed)
     rate = None if time_unit else check_nominal_rate(result[1], result[2])
     if rate is None or not rate.value:
@@ -150,7 +148,7 @@ def _check_sensors_at_true_rate(motion: Motion, time_unit: Finding | None,
 
 
 def _check_sensors(motion: Motion, removed: dict[str, float]) -> SensorResult:
-    """The identities that hold for any vehicle. removed: see `_removed_factors`."""
+    """Check the identities that hold for any vehicle. removed: see `_removed_factors`."""
     panels = [position.distance_panel(motion, removed)]
     motion, findings = position.check_lateral_sign(motion)
     found, tolerances = inertial.compare_yaw_rate(motion)
@@ -191,24 +189,25 @@ def _check_sensors(motion: Motion, removed: dict[str, float]) -> SensorResult:
 
 def _compare_with_vehicle(motion: Motion, vehicle: VehicleParameters, wheel_measured: bool, broken: set[str],
                           unusable: set[str]) -> list[inertial.CheckResult]:
-    """Steering, rear axle and lateral acceleration against the vehicle, without broken, frozen or coarse channels."""
+    """Compare steering, rear axle and lateral acceleration with the vehicle. broken: channels that keep faulty samples.
+    unusable: channels that are coarse, frozen or not measured."""
     comparisons = []
     if not broken & {*STEERING}:
         comparisons.append(vehicle_relations.check_steering(motion, vehicle, wheel_measured))
-    if not unusable & {"velocity_y", "yaw_rate"}:  # both are needed to locate the INS
+    if not unusable & {"velocity_y", "yaw_rate"}:
         comparisons.append(vehicle_relations.check_rear_axle(motion, vehicle))
     return [*comparisons, (vehicle_relations.check_tyre_limit(motion), {}, None)]
 
 
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """`correct_units` with a lag between yaw and yaw rate removed temporarily, since it changes size and sign of their
-    ratio over windows of a second. The result contains the lag, which is checked later."""
+    """`correct_units` of the motion without the lag between yaw and yaw rate, which would change size and sign of their
+    ratio. The result contains the lag again, since it is checked later."""
     lag = inertial.yaw_rate_lag(motion)
     if not lag:
         return correct_units(motion)
     time = motion.time
     earlier_yaw = replace(motion, yaw=np.interp(time - lag, time, motion.yaw))
-    if yaw_is_late(motion, earlier_yaw):
+    if is_yaw_late(motion, earlier_yaw):
         aligned, findings = correct_units(earlier_yaw)
         return replace(aligned, yaw=np.interp(time + lag, time, aligned.yaw)), findings
     aligned, findings = correct_units(replace(motion, yaw_rate=np.interp(time + lag, time, motion.yaw_rate)))
@@ -216,7 +215,7 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def _check_yaw_lag(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:
-    """(corrected motion, finding) for a yaw that lags or leads yaw rate, if positions confirm that yaw is wrong."""
+    """(corrected motion, finding) of a yaw that lags or leads the yaw rate, if positions confirm that yaw is wrong."""
     if found is None or not (found.lag.significant and found.is_late) or abs(found.lag.value) < LIMITS.lag or (
             abs(found.correlation) < LIMITS.correlation):
         return motion, []
@@ -233,7 +232,7 @@ def _check_yaw_lag(motion: Motion, found: Agreement | None) -> tuple[Motion, lis
 
 
 def _removed_factors(gross: list[Finding]) -> dict[str, float]:
-    """Factors that `correct_units` has divided by (of a yaw offset: the angle subtracted), by name of the finding."""
+    """Factors that `correct_units` divided by, and the yaw offset that it subtracted, by name of the finding."""
     removed = {}
     for finding in gross:
         correct = finding.advice.entry.get("correct", {}) if finding.advice else {}
@@ -248,7 +247,7 @@ def _removed_factors(gross: list[Finding]) -> dict[str, float]:
 
 
 def _merge_gross_and_fine(gross: list[Finding], fine: list[Finding], estimates: dict[str, Estimate]) -> list[Finding]:
-    """Findings of units, signs and offsets with the values refined by the identities, and the other fine findings."""
+    """The findings `gross` of `correct_units` with values refined by the identities, and the other findings `fine`."""
     fine_names = {finding.name for finding in fine}
     findings = []
     for finding in gross:
@@ -257,7 +256,7 @@ def _merge_gross_and_fine(gross: list[Finding], fine: list[Finding], estimates: 
             findings.append(finding)
             continue
         if advice and finding.name in fine_names:
-            # One correction by the combined value, not by the unit or offset alone.
+            # One correction replaces both: that of the unit or offset, and that of the refined value.
             (channel, (key,)), = advice.entry["correct"].items()
             correction = 1.0 / estimate.value if key == "scale" else -estimate.value
             advice = Advice.correct(channel, **{key: float(f"{correction:.6g}")})

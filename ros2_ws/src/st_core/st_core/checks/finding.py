@@ -1,4 +1,4 @@
-"""Inputs and results of a check: auxiliary data of a recording, findings, channels, and the comparisons behind them."""
+"""Inputs and results of a check: auxiliary data, findings, channel statistics, comparisons, and limits of findings."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -7,11 +7,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-SCHEMA = 2  # of check.json; keys are added, never renamed, within a number
+SCHEMA = 2  # version of check.json; within a version, keys are added but never renamed
 
 
 class Severity(StrEnum):
-    """Severity of a finding. error: an evaluation would be meaningless; warning: biased; note: hardly affected."""
+    """Effect of a finding on an evaluation. error: it would be meaningless; warning: biased; note: hardly affected."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -20,10 +20,10 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class Advice:
-    """Remedy of a finding. line: one line to paste, or an instruction.
+    """What the user can do about a finding. line: text to paste, or an instruction.
 
-    kind: "run.yaml": `entry` is to be merged into the run's run.yaml; "vehicle": a value of the vehicle file;
-    "option": an option of the command line; "look": nothing to paste.
+    kind: "run.yaml": `entry` is to be merged into run.yaml; "vehicle": `entry` holds values of the vehicle file;
+    "option": `line` is a command-line option; "look": `line` is an instruction.
     """
 
     kind: Literal["run.yaml", "vehicle", "option", "look"]
@@ -41,11 +41,11 @@ class Advice:
 class Finding:
     """One fault or property of a recording.
 
-    name: stable, a key of docs/manual/checks.md. channels: affected fields of DriveLog (or time, wheel_speed, ins).
-    text: one sentence. value, interval: estimate and its 95 % interval in `unit`, or None. where: stretches [s] after
-    the first INS measurement; empty for the whole run. effect: approximate shift of the predicted or measured position
-    after 5 s [m], or None. tried: prediction error of the run after 5 s before and after the correction [m]; None if
-    the correction was not tried.
+    name: never renamed, listed in docs/manual/checks.md. channels: affected fields of DriveLog (or time, wheel_speed,
+    ins). text: one sentence. value, interval: estimate and its 95 % interval in `unit`, or None. where: stretches [s
+    since the first INS measurement]; empty for the whole run. effect: approximate shift of the predicted or measured
+    position after the horizon [m], or None. tried: prediction error of the run at the horizon without and with the
+    correction [m]; None if the correction was not tried.
     """
 
     name: str
@@ -61,8 +61,8 @@ class Finding:
     tried: tuple[float, float] | None = None
 
     @property
-    def of_acceleration(self) -> bool:
-        """Whether it concerns accelerations only, which identification and discovery use, but no prediction."""
+    def concerns_only_acceleration(self) -> bool:
+        """Whether only accelerations are affected, which identification and discovery use, but no prediction."""
         return (self.effect is None and bool(self.channels)
                 and all(channel.startswith("acceleration") for channel in self.channels))
 
@@ -72,7 +72,7 @@ class Finding:
 
 
 def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
-    """One finding for channels that are wrong in the same way, at the same times, by the same value."""
+    """The findings, with one for all channels that are wrong in the same way, at the same times, by the same value."""
     groups: dict[tuple, Finding] = {}
     for finding in findings:
         key = (finding.name, finding.severity, finding.where, finding.value)
@@ -89,9 +89,10 @@ def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
 class Channel:
     """Sampling and noise of one channel, in its own `unit`.
 
-    rate: median samples per second. gaps: number of intervals longer than 0.25 s; longest_gap [s]. noise: standard
-    deviation of white noise. resolution: smallest step of the values, 0 if they are not quantised. repeated: fraction
-    of samples equal to the previous one. missing: number of rows without a value, left out.
+    rate: samples per second, from the median interval. gaps: number of intervals longer than `motion.MAX_GAP`.
+    longest_gap: longest interval [s]. noise: standard deviation of white noise. resolution: smallest step of the
+    values, 0 if they are not quantised. repeated: fraction of samples equal to the previous one. missing: number of
+    rows without a value, which were left out.
     """
 
     unit: str
@@ -108,7 +109,7 @@ class Channel:
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """A quantity from two sources, for a figure: measured and derived, (n,) each, at `time` [s since the first INS
-    measurement]. findings: names of the findings based on it."""
+    measurement]. findings: names of the findings based on this comparison."""
 
     name: str
     title: str
@@ -125,7 +126,7 @@ class Comparison:
 class Checked:
     """Result of a check: findings, the most severe first; channels by name; comparisons in the order of the checks.
 
-    estimates: (value, low, high), 95 %, of every quantity measured, by the name of its finding.
+    estimates: value and 95 % interval (value, low, high) of every quantity estimated, by name of the finding.
     """
 
     findings: tuple[Finding, ...]
@@ -146,7 +147,7 @@ class Checked:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """A signal: values (n,) at time_ns, int64, ascending, on the INS clock."""
+    """A signal with values (n,) at time_ns (n,), ascending, int64 [ns on the INS clock]."""
 
     time_ns: np.ndarray
     values: np.ndarray
@@ -154,10 +155,10 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class InsQuality:
-    """Status reported by the INS, each (n,) at time_ns [ns]; NaN where unknown.
+    """Status and accuracy reported by the INS, (n,) each at time_ns [ns]; NaN where unknown.
 
-    navigation_status: NCOM byte 21, 4 = locked. position_mode: NCOM mode number, 6 = RTK integer, 5 = RTK float, -1 or
-    NaN unknown. position_accuracy: horizontal standard deviation [m]. heading_accuracy: standard deviation [rad].
+    navigation_status: NCOM byte 21, 4 = locked. position_mode: NCOM mode, 6 = RTK integer, 5 = RTK float, -1 unknown.
+    position_accuracy: horizontal standard deviation [m]. heading_accuracy: standard deviation [rad].
     """
 
     time_ns: np.ndarray
@@ -171,12 +172,13 @@ class InsQuality:
 class AuxiliaryData:
     """Data recorded in addition to the drive, all optional.
 
-    stamps: of "INS" and "steering" [int64 ns], in the order of the recording, before rows were left out. missing: rows
-    without a usable value, left out, by channel. wheel_speed: of the wheels or the car's own speed signal [m/s].
-    ins_speed: forward speed from a second output of the INS (its CAN frames, NCOM packets recorded with an odometry)
-    [m/s]. corrected: corrections made by run.yaml, a phrase each. implausible: findings of samples that the reader left
-    out, see `plausibility`. start_ns: first recorded INS measurement; None for that of the drive. geographic: whether
-    x and y were computed from latitude and longitude, so that their axes are east and north.
+    stamps: time stamps of "INS" and "steering" [int64 ns] as recorded, before rows were left out. missing: number of
+    rows left out without a usable value, by channel. wheel_speed: forward speed from the wheels or the car's speed
+    signal [m/s]. ins_speed: forward speed from a second output of the INS (CAN frames, or NCOM packets recorded in
+    addition to an odometry) [m/s]. corrected: phrases on the corrections by run.yaml. implausible: findings about
+    samples that the reader left out, see `plausibility`. start_ns: time of the first recorded INS measurement; None for
+    the first one of the drive. geographic: whether x and y were computed from latitude and longitude, which makes them
+    east and north.
     """
 
     stamps: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -190,35 +192,33 @@ class AuxiliaryData:
     geographic: bool = False
 
 
-HORIZON = 5.0  # s, prediction time at which the effect of a fault is evaluated
-WHEEL_SCALE = 0.03  # 1; change of the tyre radius with wear and inflation
+HORIZON = 5.0  # s; prediction time at which the effect of a fault is evaluated
+WHEEL_SCALE = 0.03  # 1; relative change of the tyre radius with wear and inflation pressure
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the findings; effects are shifts of the position after 5 s."""
+    """Limits of the findings. Effects are shifts of the position after the horizon."""
 
-    min_reported_effect: float = 0.02  # m; an RTK position is known to 2 cm
+    min_reported_effect: float = 0.02  # m; an RTK position is accurate to 2 cm
     warning: float = 0.25  # m; the best models have errors of 0.4 m over such horizons
     error: float = 5.0  # m; error of a model that goes straight on in a bend of radius 250 m at 10 m/s
     unit: float = 1.33  # factor above which a ratio is due to a wrong unit, sign or axis, not to calibration
-    channel_unit: float = 2.0  # the same for accelerometers (roll) and wheel speeds (tyre radius)
-    settling: float = 0.2  # s, in which an error of a model's initial yaw rate decays
-    lag: float = 0.015  # s; a smaller one is filtering inside a sensor
-    severe_lag: float = 0.05  # s; a larger one would be mistaken for a steering delay
-    correlation: float = 0.6  # below it two estimates of a quantity are not compared
-    bias_acceleration: float = 0.1  # m/s^2; 0.6 deg of mounting or road
+    channel_unit: float = 2.0  # the same factor for accelerometers (roll) and wheel speeds (tyre radius)
+    settling: float = 0.2  # s; time constant with which a model's initial yaw rate error decays
+    lag: float = 0.015  # s; smaller lags are due to filters inside a sensor
+    severe_lag: float = 0.05  # s; larger lags would be mistaken for a steering delay
+    correlation: float = 0.6  # minimum correlation of two estimates of a quantity that are compared
+    bias_acceleration: float = 0.1  # m/s^2; caused by a tilt of the sensor or the road of 0.6 deg
     tyre: float = 13.0  # m/s^2, lateral; above the limit of road tyres
-    # Deviations of the ratio of steering to curvature that a faultless car may have from its vehicle file (ratio,
-    # wheelbase, stiffnesses):
-    steering_unit: float = 1.5
-    steering_lag: float = 0.1  # s; the response of the car itself may be that late
+    steering_unit: float = 1.5  # as `unit`, for steering and curvature: ratio, wheelbase and stiffnesses may be rough
+    steering_lag: float = 0.1  # s; the car's own response may deviate from the vehicle file by this lag
     steering_offset: float = 0.02  # rad, at the road wheels
-    mounting: float = 0.25  # m; accuracy of a tape measure
+    mounting: float = 0.25  # m; accuracy of a rough measurement of the INS position
     heading: float = 0.002  # rad; 0.1 deg, accuracy of a dual antenna
 
     def severity(self, effect: float, severe: bool = False) -> Severity:
-        """Severity of an effect on the position after 5 s [m]; severe: at least a warning."""
+        """Severity of an effect [m]; at least a warning if `severe`."""
         if effect >= self.error:
             return Severity.ERROR
         return Severity.WARNING if severe or effect >= self.warning else Severity.NOTE
@@ -234,7 +234,7 @@ SYSTEMATIC = {
     "heading_misaligned": 0.001, "steering_offset": 0.001, "position_reference": 0.02, "measuring_point": 0.05,
     "map_shear": 0.001, "velocity_x_bias": 0.02, "velocity_y_bias": 0.02,
 }
-"""Systematic uncertainty of an identity, half of a 95 % interval, in the finding's unit (scales: fraction of the
-value), by the finding's name or the last part of it. It covers filters, interpolation between samples, roll and, for
-the steering, the response of the car; the scatter between blocks contains none of these. Added in quadrature (GUM: type
-B). Set from the errors of the estimates on the development drives of bench/checks, not on the test drives."""
+"""Systematic uncertainty of an estimate, half-width of a 95 % interval, in the finding's unit (scales: fraction of the
+value), by the finding's name or its last part. It covers filters, interpolation, roll and the car's response to
+steering, which the variation between blocks does not show, and is added in quadrature (GUM: type B). The values were
+set from the errors of the estimates on the development drives of bench/checks, not on the test drives."""

@@ -1,9 +1,9 @@
-"""Checks of channels that are derivatives of others, for any vehicle.
+"""Checks of channels against others by kinematic relations that hold for any vehicle.
 
     r = d(yaw)/dt        a_x = dv_x/dt - v_y r        a_y = dv_y/dt + v_x r
 
-An accelerometer measures gravity as well: a slope is a bias of a_x, a banked road or a mounting angle a bias of a_y. At
-a distance d behind the point of the velocities, its a_y lags by d / v at speed v.
+An accelerometer also measures gravity: a slope appears as a bias of a_x, a banked road or a mounting angle as a bias of
+a_y. If the accelerometer is a distance d behind the point of the velocities, its a_y lags by d / v at speed v.
 """
 
 import math
@@ -20,14 +20,13 @@ from .regression import Estimate, with_systematic
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Smallest reported errors of a channel.
+    """Errors of a channel below which it agrees with a reference, named `against`.
 
-    against: name of the reference. unit: of the channel. lag [s], bias [unit]: smallest that are reported; scale:
-    smallest deviation from 1. severe: (lag, scale, bias) above which the finding is at least a warning, even without an
-    effect on predictions, since identification and discovery use the channel. position_effect: position shift after 5 s
-    per unit of error [m]. correlation: with a lower correlation only the lag is judged. min_spread: no lag is reported
-    for a smaller standard deviation of the channel [unit]. factors: names of units by their factor. causes: possible
-    causes of a bias, as text.
+    lag [s], bias [unit], scale: smallest reported lag, bias, and deviation of the scale from 1. severe: (lag, scale,
+    bias) from which the finding is at least a warning, even without an effect on predictions, since identification and
+    discovery use the channel. position_effect: position shift after the horizon per unit of error [m]. min_spread:
+    smallest standard deviation of the channel for which a lag is reported [unit]. correlation: minimum for which scale
+    and bias are judged. factors: question on the cause of a wrong scale, by factor. causes: of a bias, as text.
     """
 
     channel: str
@@ -46,7 +45,7 @@ class Tolerances:
 
 def judge_agreement(found: Agreement | None, tolerances: Tolerances, removed_scale: float = 1.0,
                     ) -> tuple[list[Finding], dict[str, Estimate]]:
-    """(findings, estimates by the name of their finding). removed_scale: factor that has already been divided out."""
+    """(findings, estimates by name of the finding). removed_scale: factor already divided out of the channel."""
     if found is None or abs(found.correlation) < min(tolerances.correlation, LIMITS.correlation):
         return [], {}
     name = tolerances.channel
@@ -55,12 +54,12 @@ def judge_agreement(found: Agreement | None, tolerances: Tolerances, removed_sca
                and found.spread >= tolerances.min_spread)
     late = [_lag_finding(found, lag, tolerances)] if is_late else []
     estimates = {f"{name}_lag": lag} if found.determines_lag else {}
-    if abs(found.correlation) < tolerances.correlation:  # noise affects scale and bias, not the lag
+    if abs(found.correlation) < tolerances.correlation:  # noise biases the scale and the bias, but not the lag
         return late, estimates
     estimates |= {f"{name}_scale": scale.scaled(removed_scale)}
-    estimates |= {f"{name}_bias": bias} if bias.deviation else {}  # 0: none was fitted
-    # Regression on a noisy quantity gives between r^2 and 1 of the true slope (Fuller 1987, Measurement Error Models,
-    # 1.1), so noise of the derived quantity may explain a scale below 1.
+    estimates |= {f"{name}_bias": bias} if bias.deviation else {}  # 0: no bias was fitted
+    # Regression on a noisy quantity yields between r^2 and 1 times the true slope (Fuller 1987, Measurement Error
+    # Models, 1.1), so noise of the derived quantity may explain a scale below 1.
     explained_by_noise = scale.value < 1.0 and scale.value / found.correlation**2 + scale.half > 1.0
     factor = None if explained_by_noise else _unit_factor(scale.value, tolerances)
     findings = []
@@ -70,7 +69,7 @@ def judge_agreement(found: Agreement | None, tolerances: Tolerances, removed_sca
         text = f"{name} is {format_estimate(scale)} times its value from {tolerances.against}"
         findings.append(_make_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, tolerances,
                                       {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= tolerances.severe[1]))
-    # A scale that is reported is divided out before the bias is subtracted.
+    # The user's correction divides by the reported scale before it subtracts the bias.
     divisor = scale.value if findings else 1.0
     findings += late
     error = abs(bias.value) / max(abs(scale.value), 1e-300)
@@ -94,7 +93,7 @@ def _lag_finding(found: Agreement, lag: Estimate, tolerances: Tolerances) -> Fin
 
 
 def format_estimate(estimate: Estimate) -> str:
-    """Value ± half of the 95 % interval, to two significant digits of the latter."""
+    """Value ± half-width of the 95 % interval, the latter with two significant digits."""
     digits = min(max(1 - math.floor(math.log10(estimate.half)), 0), 6) if estimate.half > 0.0 else 3
     return f"{estimate.value:.{digits}f} ± {estimate.half:.{digits}f}"
 
@@ -105,14 +104,14 @@ def format_magnitude(estimate: Estimate) -> str:
 
 
 def format_alternative_lags(found: Agreement, response: float = 0.0) -> str:
-    """Other lags that fit equally well, as text; response: lag of the car, added to them [s]."""
+    """Text on other lags that fit equally well; "" if there are none. response: lag of the car, added to them [s]."""
     others = sorted(lag + response for lag in found.other_lags)
     text = " or ".join(f"{'lags' if lag > 0.0 else 'leads'} by {abs(lag):.2f} s" for lag in others)
     return f" (or {text}, which fits equally well: the drive repeats itself)" if text else ""
 
 
 def _unit_factor(scale: float, tolerances: Tolerances) -> float | None:
-    """The factor of a unit or sign that explains a scale; the scale itself if none does; None if it is near 1."""
+    """The factor of a unit or sign that explains a scale, or the scale itself if none does; None for a scale near 1."""
     if 1.0 / LIMITS.channel_unit < scale < LIMITS.channel_unit:
         return None
     factors = [sign * factor for factor in (1.0, *tolerances.factors) for sign in (1.0, -1.0)][1:]
@@ -121,7 +120,7 @@ def _unit_factor(scale: float, tolerances: Tolerances) -> float | None:
 
 
 def _unit_finding(scale: Estimate, factor: float, tolerances: Tolerances) -> Finding:
-    opposite = "it has the opposite sign" if factor < 0.0 else ""
+    opposite = "does it have the opposite sign" if factor < 0.0 else ""
     reason = " and ".join(filter(None, (tolerances.factors.get(abs(factor), ""), opposite)))
     text = (f"{tolerances.channel} is {format_estimate(scale)} times its value from {tolerances.against}"
             + (f": {reason}?" if reason else ""))
@@ -131,7 +130,7 @@ def _unit_finding(scale: Estimate, factor: float, tolerances: Tolerances) -> Fin
 
 def _make_finding(kind: str, text: str, estimate: Estimate, unit: str, error: float, tolerances: Tolerances,
                   correct: dict[str, float], severe: bool) -> Finding:
-    """error: resulting error of the channel, root mean square [unit]."""
+    """Finding of an error. error: root mean square error of the channel [unit]. correct: {key: value} to correct it."""
     effect = error * tolerances.position_effect
     (key, value), = correct.items()
     return Finding(f"{tolerances.channel}_{kind}", LIMITS.severity(effect, severe), (tolerances.channel,), text,
@@ -140,15 +139,15 @@ def _make_finding(kind: str, text: str, estimate: Estimate, unit: str, error: fl
 
 
 def _advice(channel: str, key: str, value: float) -> Advice:
-    """Correction of a channel; for wheel speeds and a second INS output, which a run.yaml cannot correct, a hint."""
-    if channel in ("wheel_speed", "ins_speed"):
+    """Correction of a channel in run.yaml."""
+    if channel in ("wheel_speed", "ins_speed"):  # run.yaml cannot correct these
         return Advice("look", "check its source: unit, wheel radius, clock")
     return Advice.correct(channel, **{key: value})
 
 
 def agreement_panel(found: Agreement | None, tolerances: Tolerances, title: str, measured: float = 1.0,
                     derived: float = 1.0) -> Comparison | None:
-    """Series of a figure. measured, derived: units that were divided out; the figure shows values as recorded."""
+    """Both series in the recorded units, for a figure. measured, derived: factors that were divided out before."""
     return None if found is None else Comparison(
         tolerances.channel, title, tolerances.unit, tolerances.channel, f"from {tolerances.against}", found.time,
         measured * found.measured, derived * found.derived,
@@ -157,24 +156,24 @@ def agreement_panel(found: Agreement | None, tolerances: Tolerances, title: str,
 
 GRAVITY = 9.80665
 GYRO_CUTOFF, ACCELERATION_CUTOFF, SPEED_CUTOFF = 4.0, 1.5, 1.5  # Hz
-GYRO_CORRELATION = 0.9  # of two outputs of one unit; lower if yaw is too coarse to be differentiated
-GYRO_SCALE = 0.02  # 1; a gyroscope's scale is known to 1 %
-GYRO_BIAS = 0.001  # rad/s; twice that of a faultless INS
-ACCELERATION_SCALE = 0.35  # 1; roll and pitch of the body change it by up to a third
-ACCELERATION_LAG = 0.12  # s; filters of accelerometers delay by up to 0.1 s
+GYRO_CORRELATION = 0.9  # of yaw rate and change of yaw; lower if yaw is too coarse to be differentiated
+GYRO_SCALE = 0.02  # 1; the scale of a gyroscope is accurate to 1 %
+GYRO_BIAS = 0.001  # rad/s; twice the bias of a faultless INS
+ACCELERATION_SCALE = 0.35  # 1; roll and pitch of the body change the scale by up to a third
+ACCELERATION_LAG = 0.12  # s; filters of accelerometers cause delays of up to 0.1 s
 ACCELEROMETER_ARM = 1.5  # m between accelerometer and INS point
 SEVERE_ACCELERATION = 0.3  # m/s^2; a road's crossfall of 2.5 % is 0.25
 SPEED_SPREAD = 0.5  # m/s; at constant speed, only slip and noise would be compared
-WHEEL_LAG = 0.15  # s; wheel speeds are averaged over some revolutions
-FACTORS = {1.0 / GRAVITY: "g"}
-SPEED_FACTORS = {3.6: "km/h", 2.23694: "mph", 1.0 / 3.6: "divided by 3.6 twice"}
+WHEEL_LAG = 0.15  # s; wheel speed signals are averaged over time
+ACCELERATION_FACTORS = {1.0 / GRAVITY: "is its unit g"}
+SPEED_FACTORS = {3.6: "is its unit km/h", 2.23694: "is its unit mph", 1.0 / 3.6: "was it divided by 3.6 twice"}
 
 CheckResult = tuple[list[Finding], dict[str, Estimate], Comparison | None]
 """(findings, estimates by name of the finding, panel of the figure or None)."""
 
 
 def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
-    """Comparison of yaw rate and change of yaw. An error of the initial yaw rate decays within LIMITS.settling."""
+    """Compare yaw rate and change of yaw. The effect on predictions is small, as initial yaw rate errors decay."""
     position_effect = LIMITS.settling * float(np.median(np.abs(motion.velocity_x))) * HORIZON
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, True)
     return found, Tolerances("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, GYRO_BIAS,
@@ -182,17 +181,17 @@ def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
 
 
 def yaw_rate_lag(motion: Motion) -> float:
-    """Lag of the yaw rate behind yaw [s]; 0 if it is small, or if the two agree without a correction."""
+    """Lag of the yaw rate behind yaw [s]; 0 if it is small, or if the two agree well without a correction."""
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF, True)
     if found is None or not (found.is_late and found.lag.significant) or abs(found.lag.value) < LIMITS.severe_lag:
         return 0.0
-    # A yaw rate of the opposite sign also fits half a period later.
+    # A yaw rate of the opposite sign also correlates, half a period later.
     hidden = abs(found.correlation_without_lag) < found.correlation - 0.05
     return found.lag.value if found.correlation >= LIMITS.correlation and hidden else 0.0
 
 
 def correct_yaw_rate(motion: Motion, found: Agreement) -> Motion:
-    """The motion with the known lag, scale and bias of its yaw rate corrected."""
+    """The motion with lag, scale and bias of its yaw rate corrected, as far as they are known."""
     if found.correlation < LIMITS.correlation:
         return motion
     late = found.lag.value if found.lag.significant and found.is_late else 0.0
@@ -202,7 +201,7 @@ def correct_yaw_rate(motion: Motion, found: Agreement) -> Motion:
 
 
 def check_accelerations(motion: Motion) -> list[CheckResult]:
-    """Comparison of both accelerations with the derivative of velocity; empty if the axes of the velocity are wrong."""
+    """Compare both accelerations with the derivative of velocity; empty if the axes of the velocity are wrong."""
     if moves_sideways(motion):
         return []
     time, speed = motion.time, float(np.median(np.abs(motion.velocity_x)))
@@ -231,14 +230,15 @@ def check_accelerations(motion: Motion) -> list[CheckResult]:
         lateral = name == "acceleration_y"
         tolerances = Tolerances(name, "velocity and yaw rate" if lateral else "velocity", "m/s^2", lags[name],
                                 ACCELERATION_SCALE, LIMITS.bias_acceleration, (0.0, 0.0, SEVERE_ACCELERATION),
-                                factors=FACTORS, causes=": mounted at an angle, or the road is not level?")
+                                factors=ACCELERATION_FACTORS,
+                                causes=": is it mounted at an angle, or is the road not level?")
         title = f"{'lateral' if lateral else 'forward'} acceleration: sensor against velocity"
         comparisons.append((*judge_agreement(found, tolerances), agreement_panel(found, tolerances, title)))
     return comparisons
 
 
 def check_speeds(motion: Motion) -> list[CheckResult]:
-    """Comparison of other sources of the speed with the forward speed of the INS."""
+    """Compare other sources of the speed with the forward speed of the INS."""
     comparisons = []
     for name in motion.speeds:
         found = compare_speed(motion, name)

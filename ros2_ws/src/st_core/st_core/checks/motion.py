@@ -1,4 +1,4 @@
-"""Working copy of a drive for the checks, corrected by the findings so far, so that one fault gives one finding."""
+"""Working copy of a drive for the checks, its windows in time, and ratios between its channels."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -11,20 +11,21 @@ from ..timeseries import NANOSECOND
 from ..types import body_to_map
 from .finding import AuxiliaryData
 
-MAX_GAP = 0.25  # s between samples; nothing is integrated across a longer one
+MAX_GAP = 0.25  # s; nothing is integrated across a longer interval between samples
 MOVING = 1.0  # m/s; slower driving is not used
-MIN_DRIVEN_WINDOWS = 5  # minimum number of windows in which the car drives
-MIN_COHERENCE = 0.5  # cosine between displacements of successive windows: 1 on a straight, 0 for a random walk
+MIN_DRIVEN_WINDOWS = 5
+MIN_COHERENCE = 0.5  # cosine of the angle between successive displacements: 1 on a straight, 0 for a random walk
 MIN_SPEED_VARIATION = 0.1  # standard deviation of the speed divided by its mean
 MIN_SIGNAL_TO_NOISE = 10.0  # forward velocity divided by the standard deviation of its noise
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A drive, times in seconds since the first INS measurement, signals as in DriveLog; accelerations may be NaN.
+    """A drive with times in seconds since the first INS measurement and signals as in DriveLog, corrected for the
+    findings so far; accelerations may be NaN.
 
-    steering_time [s], steering [rad]: at the road wheels, left +. speeds: other sources of the forward speed, by name
-    (time [s], values [m/s]). geographic: see `AuxiliaryData`.
+    steering [rad]: road wheel angle at steering_time [s], left +. speeds: (time [s], values [m/s]) of other sources of
+    the forward speed, by name. geographic: see `AuxiliaryData`.
     """
 
     time: np.ndarray
@@ -57,7 +58,7 @@ class Motion:
         return replace(self, time=self.time / factor, steering_time=self.steering_time / factor, speeds=speeds)
 
     def where(self, keep: np.ndarray) -> "Motion":
-        """The motion with these samples of the INS only, (n,) bool."""
+        """The motion with only the INS samples selected by a mask (n,)."""
         names = ("time", "x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "acceleration_x", "acceleration_y")
         kept = {name: value[keep] for name in names if (value := getattr(self, name)) is not None}
         return replace(self, **kept)
@@ -80,8 +81,8 @@ class Motion:
 
 
 def is_driven(motion: Motion) -> bool:
-    """Whether the car drives, in any units: positions keep their direction of travel, or the forward velocity exceeds
-    its noise by far, and one of the two is faster than MOVING. A parked car with drifting positions fulfils neither."""
+    """Whether the car drives, in any units: the direction of travel persists, or the forward velocity far exceeds its
+    noise, and one of the two exceeds MOVING. A parked car with drifting positions meets neither condition."""
     length = max(1.0, 5.0 * float(np.median(np.diff(motion.time))))
     over = windows(motion.time, length, max(MAX_GAP, 0.5 * length))
     if len(over) < MIN_DRIVEN_WINDOWS:
@@ -114,7 +115,7 @@ def integral(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Consecutive windows without a gap: indices of their first and last samples, time of the first [s]."""
+    """Windows without gaps, in order of time: indices of their first and last samples, time of the first [s]."""
 
     first: np.ndarray
     last: np.ndarray
@@ -137,7 +138,7 @@ def windows(time: np.ndarray, length: float, longest_gap: float = MAX_GAP) -> Wi
     if len(time) < 2:
         empty = np.zeros(0, np.int64)
         return Windows(empty, empty, np.zeros(0))
-    # Iterates over the samples, not the seconds, since a gap may last years.
+    # The edges are found among the samples, not by counting windows, since a gap may last years.
     edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / length), prepend=-1.0))
     first, last = edges[:-1], edges[1:]
     gaps = np.concatenate(([0], np.cumsum(np.diff(time) > longest_gap)))
@@ -146,32 +147,32 @@ def windows(time: np.ndarray, length: float, longest_gap: float = MAX_GAP) -> Wi
     return Windows(first, last, time[first])
 
 
-def stretches(times: np.ndarray, apart: float) -> tuple[tuple[float, float], ...]:
-    """(first, last) of each group of instants [s] with intervals of at most `apart` [s]."""
+def stretches(times: np.ndarray, max_interval: float) -> tuple[tuple[float, float], ...]:
+    """(first, last) instant [s] of each group of instants with intervals of at most `max_interval` [s]."""
     if not len(times):
         return ()
-    edges = [0, *(np.flatnonzero(np.diff(times) > apart) + 1).tolist(), len(times)]
+    edges = [0, *(np.flatnonzero(np.diff(times) > max_interval) + 1).tolist(), len(times)]
     return tuple((float(times[a]), float(times[b - 1])) for a, b in pairwise(edges))
 
 
 def spans(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Indices (first, last) of each stretch of a mask (n,)."""
+    """Indices (first, last) of each run of True in a mask (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
     return list(zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True))
 
 
-MIN_TURN, MIN_DISTANCE = 0.02, 0.5  # rad and m; windows with less motion are not used
+MIN_TURN, MIN_DISTANCE = 0.02, 0.5  # rad, m; minimum motion in a window
 MIN_WINDOWS = 5
-MIN_RATIO = 1e-10  # of two channels; nanoseconds taken for seconds make 1e-9
-SAME_RATIO_FACTOR = 1.2  # ratios that differ by less are equal
+MIN_RATIO = 1e-10  # smallest ratio of two varying channels; nanoseconds read as seconds cause a ratio of 1e-9
+SAME_RATIO_FACTOR = 1.2  # factor by which equal ratios may differ
 
 
 @dataclass(frozen=True)
 class Ratios:
-    """Ratios of the changes of channels in windows, median; NaN with too little motion.
+    """Robust ratios between the changes of two channels in windows; NaN with too little motion.
 
-    distance: positions to integrated velocity. yaw_rate: yaw to integrated yaw rate. yaw_course, rate_course: yaw, and
-    integrated yaw rate, to the course.
+    distance: positions to integrated velocity. yaw_rate: yaw to integrated yaw rate. yaw_course: yaw to course over
+    ground. rate_course: integrated yaw rate to course over ground.
     """
 
     distance: float
@@ -191,7 +192,7 @@ def ratios(motion: Motion, length: float = 1.0) -> Ratios:
     measured = np.hypot(over.change(motion.x), over.change(motion.y))
     integrated = over.change(integral(motion.time, motion.speed))
     turn, rate = over.change(motion.yaw), over.change(integral(motion.time, motion.yaw_rate))
-    return Ratios(_distance_ratio(measured, integrated), _slope(turn, rate), *_against_course(motion, over, measured))
+    return Ratios(_distance_ratio(measured, integrated), _slope(turn, rate), *_course_ratios(motion, over, measured))
 
 
 def _distance_ratio(measured: np.ndarray, integrated: np.ndarray) -> float:
@@ -209,16 +210,15 @@ def _unless_constant(ratio: float) -> float:
 
 
 def _slope(top: np.ndarray, bottom: np.ndarray) -> float:
-    """Robust slope of `top` versus `bottom` with a small intercept, so that a bias of the yaw rate does not change it.
-    """
+    """Robust slope of `top` versus `bottom`, with a small intercept that absorbs a bias of the yaw rate."""
     if len(top) < MIN_WINDOWS or max(np.percentile(np.abs(c), 95) for c in (top, bottom)) < MIN_TURN:
         return float("nan")
     smaller, larger = sorted((top, bottom), key=lambda turns: float(np.percentile(np.abs(turns), 95)))
     if float(np.percentile(np.abs(smaller), 95)) < MIN_TURN and (
             float(np.std(larger)) < 0.5 * abs(float(np.mean(larger)))):
-        return float("nan")  # almost no change: a ratio of bias or noise
+        return float("nan")  # the smaller turn is only bias or noise
     weights, slope = np.ones(len(top)), float("nan")
-    # Prior of the intercept, which a circle does not determine: equivalent to windows that turn by MIN_TURN.
+    # The prior keeps the intercept small, which a circle does not determine.
     prior = (len(top) * MIN_TURN**2) / max(float(np.square(bottom).mean()), 1e-300)
     for _ in range(8):
         rows = np.array([[weights @ bottom**2, weights @ bottom], [weights @ bottom, weights.sum() + prior]])
@@ -228,12 +228,12 @@ def _slope(top: np.ndarray, bottom: np.ndarray) -> float:
     return _unless_constant(float(slope))
 
 
-def _against_course(motion: Motion, over: Windows, distance: np.ndarray) -> tuple[float, float]:
-    """Ratios (yaw, integrated yaw rate) to course, of the changes from the middle of one window to the next."""
+def _course_ratios(motion: Motion, over: Windows, distance: np.ndarray) -> tuple[float, float]:
+    """Ratios of (yaw, integrated yaw rate) to course, from the changes between the centres of adjacent windows."""
     if len(over) < 2:
         return float("nan"), float("nan")
     turn = np.diff(np.unwrap(np.arctan2(over.change(motion.y), over.change(motion.x))))
-    # Only consecutive windows in which the car moves; at standstill the course is noise.
+    # Only adjacent windows in which the car moves are used: at standstill the course is noise.
     moving = np.minimum(distance[1:], distance[:-1]) > max(0.3 * float(np.median(distance)), 1e-12)
     usable = (over.last[:-1] == over.first[1:]) & moving & (np.abs(turn) < 1.5)
     yaw = np.diff(over.mean(motion.time, motion.yaw))

@@ -1,12 +1,12 @@
-"""Samples that are physically impossible or due to a sensor fault: spikes, sentinels, out of range, wrap-arounds.
+"""Detection of samples that are physically impossible: spikes, sentinel values, values out of range, wrap-arounds.
 
-Each channel is examined alone, before any comparison, so that a faulty sample is not taken for a wrong unit of the run.
+Each channel is examined alone, before any comparison, so that a faulty sample is not mistaken for a wrong unit.
 Implausible samples are reported, and no command uses them. A step from one sample to the next is large if it exceeds
-both the physical limit and a multiple of the median step of the channel, whatever its unit:
+both a physical limit and a multiple of the channel's median step, which makes the test valid in any unit:
 
     |v_k - v_{k-1}| > max(limit, 20 median |v_k - v_{k-1}|),   median of the steps that are not 0
 
-Checked by: test_checks_plausibility.py, for all kinds and channels.
+Checked by: test_checks_plausibility.py.
 """
 
 from collections.abc import Iterable, Mapping
@@ -19,29 +19,29 @@ from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
 from .finding import Advice, Finding, Severity, merge_findings
 from .motion import MAX_GAP, spans, stretches
 
-STEP_MEDIAN_RATIO = 20.0  # times the median step; noise and quantisation stay below
-HALF_WINDOW = 0.1  # s before and after a sample, for the median of its neighbours; at least two updates
-MIN_SENTINEL_SAMPLES = 3  # samples with the same value between two large steps
-MIN_ZERO_TIME = 0.2  # s for the value 0
-SENTINEL_HOLD_RATIO = 3.0  # times the typical time that a channel holds a value, its update interval
+STEP_MEDIAN_RATIO = 20.0  # ratio of a large step to the median step; noise and quantisation cause smaller steps
+HALF_WINDOW = 0.1  # s before and after a sample, in which its neighbours lie; at least two updates
+MIN_SENTINEL_SAMPLES = 3  # minimum number of samples of one value between two large steps
+MIN_ZERO_TIME = 0.2  # s; minimum duration of the value 0 as a sentinel
+SENTINEL_HOLD_RATIO = 3.0  # ratio of the samples of a sentinel 0 to those for which the channel usually holds a value
 MIN_MOVING_SPEED = 1.0  # m/s
-MAX_BAD_SHARE = 0.5  # fraction of the samples above which the channel is unusable, and no sample is left out
-NOTE_SHARE = 0.01  # fraction of the samples up to which spikes are a note
-WRAP_LIMIT = 0.3  # of the largest plausible step; smaller wraps cannot be distinguished from changes of the channel
-WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # of the wrap's size: largest difference of its steps, asymmetry of its ends
-MAX_WRAPPED_SHARE = 0.2  # of the samples; above it the true range is uncertain
+MAX_BAD_SHARE = 0.5  # fraction of implausible samples above which the channel is unusable, and no sample is left out
+NOTE_SHARE = 0.01  # largest fraction of spikes that is reported as a note only
+WRAP_LIMIT = 0.3  # ratio to the largest plausible step; smaller wraps cannot be distinguished from real changes
+WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # of the size of a wrap: largest deviation of a step, and largest sum of its ends
+MAX_WRAPPED_SHARE = 0.2  # fraction of wrapped samples above which the true range is uncertain
 MAX_NET_CHANGE = 0.5  # ratio of net change to sum of |steps| of a stretch: 1 for a turn in another unit, 0 for noise
-JUMP_RATIO = 30.0  # times the 90th percentile of all steps; the largest of seventeen real drives is 15
-MAX_REVERSAL_ERROR = 0.3  # rad, of a heading that is reversed from one sample to the next
+JUMP_RATIO = 30.0  # ratio of a jump to the 90th percentile of all steps; at most 15 in seventeen real drives
+MAX_REVERSAL_ERROR = 0.3  # rad; largest difference of a yaw jump from pi that counts as a reversal of the heading
 MIN_SAMPLES = 20
-MAX_LISTED = 200  # stretches listed in a finding
-STEP_TIME = 0.05  # s
+MAX_LISTED = 200  # largest number of stretches listed in a finding
+STEP_TIME = 0.05  # s; interval that `ChannelLimits.step` refers to
 
 
 @dataclass(frozen=True)
 class ChannelLimits:
-    """Plausible range of a channel of a road car. step: largest change within STEP_TIME [unit], proportionally more in
-    longer intervals. largest: magnitude above which a value is out of range [unit]."""
+    """Plausible changes and values of a channel of a road car. step: largest change within STEP_TIME [unit],
+    proportionally more in longer intervals. largest: magnitude above which a value is out of range [unit]."""
 
     unit: str
     step: float
@@ -53,19 +53,19 @@ CHANNELS: Mapping[str, ChannelLimits] = {
     "yaw": ChannelLimits("rad", 0.2),  # 4 rad/s for 50 ms
     "velocity_x": ChannelLimits("m/s", 1.0, 120.0),  # 20 m/s^2 for 50 ms; no road car is faster
     "velocity_y": ChannelLimits("m/s", 1.0, 40.0),
-    "yaw_rate": ChannelLimits("rad/s", 0.3, 5.0),  # 6 rad/s^2 for 50 ms, twice that of a step steer; spins reach 3
+    "yaw_rate": ChannelLimits("rad/s", 0.3, 5.0),  # 6 rad/s^2 for 50 ms, twice a step steer; spins reach 3 rad/s
     "acceleration_x": ChannelLimits("m/s^2", 15.0, 80.0),  # kerbs and potholes reach 10 m/s^2 in one sample
     "acceleration_y": ChannelLimits("m/s^2", 15.0, 80.0),
-    "road_wheel_angle": ChannelLimits("rad", 0.1, 1.3),  # 2 rad/s; 75 degrees, beyond any steering lock
-    "steering_wheel_angle": ChannelLimits("rad", 1.5, 25.0),  # 30 rad/s, twice that of an evasive manoeuvre; four turns
+    "road_wheel_angle": ChannelLimits("rad", 0.1, 1.3),  # 2 rad/s for 50 ms; 75 degrees, beyond any steering lock
+    "steering_wheel_angle": ChannelLimits("rad", 1.5, 25.0),  # 30 rad/s for 50 ms, twice an evasive steer; four turns
 }
 
 
 @dataclass(frozen=True)
 class _Channel:
     """One channel without NaN samples. rows: indices of its samples in the log. step: |change| from each sample to the
-    next; median_step: of those that are not 0. gap: whether there is a gap in between. update: update interval [s].
-    """
+    next. median_step: median of the steps that are not 0. gap: whether a gap precedes the next sample. update: usual
+    time between changes of the value [s]."""
 
     name: str
     limits: ChannelLimits
@@ -92,9 +92,9 @@ class _Channel:
 def without_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveLog, list[Finding]]:
     """(the drive without implausible samples, one finding for each kind and channel).
 
-    A row of the INS is left out for any of INS_SIGNALS, an optional signal becomes NaN, and samples of the steering are
-    left out of the steering alone. A channel with more than half of its samples implausible keeps them, and its finding
-    is an error. start_ns: zero of the times in the findings; None for the first INS measurement.
+    An INS row with an implausible sample of INS_SIGNALS is left out, an optional signal becomes NaN, and a steering
+    sample is left out of the steering only. A channel with more than half of its samples implausible keeps all of them,
+    and its finding is an error. start_ns: zero of the times in the findings; None for the first INS measurement.
     """
     if start_ns is None:
         start_ns = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
@@ -126,10 +126,11 @@ def without_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[Dri
 
 def implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
                         moving: np.ndarray) -> tuple[np.ndarray, list[Finding]]:
-    """(which samples of one channel to leave out (n,), the findings).
+    """(mask (n,) of the samples of one channel to leave out, the findings).
 
-    name: a key of CHANNELS. time: ascending [s], any zero, also used in findings. values: (n,), NaN where unknown; yaw
-    unwrapped. moving: (n,) whether the car moves. Nothing is left out of a channel with more than half bad samples.
+    name: a key of CHANNELS. time: (n,) ascending [s], with the zero of the times in the findings. values: (n,), NaN
+    where unknown; yaw unwrapped. moving: (n,) whether the car moves. The mask is empty if more than half the samples
+    are implausible.
     """
     bad = np.zeros(len(values), bool)
     channel = _channel(name, time, values)
@@ -145,18 +146,18 @@ def implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
         new = np.setdiff1d(samples, np.flatnonzero(implausible))
         implausible[new] = True
         if len(new):
-            findings.append(_finding(kind, channel, new))
+            findings.append(_make_finding(kind, channel, new))
     bad[channel.rows[implausible]] = True
     if name not in ("x", "y") and len(jumps := _find_jumps(channel, large, implausible)):
-        if name == "yaw":  # in degrees, wraps are steps too; only a reversal of the heading is certain
+        if name == "yaw":  # a yaw in degrees also steps where it wraps, so only a reversal of the heading is certain
             jumps = jumps[(np.abs(channel.step[jumps - 1] - np.pi) < MAX_REVERSAL_ERROR)
                           & moving[channel.rows[jumps]] & moving[channel.rows[jumps - 1]]]
-        findings += [_finding("channel_jumps", channel, jumps)] if len(jumps) else []
+        findings += [_make_finding("channel_jumps", channel, jumps)] if len(jumps) else []
     return (bad if bad.mean() <= MAX_BAD_SHARE else np.zeros_like(bad)), findings
 
 
 def broken_channels(findings: Iterable[Finding]) -> set[str]:
-    """Channels that cannot be compared, because they are still faulty after samples were left out."""
+    """Channels that cannot be compared with others, because they keep faulty samples."""
     return {channel for finding in findings for channel in finding.channels
             if finding.name == "channel_jumps" or finding.severity is Severity.ERROR}
 
@@ -177,7 +178,7 @@ def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel | None
 
 
 def _is_moving(log: DriveLog) -> np.ndarray:
-    """Whether the car moves at each INS sample, by velocity or by positions, as one of them may drop out."""
+    """Whether the car moves at each INS sample, by velocity or by positions, either of which may drop out."""
     if len(log.ins_time_ns) < 2:
         return np.zeros(len(log.ins_time_ns), bool)
     time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
@@ -187,9 +188,8 @@ def _is_moving(log: DriveLog) -> np.ndarray:
 
 
 def _find_jumps(channel: _Channel, large: np.ndarray, implausible: np.ndarray) -> np.ndarray:
-    """Samples after a step that is much larger than all others, is not reversed and is not a wrap-around, in any unit.
-    Steps after a held value belong to a frozen channel."""
-    same = channel.step == 0.0
+    """Samples after a step that is much larger than usual, in any unit, and is neither reversed nor a wrap-around."""
+    same = channel.step == 0.0  # a step next to a held value belongs to a frozen channel
     on_hold = np.append(same[:1], same) | np.append(same, same[-1:])
     excluded = implausible | (on_hold & (channel.update <= 1.5 * channel.spacing))
     extreme = large & (channel.step > JUMP_RATIO * float(np.percentile(channel.step[channel.step > 0.0], 90)))
@@ -197,8 +197,8 @@ def _find_jumps(channel: _Channel, large: np.ndarray, implausible: np.ndarray) -
 
 
 def _find_wraps(channel: _Channel) -> np.ndarray:
-    """Samples on the far side of a wrap-around: steps of one size R, from about R/2 to about -R/2 and back. The true
-    range is the one in which the channel is nearest to 0."""
+    """Samples on the wrong side of wrap-arounds, which are steps of one size R from about R/2 to about -R/2 or back. On
+    the right side the channel is nearest to 0."""
     smallest = max(WRAP_LIMIT * channel.limits.step, STEP_MEDIAN_RATIO * channel.median_step)
     places = np.flatnonzero((channel.step > smallest) & ~channel.gap)
     if len(places) < 2:
@@ -207,7 +207,7 @@ def _find_wraps(channel: _Channel) -> np.ndarray:
     size = float(np.median(np.abs(change)))
     ends = channel.values[places] + channel.values[places + 1]
     wraps = (np.abs(np.abs(change) - size) < WRAP_SPREAD * size) & (np.abs(ends) < WRAP_SYMMETRY * size)
-    # Next to a wrap the channel approaches the end of its range, unlike next to a spike or a sentinel.
+    # A wrapping channel stays within +/- R/2, unlike one with spikes or sentinels.
     if wraps.sum() < 2 or wraps.mean() < MAX_BAD_SHARE or np.abs(channel.values).max() > (0.5 + WRAP_SPREAD) * size:
         return places[:0]
     level = np.zeros(len(channel.values), np.int64)
@@ -218,8 +218,8 @@ def _find_wraps(channel: _Channel) -> np.ndarray:
 
 
 def _find_out_of_range(channel: _Channel, large: np.ndarray) -> np.ndarray:
-    """Samples out of range, in stretches that begin or end with a large step, of a channel that is mostly within range.
-    A channel in another unit would exceed the range throughout, without a step."""
+    """Samples out of range, if most samples are within range and a large step leads out of it or back. A channel in
+    another unit would exceed the range gradually, without a large step."""
     beyond = np.abs(channel.values) > channel.limits.largest
     if not beyond.any() or beyond.mean() > MAX_BAD_SHARE:
         return np.zeros(0, np.int64)
@@ -229,7 +229,7 @@ def _find_out_of_range(channel: _Channel, large: np.ndarray) -> np.ndarray:
 
 
 def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Stretches of one value between large steps: a code for no measurement, or 0 while the car moves."""
+    """Samples in stretches of one value between large steps: a code for a missing measurement, or 0 in motion."""
     same = np.concatenate((channel.step == 0.0, [False]))
     edges = np.flatnonzero(~same)
     first, last = np.concatenate(([0], edges[:-1] + 1)), edges
@@ -241,7 +241,7 @@ def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) ->
     for k in np.flatnonzero(count >= MIN_SENTINEL_SAMPLES):
         begin, end = int(first[k]), int(last[k])
         zero = channel.values[begin] == 0.0
-        # A code begins with an implausible step; a 0 may be the usual hold of a slow channel.
+        # A slowly updated channel also holds the value 0, so only a longer stretch of zeros is a sentinel.
         if zero and not (count[k] > SENTINEL_HOLD_RATIO * usual_count and duration[k] >= MIN_ZERO_TIME
                          and moving[begin:end + 1].mean() > 0.5):
             continue
@@ -256,9 +256,9 @@ def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) ->
 
 def _find_spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
     """Samples further than the limit from the median of their neighbours (Hampel 1974, with a physical limit), and
-    stretches in which most steps are large and irregular: equal large steps would be a turn in another unit.
+    stretches in which most steps are large and irregular; equal large steps would be a turn in another unit.
 
-    Only samples next to a large step are examined. Neighbours across a gap do not count.
+    Only samples near a large step are examined. Samples across a gap are not neighbours.
     """
     if not large.any():
         return np.zeros(0, np.int64)
@@ -285,13 +285,13 @@ def _find_spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
     return np.unique(np.concatenate(found))
 
 
-def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
+def _make_finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
     share = len(samples) / len(channel.values)
     values, times = channel.values[samples], channel.time[samples]
     value = float(values[np.argmax(np.abs(values))])
     where = stretches(times, 1.5 * channel.spacing)
     unit = channel.limits.unit
-    # Codes for a missing measurement are round numbers in the unit of the file, which may be degrees.
+    # Codes for a missing measurement are round numbers in the unit of the file, which is often degrees.
     degrees = f" ({np.rad2deg(value):.6g} {unit.replace('rad', 'deg')})" if unit.startswith("rad") else ""
     reading = f"{value:.6g} {unit}{degrees}" + (" plus full turns" if channel.name == "yaw" else "")
     when = f"at {where[0][0]:.2f} s" if len(samples) == 1 else f"between {times[0]:.2f} and {times[-1]:.2f} s"
@@ -311,7 +311,7 @@ def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
     }[kind]
     severity = (Severity.ERROR if share > (MAX_WRAPPED_SHARE if kind == "channel_wraps" else MAX_BAD_SHARE) else
                 Severity.NOTE if kind == "sample_spikes" and share <= NOTE_SHARE else Severity.WARNING)
-    text += "" if severity is Severity.ERROR or kind == "channel_jumps" else "; left out"
+    text += "" if severity is Severity.ERROR or kind == "channel_jumps" else "; these samples are left out"
     advice = {"channel_wraps": "change the definition of the signal: more bits, or a larger factor",
               "channel_jumps": "look at the sensor and the logger",
               }.get(kind, "look at the sensor and the logger; no command uses these samples")
@@ -324,7 +324,7 @@ def _leave_out(log: DriveLog, rows: np.ndarray, steering: np.ndarray, blanked: M
         log = replace(log, **blanked)
     if rows.any() and not rows.all():
         kept = np.flatnonzero(~rows)
-        # Unwrapping across a wrong sample may have added a full turn to yaw.
+        # Unwrapping across an implausible sample may have added a full turn to yaw.
         turns = np.where(np.diff(kept) > 1, np.round(np.diff(log.yaw[kept]) / (2.0 * np.pi)), 0.0)
         log = log.with_ins(kept)
         log = replace(log, yaw=log.yaw - 2.0 * np.pi * np.concatenate(([0.0], np.cumsum(turns))))

@@ -1,15 +1,15 @@
-"""Comparison of positions with velocity and yaw: an identity that holds for any vehicle parameters.
+"""Checks of positions against velocity and yaw, by an identity that holds for any vehicle:
 
     p(t2) - p(t1) = integral of R(yaw) v dt
 
-in windows of a second. The residual of a faulty recording has a few possible causes, each linear in its size:
+over windows of one second. Each cause of a residual contributes a term that is linear in the size of the cause:
 
     x or y scale s        p = s p_true                           s - 1 times the derived displacement along that axis
     map shear h           x = x_true + h y_true                  h times the displacement north, in x
     yaw offset a          yaw = yaw_true + a                     -a times the displacement, turned 90 deg to the left
     position lag T        p(t) = p_true(t - T)                   -T (V2 - V1),  V = R(yaw) v
     velocity lag T        v(t) = v_true(t - T), body axes        +T integral of R(yaw) dv/dt dt
-    reference a           p is of a point a ahead                (R(yaw2) - R(yaw1)) (a, 0)
+    reference a           p belongs to a point a ahead           (R(yaw2) - R(yaw1)) (a, 0)
     velocity bias b       v = v_true + b, one body axis          -integral of R(yaw) b dt
 """
 
@@ -25,29 +25,29 @@ from .regression import Estimate, Regression, is_relevant, with_systematic
 WINDOW = 1.0  # s
 MIN_WINDOWS = 10
 ITERATIONS = 3
-# Fraction of the position lag that may remain after a lagging yaw, or (rarer) a leading yaw, is corrected.
+# Largest fraction of the position lag left after correction of a lagging yaw, and of a (rarer) leading yaw.
 MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25
-MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations below which neither is preferred
-MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit over a second by the opposite sign: RTK noise is 1 cm
-MAX_SIGN_MISFIT_RATIO = 1.2  # misfit with velocity_y reversed, divided by that with the causes removed; below, both fit
+MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations above which the one with the smaller loss is preferred
+MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign: RTK noise is 1 cm
+MAX_SIGN_MISFIT_RATIO = 1.2  # ratio of the misfits of both explanations, opposite sign and other cause, if both fit
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a projection on a spherical earth
-MIN_VELOCITY_BIAS = 0.05  # m/s; velocities of an INS are known to 0.03
+MIN_VELOCITY_BIAS = 0.05  # m/s; INS velocities are accurate to 0.03
 AXES = {"x_scale", "y_scale"}
-# Causes that are confounded at constant speed: one of them is fitted, a bias only if its loss is clearly smaller.
+# Causes that are confounded at constant speed. Only one of them is fitted; a bias only if its loss is clearly smaller.
 BIASES = {"velocity_x_bias": {*AXES, "velocity_scale"}, "velocity_y_bias": {"yaw_offset"}}
 CONFOUNDED = {"velocity_scale": {*AXES, "velocity_x_bias"}, "yaw_offset": {"velocity_y_bias"}, **BIASES,
               **{axis: {"velocity_scale", "velocity_x_bias"} for axis in AXES}}
 TEXT = {
     "x_scale": "x is {value:.4f} ± {half:.4f} times the integrated velocity: scaled by the cosine of another latitude?",
-    "y_scale": "y is {value:.4f} ± {half:.4f} times the integrated velocity: another earth radius or scale?",
+    "y_scale": "y is {value:.4f} ± {half:.4f} times the integrated velocity: projected with another earth radius?",
     "sphere": "{axis} is {value:.4f} ± {half:.4f} times the integrated velocity: projected on a spherical earth?",
     "map_shear": "x {grows} by {size:.4f} ± {half:.4f} m for each metre north: projected far from its origin?",
     "velocity_scale": "velocity is {value:.4f} ± {half:.4f} times the rate of change of positions",
     "yaw_offset": "yaw is {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too far {side} for positions and velocities",
     "position_lag": "positions {lag} velocity and yaw by {size:.3f} ± {half:.3f} s",
     "velocity_lag": "velocities {lag} positions and yaw by {size:.3f} ± {half:.3f} s",
-    "position_reference": "positions refer to a point {size:.2f} ± {half:.2f} m {ahead} that of the velocities",
+    "position_reference": "positions refer to a point {size:.2f} ± {half:.2f} m {ahead} the point of the velocities",
     "velocity_x_bias": "velocity_x is {size:.2f} ± {half:.2f} m/s too {high} for positions, at every speed",
     "velocity_y_bias": "velocity_y is {size:.2f} ± {half:.2f} m/s too {high} for positions and yaw, at every speed",
 }
@@ -84,10 +84,10 @@ def residual_regression(motion: Motion) -> Regression:
 
 
 def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
-    """(motion without the causes found, the findings, estimates of every cause as values of its finding)."""
+    """(motion corrected for the causes found, the findings, an estimate of every cause as the value of its finding)."""
     found: dict[str, Estimate] = {}
     corrected = motion
-    for _ in range(ITERATIONS):  # a large cause is nonlinear and biases the others until the next iteration removes it
+    for _ in range(ITERATIONS):  # a large cause is nonlinear and biases the others until it is corrected
         problem = residual_regression(corrected)
         if len(problem.time) < MIN_WINDOWS:
             return motion, [], {}
@@ -105,15 +105,15 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
 
 def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estimates: dict[str, Estimate],
                                  wheel: Estimate) -> tuple[Motion, list[Finding]]:
-    """(motion, findings) with a scale of the velocity replaced by one of the positions, if the wheel speed agrees with
-    the velocity as recorded. wheel: scale of the wheel speed relative to that velocity."""
+    """(motion, findings) with a scale error of the velocity attributed to the positions instead, if the wheel speed
+    agrees with the recorded velocity. wheel: ratio of wheel speed to recorded velocity."""
     wrong = next((finding for finding in findings if finding.name == "velocity_scale"), None)
     if wrong is None or not wrong.value or abs(wheel.value - 1.0) > 0.5 * abs(wrong.value - 1.0) or (
             abs(wrong.value - 1.0) < WHEEL_SCALE):
         return motion, findings
     scale, factor = estimates["position_scale"], wrong.value
-    text = (f"x and y are {scale.value:.4f} ± {scale.half:.4f} times the integrated velocity, with which the wheel "
-            "speed agrees: scale of the projection?")
+    text = (f"x and y are {scale.value:.4f} ± {scale.half:.4f} times the integrated velocity, which agrees with the "
+            "wheel speed: is the scale of the projection wrong?")
     advice = Advice.correct("position", scale=float(f"{1.0 / scale.value:.5g}"))
     found = replace(wrong, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
                     interval=scale.interval, advice=advice)
@@ -122,15 +122,15 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
 
 
 def scaled_misfit(motion: Motion) -> float:
-    """Median distance [m] between positions and integrated velocity after a second, with scales of the map removed."""
+    """Median distance [m] between positions and integrated velocity after one second, apart from scales of x and y."""
     problem = residual_regression(motion)
     return problem.fit(("x_scale", "y_scale"))[1] if len(problem.time) >= MIN_WINDOWS else np.inf
 
 
 def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> bool:
-    """Whether yaw lags by `lag` [s] rather than the positions; corrected: the motion without that lag.
+    """Whether yaw, not the positions, lags by `lag` [s]. corrected: the motion without that lag of yaw.
 
-    At a constant speed both fit; then yaw is wrong if its correction reduces the lag of the positions to a small part.
+    At constant speed both explanations fit; yaw is then wrong if its correction removes most of the position lag.
     """
     problem, corrected_problem = residual_regression(motion), residual_regression(corrected)
     if len(problem.time) < MIN_WINDOWS:
@@ -143,33 +143,31 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
 
 
 def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(motion, findings) with the sign of velocity_y reversed if that explains positions better than any cause."""
-    if float(np.sqrt(np.mean(motion.velocity_y**2))) < MIN_LATERAL_VELOCITY:
-        return motion, []
-    mirrored = replace(motion, velocity_y=-motion.velocity_y)
-    problem = residual_regression(motion)
-    if len(problem.time) < MIN_WINDOWS:
+    """(motion with the sign of velocity_y reversed if that explains positions better than any cause, the findings)."""
+    problem, mirrored = residual_regression(motion), replace(motion, velocity_y=-motion.velocity_y)
+    if len(problem.time) < MIN_WINDOWS or float(np.sqrt(np.mean(motion.velocity_y**2))) < MIN_LATERAL_VELOCITY:
         return motion, []
     reference = -2.0 * float(motion.velocity_y @ motion.yaw_rate) / max(float(motion.yaw_rate @ motion.yaw_rate), 1e-12)
     misfits = []
     for name in problem.columns.keys() - {*AXES, *BIASES, "velocity_scale"}:
         theta, scale, _ = problem.fit(("x_scale", "y_scale", name))
-        # As v_y is mostly d times yaw rate, a wrong sign resembles a reference point 2 d away.
+        # v_y is mostly d times the yaw rate, so a wrong sign resembles a reference point 2 d away.
         size, along = abs(reference), theta[name] * np.sign(reference)
         if name != "position_reference" or not 0.75 * size < along < 1.33 * size:
             misfits.append(scale)
     if not scaled_misfit(mirrored) < min(0.8 * min(misfits), min(misfits) - MIN_SIGN_GAIN):
         return motion, []
-    text = "velocity_y has the opposite sign (left is positive)"
-    return mirrored, [Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), text, -1.0,
-                              advice=Advice.correct("velocity_y", scale=-1.0))]
+    return mirrored, [lateral_sign_finding()]
+
+
+def lateral_sign_finding() -> Finding:
+    """Finding of a velocity_y with the opposite sign."""
+    return Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), "velocity_y has the opposite sign (left is "
+                   "positive)", -1.0, advice=Advice.correct("velocity_y", scale=-1.0))
 
 
 def with_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
-    """The findings; those that the opposite sign of velocity_y explains equally well say so and lose their correction.
-
-    On a steady circle velocity_y is constant, so a wrong sign equals an offset of yaw or a displaced measuring point.
-    """
+    """The findings, without a correction if the opposite sign of velocity_y explains them as well, as on a circle."""
     names = {"yaw_offset", "position_reference", "velocity_y_bias"}
     if not any(finding.name in names for finding in findings):
         return findings
@@ -184,7 +182,7 @@ def with_sign_alternative(findings: list[Finding], recorded: Motion, corrected: 
 
 def _refine_causes(problem: Regression, found: dict[str, Estimate], min_values: dict[str, float],
                    speed_varies: bool) -> dict[str, Estimate]:
-    """Refined values of the causes found before, and further causes."""
+    """Refined values of the causes found so far, and further causes; min_values: smallest reported value by cause."""
     excluded = {*found, *(other for name in found for other in CONFOUNDED.get(name, ()))}
     free = {name: value for name, value in min_values.items() if name not in excluded}
     more = _find_causes(problem, {name: value for name, value in free.items() if name not in BIASES}, tuple(found))
@@ -203,14 +201,14 @@ def _refine_causes(problem: Regression, found: dict[str, Estimate], min_values: 
 
 
 def _find_causes(problem: Regression, free: dict[str, float], always: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of further significant causes; free: smallest reported value of each candidate."""
+    """Names of further significant causes. free: smallest reported value by candidate. always: causes found so far."""
     causes = problem.causes({name: value for name, value in free.items() if name != "velocity_scale"}, always,
                             () if "velocity_scale" in always else ("x_scale", "y_scale"))
     return _combine_scales(problem, causes, always) if "velocity_scale" in free else tuple(causes)
 
 
 def _combine_scales(problem: Regression, causes: dict[str, Estimate], always: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of the causes; equal scales of both axes, or of the only axis driven, are attributed to the velocity.
+    """Names of the causes, with equal scales of both axes, or of the only axis driven, attributed to the velocity.
 
     An equal scale error of both axes of satellite positions is far rarer than a scale error of the velocity.
     """
@@ -229,7 +227,7 @@ def _combine_scales(problem: Regression, causes: dict[str, Estimate], always: tu
 
 
 def _estimate_all(problem: Regression, found: dict[str, Estimate]) -> dict[str, Estimate]:
-    """Estimate of each cause, fitted together with those found, as the value of its finding."""
+    """Estimate of each cause, fitted together with the causes found, as the value of its finding."""
     estimates = {}
     for name in problem.columns:
         alongside = tuple(other for other in found if other != name and other not in CONFOUNDED.get(name, ()))
@@ -290,7 +288,7 @@ def _without_causes(motion: Motion, found: dict[str, Estimate]) -> Motion:
 
 
 def distance_panel(motion: Motion, removed: Mapping[str, float]) -> Comparison:
-    """Distance per second, for a figure of values as recorded. removed: scales already corrected, by finding."""
+    """Distance per second in the recorded units, for a figure. removed: factors already divided out, by finding."""
     over = windows(motion.time, WINDOW)
     east, north = motion.velocity_map
     derived = np.hypot(*(over.change(integral(motion.time, v)) for v in (east, north)))

@@ -1,8 +1,8 @@
-"""Robust linear regression of the residual of an identity.
+"""Robust linear regression of a residual on its possible causes.
 
 Neighbouring samples share their errors, so intervals come from a bootstrap over blocks of driving
-(`st_core.regression`). Causes of a residual are selected by forward selection: the one that explains most is added, all
-are refitted, until no further cause is significant and relevant.
+(`st_core.regression`). Causes are found by forward selection: the cause that explains most is added and all are
+refitted, until no further cause is significant and relevant.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,11 +13,11 @@ import numpy as np
 from ..regression import Blocks, symmetric_interval
 from .finding import SYSTEMATIC
 
-OUTLIER = 3.0  # robust standard deviations; windows with a larger residual have less weight (Huber)
+OUTLIER_RATIO = 3.0  # windows with a residual above this multiple of the median residual have less weight (Huber)
 DRAWS, SEED = 200, 0  # of the bootstrap
-BLOCK = 5.0  # s, as in the alignment of clocks; correlation between neighbouring blocks widens the interval
-MIN_FREEDOM = 4.0  # of Student's t
-RIDGE = 1e-6  # of the normal matrix of all blocks; keeps a draw without excitation solvable
+BLOCK_LENGTH = 5.0  # s, as in the alignment of clocks; correlation between neighbouring blocks widens the interval
+MIN_DEGREES_OF_FREEDOM = 4.0  # of Student's t
+RIDGE = 1e-6  # fraction of the normal matrix that is added to it, so that a draw without excitation is solvable
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Estimate:
 
     @property
     def significant(self) -> bool:
-        """Whether 0 is outside the 95 % interval widened by a factor 1.5, because a dozen causes are tested."""
+        """Whether 0 is outside 1.5 times the 95 % interval, which accounts for the test of a dozen causes."""
         low, high = self.interval
         return min(abs(low), abs(high)) > 0.5 * (high - self.value) and low * high > 0.0
 
@@ -47,13 +47,13 @@ class Estimate:
         return Estimate(factor * self.value, abs(factor) * self.deviation, (low, high))
 
     def inverse(self) -> "Estimate":
-        """Estimate of 1 / value, to first order, so that an interval across 0 stays an interval."""
+        """Estimate of 1 / value to first order; the exact interval is unbounded if the value may be 0."""
         value = 1.0 / float(np.copysign(max(abs(self.value), 1e-12), self.value))
         low, high = (value - (end - self.value) * value**2 for end in reversed(self.interval))
         return Estimate(value, self.deviation * value**2, (low, high))
 
     def widened(self, half: float) -> "Estimate":
-        """The estimate with a further uncertainty, half of a 95 % interval, added in quadrature."""
+        """The estimate with a further uncertainty, half-width of a 95 % interval, added in quadrature."""
         low, high = (self.value + sign * float(np.hypot(end - self.value, half))
                      for sign, end in zip((-1.0, 1.0), self.interval, strict=True))
         return Estimate(self.value, float(np.hypot(self.deviation, 0.5 * half)), (low, high))
@@ -63,19 +63,19 @@ class Estimate:
 
 
 class Regression:
-    """Robust regression y = sum_k theta_k X_k + residual, one row per window.
+    """Robust regression y = sum_k theta_k X_k + residual, with one row per window.
 
-    time: (n,) of the windows [s]. y: (n, m), m components of a window. columns: X_k by name, (n, m) each.
+    time: (n,) start of each window [s]. y: (n, m), m components per window. columns: X_k by name, (n, m) each.
     """
 
     def __init__(self, time: np.ndarray, y: np.ndarray, columns: Mapping[str, np.ndarray]):
         self.time, self.y, self.columns = time, y, columns
-        numbers, block_of = np.unique(np.floor(time / BLOCK).astype(np.int64), return_inverse=True)
+        numbers, block_of = np.unique(np.floor(time / BLOCK_LENGTH).astype(np.int64), return_inverse=True)
         self._blocks = Blocks(block_of, np.zeros(len(numbers), np.int64), numbers,
-                              f"{len(numbers)} blocks of {BLOCK:g} s")
+                              f"{len(numbers)} blocks of {BLOCK_LENGTH:g} s")
 
     def residual(self, theta: Mapping[str, float]) -> np.ndarray:
-        """y - sum_k theta_k X_k (n, m); missing causes are 0."""
+        """y - sum_k theta_k X_k (n, m); theta_k is 0 if it is not given."""
         return self.y - sum((value * self.columns[name] for name, value in theta.items()), np.zeros_like(self.y))
 
     def fit(self, names: Sequence[str]) -> tuple[dict[str, float], float, np.ndarray]:
@@ -88,17 +88,17 @@ class Regression:
                                     np.einsum("n,nip,ni->p", weights, design, self.y))
             size = np.sqrt(np.square(self.y - design @ theta).sum(axis=1))
             scale = max(float(np.median(size)), 1e-12)
-            weights = 1.0 / np.maximum(1.0, size / (OUTLIER * scale))
+            weights = 1.0 / np.maximum(1.0, size / (OUTLIER_RATIO * scale))
         return dict(zip(names, theta.tolist(), strict=True)), scale, weights
 
     def loss(self, names: Sequence[str], scale: float) -> float:
-        """Sum of Huber's loss at a common scale, so that two sets of causes can be compared."""
+        """Huber's loss of the fit of these causes; a common scale makes the losses of two sets comparable."""
         theta, _, _ = self.fit(names)
-        size = np.sqrt(np.square(self.residual(theta)).sum(axis=1)) / (OUTLIER * scale)
+        size = np.sqrt(np.square(self.residual(theta)).sum(axis=1)) / (OUTLIER_RATIO * scale)
         return float(np.where(size <= 1.0, 0.5 * size**2, size - 0.5).sum())
 
     def estimates(self, names: Sequence[str]) -> dict[str, Estimate]:
-        """Estimates of these causes, fitted together."""
+        """Estimates of these causes by one joint fit."""
         if not names:
             return {}
         theta, _, weights = self.fit(names)
@@ -106,7 +106,7 @@ class Regression:
         normals = self._blocks.sums(weights[:, None, None] * np.einsum("nip,niq->npq", design, design))
         right_sides = self._blocks.sums(weights[:, None] * np.einsum("nip,ni->np", design, self.y))
         normal, right_side = normals.sum(axis=0), right_sides.sum(axis=0)
-        diagonal = np.diag(np.diag(normal)) + 1e-12 * np.eye(len(names))  # two causes may be collinear on this drive
+        diagonal = np.diag(np.diag(normal)) + 1e-12 * np.eye(len(names))  # the causes may be collinear on this drive
 
         def estimator(draws: np.ndarray) -> np.ndarray:
             return np.linalg.solve(np.tensordot(draws, normals, 1) + RIDGE * (normal + diagonal),
@@ -115,12 +115,12 @@ class Regression:
         spread = self._blocks.bootstrap(estimator, DRAWS, SEED)
         estimates = {}
         for name, deviation, freedom in zip(names, spread.deviations.tolist(), spread.freedom.tolist(), strict=True):
-            interval = symmetric_interval(theta[name], deviation, max(freedom, MIN_FREEDOM))
+            interval = symmetric_interval(theta[name], deviation, max(freedom, MIN_DEGREES_OF_FREEDOM))
             estimates[name] = Estimate(theta[name], deviation, interval)
         return estimates
 
     def effect(self, name: str, value: float, seconds: float, window: float) -> float:
-        """RMS change of y over `seconds` [s] due to a cause of this size, from windows of `window` [s]."""
+        """RMS change of y over `seconds` [s] due to a cause with this value; windows have a length of `window` [s]."""
         count = max(round(seconds / window), 1)
         column = self.columns[name]
         if len(column) < count:
@@ -133,8 +133,8 @@ class Regression:
                alongside: Sequence[str] = ()) -> dict[str, Estimate]:
         """The significant and relevant causes, selected one at a time and fitted together.
 
-        candidates: smallest value reported, by name. always: causes that are fitted in any case. alongside: causes that
-        are fitted together with a candidate, because they would otherwise act as slow noise on it.
+        candidates: smallest reported value by name. always: causes that are fitted in any case. alongside: causes that
+        are fitted together with a candidate if it fails without them, because they act as slow noise on it.
         """
         chosen: list[str] = []
         remaining = [name for name in candidates if np.abs(self.columns[name]).max(initial=0.0) > 0.0]
@@ -143,7 +143,7 @@ class Regression:
             losses = {name: self.loss([*always, *chosen, name], scale) for name in remaining}
             best = min(losses, key=losses.__getitem__)
             remaining.remove(best)
-            # A cause that makes the previous ones insignificant is collinear with them and is not added.
+            # A cause that makes a previous one insignificant is collinear with it and is not added.
             for extra in ((), [name for name in alongside if name not in (*always, *chosen, best)]):
                 joint = self.estimates([*always, *chosen, best, *extra])
                 if all(is_relevant(joint[name], candidates[name]) for name in (*chosen, best)):
@@ -154,12 +154,12 @@ class Regression:
 
 
 def with_systematic(name: str, estimate: Estimate) -> Estimate:
-    """The estimate with the systematic uncertainty of its identity (SYSTEMATIC); name: of the finding."""
+    """The estimate with the systematic uncertainty (SYSTEMATIC) of the finding of this name."""
     kind = name.rpartition("_")[2]
     half = SYSTEMATIC.get(name, SYSTEMATIC.get(kind, 0.0))
     return estimate.widened(half * abs(estimate.value) if kind in ("scale", "sign") else half)
 
 
 def is_relevant(estimate: Estimate, minimum: float) -> bool:
-    """Whether an estimate is significant and reaches the smallest value that is reported."""
+    """Whether an estimate is significant and reaches the smallest reported value."""
     return estimate.significant and abs(estimate.value) >= minimum

@@ -1,4 +1,4 @@
-"""Sampling of a recording: stamps, gaps, repeated, frozen and rounded values; the noise of each channel."""
+"""Checks of how each channel was sampled: time stamps, gaps, held, frozen, clipped and rounded values, INS status."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -12,21 +12,21 @@ from .motion import MAX_GAP, Motion, spans, stretches
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
 STEERING = ("road_wheel_angle", "steering_wheel_angle")
-STAMPS_OF = {"INS": ("time",), "steering": ("road_wheel_angle",)}
-"""Signal -> channels of a finding about its stamps."""
-MIN_HELD_SHARE = 0.7  # fraction of the changes that have the same interval in a channel held at a lower rate
-MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, on average by half
-NOTE_SHARE = 0.01  # fraction of rows below which a fault of single rows is a note
+STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}
+"""Channels affected by wrong time stamps of a signal."""
+MIN_HELD_SHARE = 0.7  # minimum fraction of the samples held for the usual number of samples, in a held channel
+MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, and by 0.5 m on average
+NOTE_SHARE = 0.01  # largest fraction of faulty rows that is reported as a note only
 MAX_GAP_SHARE = 0.05  # fraction of the time lost in gaps; above it, whole driving conditions may be missing
-MIN_ROWS_PER_SAMPLE = 1.5  # of a slower sensor
-SPACING_TOLERANCE = 0.05  # relative, of the mean spacing of its samples, which a gap would increase
-MIN_FREEZE_TIME = 1.5  # s without any change
-MIN_CLIP_TIME = 0.3  # s at a limit
-MIN_CURVATURE_CHANGE = 0.1  # relative change of the curvature while the steering is constant at its limit
-CLIP_RATIO = 8.0  # number of samples at a limit divided by that at the adjacent values
-FREEZE_PAUSE_RATIO = 10.0  # times the channel's usual pause without any change
+MIN_ROWS_PER_SAMPLE = 1.5  # minimum sampling interval, in rows, of a sensor that is slower than the rows
+SPACING_TOLERANCE = 0.05  # relative error of such a sensor's mean sampling interval; a gap would increase the mean
+MIN_FREEZE_TIME = 1.5  # s; minimum duration of a frozen value
+MIN_CLIP_TIME = 0.3  # s; minimum duration of a clipped value
+MIN_CURVATURE_CHANGE = 0.1  # relative change of the curvature while a clipped steering angle is constant
+CLIP_RATIO = 8.0  # number of samples at the clipped value divided by the number at each adjacent value
+FREEZE_PAUSE_RATIO = 10.0  # duration of a frozen value divided by the channel's usual time without a change
 DISPENSABLE_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # not needed to score predicted paths
-MAX_STEP_RATIO = 1.5  # times the median spacing, up to which no sample is lost between two
+MAX_STEP_RATIO = 1.5  # sampling interval divided by its median; in a longer interval a sample is lost
 MAX_GYRO_BIAS = 0.02  # rad/s; a constant yaw counts as frozen only if the yaw rate is larger
 
 
@@ -58,7 +58,7 @@ def _channel_series(motion: Motion, name: str) -> tuple[np.ndarray, np.ndarray |
 def resolution(time: np.ndarray, values: np.ndarray) -> float:
     """Quantisation step of values, in their unit; 0 if they are not quantised. time: ascending [s].
 
-    Steps across lost samples do not count: in a uniform motion they are multiples of one step.
+    Steps across lost samples are ignored, because in a uniform motion they are multiples of one step.
     """
     if len(values) < 2:
         return 0.0
@@ -78,43 +78,44 @@ def resolution(time: np.ndarray, values: np.ndarray) -> float:
 
 
 def check_timing(motion: Motion, auxiliary: AuxiliaryData, left_out: Sequence[Finding] = ()) -> list[Finding]:
-    """Findings of stamps, gaps and missing rows. left_out: findings of removed samples, which do not count as gaps."""
+    """Findings about time stamps, gaps and missing values.
+
+    left_out: findings about samples that were removed; the intervals without them do not count as gaps.
+    """
     findings = []
     for signal, stamps in auxiliary.stamps.items():
         findings += _check_stamps(signal, np.asarray(stamps, np.int64))
     for signal, time in (("INS", motion.time), ("steering", motion.steering_time)):
         findings += _check_gaps(signal, time, [stretch for finding in left_out for stretch in finding.where])
-    missing = [_missing_values(channel, count, motion, auxiliary)
+    missing = [_missing_values_finding(channel, count, motion, auxiliary)
                for channel, count in auxiliary.missing.items() if count]
     return findings + merge_findings(missing)
 
 
-def _missing_values(channel: str, count: int, motion: Motion, auxiliary: AuxiliaryData) -> Finding:
-    time = motion.steering_time if channel in STEERING else motion.time
-    rows = auxiliary.stamps.get("INS", np.zeros(0))
-    if channel in STEERING:
-        rows = auxiliary.stamps.get("steering", rows)
-    if channel.startswith("acceleration"):  # a sample without an acceleration was kept, others were not
+def _missing_values_finding(channel: str, count: int, motion: Motion, auxiliary: AuxiliaryData) -> Finding:
+    time, signal = (motion.steering_time, "steering") if channel in STEERING else (motion.time, "INS")
+    rows = auxiliary.stamps.get(signal, auxiliary.stamps.get("INS", np.zeros(0)))
+    if channel.startswith("acceleration"):  # rows without an acceleration are kept, rows without another value are not
         share, rate = count / max(len(time), 1), 0.0
     else:
         share = count / max(len(time) + count, 1)
-        rate = _slower_rate(time, rows * 1e-9, share)
+        rate = _find_slower_rate(time, rows * 1e-9, share)
     if rate:
         text = (f"{channel}: {100 * share:.3g} % of the rows have no value, and the others are evenly spaced: it was "
                 f"recorded at {rate:.3g} Hz")
-        advice = "no action, if that is the rate of the sensor"
+        advice = "no action is needed if that is the sensor's rate"
     else:
         text = f"{channel}: {count} rows have no usable value ({100 * share:.3g} %); they were left out"
-        advice = "look at the values that the logger writes in these rows"
+        advice = "look at what the logger writes in these rows"
     severity = Severity.NOTE if rate or share <= NOTE_SHARE else Severity.WARNING
     return Finding("values_missing", severity, (channel,), text, share, advice=Advice("look", advice))
 
 
-def refused_frames(time: np.ndarray, frames: int, reason: str) -> Finding:
-    """Finding of steering frames that were received but not used.
+def rejected_frames_finding(time: np.ndarray, frames: int, reason: str) -> Finding:
+    """Finding of steering frames that were received but rejected by the decoder.
 
-    time: of these frames [s since the first INS measurement], ascending. frames: number of all frames. reason: of the
-    decoder.
+    time: ascending times of the rejected frames [s since the first INS measurement]. frames: number of all frames
+    received. reason: why the decoder rejected them.
     """
     share = len(time) / frames
     text = (f"road_wheel_angle: {len(time)} of {frames} frames between {time[0]:.2f} and {time[-1]:.2f} s were "
@@ -125,11 +126,11 @@ def refused_frames(time: np.ndarray, frames: int, reason: str) -> Finding:
                    where=stretches(time, MAX_GAP), advice=advice)
 
 
-def _slower_rate(time: np.ndarray, rows: np.ndarray, missing: float) -> float:
-    """Rate [Hz] of a sensor that is slower than the rows of the recording; 0 if the samples are not evenly spaced.
+def _find_slower_rate(time: np.ndarray, rows: np.ndarray, missing: float) -> float:
+    """Rate [Hz] of a sensor that is slower than the rows of the recording; 0 if its samples are not evenly spaced.
 
-    time: of its samples [s]; rows: of all rows [s]; missing: fraction of the rows without a sample. If a gap caused the
-    missing rows, the samples are one row apart. One sample in a hundred may deviate.
+    time: times of the sensor's samples [s]. rows: times of all rows [s]. missing: fraction of the rows without a
+    sample. One sampling interval in a hundred may deviate.
     """
     spacing, between = np.diff(time), np.diff(rows)
     if len(spacing) < 20 or len(between) < 20:
@@ -148,7 +149,7 @@ def _check_stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
     step = np.diff(stamps)
     newest = np.maximum.accumulate(stamps)[:-1]
     findings = []
-    # After a step back, all rows are unusable until the stamps exceed the newest one before the step.
+    # After a step back, rows are unusable until their stamps exceed the latest stamp before the step.
     old = (stamps[1:] <= newest) & (step != 0)
     for name, back, lost in (("time_order", step < 0, old), ("time_duplicates", step == 0, step == 0)):
         if not back.any():
@@ -166,7 +167,7 @@ def _check_stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
                     f"{'go back' if name == 'time_order' else 'are duplicates'}; those rows were left out")
             advice = "check how the rows were stamped and merged"
         severity = Severity.WARNING if reset or share > NOTE_SHARE else Severity.NOTE
-        findings.append(Finding(name, severity, STAMPS_OF[signal], text, share, where=where,
+        findings.append(Finding(name, severity, STAMPED_CHANNELS[signal], text, share, where=where,
                                 advice=Advice("look", advice)))
     return findings
 
@@ -175,7 +176,7 @@ def _check_gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, f
     if len(time) < 2:
         return []
     spacing = np.diff(time)
-    # In a slow recording, the interval between two samples is not a gap.
+    # In a slow recording, every sampling interval may exceed MAX_GAP.
     long = np.flatnonzero(spacing > max(MAX_GAP, 1.5 * float(np.median(spacing))))
     long = np.array([k for k in long if not any(time[k] < begin and end < time[k + 1] for begin, end in left_out)], int)
     if not len(long):
@@ -186,12 +187,12 @@ def _check_gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, f
     severity = Severity.WARNING if share > MAX_GAP_SHARE else Severity.NOTE
     text = (f"{len(long)} gap{'s' if len(long) > 1 else ''} of the {signal}, {missing:.2f} s in all, longest "
             f"{spacing[long].max():.2f} s: nothing is scored there")
-    return [Finding("time_gaps", severity, STAMPS_OF[signal], text, missing, "s", where=where,
+    return [Finding("time_gaps", severity, STAMPED_CHANNELS[signal], text, missing, "s", where=where,
                     advice=Advice("look", "check the logger: lost packets, a full buffer, a restart"))]
 
 
 def find_stuck_channels(motion: Motion, channels: Mapping[str, Channel]) -> list[Finding]:
-    """Findings of channels that are held at a lower rate, or constant while the car moves."""
+    """Findings of channels that are held at a lower rate, clipped, or constant while the car moves."""
     findings = []
     for name, channel in channels.items():
         time, values = _channel_series(motion, name)
@@ -203,8 +204,7 @@ def find_stuck_channels(motion: Motion, channels: Mapping[str, Channel]) -> list
 
 
 def find_coarse_channels(motion: Motion, stuck: Sequence[Finding]) -> list[Finding]:
-    """Findings of channels rounded so coarsely that the start of a prediction has a relevant error; held channels are
-    left out."""
+    """Findings of channels rounded so coarsely that initial states have a relevant error, except held channels."""
     held = {channel for finding in stuck if finding.name == "samples_repeated" for channel in finding.channels}
     speed = float(np.median(motion.speed))
     return merge_findings([finding for name in POSITION_EFFECT if name not in held
@@ -218,7 +218,7 @@ def _constant_runs(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _check_held(name: str, time: np.ndarray, values: np.ndarray) -> list[Finding]:
-    """Finding of a channel that changes at every k-th sample only, k the same throughout."""
+    """Finding of a channel that changes only at every k-th sample, with a constant k."""
     _, lengths = _constant_runs(values)
     if len(lengths) < 20:
         return []
@@ -278,13 +278,13 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
     elif name == "road_wheel_angle":
         advice = Advice("look", "look at the steering sensor: its frames repeat one value")
     else:
-        stretches = [[round(begin, 2), round(end, 2)] for begin, end in where]
-        advice = Advice("run.yaml", f"leave_out: {stretches}", {"leave_out": stretches})
+        frozen_times = [[round(begin, 2), round(end, 2)] for begin, end in where]
+        advice = Advice("run.yaml", f"leave_out: {frozen_times}", {"leave_out": frozen_times})
     return [Finding("channel_frozen", severity, (name,), text, seconds, "s", where=where, advice=advice)]
 
 
 def _should_change(name: str, begin: float, end: float, motion: Motion, step: float) -> bool:
-    """Whether this channel should have changed by more than its resolution `step`, according to the others."""
+    """Whether the other channels show that this one should have changed by more than its resolution `step`."""
     inside = (motion.time >= begin) & (motion.time <= end)
     if inside.sum() < 3:
         return False
@@ -297,7 +297,7 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
     rate = related(motion)[inside]
     rounding = 3.0 * step if name in IN_UNIT_OF_RELATED else 0.0
     low, high = np.percentile(rate, [5, 95])
-    if name == "road_wheel_angle":  # at its mechanical stop only the speed changes the yaw rate
+    if name == "road_wheel_angle":  # the steering may rest at its mechanical stop while the speed changes the yaw rate
         curvature = rate / np.maximum(motion.velocity_x[inside], 2.0)
         tight, wide = np.percentile(np.abs(curvature), [95, 5])
         return bool(high - low > min_change and tight - wide > MIN_CURVATURE_CHANGE * np.median(np.abs(curvature)))
@@ -305,17 +305,17 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
 
 
 def _smooth_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Rate of change in the following half second; at the end the last value is repeated."""
+    """Mean rate of change in the half second after each sample; the last rate is repeated up to the end."""
     count = max(round(0.5 / float(np.median(np.diff(time)))), 1)
     rate = (values[count:] - values[:-count]) / (time[count:] - time[:-count])
     return np.concatenate([rate, np.full(len(time) - len(rate), rate[-1] if len(rate) else 0.0)])
 
 
-# Position error after 5 s per unit of error of the initial state [m], and whether it is proportional to speed [s].
+# Position error after the horizon per unit of error of the initial state, and whether the speed multiplies it.
 POSITION_EFFECT = {
     "x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
     "velocity_y": (LIMITS.settling * HORIZON, False), "yaw_rate": (LIMITS.settling * HORIZON, True)}
-# A quantity of other channels that changes when this one does, and the change above which this one must change.
+# By channel: a quantity computed from other channels, and its change [unit] above which the channel must change too.
 RELATED_RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
     "velocity_x": (lambda m: np.hypot(_smooth_rate(m.time, m.x), _smooth_rate(m.time, m.y)), 0.3),
     "velocity_y": (lambda m: m.yaw_rate, 0.05),
@@ -328,7 +328,7 @@ IN_UNIT_OF_RELATED = ("velocity_x", "acceleration_x", "acceleration_y", "yaw_rat
 
 
 def _check_resolution(name: str, motion: Motion, speed: float) -> list[Finding]:
-    """Finding of a channel whose rounding, with standard deviation resolution / sqrt(12), shifts initial states."""
+    """Finding of a channel whose rounding error, of standard deviation resolution / sqrt(12), is relevant."""
     step = resolution(motion.time, getattr(motion, name))
     distance, grows_with_speed = POSITION_EFFECT[name]
     effect = step / np.sqrt(12.0) * distance * (speed if grows_with_speed else 1.0)
@@ -355,8 +355,8 @@ def without_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motio
     return motion
 
 
-LOCKED = 4  # NCOM byte 21
-RTK = (5, 6)  # NCOM position modes: RTK float, RTK integer
+LOCKED_STATUS = 4  # NCOM byte 21
+RTK_MODES = (5, 6)  # NCOM position modes: RTK float, RTK integer
 
 
 def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
@@ -365,27 +365,27 @@ def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
         return []
     time = (quality.time_ns - start_ns) * 1e-9
 
-    def stretches(mask: np.ndarray) -> tuple[tuple[float, float], ...]:
+    def times_of(mask: np.ndarray) -> tuple[tuple[float, float], ...]:
         return tuple((float(time[a]), float(time[b])) for a, b in spans(mask)[:20])
 
     findings = []
     mode, status = quality.position_mode, quality.navigation_status
-    without_rtk = np.isfinite(mode) & (mode >= 0) & ~np.isin(mode, RTK)
-    not_locked = np.isfinite(status) & (status != LOCKED)
-    for bad, words in ((without_rtk, "without RTK"), (not_locked, "not locked")):
+    without_rtk = np.isfinite(mode) & (mode >= 0) & ~np.isin(mode, RTK_MODES)
+    not_locked = np.isfinite(status) & (status != LOCKED_STATUS)
+    for bad, condition in ((without_rtk, "without RTK"), (not_locked, "not locked")):
         if not bad.any():
             continue
         share = float(bad.mean())
-        text = f"the INS is {words} for {100 * share:.0f} % of the time: its positions drift there"
+        text = f"the INS is {condition} for {100 * share:.0f} % of the time: its positions drift there"
         severity = Severity.WARNING if share > NOTE_SHARE else Severity.NOTE
-        findings.append(Finding("ins_mode", severity, ("ins",), text, share, where=stretches(bad), advice=Advice(
-            "look", "leave these stretches out, or post-process the raw data")))
+        findings.append(Finding("ins_mode", severity, ("ins",), text, share, where=times_of(bad), advice=Advice(
+            "look", "leave out these stretches, or post-process the raw data of the INS")))
     accuracy = quality.position_accuracy
     known = np.isfinite(accuracy)
     typical = float(np.median(accuracy[known])) if known.any() else 0.0
     if typical >= LIMITS.warning:
         text = f"the median standard deviation of position reported by the INS is {typical:.2f} m"
         findings.append(Finding("ins_accuracy", LIMITS.severity(typical), ("ins",), text, typical, "m",
-                                where=stretches(known & (accuracy >= LIMITS.warning)), effect=typical,
-                                advice=Advice("look", "record with RTK, or post-process")))
+                                where=times_of(known & (accuracy >= LIMITS.warning)), effect=typical,
+                                advice=Advice("look", "record with RTK, or post-process the raw data of the INS")))
     return findings

@@ -1,9 +1,9 @@
-"""Comparison of positions with integrated velocity, sample by sample: jumps, stale samples, noise, jitter of stamps.
+"""Checks of each position step against integrated velocity: jumps, stale samples, noise, jitter of time stamps.
 
     d_k = p_k - p_{k-1} - integral of R(yaw) v dt
 
-A jump is one large d. A stale position, one receiver interval h old, is a step back along the track by v h, followed by
-an equal step forward at the next new position.
+A jump is one large d. A stale position, which is older by one receiver interval h, causes a step back along the track
+by v h, and the next new position an equal step forward.
 """
 
 from collections.abc import Sequence
@@ -18,19 +18,20 @@ from .finding import HORIZON, LIMITS, Advice, Finding, Severity
 from .motion import MAX_GAP, MOVING, Motion, integral, stretches
 from .sampling import resolution
 
-OUTLIER_SIGMAS = 6.0  # robust standard deviations beyond which a step is not noise
-MIN_NOISE = 0.05  # m; noise between samples is 2 cm for RTK positions, and far less for those of an INS
+OUTLIER_SIGMAS = 6.0  # number of robust standard deviations above which a step is not noise
+MIN_NOISE = 0.05  # m; noise between samples is 2 cm for RTK positions, and far less for INS positions
 MIN_JUMP = 0.2  # m; the distance in 10 ms at 20 m/s
 MAX_LISTED_JUMPS = 50
-JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s to both sides of a jump, so that a gap remains; rounded to 10 ms
-MIN_STALE_SAMPLES, WARNING_STALE_SHARE = 5, 0.05  # at this fraction, one start in twenty is wrong
-MAX_AGE_SPREAD = 0.35  # spread of the ages of stale samples divided by their median
-MIN_STEP_BALANCE = 0.5  # ratio of steps forward to steps back
-MAX_CROSS_TRACK_SHARE = 0.3  # fraction of the step of a stale sample
+JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s left out on both sides of a jump; 10 ms more than required to make a gap
+MIN_STALE_SAMPLES = 5
+WARNING_STALE_SHARE = 0.05  # fraction of stale samples above which they are a warning
+MAX_AGE_SPREAD = 0.35  # robust standard deviation of the ages of stale samples, divided by their median
+MIN_STEP_BALANCE = 0.5  # ratio between the numbers of steps forward and back
+MAX_CROSS_TRACK_SHARE = 0.3  # cross-track part of the step of a stale sample, divided by the step
 
 
 def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(the motion, with even stamps in place of jittering ones; the findings)."""
+    """(the motion, with evenly spaced times in place of jittering time stamps; the findings)."""
     if len(motion.time) < 50:
         return motion, []
     errors, along = _step_errors(motion)
@@ -46,7 +47,7 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def _step_errors(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-    """(d_k [m], east + i north; its part along the track divided by the speed [s], NaN at standstill), n - 1 each."""
+    """(d_k, east + i north [m]; its along-track part divided by the speed [s], NaN at standstill), (n - 1,) each."""
     east, north = motion.velocity_map
     errors = (np.diff(motion.x) - np.diff(integral(motion.time, east))
               + 1j * (np.diff(motion.y) - np.diff(integral(motion.time, north))))
@@ -57,7 +58,7 @@ def _step_errors(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
 
 def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
                  rounding: float) -> tuple[np.ndarray, list[Finding]]:
-    """(mask of the steps due to stale samples, the finding)."""
+    """(mask of the steps due to stale samples, the findings)."""
     known = np.isfinite(along)
     none = np.zeros(len(along), bool)
     if known.sum() < 50:
@@ -68,11 +69,11 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     spread = ROBUST * float(np.median(np.abs(age[known][small]))) if small.any() else np.inf
     speed = motion.speed[1:]
     across = np.sqrt(np.maximum(np.abs(errors) ** 2 - np.where(known, along * speed, 0.0) ** 2, 0.0))
-    # Noise is equally large across the track and along it; at low speed the latter is many milliseconds.
+    # At low speed, noise of the position is an age of many milliseconds. It is as large across the track as along it.
     noise = ROBUST * float(np.median(across[known]))
     large = (known & (np.abs(age) > max(OUTLIER_SIGMAS * spread, 0.15 * spacing))
              & (np.abs(age) * speed > OUTLIER_SIGMAS * noise))
-    # Stale samples step along the track; steps in any direction are jumps.
+    # Stale samples cause steps along the track only, jumps in any direction.
     if large.sum() < MIN_STALE_SAMPLES or np.median(across[large]) > MAX_CROSS_TRACK_SHARE * np.median(
             np.abs(errors[large])):
         return none, []
@@ -86,14 +87,14 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     trials = max(round(float(known.sum()) * spacing), 1)  # errors of neighbouring samples are not independent
     ends = binomtest(round(share * trials), trials).proportion_ci(method="wilson")
     interval = min(float(ends.low), share), max(float(ends.high), share)
-    text = (f"at {100 * share:.3g} % of the rows the position falls back to one measured {delay * 1e3:.0f} ms earlier, "
-            "and returns later: in between it is stale by one sample of the receiver")
+    text = (f"{100 * share:.3g} % of the positions are stale: they step back to where the car was "
+            f"{delay * 1e3:.0f} ms before, and the next ones step forward again")
     severity = Severity.WARNING if share > WARNING_STALE_SHARE else Severity.NOTE
     stale = (back | forward) & (np.abs(age) < 1.6 * delay) & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors))
     return stale, [Finding(
         "position_stale", severity, ("x", "y"), text, share, "1", interval, stretches(motion.time[1:][back], 5.0)[:20],
         delay * float(np.median(speed[known])),
-        Advice("look", "stamp positions with their own time, or leave out the rows with a stale position"))]
+        Advice("look", "record each position with the time of its measurement, or leave out rows with a stale one"))]
 
 
 def _check_jumps(motion: Motion, errors: np.ndarray, stale: np.ndarray, rounding: float) -> list[Finding]:
@@ -106,7 +107,7 @@ def _check_jumps(motion: Motion, errors: np.ndarray, stale: np.ndarray, rounding
         return []
     where = tuple((float(motion.time[k]), float(motion.time[k + 1])) for k in np.flatnonzero(large))
     median, largest = float(np.median(size[large])), float(size[large].max())
-    text = (f"positions jump {count} time{'s' if count > 1 else ''}, not explained by velocity: median "
+    text = (f"positions jump {count} time{'s' if count > 1 else ''} without a matching velocity: median "
             f"{median:.2f} m, largest {largest:.2f} m")
     share = min(count * HORIZON / max(float(motion.time[-1] - motion.time[0]), 1.0), 1.0)
     effect = median * float(np.sqrt(share))
@@ -115,9 +116,9 @@ def _check_jumps(motion: Motion, errors: np.ndarray, stale: np.ndarray, rounding
 
 
 def _leave_out_jumps(where: Sequence[tuple[float, float]]) -> Advice:
-    """Advice to leave out the jumps: nothing is compared and no prediction scored across the resulting gaps."""
+    """Advice to leave out the jumps, because no prediction is scored across the resulting gaps."""
     if len(where) > MAX_LISTED_JUMPS:
-        return Advice("look", "too many to leave out: record positions with RTK, or post-process the raw data")
+        return Advice("look", "too many jumps to leave out: record with RTK, or post-process the raw data of the INS")
     gaps: list[list[float]] = []
     for first, last in where:
         begin, end = round(first - JUMP_MARGIN, 2), round(last + JUMP_MARGIN, 2)
@@ -129,7 +130,7 @@ def _leave_out_jumps(where: Sequence[tuple[float, float]]) -> Advice:
 
 
 def _check_noise(motion: Motion, errors: np.ndarray) -> list[Finding]:
-    """White noise of positions: |d_k| has a Rayleigh distribution with scale sqrt(2) sigma, median 1.665 sigma."""
+    """Finding of white noise of positions: |d_k| has a Rayleigh distribution with median 1.665 sigma."""
     within = np.diff(motion.time) <= MAX_GAP
     if within.sum() < 50:
         return []
@@ -142,15 +143,14 @@ def _check_noise(motion: Motion, errors: np.ndarray) -> list[Finding]:
 
 
 def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
-    """Finding of uneven stamps of a smooth motion: d / v = -(dt - its mean)."""
+    """Finding of uneven time stamps of a smooth motion, in which d / v = mean dt - dt."""
     spacing = np.diff(motion.time)
     median = float(np.median(spacing))
     inside = (spacing < MAX_GAP) & np.isfinite(along)
     if inside.sum() < 50:
         return []
     uneven = (spacing - median)[inside]
-    power = float(np.sum(uneven**2))
-    deviation = float(np.std(uneven))
+    power, deviation = float(np.sum(uneven**2)), float(np.std(uneven))
     if deviation < 0.05 * median or power <= 0.0:
         return []
     slope = float(np.sum(along[inside] * -uneven) / power)
@@ -158,5 +158,5 @@ def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
     if slope < 0.5 or effect < LIMITS.min_reported_effect:
         return []
     text = f"the stamps jitter by {deviation * 1e3:.1f} ms but the motion is smooth: they are times of reception"
-    return [Finding("time_jitter", LIMITS.severity(effect), ("time",), text, deviation, "s", effect=effect, advice=
-                    Advice("look", "use the time of measurement (GPS time)"))]
+    return [Finding("time_jitter", LIMITS.severity(effect), ("time",), text, deviation, "s", effect=effect,
+                    advice=Advice("look", "use the time of measurement (GPS time)"))]

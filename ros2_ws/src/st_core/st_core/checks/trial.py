@@ -1,15 +1,14 @@
-"""Trial of corrections: each is applied to its run, and proposed unless predictions become worse.
+"""Trial of corrections: each is applied to its run, and is proposed unless predictions become worse.
 
-The error is the distance between the measured position and that of the linear single-track model, 5 s after starts that
-lie 5 s apart, both from the corrected drive. A wrong steering ratio or offset of the vehicle file would favour
-corrections that happen to compensate it, so both are fitted before and after:
+The prediction error is the distance between the measured position and the position predicted by the linear single-track
+model, HORIZON after starts that are HORIZON apart, both from the corrected drive. A wrong steering ratio or offset in
+the vehicle file would favour corrections that happen to compensate it, so both are fitted, with and without correction:
 
     e = e_0 + (de/dg) g + (de/do) o,    g, o: gain [1] and offset [rad] of the road wheel angle, least squares within
                                         |g| <= MAX_GAIN, |o| <= MAX_OFFSET
 
-Without bounds a circle, on which gain and offset are confounded, explains any error by huge values of both.
-
-Checked by: test_checks_trial.py.
+Without bounds, huge values of both would explain any error on a circle, where gain and offset are confounded.
+Checked by: test_checks_trial.py, test_checks_step.py.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,23 +33,23 @@ from .motion import stretches
 # A correction is rejected if the error exceeds 1.1 e_before + 0.02 m. Position noise and valid corrections on seventeen
 # real drives (at most 7 % worse) stay below this.
 MAX_ERROR_RATIO, ERROR_NOISE = 1.1, 0.02
-GAIN_STEP, OFFSET_STEP = 0.03, 0.003  # 1, rad; of the derivatives
-MAX_GAIN, MAX_OFFSET = LIMITS.steering_unit - 1.0, 0.1  # 1, rad at the road wheels; no car has more
+GAIN_STEP, OFFSET_STEP = 0.03, 0.003  # 1, rad; steps of the difference quotients
+MAX_GAIN, MAX_OFFSET = LIMITS.steering_unit - 1.0, 0.1  # 1, rad at the road wheels; larger than in any car
 MIN_STARTS = 4
-MAX_STARTS = 100  # evenly spaced in the run; with more, the error changes by less than 1 %
+MAX_STARTS = 100  # evenly spaced in the run; with more starts, the error changes by less than 1 %
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
-# Number of speeds, from the lowest to the highest of the run, at which the step size is checked for stability.
-SPEED_COUNT = 40
-STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # of a step; the results have few digits
-MERGE_GAP = 1.0  # s; stretches closer than that are merged
+SPEED_COUNT = 40  # number of speeds, from the lowest to the highest of the run, at which the stability is computed
+STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # they result in steps with few digits
+MERGE_GAP = 1.0  # s; stretches closer than this are merged
 State = tuple[DriveLog, VehicleParameters]
 
 
 def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehicleParameters) -> list[Finding]:
-    """The findings with the prediction error [m] before and after their correction; harmful corrections are removed.
+    """The findings with the prediction error [m] without and with their correction; harmful corrections are removed.
 
-    Corrections of errors are applied together, since one wrong unit may mask another; then each warning separately. A
-    warning refuted by its correction becomes a note. Corrections on which no prediction depends are not tried.
+    The corrections of all errors are applied together, since one wrong unit may mask another, and then the correction
+    of each warning separately. A warning with a harmful correction becomes a note. Corrections that affect no
+    prediction are not tried.
     """
     tested = [finding for finding in findings if _is_tested(finding)]
     if not tested:
@@ -78,7 +77,7 @@ def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehiclePara
 
 def _is_tested(finding: Finding) -> bool:
     return (finding.severity is not Severity.NOTE and finding.advice is not None and bool(finding.advice.entry)
-            and not finding.of_acceleration and "leave_out" not in finding.advice.entry)
+            and not finding.concerns_only_acceleration and "leave_out" not in finding.advice.entry)
 
 
 def _with_outcome(finding: Finding, before: float | None, after: float | None) -> Finding:
@@ -86,8 +85,8 @@ def _with_outcome(finding: Finding, before: float | None, after: float | None) -
         return finding
     if not _is_worse(before, after):
         return replace(finding, tried=(before, after))
-    advice = (f"its correction would raise the prediction error of this run from {before:.2f} to {after:.2f} m and is "
-              "not proposed: look for another cause")
+    advice = (f"its correction is not proposed, as it would raise the prediction error of this run from {before:.2f} "
+              f"to {after:.2f} m: look for another cause")
     severity = Severity.NOTE if finding.severity is Severity.WARNING else finding.severity
     return replace(finding, severity=severity, advice=Advice("look", advice), tried=(before, after))
 
@@ -97,7 +96,7 @@ def _is_worse(before: float, after: float) -> bool:
 
 
 def _prediction_error(state: State | None) -> float | None:
-    """Root mean square distance after the horizon [m]; None if nothing can be predicted."""
+    """Prediction error of the module docstring, root mean square [m]; None if nothing can be predicted."""
     if state is None:
         return None
     log, vehicle = state
@@ -123,7 +122,7 @@ def _prediction_error(state: State | None) -> float | None:
 
 
 def _apply_advice(state: State, advice: Advice | None) -> State | None:
-    """The run with this correction; None if it cannot be applied to data that are already read."""
+    """The run with a correction; None without one, and if it fails."""
     log, vehicle = state
     if advice is None or not advice.entry:
         return None
@@ -141,7 +140,7 @@ def _apply_advice(state: State, advice: Advice | None) -> State | None:
 
 
 def _relabel_columns(log: DriveLog, entry: Mapping[str, Any]) -> DriveLog:
-    """The drive with another unit of time, and exchanged columns."""
+    """The drive with the unit of time and the exchanged columns of an entry of run.yaml."""
     unit = entry.get("units", {}).get("t")
     if unit:
         start = log.start_ns
@@ -155,9 +154,8 @@ def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log
                   step: float) -> Finding | None:
     """The finding `step_too_long` for all models together; None if the step [s] is short enough.
 
-    Its value is the minimum_slip_speed [m/s] that makes the step stable, as printed; else the longest stable step tried
-    [s]; None if there is neither.
-    Checked by: test_checks_step.py.
+    The value of the finding is the minimum_slip_speed [m/s] that makes the step stable, or else the longest stable step
+    tried [s], or None.
     """
     chosen = [get_model(model) for model in models]
     speed = np.abs(log.velocity_x)

@@ -1,7 +1,7 @@
-"""Units, signs and axes: factors too large for a calibration error.
+"""Checks of units, signs and axes: a wrong one changes a channel by more than any calibration error.
 
-Yaw change has three estimates (yaw, integrated yaw rate, course over ground), of which the outlier is wrong; distance
-has two (change of position, integrated velocity):
+The change of yaw has three estimates (yaw, integrated yaw rate, course over ground), and the outlier is wrong. Distance
+has two (change of position, integrated velocity). The ratios of these estimates reveal the cause:
 
     yaw / course = f, yaw / rate = f, rate / course = 1      -> yaw is f times too large
     position / velocity = 1 / f, yaw / rate = 1 / f          -> the stamps run f times too fast
@@ -29,30 +29,30 @@ from .motion import (
 )
 from .regression import Estimate
 
-MIN_YAW_RANGE = 0.2  # rad of turning
-MAX_FOLLOW_MISFIT = 0.02  # fraction of the distance up to which positions are consistent with yaw and velocity
-MAX_MAP_MISFIT = 0.1  # fraction of the distance, and of the misfit in body axes, up to which velocities are in map axes
-MAX_SCALE_ERROR = 0.005  # of a faultless gyroscope or projection
-MIN_RATE_ERROR = 0.005  # relative error of the time; that of a crystal is 0.0001
-CLEAR_MISFIT_RATIO = 0.8
-TIE_MISFIT_RATIO = 0.97  # above it velocity_y is too small to determine its unit, which is then that of velocity_x
+MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw during the drive
+MAX_CONSISTENT_MISFIT = 0.02  # largest misfit of consistent positions, yaw and velocities, divided by the distance
+MAX_MAP_MISFIT = 0.1  # largest misfit of velocities in map axes, divided by the distance or the misfit in body axes
+MAX_SCALE_ERROR = 0.005  # relative scale error of a faultless gyroscope or projection
+MIN_RATE_ERROR = 0.005  # smallest reported relative error of the time; a crystal is accurate to 0.0001
+CLEAR_MISFIT_RATIO = 0.8  # ratio of two misfits below which the smaller one is clearly better
+TIE_MISFIT_RATIO = 0.97  # ratio of two misfits above which velocity_y is too small to determine its own unit
 DEGREE, GON = 180.0 / np.pi, 200.0 / np.pi
 ANGLES = {DEGREE: "degrees", GON: "gon", 1000.0: "mrad"}
 SPEEDS = {3.6: "km/h", 2.23694: "mph", 1.94384: "knots"}
 LENGTHS = {1000.0: "millimetres", 100.0: "centimetres", 3.28084: "feet", 0.001: "kilometres"}
-MAX_DEGREE_RATIO = 1e-4  # below it positions are angles: a degree of latitude is 111 km
+MAX_DEGREE_RATIO = 1e-4  # ratio to the distance below which positions are angles: a degree of latitude is 111 km
 TIMES = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanoseconds", "ns")}
-MIN_WRAP_STEP = 0.01  # rad; 360 degrees are 1.86 degrees more than a whole number of 2 pi
+MIN_WRAP_STEP = 0.01  # rad; smallest step taken for a wrap: 360 is 1.86 more than a whole multiple of 2 pi
 Corrected = tuple[Motion, Finding | None]
 
 
 def match_unit(factor: float, table: Mapping[float, Any]) -> float | None:
-    """The factor of a table of units within 6 % of this one, or None."""
+    """The factor in a table of units that is within 6 % of this factor, or None."""
     return next((known for known in table if is_near(factor, known, 1.06)), None)
 
 
 def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(motion with units, signs and axes corrected, the findings). Its stamps are in seconds: see `check_time_unit`."""
+    """(motion with units, signs and axes corrected, the findings). `check_time_unit` must precede it."""
     findings: list[Finding] = []
     for step in (_correct_both_turns, _correct_north_east, _correct_turns, _correct_position_axes, _correct_distance,
                  _correct_velocity_axes, _correct_yaw_offset):
@@ -67,10 +67,10 @@ def _merge_yaw_findings(findings: list[Finding]) -> list[Finding]:
     if not {"yaw_convention", "yaw_offset"} <= by_name.keys():
         return findings
     clockwise, offset = by_name["yaw_convention"], by_name.pop("yaw_offset")
-    assert clockwise.advice and offset.advice  # both are made with one
+    assert clockwise.advice and offset.advice  # both findings always have advice
     correct = {channel: dict(values) for channel, values in clockwise.advice.entry["correct"].items()}
     correct["yaw"]["add"] += offset.advice.entry["correct"]["yaw"]["add"]
-    text = f"{clockwise.text.partition(':')[0]}, and not from north: yaw is from east, counter-clockwise"
+    text = f"{clockwise.text.partition(':')[0]}, and not from north; expected: from east, counter-clockwise"
     by_name["yaw_convention"] = replace(clockwise, text=text, advice=_correct_channels(correct))
     return list(by_name.values())
 
@@ -86,7 +86,7 @@ def _error(name: str, channels: tuple[str, ...], text: str, value: float | None,
 
 
 def check_time_unit(motion: Motion) -> Corrected:
-    """Unit of the stamps, from comparison with positions and yaw; for example milliseconds taken for seconds."""
+    """Correct a unit of time, such as milliseconds read as seconds, by comparison with positions and yaw."""
     if len(motion.time) < 20:
         return motion, None
     spacing = float(np.median(np.diff(motion.time)))
@@ -97,20 +97,20 @@ def check_time_unit(motion: Motion) -> Corrected:
         return motion, None
     factor = 1.0 / found.distance
     unit = match_unit(factor, TIMES)
-    # A single ratio may also be due to the unit of velocity, so only factors of time units are accepted then.
+    # A single ratio may also be due to the unit of velocity, so it must match a unit of time.
     if not unit and (len(known) < 2 or 1 / 10 < factor < 10):
         return motion, None
     reason, advice = "", Advice("look", "check the clock that stamps the rows")
     if unit:
         factor, (name, symbol) = unit, TIMES[unit]
-        reason, advice = f": {name}?", Advice("run.yaml", f"units: {{t: {symbol}}}", {"units": {"t": symbol}})
+        reason = f": is its unit {name}?"
+        advice = Advice("run.yaml", f"units: {{t: {symbol}}}", {"units": {"t": symbol}})
     text = f"time runs {factor:g} times too fast for positions and yaw{reason}"
     return motion.with_time_divided(factor), _error("time_unit", ("time",), text, factor, advice)
 
 
 def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> Finding | None:
-    """Finding of stamps at a wrong nominal rate: compared with positions and yaw, velocity and yaw rate are too large
-    by the same factor, that of the time. None if the two factors differ or one of them is 1."""
+    """Finding of time stamps at a wrong nominal rate, if velocity and yaw rate are too large by the same factor."""
     velocity, turn = (estimates.get(name) for name in ("velocity_scale", "yaw_rate_scale"))
     wrong = next((f for f in findings if f.name in ("velocity_scale", "position_scale")), None)
     if velocity is None or turn is None or wrong is None or turn.shifted(-1.0).covers(0.0):
@@ -129,15 +129,15 @@ def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate
                    advice=advice)
 
 
-def yaw_is_late(motion: Motion, earlier: Motion) -> bool:
+def is_yaw_late(motion: Motion, earlier: Motion) -> bool:
     """Whether positions agree clearly better with velocity and yaw in `earlier`, the drive with yaw shifted in time."""
     return _misfit(earlier) < CLEAR_MISFIT_RATIO * _misfit(motion)
 
 
 def _correct_both_turns(motion: Motion) -> Corrected:
-    """Yaw rate in the same wrong unit as yaw (of either sense), known from the course; yaw is corrected later."""
+    """Correct a yaw rate that the course shows to be in the same wrong unit as yaw; yaw is corrected later."""
     r = ratios(motion)
-    # The course in one short bend is uncertain by ten per cent, so both yaw and yaw rate must agree.
+    # In one short bend the course is uncertain by ten per cent, so the ratios of yaw and yaw rate must both agree.
     size = _angle_unit(r.rate_course, SAME_RATIO_FACTOR)
     if size in ANGLES and is_near(abs(r.yaw_rate), 1.0, LIMITS.unit) and (
             is_near(abs(r.yaw_course), size, LIMITS.unit)):
@@ -146,7 +146,7 @@ def _correct_both_turns(motion: Motion) -> Corrected:
 
 
 def _correct_turns(motion: Motion) -> Corrected:
-    """Yaw and yaw rate, each compared with the other two estimates."""
+    """Correct unit and sign of yaw or yaw rate: the one that disagrees with the other estimates of the turn."""
     r = ratios(motion)
     if not np.isfinite(r.yaw_rate) or 1 / LIMITS.unit < r.yaw_rate < LIMITS.unit:
         return motion, None
@@ -160,7 +160,7 @@ def _correct_turns(motion: Motion) -> Corrected:
 
 
 def _correct_north_east(motion: Motion) -> Corrected:
-    """Positions (north, east) and a clockwise yaw, where the other channels confirm the sign of the yaw rate."""
+    """Correct positions (north, east) with a clockwise yaw, if the other channels confirm the sign of the yaw rate."""
     r = ratios(motion)
     if motion.geographic or not (is_near(r.yaw_rate, -1.0, LIMITS.unit) and is_near(r.yaw_course, 1.0, LIMITS.unit)):
         return motion, None
@@ -172,8 +172,8 @@ def _correct_north_east(motion: Motion) -> Corrected:
     votes.append(int(mirrored < CLEAR_MISFIT_RATIO * original) - int(original < CLEAR_MISFIT_RATIO * mirrored))
     if sum(votes) <= 0:
         return motion, None
-    text = ("x, y and yaw turn the other way than yaw rate and steering: x north, y east, and yaw a compass heading? "
-            "x is east, y north, and yaw from east, counter-clockwise")
+    text = ("x, y and yaw turn in the opposite direction to yaw rate and steering: is x north, y east and yaw a "
+            "compass heading? Expected: x east, y north, yaw from east, counter-clockwise")
     entry = {"columns": {"x": "y", "y": "x"}, "correct": {"yaw": {"scale": -1.0, "add": np.pi / 2}}}
     line = f"columns: {{x: y, y: x}}  # and correct: {{yaw: {{scale: -1, add: {np.pi / 2:g}}}}}"
     return replace(motion, x=motion.y, y=motion.x, yaw=np.pi / 2 - motion.yaw), _error(
@@ -190,7 +190,7 @@ def _common_sign(values: np.ndarray, turn: np.ndarray) -> int:
 
 
 def _positions_follow_yaw(motion: Motion) -> bool:
-    """Whether positions follow yaw and velocity, apart from a constant rotation and a unit."""
+    """Whether positions agree with yaw and velocity, apart from a constant rotation and a unit of velocity."""
     over = windows(motion.time, 1.0)
     distance = np.hypot(over.change(motion.x), over.change(motion.y))
     integrated = over.change(integral(motion.time, motion.speed))
@@ -198,13 +198,13 @@ def _positions_follow_yaw(motion: Motion) -> bool:
         return False
     factor = float(np.sum(distance) / max(np.sum(integrated), 1e-12))
     scaled = replace(motion, velocity_x=factor * motion.velocity_x, velocity_y=factor * motion.velocity_y)
-    return _misfit(scaled) < MAX_FOLLOW_MISFIT * float(np.median(distance))
+    return _misfit(scaled) < MAX_CONSISTENT_MISFIT * float(np.median(distance))
 
 
 def _scale_yaw_rate(motion: Motion, factor: float, against: str = "yaw", size: float = 0.0) -> tuple[Motion, Finding]:
     size = size or _angle_unit(factor)
     exact = float(np.copysign(size, factor))
-    reason = (f": {ANGLES[size].replace('degrees', 'deg')}/s?" if size in ANGLES else
+    reason = (f": is its unit {ANGLES[size].replace('degrees', 'deg')}/s?" if size in ANGLES else
               ": it has the opposite sign (left is positive)" if exact == -1.0 else "")
     text = f"yaw_rate is {factor:.3g} times the rate of change of {against}{reason}"
     return (replace(motion, yaw_rate=motion.yaw_rate / exact),
@@ -215,11 +215,11 @@ def _scale_yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
     size = _angle_unit(factor)
     if factor > 0.0:
         text = (f"yaw is {factor:.3g} times the angle from yaw rate and course"
-                + (f": {ANGLES[size]}?" if size in ANGLES else ""))
+                + (f": is its unit {ANGLES[size]}?" if size in ANGLES else ""))
         corrected = replace(motion, yaw=_without_wraps(motion, motion.yaw / size))
         return corrected, _error("yaw_scale", ("yaw",), text, factor, Advice.correct("yaw", scale=1.0 / size))
     unit = f" in {ANGLES[size]}" if size in ANGLES else ""
-    text = f"yaw counts clockwise{unit}: a compass heading from north? Yaw is from east, counter-clockwise"
+    text = f"yaw counts clockwise{unit}: is it a compass heading? Expected: from east, counter-clockwise"
     scale = -1.0 / size
     corrected = replace(motion, yaw=_without_wraps(motion, scale * motion.yaw + np.pi / 2))
     advice = Advice.correct("yaw", scale=scale, add=np.pi / 2)
@@ -227,15 +227,14 @@ def _scale_yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
 
 
 def _angle_unit(factor: float, within: float = 1.06) -> float:
-    """The factor of an angle unit, or 1, near the magnitude of a factor; else that magnitude."""
+    """Magnitude of a factor, rounded to 1 or the factor of an angle unit if it is near one of them."""
     size = abs(factor)
     return min((unit for unit in (*ANGLES, 1.0) if is_near(size, unit, within)),
                key=lambda unit: abs(np.log(size / unit)), default=size)
 
 
 def _without_wraps(motion: Motion, yaw: np.ndarray) -> np.ndarray:
-    """The yaw without the steps that remain if an angle in other units is unwrapped as rad; there the yaw rate is used.
-    """
+    """The yaw with steps that are left after unwrapping another unit as rad replaced by the integrated yaw rate."""
     step = np.diff(yaw)
     expected = np.diff(integral(motion.time, motion.yaw_rate))
     error = np.abs(step - expected)
@@ -244,13 +243,13 @@ def _without_wraps(motion: Motion, yaw: np.ndarray) -> np.ndarray:
 
 
 def _correct_position_axes(motion: Motion) -> Corrected:
-    """Correct mirrored or exchanged positions, if yaw and yaw rate agree."""
+    """Correct mirrored or exchanged x and y, if yaw and yaw rate agree."""
     r = ratios(motion)
     if not (is_near(r.yaw_course, -1.0, LIMITS.unit) and is_near(r.yaw_rate, 1.0, LIMITS.unit)):
         return motion, None
     if motion.geographic:
-        text = ("yaw and yaw_rate count clockwise: a compass heading from north, and a gyroscope with its axis down? "
-                "Left is positive, and yaw from east")
+        text = ("yaw and yaw_rate count clockwise: is yaw a compass heading from north, and does the gyroscope's axis "
+                "point down? Expected: left positive, yaw from east")
         advice = _correct_channels({"yaw": {"scale": -1.0, "add": np.pi / 2}, "yaw_rate": {"scale": -1.0}})
         return replace(motion, yaw=np.pi / 2 - motion.yaw, yaw_rate=-motion.yaw_rate), _error(
             "yaw_convention", ("yaw", "yaw_rate"), text, r.yaw_course, advice)
@@ -267,28 +266,28 @@ def _correct_position_axes(motion: Motion) -> Corrected:
     text, x, y, entry = axes[quarter]
     line = "  # and ".join(f"{name}: {value}" for name, value in entry.items()).replace("'", "")
     return replace(motion, x=x, y=y), _error(
-        "position_axes", ("x", "y"), f"positions turn the other way than the car: {text}", None,
+        "position_axes", ("x", "y"), f"positions turn in the opposite direction to the car: {text}", None,
         Advice("run.yaml", line, entry))
 
 
 def _correct_distance(motion: Motion) -> Corrected:
-    """Units of positions and velocities."""
+    """Correct the unit of positions or velocities."""
     r = ratios(motion)
     if not np.isfinite(r.distance) or 1 / LIMITS.unit < r.distance < LIMITS.unit:
         return motion, None
     speed, length = match_unit(1.0 / r.distance, SPEEDS), match_unit(r.distance, LENGTHS)
     if length and not speed:
-        text = f"x and y are {r.distance:.4g} times the integrated velocity: {LENGTHS[length]}?"
+        text = f"x and y are {r.distance:.4g} times the integrated velocity: is their unit {LENGTHS[length]}?"
         return replace(motion, x=motion.x / length, y=motion.y / length), _error(
             "position_scale", ("x", "y"), text, r.distance, Advice.correct("position", scale=1.0 / length))
     if not speed and r.distance < MAX_DEGREE_RATIO:
-        text = (f"x and y are {r.distance:.3g} times the integrated velocity: latitude and longitude? Metres are "
-                "expected")
+        text = (f"x and y are {r.distance:.3g} times the integrated velocity: are they latitude and longitude? Metres "
+                "are expected")
         advice = Advice("look", "project latitude and longitude to east and north")
         return replace(motion, x=motion.x / r.distance, y=motion.y / r.distance), _error(
             "position_scale", ("x", "y"), text, r.distance, advice)
     factor = speed or 1.0 / r.distance
-    unit = f": {SPEEDS[speed]}?" if speed else ""
+    unit = f": is the unit {SPEEDS[speed]}?" if speed else ""
     both = replace(motion, velocity_x=motion.velocity_x / factor, velocity_y=motion.velocity_y / factor)
     forward = replace(motion, velocity_x=motion.velocity_x / factor)
     forward_only = _misfit(forward) < TIE_MISFIT_RATIO * _misfit(both)
@@ -301,14 +300,14 @@ def _correct_distance(motion: Motion) -> Corrected:
 
 
 def _displacements(motion: Motion, east: np.ndarray, north: np.ndarray) -> tuple[Windows, np.ndarray, np.ndarray]:
-    """(windows of a second, change of position, integrated velocity): east + i north [m]."""
+    """(windows of one second, change of position, integrated velocity), both as east + i north [m]."""
     over = windows(motion.time, 1.0)
     return (over, over.change(motion.x) + 1j * over.change(motion.y),
             over.change(integral(motion.time, east)) + 1j * over.change(integral(motion.time, north)))
 
 
 def _misfit(motion: Motion) -> float:
-    """Median distance [m] between change of position and integrated velocity in a second, after the best rotation."""
+    """Median distance [m] between change of position and integrated velocity per second, after the best rotation."""
     over, measured, derived = _displacements(motion, *motion.velocity_map)
     rotation = np.sum(measured * np.conj(derived))
     rotation /= max(abs(rotation), 1e-300)
@@ -316,18 +315,19 @@ def _misfit(motion: Motion) -> float:
 
 
 def _correct_velocity_axes(motion: Motion) -> Corrected:
-    """Velocities in the map frame, which positions follow without rotation by yaw, or exchanged velocities."""
-    over, measured, of_map = _displacements(motion, motion.velocity_x, motion.velocity_y)
-    misfits = [float(np.median(np.abs(measured - one))) if len(over) else 0.0 for one in (of_map, 1j * of_map.conj())]
+    """Correct velocities in the map frame, which agree with positions without rotation by yaw, or exchanged ones."""
+    over, measured, unrotated = _displacements(motion, motion.velocity_x, motion.velocity_y)
+    misfits = [float(np.median(np.abs(measured - integrated))) if len(over) else 0.0
+               for integrated in (unrotated, 1j * unrotated.conj())]
     if len(over) < MIN_WINDOWS:
         return motion, None
     distance, unchanged = float(np.median(np.abs(measured))), _misfit(motion)
     swapped = replace(motion, velocity_x=motion.velocity_y, velocity_y=motion.velocity_x)
-    max_misfit = MAX_MAP_MISFIT * distance  # of velocities in the right frame
+    max_misfit = MAX_MAP_MISFIT * distance
     misfit, is_north_first = min(misfits), misfits[1] < misfits[0]
     if np.ptp(motion.yaw) > MIN_YAW_RANGE and misfit <= max_misfit and misfit < MAX_MAP_MISFIT * unchanged:
-        of_axes = motion.velocity_x + 1j * motion.velocity_y
-        body = (1j * of_axes.conj() if is_north_first else of_axes) * np.exp(-1j * motion.yaw)
+        velocity = motion.velocity_x + 1j * motion.velocity_y
+        body = (1j * velocity.conj() if is_north_first else velocity) * np.exp(-1j * motion.yaw)
         axes = "north and east" if is_north_first else "east and north"
         text = f"velocity_x and velocity_y are in the map frame, {axes}: the body frame is expected"
         advice = Advice("look", "rotate them by yaw: velocity_x = cos(yaw) east + sin(yaw) north, "
@@ -345,7 +345,7 @@ def _correct_velocity_axes(motion: Motion) -> Corrected:
 
 
 def _correct_yaw_offset(motion: Motion) -> Corrected:
-    """Comparison of yaw with the direction of travel: counted from another axis, or reversed."""
+    """Correct a yaw that is counted from another axis or reversed, by comparison with the direction of travel."""
     over, measured, derived = _displacements(motion, *motion.velocity_map)
     total, size = np.sum(derived * np.conj(measured)), float(np.abs(measured * derived).sum())
     if len(over) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or abs(np.angle(total)) < 0.35:
@@ -357,10 +357,10 @@ def _correct_yaw_offset(motion: Motion) -> Corrected:
             "velocity_x_scale", ("velocity_x",), "velocity_x has the opposite sign (forward is positive)", -1.0,
             Advice.correct("velocity_x", scale=-1.0))
     exact = quarter if abs(angle - quarter) < 0.1 else angle
-    turns: dict[float, str] = {
+    reasons: dict[float, str] = {  # by quarter turns
         1.0: ": is it counted from north?", -1.0: ": is it counted from north or south?",
         2.0: ": does it point backwards?", -2.0: ": does it point backwards?"}
-    reason = turns.get(round(exact / (np.pi / 2), 3), "")
+    reason = reasons.get(round(exact / (np.pi / 2), 3), "")
     text = f"yaw differs by {angle:+.2f} rad ({angle * DEGREE:+.0f} deg) from the direction of travel{reason}"
     finding = replace(_error("yaw_offset", ("yaw",), text, angle, Advice.correct("yaw", add=-float(exact))), unit="rad")
     return replace(motion, yaw=motion.yaw - exact), finding

@@ -1,13 +1,14 @@
-"""Relations that involve the vehicle, with limits so wide that only a faulty recording exceeds them.
+"""Checks of a recording against the vehicle file, with limits so wide that only a faulty recording exceeds them.
 
 Steering: the road wheel angle of a car without slip is atan(L r / v_x). Errors of ratio and wheelbase change it by
-about ten per cent, understeer at 20 m/s may nearly double it, a wrong unit makes it 57 times as large. Rear axle: at
-low speed it moves in the direction of the heading, so at the INS point
+about ten per cent, understeer at 20 m/s may nearly double it, and a wrong unit makes it 57 times as large.
+
+Rear axle: at low speed it moves in the direction of the heading, so the lateral velocity at the INS point is
 
     v_y = -a v_x + d r - s v_x^2 r - e d(v_x r)/dt
 
-a: heading reported too far left, d: distance ahead of the rear axle, s: slip of the rear axle, e: sideways shift of the
-point by body roll, per lateral acceleration; a delay of the slip has the same influence.
+a: misalignment, + if the heading points too far left; d: distance of the point ahead of the rear axle; s: slip of the
+rear axle; e: lateral shift of the point by body roll, per lateral acceleration (a delay of the slip resembles it).
 """
 
 from dataclasses import replace
@@ -20,30 +21,31 @@ from .agreement import ZERO, Agreement, agreement
 from .finding import HORIZON, LIMITS, Advice, Comparison, Finding, Severity
 from .inertial import CheckResult, format_alternative_lags, format_magnitude
 from .motion import MOVING, Motion, has_varying_speed, windows
+from .position import lateral_sign_finding
 from .regression import Estimate, Regression, with_systematic
 
 CUTOFF = 1.5  # Hz
-MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; within these limits the slip of an axle is linear
+MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; limits within which an axle's slip is linear
 DEGREE = 180.0 / np.pi
 WINDOW = 0.5  # s
-MAX_COSINE = 0.9  # cosine between speed and yaw rate of the drive: 1 on a circle
-MIN_STEERING_ANGLE = 0.01  # rad, root mean square
-MIN_ANGLE_FOR_SIGN = 0.003  # rad, root mean square; fast wide bends determine the sign, not the size
-MAX_OPPOSITE_CORRELATION = -0.8  # of steering and curvature, up to which the sensor has the opposite sign
-MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels, of the steering and of that derived from curvature
-MIN_GAIN = 1e-6  # of steering versus curvature; below it the angle is constant, which is reported as frozen
+MAX_COSINE = 0.9  # cosine similarity of speed and yaw rate; 1 on a circle, where heading and point are confounded
+MIN_STEERING_ANGLE = 0.01  # rad, root mean square, that determines the steering gain
+MIN_ANGLE_FOR_SIGN = 0.003  # rad, root mean square; fast wide bends determine the sign of the gain, not its size
+MAX_OPPOSITE_CORRELATION = -0.8  # correlation of steering and curvature below which the steering has the opposite sign
+MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels; minimum standard deviation of measured and derived steering
+MIN_GAIN = 1e-6  # ratio of steering to curvature below which the steering is constant, which is reported as frozen
 
 
 def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: bool) -> CheckResult:
-    """Comparison of steering with curvature. wheel_measured: whether the steering wheel angle was recorded, whose
-    offset is in the vehicle file."""
+    """Compare steering with curvature. wheel_measured: whether the steering wheel angle was recorded, whose offset is
+    in the vehicle file."""
     moving = motion.velocity_x > MIN_SPEED
     curvature = np.where(moving, motion.yaw_rate / np.maximum(motion.velocity_x, MOVING), np.nan)
     derived = np.arctan(vehicle.wheelbase * curvature)
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
     response = response_time(vehicle, speed)
     found = agreement(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, expected_lag=-response)
-    gain = _steering_gain(motion, derived)
+    gain = _estimate_steering_gain(motion, derived)
     understeer = _understeer_factor(motion.velocity_x, derived, vehicle)
     if found is None or abs(found.correlation) < LIMITS.correlation:
         if found is not None and min(found.spread, float(np.std(found.measured))) > MIN_UNRELATED_SPREAD:
@@ -59,7 +61,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     findings = [_unit_finding(gain, understeer, vehicle, wheel_measured),
                 _offset_finding(found, speed, vehicle, wheel_measured)]
     estimates = {"steering_scale": gain, "steering_sign": gain}
-    # Steering that decreases with increasing curvature is a reaction to another yaw moment and determines no lag.
+    # A correlation of the opposite sign to the gain is a reaction to another yaw moment and determines no lag.
     if found.correlation * gain.value >= 0.0:
         findings.insert(1, _lag_finding(late, found, speed, vehicle, format_alternative_lags(found, response)))
         estimates |= {"steering_lag": late} if found.determines_lag else {}
@@ -71,16 +73,16 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
 
 
 def _unrelated_finding(found: Agreement) -> Finding:
-    text = (f"the steering does not follow the car's motion (correlation {found.correlation:.2f}): the steering of "
-            "another drive, another signal, or a sign that changes during the drive?")
+    text = (f"the steering does not follow the car's motion (correlation {found.correlation:.2f}): is it another "
+            "signal, the steering of another drive, or does its sign change during the drive?")
     return Finding("steering_unrelated", Severity.WARNING, ("road_wheel_angle",), text, found.correlation,
-                   advice=Advice("look", "compare steering and yaw rate over time; predictions with it are invalid"))
+                   advice=Advice("look", "compare steering and yaw rate over time; predictions with this steering are "
+                                 "invalid"))
 
 
-def _steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | None:
-    """Ratio of the road wheel angle to that computed from the curvature, without an offset; None if the car hardly
-    turns. For a negative gain smaller angles suffice: only its sign is reported, which an offset does not change.
-    """
+def _estimate_steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | None:
+    """Ratio of the measured road wheel angle to the angle derived from curvature, fitted without an offset; None if the
+    car hardly turns. Smaller angles suffice for a negative gain, of which only the sign is reported."""
     angle = motion.steering_at_ins()
     known = np.flatnonzero(np.isfinite(derived) & np.isfinite(angle))[::10]
     size = float(np.sqrt(np.mean(derived[known] ** 2))) if len(known) >= 50 else 0.0
@@ -93,8 +95,8 @@ def _steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | None:
 
 
 def _understeer_factor(speed: np.ndarray, derived: np.ndarray, vehicle: VehicleParameters) -> float:
-    """Factor by which understeer K of the vehicle file increases the steering of the drive: 1 + K v^2, averaged with
-    the square of the angle as weight; 1 for a car that oversteers."""
+    """Factor 1 + K v^2 by which the vehicle file's understeer K increases the steering of this drive, averaged with the
+    square of the angle as weight; 1 for a car that oversteers."""
     known = np.isfinite(derived)
     weight = np.square(derived[known])
     if not weight.any():
@@ -103,7 +105,7 @@ def _understeer_factor(speed: np.ndarray, derived: np.ndarray, vehicle: VehicleP
 
 
 def response_time(vehicle: VehicleParameters, speed: float) -> float:
-    """Lag of a linear car's yaw rate behind its steering in slow changes [s].
+    """Lag of the linear car's yaw rate behind slow changes of its steering [s].
 
         -d(arg H)/d(omega) at 0,  H = c (i omega - A)^-1 b:   tau = c A^-2 b / -(c A^-1 b)
     """
@@ -113,7 +115,7 @@ def response_time(vehicle: VehicleParameters, speed: float) -> float:
 
 
 def _lateral_shift(error: float, speed: float, vehicle: VehicleParameters) -> float:
-    """Lateral shift [m] of the position after the horizon due to a constant error of the road wheel angle [rad]."""
+    """Lateral shift [m] of the predicted position due to a constant error [rad] of the road wheel angle."""
     a, b = linear_system(max(speed, MOVING), vehicle)
     yaw_gain = -float(np.linalg.solve(a, b).ravel()[1])
     return abs(0.5 * speed * yaw_gain * error) * HORIZON**2
@@ -121,24 +123,27 @@ def _lateral_shift(error: float, speed: float, vehicle: VehicleParameters) -> fl
 
 def _unit_finding(gain: Estimate, understeer: float, vehicle: VehicleParameters,
                   wheel_measured: bool) -> Finding | None:
-    """understeer: factor from the vehicle file; as its stiffnesses may be rough, the factor 1 is accepted as well."""
+    """Finding of a steering gain that only a wrong unit or sign explains; None for a plausible gain.
+
+    understeer: expected gain; since the stiffnesses of a vehicle file may be rough, a gain of 1 is plausible as well.
+    """
     value, limit = gain.value, LIMITS.steering_unit
     if abs(value) < MIN_GAIN or (gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * understeer):
         return None
     ratio = f"steering ratio {vehicle.steering_ratio:g} of the vehicle file"
-    reasons = {DEGREE: "degrees", vehicle.steering_ratio: f"the angle of the steering wheel ({ratio})",
-               DEGREE * vehicle.steering_ratio: f"the angle of the steering wheel in degrees ({ratio})",
-               1.0 / DEGREE: "converted to rad twice", 1.0 / vehicle.steering_ratio: "divided by the ratio twice",
-               1.0: ""}
+    reasons = {DEGREE: "is it in degrees", vehicle.steering_ratio: f"is it the angle of the steering wheel ({ratio})",
+               DEGREE * vehicle.steering_ratio: f"is it the angle of the steering wheel in degrees ({ratio})",
+               1.0 / DEGREE: "was it converted to rad twice",
+               1.0 / vehicle.steering_ratio: "was it divided by the steering ratio twice", 1.0: ""}
     size = abs(value) / understeer
     factor = min(reasons, key=lambda f: abs(np.log(size / f)))
     exact = factor if 1.0 / limit < size / factor < limit else size
-    opposite = "it has the opposite sign (left is positive)" if value < 0.0 else ""
+    opposite = "does it have the opposite sign (left is positive)" if value < 0.0 else ""
     reason = " and ".join(filter(None, (reasons.get(exact, ""), opposite)))
     text = (f"road_wheel_angle is {value:.3g} times the angle from yaw rate and speed"
             + (f": {reason}?" if reason else ""))
     advice = Advice.correct("road_wheel_angle", scale=float(f"{1.0 / np.copysign(exact, value):.6g}"))
-    if wheel_measured and exact == 1.0 / vehicle.steering_ratio:  # its offset was subtracted, too
+    if wheel_measured and exact == 1.0 / vehicle.steering_ratio:  # the offset of the steering wheel was also subtracted
         advice = Advice.correct("road_wheel_angle", scale=vehicle.steering_ratio,
                                 add=float(f"{vehicle.steering_wheel_offset:.5g}"))
     name = "steering_scale"
@@ -152,7 +157,7 @@ def _lag_finding(late: Estimate, found: Agreement, speed: float, vehicle: Vehicl
                  alternatives: str) -> Finding | None:
     if not late.significant or not found.is_late or abs(late.value) < LIMITS.steering_lag:
         return None
-    # A late input turns the path by the angle missed during the lag.
+    # The path turns by the steering angle that is missed during the lag.
     missed = abs(late.value) * float(np.std(found.derived)) * np.sqrt(2.0)
     effect = _lateral_shift(missed / HORIZON * 2.0, speed, vehicle)
     text = (f"the steering {'lags' if late.value > 0.0 else 'leads'} the car's motion by {format_magnitude(late)} s"
@@ -171,15 +176,14 @@ def _offset_finding(found: Agreement, speed: float, vehicle: VehicleParameters, 
     text = (f"the road wheels read {format_magnitude(offset)} rad ({abs(offset.value) * DEGREE:.1f} deg) too far "
             f"{_left_or_right(offset)} when driving straight: the steering offset is wrong")
     effect = _lateral_shift(offset.value, speed, vehicle)
-    # Direction after correction of the sign, if that is wrong too.
-    left = offset.value * float(np.sign(found.scale.value))
+    offset_left = offset.value * float(np.sign(found.scale.value))  # after correction of a wrong sign
     if wheel_measured:
-        wheel = vehicle.steering_wheel_offset + left * vehicle.steering_ratio
+        wheel = vehicle.steering_wheel_offset + offset_left * vehicle.steering_ratio
         line = f"steering_wheel_offset: {{value: {wheel * DEGREE:.2f}, unit: deg, source: st check}}"
         advice = Advice("vehicle", f"{line}  # check with st identify steering-offset",
                         {"steering_wheel_offset": wheel})
     else:
-        advice = Advice.correct("road_wheel_angle", add=float(f"{-left:.4g}"))
+        advice = Advice.correct("road_wheel_angle", add=float(f"{-offset_left:.4g}"))
     return Finding("steering_offset", _at_most_warning(effect), ("road_wheel_angle",), text, offset.value, "rad",
                    offset.interval, (), effect, advice)
 
@@ -189,13 +193,13 @@ def _left_or_right(estimate: Estimate) -> str:
 
 
 def _at_most_warning(effect: float) -> Severity:
-    """Severity of an effect, at most a warning, since the cause may be the car rather than the recording."""
+    """Severity of an effect, but at most a warning, since the cause may be the car rather than the recording."""
     severity = LIMITS.severity(effect)
     return Severity.WARNING if severity is Severity.ERROR else severity
 
 
 def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
-    """Comparison of heading and course on straights, and position of the INS ahead of the rear axle."""
+    """Check the alignment of the heading and the position of the INS point against the motion of the rear axle."""
     over = windows(motion.time, WINDOW)
     means = [over.mean(motion.time, values) for values in (motion.velocity_x, motion.velocity_y, motion.yaw_rate)]
     use = (means[0] > MIN_SPEED) & (np.abs(means[0] * means[2]) < MAX_LATERAL_ACCELERATION)
@@ -203,7 +207,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
         return [], {}, None
     forward, lateral, rate = (mean[use] for mean in means)
     if abs(float(forward @ rate)) > MAX_COSINE * float(np.linalg.norm(forward) * np.linalg.norm(rate)):
-        return [], {}, None  # on a single circle, heading, point and slip of the axle are confounded
+        return [], {}, None  # on a single circle, heading, point and slip are confounded
     problem = Regression(over.time[use], lateral[:, None], {
         "heading": -forward[:, None], "point": rate[:, None], "slip": -(forward**2 * rate)[:, None],
         "roll": -(over.change(motion.velocity_x * motion.yaw_rate)[use] / WINDOW)[:, None]})
@@ -212,10 +216,10 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     heading = with_systematic("heading_misaligned", found["heading"])
     point = with_systematic("measuring_point", found["point"].shifted(-declared))
     low, high = (declared + end for end in point.interval)
-    # With the opposite sign, the point appears as far behind the axle as it is ahead, with a slip of the wrong sign.
+    # With the opposite sign of v_y, the point appears as far behind the axle as it is ahead, with a negative slip.
     is_mirrored = low < -declared < high and declared > LIMITS.mounting and found["slip"].interval[1] < 0.0
-    place = _sign_finding() if is_mirrored else _point_finding(point, motion, vehicle)
-    findings = [finding for finding in (_heading_finding(heading, forward), place) if finding]
+    point_or_sign = lateral_sign_finding() if is_mirrored else _point_finding(point, motion, vehicle)
+    findings = [finding for finding in (_heading_finding(heading, forward), point_or_sign) if finding]
     motion_of_axle = sum(found[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
     panel = Comparison("velocity_y", "lateral velocity: measured against that derived from the rear axle", "m/s",
                        "velocity_y", "rear axle at the declared distance", over.time[use], lateral,
@@ -225,10 +229,10 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
 
 
 def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, separable: bool) -> dict[str, Estimate]:
-    """heading [rad], point [m ahead of the rear axle], slip [s^2/m] and roll [s^2].
+    """Estimates of heading [rad], point [m ahead of the rear axle], slip [s^2/m] and roll [s^2].
 
-    separable: whether the speed varies. If not, slip and point are confounded, and the slip is that of the vehicle file
-    +/- 50 %.
+    separable: whether the speed varies. Otherwise slip and point are confounded, and the slip of the vehicle file
+    +/- 50 % is used.
     """
     expected = rear_slip_coefficient(vehicle)
     if separable:
@@ -253,11 +257,6 @@ def _heading_finding(heading: Estimate, forward: np.ndarray) -> Finding | None:
             "road is banked")
     return Finding("heading_misaligned", _at_most_warning(effect), ("yaw", "velocity_y"), text, heading.value, "rad",
                    heading.interval, (), effect, Advice.correct("heading", add=float(f"{-heading.value:.4g}")))
-
-
-def _sign_finding() -> Finding:
-    return Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), "velocity_y has the opposite sign (left is "
-                   "positive)", -1.0, advice=Advice.correct("velocity_y", scale=-1.0))
 
 
 def _point_finding(point: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:
@@ -286,7 +285,8 @@ def check_tyre_limit(motion: Motion) -> list[Finding]:
     if impossible.sum() < 2:
         return []
     largest = float(np.abs(lateral).max())
-    text = f"v_x times yaw rate reaches {largest:.0f} m/s^2; tyres reach about 10: speed or yaw rate is wrong there"
+    text = (f"speed times yaw rate reaches {largest:.0f} m/s^2, but tyres reach about 10 m/s^2: speed or yaw rate is "
+            "wrong there")
     where = tuple((float(t), float(t) + WINDOW) for t in over.time[impossible][:20])
     return [Finding("lateral_acceleration_impossible", Severity.ERROR, ("velocity_x", "yaw_rate"), text, largest,
                     "m/s^2", where=where, advice=Advice("look", "look at speed and yaw rate in these stretches"))]

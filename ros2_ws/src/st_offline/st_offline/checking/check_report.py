@@ -53,7 +53,7 @@ def verdict(checked: Checked) -> str:
         compared = f"in {count} comparison{'' if count == 1 else 's'}" if count else "but nothing to compare"
         return f"nothing found, {compared}"
     worst = min(checked.findings, key=severity_rank).severity
-    if worst is Severity.WARNING and all(finding.of_acceleration for finding in checked.of(worst)):
+    if worst is Severity.WARNING and all(finding.concerns_only_acceleration for finding in checked.of(worst)):
         return f"{count_by_severity(checked.findings)}: results of identify and discover would be biased"
     return f"{count_by_severity(checked.findings)}: {MEANING[worst]}"
 
@@ -105,7 +105,7 @@ def describe_stretches(finding: Finding) -> str:
 
 def describe_effect(finding: Finding) -> str:
     """Effect on the position after 5 s; empty if unknown."""
-    if finding.of_acceleration:
+    if finding.concerns_only_acceleration:
         return "no effect on predictions, but results of identify and discover are biased"
     if finding.effect is None:
         return "predictions would be meaningless" if finding.severity is Severity.ERROR else ""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from st_core.checks import AuxiliaryData, Finding
-from st_core.checks.sampling import refused_frames
+from st_core.checks.sampling import rejected_frames_finding
 from st_core.clock_types import Alignment, SharedSignal, Verdict
 from st_core.log import OPTIONAL_INS_SIGNALS
 from st_core.vehicle import VehicleParameters
@@ -168,8 +168,8 @@ def _refused_steering(run: RawRun, settings: ReadSettings) -> tuple[Finding, ...
     if message not in run.signals.rejected or not len(run.ins.time_ns):
         return ()
     time_ns = _steering_clock(run, settings, run.signals.rejected[message])
-    return (refused_frames((time_ns - run.ins.time_ns[0]) * 1e-9, len(time_ns) + len(run.steering.time_ns),
-                           run.signals.faults[message]),)
+    return (rejected_frames_finding((time_ns - run.ins.time_ns[0]) * 1e-9, len(time_ns) + len(run.steering.time_ns),
+                                    run.signals.faults[message]),)
 
 
 def steering_times(run: RawRun, settings: ReadSettings) -> np.ndarray:
