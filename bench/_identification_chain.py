@@ -6,7 +6,7 @@ import numpy as np
 from _identification import LEAF_FILE, identified, leaf, with_stiffness
 from st_core.batch import LogBatch
 from st_core.identification.cornering_stiffness import identify_stiffness
-from st_core.identification.driving_prediction import predict_stiffness
+from st_core.identification.driving_prediction import fit_stiffness
 from st_core.identification.result import Identification
 from st_core.identification.steering_offset import identify_steering_offset
 from st_core.log import DriveLog
@@ -35,7 +35,7 @@ def chain() -> dict:
     offset = identify_steering_offset(logs, unknown)
     offset_known = replace(unknown, steering_wheel_offset=offset["steering_wheel_offset"].value)
     paper = identify_stiffness(logs, offset_known)
-    better = predict_stiffness(logs, offset_known)
+    better = fit_stiffness(logs, offset_known)
     files = {"not identified": unknown, "offset identified": offset_known,
              "stiffness by the paper's regression": _with(offset_known, paper),
              "stiffness by prediction": _with(offset_known, better), "the paper's table": car}

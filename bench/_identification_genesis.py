@@ -10,7 +10,7 @@ from st_core.augmented import augment
 from st_core.batch import LogBatch
 from st_core.identification.cornering_stiffness import identify_stiffness
 from st_core.identification.driving_fit import MISALIGNMENT
-from st_core.identification.driving_prediction import identify_yaw_inertia, predict_stiffness
+from st_core.identification.driving_prediction import fit_stiffness, identify_yaw_inertia
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import Identification, IdentificationError
 from st_core.identification.steering_offset import identify_steering_offset
@@ -37,8 +37,8 @@ def genesis() -> dict:
     logs = {name: replace(log, steering_wheel_angle=car.steering_wheel_angle(log.road_wheel_angle))
             for name, log in logs.items()}
     learnt, others = [logs[n] for n in LEARNT], [log for name, log in logs.items() if name not in LEARNT]
-    everything = predict_stiffness(learnt, car, "linear", also=(*STEERING, "cg_to_ins_x", MISALIGNMENT))
-    steered = predict_stiffness(learnt, car, "linear", also=(*STEERING, MISALIGNMENT))
+    everything = fit_stiffness(learnt, car, "linear", also=(*STEERING, "cg_to_ins_x", MISALIGNMENT))
+    steered = fit_stiffness(learnt, car, "linear", also=(*STEERING, MISALIGNMENT))
     ins = identify_ins_mounting(learnt, car)
     found = {"prediction": everything, "prediction, lever arm as published": steered, "slow driving": ins,
              "paper, published steering": identify_stiffness(learnt, car),
@@ -112,7 +112,7 @@ def _rows(found: Identification) -> dict:
 
 def _alone(log: DriveLog, car: VehicleParameters) -> dict | str:
     try:
-        return _rows(predict_stiffness([log], car, "linear", also=(*STEERING, MISALIGNMENT)))
+        return _rows(fit_stiffness([log], car, "linear", also=(*STEERING, MISALIGNMENT)))
     except IdentificationError as error:
         return str(error)
 

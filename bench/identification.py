@@ -12,9 +12,9 @@ from st_core.augmented import augment
 from st_core.identification.cornering_stiffness import AXLES, identify_stiffness
 from st_core.identification.driving_prediction import (
     STIFFNESSES,
+    fit_stiffness,
     identify_steering,
     identify_yaw_inertia,
-    predict_stiffness,
 )
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import Identification
@@ -58,7 +58,7 @@ def one_seed(seed: int, car: VehicleParameters) -> dict[str, tuple[Identificatio
                             "steering_wheel_offset_direct": car.steering_wheel_offset}),
         "paper": (paper, stiffness),
         "paper, against the curve over the slips driven": (paper, curve_slopes(paper, car)),
-        "prediction": (predict_stiffness(logs["bends"], mass_right, known), stiffness),
+        "prediction": (fit_stiffness(logs["bends"], mass_right, known), stiffness),
         "ins": (identify_ins_mounting(logs["slow"], start),
                 {"cg_to_ins_x": car.cg_to_ins_x + LEVER_ERROR, "ins_misalignment": MISALIGNMENT, "cg_to_ins_y": 0.0}),
         "steering": (identify_steering(logs["bends"], replace(mass_right, steering_ratio=19.0), known),
@@ -112,9 +112,9 @@ def noise_free() -> dict:
 def _stiffness_errors(logs: list, start: VehicleParameters, car: VehicleParameters) -> dict:
     methods: dict[str, Callable[[], Identification]] = {
         "paper": lambda: identify_stiffness(logs, start),
-        "prediction, linear": lambda: predict_stiffness(logs, start, "linear"),
-        "prediction": lambda: predict_stiffness(logs, start),
-        "prediction, drive force": lambda: predict_stiffness(logs, start, augment("nonlinear", KNOWN)),
+        "prediction, linear": lambda: fit_stiffness(logs, start, "linear"),
+        "prediction": lambda: fit_stiffness(logs, start),
+        "prediction, drive force": lambda: fit_stiffness(logs, start, augment("nonlinear", KNOWN)),
     }
     return {name: {axle: 100.0 * (found[key].value / getattr(car, key) - 1.0)
                    for axle, key in zip(("front, %", "rear, %"), STIFFNESSES, strict=True)}
@@ -149,7 +149,7 @@ def speed() -> dict:
     start = replace(wrong(car), steering_wheel_offset=car.steering_wheel_offset, cg_to_ins_x=car.cg_to_ins_x)
     result = {}
     for name, call in (("regression (paper)", lambda: identify_stiffness(logs, start)),
-                       ("prediction", lambda: predict_stiffness(logs, start))):
+                       ("prediction", lambda: fit_stiffness(logs, start))):
         call()
         cpu, wall = time.process_time(), time.perf_counter()
         call()

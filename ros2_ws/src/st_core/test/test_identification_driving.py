@@ -10,9 +10,9 @@ from st_core.identification.cornering_stiffness import identify_stiffness
 from st_core.identification.driving_fit import MISALIGNMENT
 from st_core.identification.driving_prediction import (
     STIFFNESSES,
+    fit_stiffness,
     identify_steering,
     identify_yaw_inertia,
-    predict_stiffness,
 )
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.steering_offset import DIRECT, PAPER, identify_steering_offset
@@ -52,13 +52,13 @@ def test_regression_averages_over_a_tyre_that_saturates(leaf):
     """The rear tyre of the table gives 12 % less at 2 deg than its slope at zero; the prediction knows its curve."""
     logs = [drive(leaf, speed, weave(angle), 25.0, model="nonlinear", sensors=SILENT)
             for speed, angle in ((9.0, 0.15), (12.0, 0.105), (15.0, 0.08))]
-    paper, better = identify_stiffness(logs, leaf), predict_stiffness(logs, leaf)
+    paper, better = identify_stiffness(logs, leaf), fit_stiffness(logs, leaf)
     assert paper["cornering_stiffness_rear"].value < 0.97 * leaf.cornering_stiffness_rear
     assert [better[name].value for name in STIFFNESSES] == pytest.approx(truth(leaf), rel=0.003)
 
 
 def test_prediction_finds_stiffness_from_a_wrong_start(leaf, weaving, unknown):
-    found = predict_stiffness(weaving, unknown, "linear")
+    found = fit_stiffness(weaving, unknown, "linear")
     for name, value in zip(STIFFNESSES, truth(leaf), strict=True):
         estimate = found[name]
         assert estimate.value == pytest.approx(value, rel=0.02)
@@ -71,7 +71,7 @@ def test_prediction_finds_stiffness_from_a_wrong_start(leaf, weaving, unknown):
 def test_prediction_takes_offset_misalignment_and_gyro_bias_for_what_they_are(leaf, unknown):
     sensors = Sensors(misalignment=0.01, yaw_rate_bias=0.004)
     logs = [drive(leaf, speed, weave(angle), 40.0, sensors=sensors, seed=3) for speed, angle in SPEEDS.items()]
-    found = predict_stiffness(logs, unknown, "linear", also=("steering_wheel_offset", MISALIGNMENT))
+    found = fit_stiffness(logs, unknown, "linear", also=("steering_wheel_offset", MISALIGNMENT))
     assert found["steering_wheel_offset"].value == pytest.approx(leaf.steering_wheel_offset, abs=np.deg2rad(0.1))
     assert found[MISALIGNMENT].value == pytest.approx(0.01, abs=0.0005)
     assert [found[name].value for name in STIFFNESSES] == pytest.approx(truth(leaf), rel=0.02)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from driven import drive, weave
 from st_core.identification.cornering_stiffness import identify_stiffness
-from st_core.identification.driving_prediction import identify_yaw_inertia, predict_stiffness
+from st_core.identification.driving_prediction import fit_stiffness, identify_yaw_inertia
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import IdentificationError
 from st_core.identification.steering_offset import identify_steering_offset
@@ -20,7 +20,7 @@ def circle(leaf):
     return drive(leaf, 8.0, lambda t: np.full_like(t, 0.08), 40.0, name="circle")
 
 
-@pytest.mark.parametrize("identify", [identify_stiffness, predict_stiffness, identify_steering_offset,
+@pytest.mark.parametrize("identify", [identify_stiffness, fit_stiffness, identify_steering_offset,
                                       identify_ins_mounting, identify_yaw_inertia])
 def test_no_drive_one_twice_and_too_short(identify, log, leaf):
     with pytest.raises(IdentificationError, match="no drives were given"):
@@ -32,7 +32,7 @@ def test_no_drive_one_twice_and_too_short(identify, log, leaf):
         identify([short], leaf)
 
 
-@pytest.mark.parametrize("identify", [identify_stiffness, predict_stiffness])
+@pytest.mark.parametrize("identify", [identify_stiffness, fit_stiffness])
 def test_one_circle_is_too_thin_for_stiffness(identify, circle, leaf):
     with pytest.raises(IdentificationError, match=r"excitation: lateral acceleration: 1 of 11 bins .* Drive bends"):
         identify([circle], leaf)
@@ -52,7 +52,7 @@ def test_steady_bends_do_not_show_the_yaw_inertia(leaf):
 def test_one_speed_is_too_thin_for_the_steering_ratio(leaf):
     logs = [drive(leaf, 9.0 + shift, weave(0.06), 40.0) for shift in (0.5, 1.0)]
     with pytest.raises(IdentificationError, match="too little excitation: speed: 1 of 8 bins"):
-        predict_stiffness(logs, leaf, also=("steering_ratio",))
+        fit_stiffness(logs, leaf, also=("steering_ratio",))
 
 
 def test_a_fast_drive_is_too_thin_for_the_mounting(log, leaf):
@@ -63,4 +63,4 @@ def test_a_fast_drive_is_too_thin_for_the_mounting(log, leaf):
 
 def test_unknown_parameter(log, leaf):
     with pytest.raises(IdentificationError, match="cg_height: not identifiable from driving; known are cornering"):
-        predict_stiffness([log, drive(leaf, 13.0, weave(0.04), 20.0)], leaf, also=("cg_height",))
+        fit_stiffness([log, drive(leaf, 13.0, weave(0.04), 20.0)], leaf, also=("cg_height",))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from st_core.errors import ConfigurationError
 from st_core.identification.bounded_fit import fit_curve, profile_interval
-from st_core.identification.lambda_ky import StiffnessUncertainty, lambda_ky
+from st_core.identification.lambda_ky import StiffnessUncertainty, identify_lambda_ky
 from st_core.identification.result import (
     Coverage,
     Estimate,
@@ -96,11 +96,11 @@ def test_a_scale_that_was_set_before_the_stiffness_changed_is_named(leaf):
 
 def test_lambda_is_the_papers_at_the_static_load(leaf):
     car = known(leaf, cornering_stiffness_front=700.0, cornering_stiffness_rear=1060.0)
-    found = lambda_ky(car, {"tyre_front": StiffnessUncertainty(0.0, "front.csv")})
+    found = identify_lambda_ky(car, {"tyre_front": StiffnessUncertainty(0.0, "front.csv")})
     front, rear = found["tyre_front.lambda_ky"], found["tyre_rear.lambda_ky"]
     assert front.value == pytest.approx(0.423, abs=1e-3) and rear.value == pytest.approx(0.962, abs=1e-3)
     assert front.standard_uncertainty / front.value == pytest.approx(0.01)  # 700 of 70000 N/rad
-    wider = lambda_ky(car, {"tyre_front": StiffnessUncertainty(0.02, "front.csv")})["tyre_front.lambda_ky"]
+    wider = identify_lambda_ky(car, {"tyre_front": StiffnessUncertainty(0.02, "front.csv")})["tyre_front.lambda_ky"]
     assert wider.standard_uncertainty / wider.value == pytest.approx(math.hypot(0.01, 0.02))
     assert "No table of tyre_rear" in found.warnings[0]
 
@@ -112,7 +112,7 @@ def test_lambda_is_within_its_interval_and_a_percent(leaf):
     for _ in range(50):
         car = replace(leaf, cornering_stiffness_front=70000.0 * (1.0 + random.normal(0.0, 0.003)))
         car = known(car, cornering_stiffness_front=210.0, cornering_stiffness_rear=300.0)
-        found = lambda_ky(car, {})["tyre_front.lambda_ky"]
+        found = identify_lambda_ky(car, {})["tyre_front.lambda_ky"]
         hits += found.interval95[0] <= leaf.tyre_front.lambda_ky <= found.interval95[1]
         errors.append(abs(found.value / leaf.tyre_front.lambda_ky - 1.0))
     assert hits >= 45 and max(errors) < 0.01
@@ -121,9 +121,9 @@ def test_lambda_is_within_its_interval_and_a_percent(leaf):
 def test_lambda_above_one_is_doubtful_and_without_uncertainty_refused(leaf):
     stiff = known(replace(leaf, cornering_stiffness_rear=150000.0), cornering_stiffness_front=1.0,
                   cornering_stiffness_rear=1500.0)
-    assert lambda_ky(stiff, {})["tyre_rear.lambda_ky"].status == "doubtful"
+    assert identify_lambda_ky(stiff, {})["tyre_rear.lambda_ky"].status == "doubtful"
     with pytest.raises(IdentificationError, match="cornering_stiffness_front of the vehicle file has no uncertainty"):
-        lambda_ky(leaf, {})
+        identify_lambda_ky(leaf, {})
 
 
 def line(x, y):
@@ -139,7 +139,7 @@ def test_profile_interval_of_a_straight_line_is_students():
     fit = fit_curve(residuals, [[0.0, 0.0]], [-10.0, -10.0], [10.0, 10.0])
     slope, cov = np.polyfit(x, y, 1, cov=True)
     assert fit.values[1] == pytest.approx(slope[0], rel=1e-6)
-    assert fit.deviations[1] == pytest.approx(math.sqrt(cov[0, 0]), rel=1e-4)
+    assert fit.standard_errors[1] == pytest.approx(math.sqrt(cov[0, 0]), rel=1e-4)
     interval = profile_interval(residuals, fit, 1)
     half = 2.228 * math.sqrt(cov[0, 0])  # Student's t, 10 degrees of freedom
     assert interval.high - slope[0] == pytest.approx(half, rel=0.05)
@@ -151,7 +151,7 @@ def test_a_bound_opens_the_interval_and_takes_the_parameter_out_of_the_covarianc
     x = np.linspace(0.0, 10.0, 12)
     y = 1.0 + 0.5 * x + np.random.default_rng(3).normal(0.0, 0.3, len(x))
     fit = fit_curve(line(x, y), [[0.0, 0.1]], [-10.0, -10.0], [10.0, 0.45])
-    assert fit.at_bound(1) and fit.deviations[1] == 0.0
+    assert fit.at_bound(1) and fit.standard_errors[1] == 0.0
     interval = profile_interval(line(x, y), fit, 1)
     assert interval.upper_open and interval.high == 0.45
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from driven import SILENT, Sensors, drive, weave
 from st_core.identification.cornering_stiffness import identify_stiffness
-from st_core.identification.driving_prediction import STIFFNESSES, predict_stiffness
+from st_core.identification.driving_prediction import STIFFNESSES, fit_stiffness
 
 FRONT, REAR = 62_000.0, 88_000.0  # N/rad at zero slip
 FRICTION = 0.9
@@ -48,7 +48,7 @@ def logs(leaf, request):
 
 
 @pytest.mark.parametrize("identify", [
-    identify_stiffness, lambda logs, car: predict_stiffness(logs, car, "linear"), predict_stiffness],
+    identify_stiffness, lambda logs, car: fit_stiffness(logs, car, "linear"), fit_stiffness],
     ids=["regression", "linear prediction", "nonlinear prediction"])
 def test_interval_includes_the_slope_at_zero_slip(leaf, logs, identify):
     found = identify(logs, leaf)

@@ -1,12 +1,12 @@
-"""Nonlinear least squares within bounds, and profile-likelihood intervals of each parameter.
+"""Nonlinear least squares within bounds, and a profile-likelihood interval for each parameter.
 
     S(p) = sum r(p)^2,   s^2 = S_min / (n - k),   covariance = s^2 (J^T J)^-1 of the parameters inside their bounds
 
-The 95 % interval of parameter i ends where fixing it increases the sum of squares significantly, all others refitted:
+The 95 % interval of a parameter ends where the sum of squares is significantly larger, with all others refitted:
 
     min over the others of S = S_min + s^2 F_0.95(1, n - k)
 
-If the parameter's bound is reached first, that end is open. Source: Bates and Watts, Nonlinear Regression Analysis,
+An end is open if the bound of the parameter is reached first. Source: Bates and Watts, Nonlinear Regression Analysis,
 ch. 6. Checked by: test_identification_result.py.
 """
 
@@ -19,28 +19,28 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import f as fisher
 
 Residuals = Callable[[np.ndarray], np.ndarray]
-"""Function of parameters (k,) or many sets of them (m, k): residuals (n,) or (m, n)."""
+"""Function from parameters (k,) to residuals (n,), or from m sets of parameters (m, k) to residuals (m, n)."""
 
-END_TOLERANCE = 0.03  # relative tolerance of an end of an interval
-MAX_STEPS = 8
+END_TOLERANCE = 0.03  # relative tolerance of the distance from the value to an end of its interval
+MAX_STEPS = 8  # of the secant method
 BOUND_TOLERANCE = 1e-6  # distance from a bound, as a fraction of the range between both bounds
 
 
 @dataclass(frozen=True)
 class CurveFit:
-    """Fitted values (k,), covariance (k, k), zero for parameters at a bound; residuals (n,), scatter s, freedom n - k;
-    bounds (k,) each."""
+    """Fitted values (k,), covariance (k, k), which is zero for parameters at a bound, residuals (n,), their standard
+    deviation s, degrees of freedom n - k, and bounds (k,) each."""
 
     values: np.ndarray
     covariance: np.ndarray
     residuals: np.ndarray
-    scatter: float
-    freedom: int
+    residual_deviation: float
+    degrees_of_freedom: int
     lower: np.ndarray
     upper: np.ndarray
 
     @property
-    def deviations(self) -> np.ndarray:
+    def standard_errors(self) -> np.ndarray:
         return np.sqrt(np.diag(self.covariance))
 
     def at_bound(self, index: int) -> bool:
@@ -50,8 +50,7 @@ class CurveFit:
 
 @dataclass(frozen=True)
 class Interval:
-    """95 % interval of one parameter. lower_open, upper_open: whether an end is the bound, not determined by the data.
-    """
+    """95 % interval of a parameter. lower_open, upper_open: whether the end is a bound that the data do not exclude."""
 
     low: float
     high: float
@@ -64,18 +63,17 @@ def fit_curve(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Se
     """Least squares from the best of several starts, every parameter within its bounds."""
     low, high = np.asarray(lower, float), np.asarray(upper, float)
     rough = [_solve(residuals, start, low, high, 1e-3, 40) for start in starts] if len(starts) > 1 else []
-    begin = min(rough, key=lambda result: result.cost).x if rough else starts[0]
-    found = _solve(residuals, begin, low, high, 1e-10, 200)
+    best_start = min(rough, key=lambda result: result.cost).x if rough else starts[0]
+    found = _solve(residuals, best_start, low, high, 1e-10, 200)
     n, k = found.jac.shape
-    freedom = n - k
-    scatter = math.sqrt(2.0 * found.cost / freedom) if freedom > 0 else math.nan
+    deviation = math.sqrt(2.0 * found.cost / (n - k)) if n > k else math.nan
     margin = BOUND_TOLERANCE * (high - low)
     free = (found.x > low + margin) & (found.x < high - margin)
     covariance = np.zeros((k, k))
     if free.any():
         jacobian = found.jac[:, free]
-        covariance[np.ix_(free, free)] = scatter**2 * np.linalg.pinv(jacobian.T @ jacobian)
-    return CurveFit(found.x, covariance, found.fun, scatter, freedom, low, high)
+        covariance[np.ix_(free, free)] = deviation**2 * np.linalg.pinv(jacobian.T @ jacobian)
+    return CurveFit(found.x, covariance, found.fun, deviation, n - k, low, high)
 
 
 def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.ndarray, high: np.ndarray,
@@ -86,43 +84,42 @@ def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.nd
 
 
 def profile_interval(residuals: Residuals, fit: CurveFit, index: int) -> Interval:
-    """Profile-likelihood interval of parameter `index`, by the secant method on the square root of the increase of S.
-    """
+    """Profile-likelihood interval of a parameter, by the secant method for the square root of the increase of S."""
     low, low_open = _interval_end(residuals, fit, index, -1.0)
     high, high_open = _interval_end(residuals, fit, index, 1.0)
     return Interval(low, high, low_open, high_open)
 
 
 def _interval_end(residuals: Residuals, fit: CurveFit, index: int, side: float) -> tuple[float, bool]:
-    threshold = fit.scatter**2 * float(fisher.ppf(0.95, 1, fit.freedom))
+    threshold = fit.residual_deviation**2 * float(fisher.ppf(0.95, 1, fit.degrees_of_freedom))
     bound = float((fit.upper if side > 0.0 else fit.lower)[index])
-    value, spread = float(fit.values[index]), float(fit.deviations[index])
+    value, error = float(fit.values[index]), float(fit.standard_errors[index])
     to_bound = abs(bound - value)
     if to_bound <= BOUND_TOLERANCE * float(fit.upper[index] - fit.lower[index]):
         return bound, True
-    distance = min(math.sqrt(threshold) / fit.scatter * spread, to_bound) if spread > 0.0 else 0.1 * to_bound
+    distance = min(math.sqrt(threshold) / fit.residual_deviation * error, to_bound) if error > 0.0 else 0.1 * to_bound
     minimum = float(fit.residuals @ fit.residuals)
     others = np.arange(len(fit.values)) != index
-    slope = fit.covariance[others, index] / spread**2 if spread > 0.0 else np.zeros(int(others.sum()))
+    slope = fit.covariance[others, index] / error**2 if error > 0.0 else np.zeros(int(others.sum()))
     start = fit.values[others] + slope * side * distance
-    known = (0.0, 0.0)
+    previous = (0.0, 0.0)  # distance, and root of the relative increase of S
     for _ in range(MAX_STEPS):
         start, cost = _fit_with_fixed(residuals, fit, index, value + side * distance, start)
         root = math.sqrt(max(cost - minimum, 0.0) / threshold)
         if distance >= to_bound and root < 1.0:
             return bound, True
-        if abs(root - 1.0) < END_TOLERANCE or distance == known[0]:
+        if abs(root - 1.0) < END_TOLERANCE or distance == previous[0]:
             break
-        steepness = (root - known[1]) / (distance - known[0])
-        known = (distance, root)
+        steepness = (root - previous[1]) / (distance - previous[0])
+        previous = (distance, root)
         step = (1.0 - root) / steepness if steepness > 0.0 else distance
-        # Steps are limited: the distance stays positive and grows at most fourfold.
+        # The distance stays positive and grows at most fourfold per step.
         distance = min(max(distance + step, 0.3 * distance), 4.0 * distance, to_bound)
     return value + side * distance, False
 
 
 def _jacobian(residuals: Residuals, upper: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Forward differences, all columns in one call; backward where a step would cross the upper bound."""
+    """Jacobian by forward differences in one call of `residuals`; backward where a step would cross the upper bound."""
     def jacobian(values: np.ndarray) -> np.ndarray:
         steps = 1e-7 * np.maximum(np.abs(values), 1e-3)
         steps = np.where(values + steps > upper, -steps, steps)
@@ -134,13 +131,13 @@ def _jacobian(residuals: Residuals, upper: np.ndarray) -> Callable[[np.ndarray],
 
 def _fit_with_fixed(residuals: Residuals, fit: CurveFit, index: int, value: float,
                     start: np.ndarray) -> tuple[np.ndarray, float]:
-    """(the other parameters fitted with one fixed, sum of squares)."""
+    """(values of the other parameters, sum of squares) of a fit with one parameter fixed."""
     others = np.arange(len(fit.values)) != index
     low, high = fit.lower[others], fit.upper[others]
 
     def of_others(free: np.ndarray) -> np.ndarray:
         return residuals(np.insert(free, index, value, axis=-1))
 
-    # The increase is about 5 % of the sum of squares; a tolerance of 0.01 % is sufficient.
+    # At an end of the interval, S is larger by about 5 %, so a tolerance of 0.01 % is sufficient.
     found = _solve(of_others, start, low, high, 1e-4, 60)
     return found.x, 2.0 * found.cost

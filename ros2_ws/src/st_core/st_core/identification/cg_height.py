@@ -81,7 +81,7 @@ def pitch_from_lift(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.
     return angle - angle[0]
 
 
-def cg_height(data: Lift, car: LiftedCar) -> Identification:
+def identify_cg_height(data: Lift, car: LiftedCar) -> Identification:
     """Estimate of cg_height [m].
 
     Raises IdentificationError, with the numbers, for unusable rows: no level row, too little pitch, pitch in the wrong

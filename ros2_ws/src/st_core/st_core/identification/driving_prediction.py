@@ -75,7 +75,7 @@ noise, the rear stiffness is too small by 4.6 m^2 / R^2: 1.1 % at 20 m, 0.1 % at
 full Ackermann angles."""
 
 
-def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
+def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
                       settings: DrivingFitSettings = SETTINGS, *, also: Sequence[str] = (),
                       nuisance: Sequence[str] = NUISANCE) -> Identification:
     """Both stiffnesses with their uncertainty from the scatter between runs.
@@ -143,7 +143,7 @@ def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
     Raises IdentificationError for too little excitation: at least two speed bins are needed.
     """
-    result = predict_stiffness(logs, vehicle, base, also=(RATIO, OFFSET), nuisance=(*NUISANCE, DELAY, RELAXATION))
+    result = fit_stiffness(logs, vehicle, base, also=(RATIO, OFFSET), nuisance=(*NUISANCE, DELAY, RELAXATION))
     order = [e.parameter for e in result.estimates]
     chosen = [order.index(name) for name in (RATIO, OFFSET, *(n for n in order if n not in (RATIO, OFFSET)))]
     correlation = result.correlation[chosen][:, chosen] if result.correlation is not None else None

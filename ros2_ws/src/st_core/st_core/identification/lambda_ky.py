@@ -29,7 +29,7 @@ class StiffnessUncertainty:
     name: str
 
 
-def lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, StiffnessUncertainty]) -> Identification:
+def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, StiffnessUncertainty]) -> Identification:
     """Estimates of tyre_front.lambda_ky and tyre_rear.lambda_ky [1].
 
     tables: by tyre; without one the uncertainty is that of the axle stiffness only. Raises IdentificationError if the

@@ -1,19 +1,18 @@
-"""Magic Formula of one tyre from flat-plank tables: lateral force versus slip angle at several vertical loads.
+"""Identification of one tyre's Magic Formula from flat-plank tables: lateral force versus slip angle at several loads.
 
-Equations in `tyres.py`; scale factors lambda are 1, p_ey3 is that of the vehicle file (the paper: symmetric). One
-more parameter, a shift s of the slip angle common to all loads, absorbs conicity and plysteer and is then dropped:
+The equations are in `tyres.py`, with scale factors lambda of 1 and p_ey3 of the vehicle file (the paper: symmetric). A
+shift s of the slip angle, common to all loads, absorbs conicity and plysteer and is then dropped:
 
     F_y(F_z, alpha) = D sin(C atan(B x - E (B x - atan(B x)))),   x = alpha + s
 
-Stage 1, at the load nearest to nominal_load: p_cy1, p_dy1, p_ey1 and the stiffness K there. Stage 2 fixes these and
-fits their load dependence: p_dy2, p_ey2, p_ky2, p_ky4 (p_ky1 follows from K). That is the paper's order. The result is
-the initial guess of a simultaneous fit, which yields the values and intervals; stage 2 alone would treat the stage 1
-values as exact. Both are compared. With two loads p_ky4 is kept from the vehicle file; with one, every load dependence
-is.
+Stage 1, at the load nearest to nominal_load, fits p_cy1, p_dy1, p_ey1 and the stiffness K. Stage 2 fixes these and fits
+their load dependence p_dy2, p_ey2, p_ky2, p_ky4 (p_ky1 follows from K), as in the paper. Stage 2 would treat the values
+of stage 1 as exact, so a simultaneous fit, started from the result, yields the values and intervals. With two loads,
+p_ky4 is taken from the vehicle file; with one load, the whole load dependence is.
 
-Slip angle in rad, force in N, of one tyre, steady state, in either sign convention; `check_table` converts to a force
-that opposes the slip angle (sign: tyres.py). Source: paper, parameter identification and appendix. Checked by:
-test_identification_experiments.py.
+Slip angle [rad] and force [N] of one tyre in steady state may have either sign convention; `check_table` converts them
+to a force that opposes the slip angle, as in `tyres.py`. Source: paper, parameter identification and appendix. Checked
+by: test_identification_experiments.py.
 """
 
 import math
@@ -31,16 +30,18 @@ from .result import Coverage, Estimate, Identification, IdentificationError, Sta
 
 MAX_SLIP = math.radians(40.0)
 MIN_SLIP = math.radians(3.0)
-LEVEL_GAP = 0.04  # relative; loads closer than this count as one level, since the load varies during a sweep
-MIN_POINTS = 7  # at the nominal load; five parameters are fitted to them
+LEVEL_GAP = 0.04  # relative; loads closer than this are one level, since the load varies during a sweep
+MIN_POINTS = 7  # minimum number of points at the nominal load, to which five parameters are fitted
 SLIP_BINS = np.radians([0.0, 0.75, 1.5, 3.0, 5.0, 8.0, 12.0, 20.0])
 MIN_FILLED_BINS = 3
 
 
 @dataclass(frozen=True)
 class FlatPlank:
-    """load [N], slip angle [rad], lateral force [N]: (n,) each, in either sign convention. tyre: tyre_front or
-    tyre_rear. name: of the data."""
+    """A flat-plank table: load [N], slip angle [rad], lateral force [N], (n,) each, in either sign convention.
+
+    tyre: tyre_front or tyre_rear. name: name of the data.
+    """
 
     tyre: str
     load: np.ndarray
@@ -50,7 +51,7 @@ class FlatPlank:
 
 
 def load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
-    """Mean load of each level (m,), ascending [N], and the level of each row (n,)."""
+    """(mean load of each level (m,), ascending [N], index of the level of each row (n,))."""
     if len(data.load) < MIN_POINTS or not (np.isfinite(data.load).all() and (data.load > 0.0).all()):
         lowest = float(np.min(data.load)) if len(data.load) else math.nan
         raise IdentificationError(f"{data.tyre}: {len(data.load)} rows with loads from {lowest:.4g} N: "
@@ -65,9 +66,9 @@ def load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_load: float) -> tuple[FlatPlank, bool]:
-    """The table with the force opposing the slip angle, and whether its sign was changed for that.
+    """(the table with a force that opposes the slip angle, whether the sign of the slip angle was changed).
 
-    Raises IdentificationError, with the numbers, for an unusable table.
+    Raises IdentificationError for an unusable table.
     """
     if not (np.isfinite(data.slip).all() and np.isfinite(data.force).all()):
         raise IdentificationError(f"{data.tyre}: every row needs a slip angle and a lateral force")
@@ -81,10 +82,11 @@ def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_
     largest = float(np.abs(data.slip).max())
     if largest > MAX_SLIP:
         raise IdentificationError(f"{data.tyre}: slip angle reaches {largest:.4g} rad = {math.degrees(largest):.0f} "
-                                  "deg, limit 40 deg: if the column is in degrees, name it slip_angle_deg")
+                                  "deg, but at most 40 deg is possible: if the column is in degrees, name it "
+                                  "slip_angle_deg")
     if largest < MIN_SLIP:
-        raise IdentificationError(f"{data.tyre}: slip angle reaches {math.degrees(largest):.3g} deg only, at least 3 "
-                                  "are needed; if the column is in radians, name it slip_angle_rad")
+        raise IdentificationError(f"{data.tyre}: slip angle reaches only {math.degrees(largest):.3g} deg, at least 3 "
+                                  "deg are needed; if the column is in radians, name it slip_angle_rad")
     ratio = float((np.abs(data.force) / data.load).max())
     if not 0.2 < ratio < 3.0:
         raise IdentificationError(f"{data.tyre}: the lateral force reaches {ratio:.3g} times the load, expected 0.2 to "
@@ -92,8 +94,8 @@ def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_
     nominal = int(np.argmin(np.abs(levels - nominal_load)))
     if abs(levels[nominal] - nominal_load) > 0.1 * nominal_load:
         raise IdentificationError(f"{data.tyre}: no load near nominal_load {nominal_load:.0f} N of the vehicle file, "
-                                  f"the nearest is {levels[nominal]:.0f} N: test that load, or change nominal_load in "
-                                  "the file")
+                                  f"the nearest is {levels[nominal]:.0f} N: test at that load, or change nominal_load "
+                                  "in the file")
     rows = level == nominal
     distinct = len(np.unique(np.round(np.degrees(data.slip[rows]), 2)))
     if distinct < MIN_POINTS:
@@ -118,8 +120,7 @@ def slip_coverage(data: FlatPlank, levels: np.ndarray, level: np.ndarray) -> tup
 
 
 SHIFT = "slip_shift"
-# With p_ky4 < 1 the stiffness never reaches p_ky1 F_z0, which is then not its maximum; with
-# p_ky4 > 2 it would change its sign at some load.
+# With p_ky4 < 1 the stiffness never reaches its maximum p_ky1 F_z0; with p_ky4 > 2 it changes its sign at some load.
 FIT_BOUNDS = {SHIFT: (-math.radians(2.0), math.radians(2.0)), "p_ky4": (1.0, 2.0)}
 NOMINAL_PARAMETERS = ("p_cy1", "p_dy1", "p_ey1")
 STIFFNESS_PARAMETERS = ("p_ky1", "p_ky2", "p_ky4")
@@ -133,11 +134,10 @@ MEANING = {"p_cy1": "shape", "p_dy1": "peak friction", "p_dy2": "load dependence
 
 @dataclass(frozen=True)
 class TyreFit:
-    """tyre: with the fitted values. names: free parameters, SHIFT last. fit: simultaneous, parameters in this order.
-
-    staged: the tyre after the paper's two stages. levels: mean load of each level [N]; level: which a row belongs to.
-    flipped: whether the table had the opposite sign of the slip angle.
-    """
+    """Result of the fit of a tyre. tyre: with the fitted values. names: fitted parameters, SHIFT last. fit: the
+    simultaneous fit, with the parameters in this order. staged: the tyre after the paper's two stages. levels: mean
+    load of each level [N]. level: index of the level of each row. flipped: whether the sign of the slip angle was
+    changed."""
 
     tyre: MagicFormula
     names: tuple[str, ...]
@@ -160,7 +160,7 @@ class TyreFit:
 
 
 def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
-    """Fit in two stages, then simultaneous. start: has nominal_load and all parameters that are not fitted.
+    """Fit a tyre in two stages, and then simultaneously. start: nominal_load and all parameters that are not fitted.
 
     Raises IdentificationError for a table that does not determine a tyre.
     """
@@ -182,7 +182,7 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
     return TyreFit(_with_values(staged, names, fit.values.tolist()), names, fit, staged, levels, level, flipped)
 
 
-def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
+def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
     """Estimates of the tyre's parameters, named as in the vehicle file, such as "tyre_front.p_ky1"."""
     found = fit_tyre(data, start)
     fit, tyre = found.fit, found.tyre
@@ -191,20 +191,20 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
     function = _residuals(data, found.staged, found.names)
     peak = float(np.abs(data.force).max())
     method = (f"flat plank, {len(data.load)} points at {', '.join(f'{x:.0f}' for x in levels)} N, nominal load first, "
-              f"then all loads simultaneously, profile likelihood; residual {100 * fit.scatter / peak:.2f} % of the "
-              "largest force")
+              f"then all loads simultaneously, profile likelihood; residual {100 * fit.residual_deviation / peak:.2f} "
+              "% of the largest force")
     estimates = []
     for k, name in enumerate(found.names[:-1]):
         interval = profile_interval(function, fit, k)
         key = f"{data.tyre}.{name}"
-        # Uncertainty: width of the 95 % profile interval / 3.92; the covariance at the estimate ignores bounds.
-        value, spread = float(fit.values[k]), (interval.high - interval.low) / 3.92
+        # The profile interval of a normal distribution is 3.92 deviations wide; the covariance ignores bounds.
+        value, uncertainty = float(fit.values[k]), (interval.high - interval.low) / 3.92
         open_ends = interval.lower_open + interval.upper_open
         verdict = [f"{MEANING[name][0].upper()}{MEANING[name][1:]}."]
         status: Status = "doubtful" if fit.at_bound(k) or open_ends else "identified"
         if fit.at_bound(k):
             end = min(fit.lower[k], fit.upper[k], key=lambda bound: abs(bound - value))
-            verdict.append(f"{key} ended at its bound {end:g}: the value is set by the bound, not by the data.")
+            verdict.append(f"{key} ended at its bound {end:g}: the bound, not the data, determines the value.")
         elif open_ends == 1:
             end = interval.low if interval.lower_open else interval.high
             verdict.append(f"The data determine only one end of the interval; the other is the bound {end:g}.")
@@ -212,8 +212,8 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
             verdict.append(f"The data do not determine it within {interval.low:g} to {interval.high:g}; it is written "
                            "because, with the other parameters, it reproduces the stiffness at the tested loads.")
             # Standard deviation of a uniform distribution in the range.
-            spread = (interval.high - interval.low) / math.sqrt(12.0)
-        estimates.append(Estimate(key, value, "1", spread, (interval.low, interval.high), method, (data.name,),
+            uncertainty = (interval.high - interval.low) / math.sqrt(12.0)
+        estimates.append(Estimate(key, value, "1", uncertainty, (interval.low, interval.high), method, (data.name,),
                                   " ".join(verdict), status))
     correlation = correlation_of(fit.covariance)[:-1, :-1]
     grid = np.linspace(data.slip.min(), data.slip.max(), 121)
@@ -228,7 +228,7 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
 
 
 def _fit_nominal_load(data: FlatPlank, base: MagicFormula) -> MagicFormula:
-    """First stage. The load dependencies of `base` explain the small differences from the nominal load."""
+    """Stage 1. The load dependence of `base` corrects for the small differences from the nominal load."""
     inner = np.abs(data.slip) <= max(math.radians(2.0), np.sort(np.abs(data.slip))[min(3, len(data.slip) - 1)])
     slope = float(data.slip[inner] @ data.force[inner]) / float(data.slip[inner] @ data.slip[inner])
     level = float(data.load.mean())
@@ -241,7 +241,7 @@ def _fit_nominal_load(data: FlatPlank, base: MagicFormula) -> MagicFormula:
 
 
 def _fit_load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[str]) -> MagicFormula:
-    """Second stage: K at the nominal load is fixed, so that p_ky1 follows from p_ky2 and p_ky4."""
+    """Stage 2: K at the nominal load is fixed, which determines p_ky1 by p_ky2 and p_ky4."""
     stiffness = float(magic_formula_stiffness(first.nominal_load, first))
 
     def tyre(values: Any) -> MagicFormula:
@@ -273,12 +273,12 @@ def _residuals(data: FlatPlank, start: MagicFormula, names: Sequence[str]) -> Re
 
 
 def _with_values(tyre: MagicFormula, names: Sequence[str], values: Any) -> MagicFormula:
-    """The tyre with values in the order of names; each may be a number or an array, one element per set."""
+    """The tyre with values in the order of names; a value is a number, or an array with an element per set."""
     return tyre._replace(**{name: value for name, value in zip(names, values, strict=True) if name != SHIFT})
 
 
 def _bounds(names: Sequence[str]) -> tuple[list[float], list[float]]:
-    """Limits of the vehicle file, narrower by FIT_BOUNDS."""
+    """Lower and upper bounds: those of FIT_BOUNDS, or else of the vehicle file."""
     limits = [FIT_BOUNDS.get(name) or (TYRE_QUANTITIES[name].minimum, TYRE_QUANTITIES[name].maximum) for name in names]
     return [low for low, _ in limits], [high for _, high in limits]
 
@@ -286,16 +286,16 @@ def _bounds(names: Sequence[str]) -> tuple[list[float], list[float]]:
 def _warnings(data: FlatPlank, found: TyreFit, peak: float) -> list[str]:
     sentences = []
     if found.flipped:
-        sentences.append("In the table the force has the sign of the slip angle (the other convention): the slip "
-                         "angle's sign was changed.")
+        sentences.append("In the table the force has the same sign as the slip angle (the other convention): the sign "
+                         "of the slip angle was changed.")
     if len(found.levels) < 3:
-        kept = "p_ky4 stays" if len(found.levels) == 2 else "p_dy2, p_ey2, p_ky2 and p_ky4 stay"
-        sentences.append(f"{len(found.levels)} load{'s' * (len(found.levels) > 1)} only: {kept} as in the vehicle "
-                         "file.")
-    shift, spread = found.fit.values[-1], found.fit.deviations[-1]
-    if abs(shift) > 3.0 * spread and abs(shift) > math.radians(0.02):
+        kept = "p_ky4 is" if len(found.levels) == 2 else "p_dy2, p_ey2, p_ky2 and p_ky4 are"
+        sentences.append(f"The table has only {len(found.levels)} load{'s' * (len(found.levels) > 1)}: {kept} taken "
+                         "from the vehicle file.")
+    shift, uncertainty = found.fit.values[-1], found.fit.standard_errors[-1]
+    if abs(shift) > 3.0 * uncertainty and abs(shift) > math.radians(0.02):
         sentences.append(f"The curves are shifted by {math.degrees(shift):+.2f} deg of slip angle (conicity, "
-                         "plysteer, or the zero of the wheel angle); the models' tyre is symmetric, without a shift.")
+                         "plysteer, or a wrong zero of the wheel angle); the models' tyre is symmetric.")
     grid = np.linspace(data.slip.min(), data.slip.max(), 61)
     largest = max(float(np.abs(tyre_force(grid, load, found.staged) - tyre_force(grid, load, found.tyre)).max())
                   for load in found.levels)

@@ -40,7 +40,7 @@ class Weighings:
     scale_uncertainty: float = SCALE_UNCERTAINTY
 
 
-def mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: float = 0.0) -> Identification:
+def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: float = 0.0) -> Identification:
     """Estimates of mass [kg] and cg_to_front_axle [m], of the most frequent loading (the first one in a tie).
 
     wheelbase [m] with its standard uncertainty [m]. Weighings with another loading are rejected.

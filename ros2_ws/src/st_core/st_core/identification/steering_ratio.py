@@ -99,7 +99,7 @@ class Turntable:
     sweeps: tuple[str, ...]
 
 
-def steering_ratio(data: Turntable) -> Identification:
+def identify_steering_ratio(data: Turntable) -> Identification:
     """Estimate of steering_ratio [1], from the best straight line in the tested range.
 
     Raises IdentificationError, with the numbers, for too few rows, too small a range, a wrong unit or sign, exchanged

@@ -11,7 +11,7 @@ from st_core.checks import Finding
 from st_core.errors import StCoreError
 from st_core.identification.cornering_stiffness import identify_stiffness
 from st_core.identification.driving_fit import FREE_PARAMETERS
-from st_core.identification.driving_prediction import identify_steering, identify_yaw_inertia, predict_stiffness
+from st_core.identification.driving_prediction import fit_stiffness, identify_steering, identify_yaw_inertia
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import Estimate, Identification, IdentificationError, describe_contradiction
 from st_core.identification.steering_offset import identify_steering_offset
@@ -237,7 +237,7 @@ def experiment(name: str, what: str, needs: str, compute: Callable[..., Identifi
 
 def stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:
     """Stiffnesses by prediction, with the paper's regression of the same drives in the figure and the warnings."""
-    found = predict_stiffness(logs, vehicle, base)
+    found = fit_stiffness(logs, vehicle, base)
     try:
         paper = identify_stiffness(logs, vehicle)
     except IdentificationError as error:

@@ -6,12 +6,18 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from st_core.identification.cg_height import Lift, LiftedCar, cg_height, pitch_from_lift
-from st_core.identification.lambda_ky import StiffnessUncertainty, lambda_ky
-from st_core.identification.magic_formula import FlatPlank, fit_tyre, magic_formula
-from st_core.identification.mass_and_cg import SCALE_UNCERTAINTY, WHEELS, Weighings, describe_swapped_axles, mass_and_cg
+from st_core.identification.cg_height import Lift, LiftedCar, identify_cg_height, pitch_from_lift
+from st_core.identification.lambda_ky import StiffnessUncertainty, identify_lambda_ky
+from st_core.identification.magic_formula import FlatPlank, fit_tyre, identify_magic_formula
+from st_core.identification.mass_and_cg import (
+    SCALE_UNCERTAINTY,
+    WHEELS,
+    Weighings,
+    describe_swapped_axles,
+    identify_mass_and_cg,
+)
 from st_core.identification.result import Identification
-from st_core.identification.steering_ratio import Turntable, steering_ratio
+from st_core.identification.steering_ratio import Turntable, identify_steering_ratio
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.vehicle import TYRES
 from st_recordings.runs.errors import RunError
@@ -37,7 +43,7 @@ def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification
         raise RunError(files[0], f"scale_uncertainty_kg has several values: {sorted(scales)}", "use one set of scales")
     vehicle = setup.vehicle
     weighings = Weighings(np.concatenate(readings), tuple(names), tuple(loads), scales.pop())
-    found = mass_and_cg(weighings, vehicle.wheelbase, setup.uncertainty_of("wheelbase"))
+    found = identify_mass_and_cg(weighings, vehicle.wheelbase, setup.uncertainty_of("wheelbase"))
     swapped = describe_swapped_axles(found, vehicle.wheelbase, vehicle.cg_to_front_axle)
     return (replace(found, warnings=(*found.warnings, *([swapped] if swapped else []))),)
 
@@ -85,7 +91,7 @@ def identify_ratio(files: Sequence[Path], setup: Setup) -> tuple[Identification,
         names += [f"{file.name}:{name}" for name in table.texts.get("series") or ("1",) * len(table)]
         columns.append([table.numbers[name] for name in ANGLES])
     steering_wheel, left, right = (np.concatenate(parts) for parts in zip(*columns, strict=True))
-    return (steering_ratio(Turntable(steering_wheel, left, right, tuple(names))),)
+    return (identify_steering_ratio(Turntable(steering_wheel, left, right, tuple(names))),)
 
 
 def draw_ratio(found: Identification, output: FigureOutput) -> PageFigure:
@@ -151,7 +157,7 @@ def identify_height(files: Sequence[Path], setup: Setup) -> tuple[Identification
     given = masses.pop() if masses else None
     car = LiftedCar(given or vehicle.mass, vehicle.wheelbase, vehicle.cg_to_front_axle,
                     0.0 if given else setup.uncertainty_of("mass"), setup.uncertainty_of("wheelbase"))
-    return (cg_height(Lift(pitch, load, tuple(names), front, rear), car),)
+    return (identify_cg_height(Lift(pitch, load, tuple(names), front, rear), car),)
 
 
 def _pitch(table: Table, wheelbase: float) -> np.ndarray:
@@ -212,7 +218,7 @@ def identify_lambda(files: Sequence[Path], setup: Setup) -> tuple[Identification
         fit = fit_tyre(table, getattr(setup.vehicle, table.tyre))
         stiffness, spread = fit.stiffness(getattr(setup.vehicle, f"static_tyre_load_{axle}"))
         found[table.tyre] = StiffnessUncertainty(spread / abs(stiffness), table.name)
-    return (lambda_ky(setup.vehicle, found),)
+    return (identify_lambda_ky(setup.vehicle, found),)
 
 
 def read_tables(files: Sequence[Path]) -> list[FlatPlank]:
@@ -267,7 +273,7 @@ def draw_tyre(found: Identification, output: FigureOutput) -> PageFigure:
 
 TYRE = Experiment("tyre", "Magic Formula parameters from flat-plank tables",
                   "CSV: tyre (front or rear), load_n, slip_angle_deg, lateral_force_n",
-                  lambda files, setup: tuple(magic_formula(table, getattr(setup.vehicle, table.tyre))
+                  lambda files, setup: tuple(identify_magic_formula(table, getattr(setup.vehicle, table.tyre))
                                              for table in read_tables(files)), draw_tyre)
 LAMBDA = Experiment("lambda", "stiffness scale of the Magic Formula from the axle's stiffness",
                     "none, or the flat-plank tables for the uncertainty of the tyre", identify_lambda,
