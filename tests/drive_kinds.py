@@ -11,11 +11,11 @@ from rosbags.typesys import get_types_from_msg
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs.bag import definitions_folder
-from st_recordings.runs.cdr import typestore
+from st_recordings.runs.cdr import load_typestore
 
 CAR = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
 NAMES = ("t", "x", "y", "yaw", "vx", "vy", "yaw_rate", "steering_wheel_angle")
-STORE = typestore(definitions_folder())
+STORE = load_typestore(definitions_folder())
 
 
 def columns(log: DriveLog) -> list[np.ndarray]:
@@ -88,7 +88,7 @@ OWN_TEXT = "builtin_interfaces/Time stamp\nfloat32[2] spare\nfloat64 angle_deg\n
 
 def write_bag(file: Path, log: DriveLog, first: int = 0, last: int | None = None, stamps: str = "good",
               own: bool = False, encoding: str = "cdr", **options) -> Path:
-    store = typestore(definitions_folder())
+    store = load_typestore(definitions_folder())
     types = get_types_from_msg(OWN_TEXT, OWN)
     if OWN not in store.fielddefs and own:
         from rosbags.typesys import Stores, get_typestore

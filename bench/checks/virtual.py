@@ -10,7 +10,7 @@ from st_core.checks import AuxiliaryData, Series
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import config
-from st_recordings.runs.ncom import to_body
+from st_recordings.runs.ncom import rotate_to_body
 from st_sim.car import GRAVITY, Car, read_car
 from st_sim.scenarios import load
 from st_sim.sensors import Ins, InsReading, SteeringSensor, read_wheel_speeds
@@ -94,7 +94,7 @@ def _log(name: str, readings: list, steering: np.ndarray, vehicle: VehicleParame
     cosine, sine = np.cos(column("yaw")), np.sin(column("yaw"))
     forward, left = column("velocity_x"), column("velocity_y")
     level = np.stack([cosine * forward - sine * left, sine * forward + cosine * left, column("velocity_z")])
-    velocity = to_body(_rounded(level, "velocity"), yaw, -pitch, roll)
+    velocity = rotate_to_body(_rounded(level, "velocity"), yaw, -pitch, roll)
     angle = _rounded(steering[:, 1], "steering")
     force = _rounded(column("specific_force"), "force")
     return DriveLog(name, _ns(column("stamp")), column("x"), column("y"), np.unwrap(yaw), velocity[0], velocity[1],

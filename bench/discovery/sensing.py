@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import lfilter
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_recordings.runs.ncom import to_body
+from st_recordings.runs.ncom import rotate_to_body
 from st_sim.car import GRAVITY, Car
 from st_sim.dynamics import A_X, A_Y, A_Y_RATE, STATES, VX, VY, YAW, YAW_RATE, X, Y, Z
 from st_sim.sensors import FULL_VIBRATION_SPEED, NOISE
@@ -38,7 +38,7 @@ def log_of(name: str, recording: Recording, car: Car, vehicle: VehicleParameters
     cosine, sine = np.cos(r["yaw"]), np.sin(r["yaw"])
     level = np.stack([cosine * r["velocity_x"] - sine * r["velocity_y"], sine * r["velocity_x"] +
                       cosine * r["velocity_y"], r["velocity_z"]])
-    velocity = to_body(_rounded(level, "velocity"), yaw, -pitch, roll)
+    velocity = rotate_to_body(_rounded(level, "velocity"), yaw, -pitch, roll)
     steering = recording.steering_wheel + car.steering_wheel_offset
     if settings["steering_sensor_noise"]:
         steering = steering + settings["steering_sensor_noise"] * _stream(np.random.default_rng([seed, 4]), count, 256)

@@ -20,7 +20,7 @@ from st_recordings.runs import csv
 from st_recordings.runs.bag import ODOMETRY, STEERING, definitions_folder, read_bag
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.can_signals import decode_signals, load_signal_table
-from st_recordings.runs.cdr import typestore
+from st_recordings.runs.cdr import load_typestore
 from st_recordings.runs.columns import Layout
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.vbo import read_vbo
@@ -110,7 +110,7 @@ def _read_back(bag: Path) -> str:
 
 def _make(name: str, **values: object) -> object:
     """A message, 0 where nothing is given."""
-    store = typestore(definitions_folder())
+    store = load_typestore(definitions_folder())
     made = {}
     for field, (kind, detail) in store.get_msgdef(name).fields:
         if field in values:
@@ -125,7 +125,7 @@ def _make(name: str, **values: object) -> object:
 
 
 def _drive_bag(folder: Path) -> Path:
-    store, bag = typestore(definitions_folder()), BagWriter(folder / "drive")
+    store, bag = load_typestore(definitions_folder()), BagWriter(folder / "drive")
     topics = {}
     for name, topic in ((ODOMETRY, "/ins/odometry"), (STEERING, "/vehicle/steering")):
         definition, _ = store.generate_msgdef(name, ros_version=2)
@@ -207,7 +207,7 @@ def _vbo(data: bytes, folder: Path) -> str:
     file = folder / "drive.vbo"
     file.write_bytes(data)
     try:
-        drive = csv.drive_of(read_vbo(file, Layout()))
+        drive = csv.build_drive(read_vbo(file, Layout()))
     except RunError as error:
         return one_line(error, data)
     return f"read, {len(drive.warnings)} warnings"

@@ -16,9 +16,9 @@ from st_core.clock_alignment import align, manual_alignment
 from st_core.clock_types import Alignment, Verdict
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.can_signals import CanSignals, decode_signals, load_signal_table
-from st_recordings.runs.clocks import INS_ON_CAN, align_clocks, shared_signals
+from st_recordings.runs.clocks import INS_ON_CAN, align_clocks, pair_shared_signals
 from st_recordings.runs.columns import Layout
-from st_recordings.runs.csv import MOTION, ins_of
+from st_recordings.runs.csv import MOTION_SIGNALS, build_ins_log
 from st_recordings.runs.csv_table import read_table
 from support import ROOT, SETS, vectors
 from typer.testing import CliRunner
@@ -31,7 +31,7 @@ LATE = {"RT_VelocityLevel": 0.0015, "RT_HeadingPitchRoll": 0.0017, "RT_RateVehic
 class Pair:
     def __init__(self, which: str):
         self.files = [vectors(which, f"can/{n}") for n in ("synthetic_rt_own_log.csv", "synthetic_leaf_rt.mf4")]
-        self.ins = ins_of(read_table(self.files[0], Layout()), MOTION)
+        self.ins = build_ins_log(read_table(self.files[0], Layout()), MOTION_SIGNALS)
         self.log = read_can_logs(self.files[1:])
         table = load_signal_table(ROOT / "config/can/leaf_ze0.dbc", ROOT / "config/can/leaf_ze0.yaml")
         self.signals = decode_signals(self.log.frames, table)
@@ -64,7 +64,7 @@ def test_offset_and_drift_of_the_pair(pair: Pair) -> None:
 
 def test_known_latencies_leave_microseconds(pair: Pair) -> None:
     signals = [replace(s, latency=LATE[s.name.split("(")[1].rstrip(")")], latency_uncertainty=0.0)
-               for s in shared_signals(pair.ins, pair.signals)]
+               for s in pair_shared_signals(pair.ins, pair.signals)]
     assert len(signals) == len(LATE)
     result = align(signals)
     assert abs(pair.error(result, result.at_ns)) < min(1e-4, 3 * result.offset_deviation)

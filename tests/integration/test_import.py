@@ -12,11 +12,11 @@ from oxts_bridge import file_decoder
 from rosbags.highlevel import AnyReader
 from st_cli.cli import app
 from st_core.vehicle import VehicleParameters
-from st_recordings.bag_metadata import type_hash
+from st_recordings.bag_metadata import read_type_hash
 from st_recordings.runs import RunError, find_runs, read
 from st_recordings.runs.bag import definitions_folder
 from st_recordings.runs.can_logs import read_can_logs
-from st_recordings.runs.cdr import typestore
+from st_recordings.runs.cdr import load_typestore
 from st_recordings.runs.frames import ERROR, EXTENDED, REMOTE
 from st_sim.run import main as virtual_leaf
 from support import ROOT
@@ -166,7 +166,7 @@ def test_raw_packets_and_frames_are_kept(raw: Path, imported: Path) -> None:
     packets = (raw / "run.ncom").read_bytes()
     log = read_can_logs([raw / "run.mf4"])
     frames, stream, stamps = [], b"", []
-    with AnyReader([imported], default_typestore=typestore(definitions_folder())) as reader:
+    with AnyReader([imported], default_typestore=load_typestore(definitions_folder())) as reader:
         for connection, log_ns, data in reader.messages():
             message = reader.deserialize(data, connection.msgtype)
             if connection.topic == "/ins/ncom":
@@ -193,7 +193,7 @@ def test_raw_packets_and_frames_are_kept(raw: Path, imported: Path) -> None:
 
 def test_raw_packets_decode_to_the_odometry(imported: Path) -> None:
     stream, odometry = b"", []
-    with AnyReader([imported], default_typestore=typestore(definitions_folder())) as reader:
+    with AnyReader([imported], default_typestore=load_typestore(definitions_folder())) as reader:
         for connection, _, data in reader.messages():
             message = reader.deserialize(data, connection.msgtype) if connection.topic.startswith("/ins") else None
             if connection.topic == "/ins/ncom":
@@ -284,12 +284,12 @@ def test_ros_takes_every_message_and_knows_the_types(imported: Path) -> None:
     topics = {t["topic_metadata"]["name"]: t["topic_metadata"] for t in about["topics_with_message_count"]}
     assert set(topics) == {"/ins/odometry", "/ins/ncom", "/vehicle/steering", "/vehicle/wheel_speeds", "/can/frames"}
     seen = set()
-    with AnyReader([imported], default_typestore=typestore(definitions_folder())) as reader:
+    with AnyReader([imported], default_typestore=load_typestore(definitions_folder())) as reader:
         for connection, _, data in reader.messages():
             if connection.topic in seen:
                 continue
             seen.add(connection.topic)
-            assert topics[connection.topic]["type_description_hash"] == type_hash(connection.msgtype)
+            assert topics[connection.topic]["type_description_hash"] == read_type_hash(connection.msgtype)
             package, _, name = connection.msgtype.split("/")
             message = serialization.deserialize_message(bytes(data), getattr(import_module(f"{package}.msg"), name))
             again = serialization.serialize_message(message)  # bytes between the fields are whatever lay there

@@ -89,10 +89,10 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from rosbags.highlevel import AnyReader
     from rosbags.rosbag2 import StoragePlugin, Writer
     from st_recordings.runs.bag import definitions_folder
-    from st_recordings.runs.cdr import typestore
+    from st_recordings.runs.cdr import load_typestore
     from st_sim.run import main
 
-    base, store = tmp_path_factory.mktemp("foreign"), typestore(definitions_folder())
+    base, store = tmp_path_factory.mktemp("foreign"), load_typestore(definitions_folder())
     vehicle = ROOT / "config/vehicle/leaf.yaml"
     assert main(["--scenario", "S6", "--vehicle", str(vehicle), "--duration", str(SECONDS), "--to-files",
                  str(base / "S6")]) == 0

@@ -188,7 +188,7 @@ def test_errors_to_plot_are_the_evaluator_s(drawn) -> None:
 
 def test_the_relay_hands_messages_on_byte_for_byte_on_this_machine_only(tmp_path: Path) -> None:
     from st_recordings.runs.bag import definitions_folder
-    from st_recordings.runs.cdr import typestore
+    from st_recordings.runs.cdr import load_typestore
 
     processes = Processes(tmp_path)
     try:
@@ -203,7 +203,7 @@ def test_the_relay_hands_messages_on_byte_for_byte_on_this_machine_only(tmp_path
         processes.close()
     assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
     assert "uint64 predicted" in channel["schema"]
-    status = typestore(definitions_folder()).deserialize_cdr(data, channel["schemaName"])
+    status = load_typestore(definitions_folder()).deserialize_cdr(data, channel["schemaName"])
     assert status.reason == "INS: nothing received yet" and status.predicted == 0
 
 

@@ -8,7 +8,7 @@ from st_cli.cli import app
 from st_cli.verbs._options import LEAF, ReadOptions, report_default_car
 from st_core.vehicle import VehicleParameters
 from st_recordings.car import car_names, load_car
-from st_recordings.car_skeleton import MEASUREMENT_HINTS, problems, remarks, write_skeleton
+from st_recordings.car_skeleton import MEASUREMENT_HINTS, find_problems, list_remarks, write_skeleton
 from st_recordings.paths import config
 from st_recordings.runs.errors import RunError
 from typer.main import get_command
@@ -95,11 +95,11 @@ def test_every_verb_that_decodes_steering_means_the_same_by_the_same_options(nam
 
 
 def test_a_speed_that_the_table_does_not_use_is_pointed_out(folder):
-    assert not any("vehicle_speed" in line for line in remarks(str(folder)))
+    assert not any("vehicle_speed" in line for line in list_remarks(str(folder)))
     table = folder / "signals.yaml"
     head, _, rest = table.read_text().partition("  Leaf_WheelSpeedFront:")
     table.write_text(head + rest[rest.index("  # The INS on CAN"):])
-    (line,) = [line for line in remarks(str(folder)) if "vehicle_speed" in line]
+    (line,) = [line for line in list_remarks(str(folder)) if "vehicle_speed" in line]
     assert "can.dbc has " in line and "Leaf_WheelSpeedFront.WheelSpeedFR" in line and "RT_" not in line
 
 
@@ -184,7 +184,7 @@ def test_each_fault_of_a_car_is_one_line_with_file_and_key(new, name, before, af
     text = (new / name).read_text()
     assert before in text
     (new / name).write_text(text.replace(before, after, 1))
-    (message,) = problems(str(new))
+    (message,) = find_problems(str(new))
     assert "\n" not in message and all(word in message for word in words), message
 
 
@@ -192,7 +192,7 @@ def test_faults_of_several_files_are_reported_together(new):
     fill_in(new)
     (new / "car.yaml").write_text("steering_sign: 0\n")
     (new / "can.dbc").unlink()
-    message = problems(str(new))
+    message = find_problems(str(new))
     assert len(message) == 2 and "car.yaml" in message[0] and "can.dbc: the file does not exist" in message[1]
 
 
@@ -200,12 +200,12 @@ def test_a_table_without_steering_is_refused(new):
     fill_in(new)
     text = (new / "signals.yaml").read_text()
     (new / "signals.yaml").write_text(text[:text.index("  MyCar")] + text[text.index("  # The INS on CAN"):])
-    assert "steering_wheel_angle" in problems(str(new))[0]
+    assert "steering_wheel_angle" in find_problems(str(new))[0]
 
 
 @pytest.mark.parametrize("name", car_names())
 def test_the_cars_of_the_configuration_are_good(name):
-    assert problems(name) == []
+    assert find_problems(name) == []
 
 
 def test_nothing_is_overwritten(new):

@@ -18,11 +18,11 @@ from st_live.replaying import describe_not_played
 from st_live.verification import verify
 from st_recordings.mcap import BagWriter, recover
 from st_recordings.runs.bag import ODOMETRY, STEERING, definitions_folder
-from st_recordings.runs.cdr import typestore
+from st_recordings.runs.cdr import load_typestore
 from support import ROOT
 from typer.testing import CliRunner
 
-STORE = typestore(definitions_folder())
+STORE = load_typestore(definitions_folder())
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
 MODELS = ("kinematic", "linear")
 T0 = 1_756_900_800_000_000_000

@@ -19,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 from st_core.palette import MODEL_COLOUR
 from st_msgs.msg import ErrorSummary, Prediction, PredictorStatus
-from st_recordings.results import band_lines
+from st_recordings.results import format_band_lines
 from st_ros.polling import PolledSubscription
 
 AGGREGATE_PERIOD = 1.0  # s between messages on /diagnostics_agg
@@ -182,7 +182,7 @@ def running_errors(state: SuiteState) -> RenderableType:
 
 def bands(state: SuiteState) -> list[Text]:
     """Coverage of the published bands; empty without bands."""
-    return [Text(line) for line in band_lines(state.summary.statistics if state.summary else [])]
+    return [Text(line) for line in format_band_lines(state.summary.statistics if state.summary else [])]
 
 
 def ticks(state: SuiteState) -> Text:

@@ -14,10 +14,10 @@ from st_core.types import InsSample, map_to_body
 from st_core.vehicle import VehicleParameters
 from st_predictor import convert
 from st_predictor.map_drawing import History, Ribbon, car_outline
-from st_recordings.recorded_results import configuration_of
-from st_recordings.results import band_lines
+from st_recordings.recorded_results import find_configuration
+from st_recordings.results import format_band_lines
 from st_recordings.runs.bag import definitions_folder, open_bag, read_bag
-from st_recordings.runs.cdr import typestore
+from st_recordings.runs.cdr import load_typestore
 from st_ros.polling import to_nanoseconds
 
 from .configuration import recordings_of
@@ -226,14 +226,14 @@ def draw(path: Path, file: Path, vehicle: Path | None = None) -> int:
     """
     bag, _ = recordings_of(path)
     open_bag(bag)
-    car, recorded, _ = configuration_of(read_bag(bag).records, vehicle)
+    car, recorded, _ = find_configuration(read_bag(bag).records, vehicle)
     batches = rr.ChunkBatcherConfig(flush_tick=FLUSH_PERIOD, flush_num_bytes=2_000_000)
     stream = rr.RecordingStream("single_track_predictor", batcher_config=batches)
     stream.send_recording_name(path.name)
     stream.set_sinks(rr.FileSink(str(file)), default_blueprint=make_blueprint())
     collector = Collector(Scene(stream, car), recorded.nodes.get("predictor", {}).get("map_frame", "map"))
     pictures, due_ns = 0, 0
-    with AnyReader([bag], default_typestore=typestore(definitions_folder())) as reader:
+    with AnyReader([bag], default_typestore=load_typestore(definitions_folder())) as reader:
         connections = [c for c in reader.connections if _find_suite_topic(c.topic)]
         for connection, log_ns, data in reader.messages(connections=connections):
             if log_ns >= due_ns:
@@ -314,7 +314,7 @@ def format_errors(statistics: Sequence[Any], ticks: str, health: Sequence[tuple[
             lines.append(f"| {row.model} | {mode} | {row.n_starts} | {numbers} |")
     if len(lines) == 2:
         lines = ["Waiting for the first complete horizon."]
-    lines += ["", *(f"- {line}" for line in band_lines(statistics)), "", ticks, ""]
+    lines += ["", *(f"- {line}" for line in format_band_lines(statistics)), "", ticks, ""]
     problems = [entry for entry in health if entry[0] > 0]
     lines += [f"- {LEVELS[min(level, 3)]}: {name}: {text}" for level, name, text in sorted(problems, reverse=True)]
     if health and not problems:

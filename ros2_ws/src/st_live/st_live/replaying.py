@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from st_core.vehicle import VehicleParameters
-from st_recordings.recorded_results import configuration_of
+from st_recordings.recorded_results import find_configuration
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import read_bag, was_interrupted
 from st_recordings.runs.bag_storage import recorded_text
@@ -48,7 +48,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
                        "st evaluate and st verify reconstruct them from raw packets and frames")
     for line in describe_not_played(bag, drive.unknown):
         console.print(f"[yellow]{escape(line)}[/yellow]", highlight=False, soft_wrap=True)
-    car, recorded, _ = configuration_of(drive.records, vehicle)
+    car, recorded, _ = find_configuration(drive.records, vehicle)
     file = folder / "vehicle.yaml"
     file.write_text(car.to_yaml())
     text = recorded_text(drive.records, str(recorded.nodes.get("predictor", {}).get("course_file", "")))

@@ -15,7 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
-from st_recordings.results import Results, band_lines, read_results, summarise, write_summary
+from st_recordings.results import Results, format_band_lines, read_results, summarise, write_summary
 from st_recordings.runs.errors import RunError
 
 from .session import Outcome
@@ -44,7 +44,7 @@ def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Con
         write_summary(folder / "summary.json", summary)
         paths_figure(results, f"{about['what']}: {headline(summary)}", folder / "paths.png")
     console.print(error_table(summary, f"{about['what']}: error over each 5 s horizon, at the INS point"))
-    for line in band_lines(results.bands):
+    for line in format_band_lines(results.bands):
         console.print(line, highlight=False, soft_wrap=True)
     ticks = summary["ticks"]
     console.print(f"ticks {ticks['due']}, predicted {ticks['predicted']}, skipped {ticks['skipped']}")

@@ -26,7 +26,7 @@ from st_recordings.recorded_results import (
     Progress,
     RecordedConfiguration,
     Scores,
-    configuration_of,
+    find_configuration,
     read_planned,
     read_predictions,
     read_scores,
@@ -98,7 +98,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     if not predictions:
         return None
     drive = read_bag(bag, steering=read.steering, odometry=read.odometry) if read else read_bag(bag)
-    car, recorded, source = configuration_of(drive.records, vehicle)
+    car, recorded, source = find_configuration(drive.records, vehicle)
     settings = _settings(recorded)
     scores = read_scores(score_bags, progress)
     planned_by_mode = {mode: read_planned(bag, mode, progress) for mode in PLANNED_MODES}

@@ -29,7 +29,7 @@ from st_offline.checking.gate import Refused
 from st_offline.checking.run_corrections import run_yaml, with_corrections
 from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunSource
-from st_recordings.runs.raw import alignment_summary
+from st_recordings.runs.raw import summarise_alignment
 from support import ROOT
 
 HOSTILE = "<script>alert(1)</script> & [bold]x"
@@ -143,7 +143,7 @@ def test_an_opposite_steering_sign_comes_first_with_what_to_type():
 
 def test_an_opposite_sign_in_a_can_log_is_answered_with_its_option():
     sign = Finding("steering_sign", Severity.ERROR, ("road_wheel_angle",), "is -1 times the angle", -1.0, "1")
-    alignment = alignment_summary(Alignment(0, 0, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
+    alignment = summarise_alignment(Alignment(0, 0, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
     console = Lines()
     print_run(replace(run("drive", (sign,)), alignment=alignment), console)
     first = console.file.getvalue().splitlines()[0]
@@ -151,7 +151,7 @@ def test_an_opposite_sign_in_a_can_log_is_answered_with_its_option():
 
 
 def test_the_clocks_of_many_runs_are_one_sentence():
-    found = {str(n): alignment_summary(Alignment(0, -n * 100_000_000, 0.0, 0.001 * n, 0.1, "shared signals", verdict))
+    found = {str(n): summarise_alignment(Alignment(0, -n * 100_000_000, 0.0, 0.001 * n, 0.1, "shared signals", verdict))
              for n, verdict in enumerate((Verdict.GOOD, Verdict.GOOD, Verdict.DOUBTFUL), 1)}
     assert check_report.describe_clocks({**found, "csv": {"method": "none"}}) == (
         "INS minus steering clock of 3 runs: -0.300 to -0.100 s, found from the data, standard deviation up to 3.0 ms, "
@@ -167,7 +167,7 @@ def test_the_clocks_of_many_runs_are_one_sentence():
     ("shared signals", "INS minus steering clock: -0.430 s, found from the data (by shared signals, ± 1.2 ms, "
      "good)")])
 def test_the_clock_of_the_steering_is_stated(method, text):
-    alignment = alignment_summary(Alignment(0, -430_000_000, 0.0, 0.0012, 0.1, method, Verdict.GOOD))
+    alignment = summarise_alignment(Alignment(0, -430_000_000, 0.0, 0.0012, 0.1, method, Verdict.GOOD))
     assert check_report.describe_clock(alignment) == text
     console = Lines()
     print_run(replace(run(), alignment=alignment), console)
@@ -293,10 +293,10 @@ def test_many_runs_print_each_finding_once_and_the_clean_runs_in_one_line():
 
 
 def test_an_offset_of_a_time_zone_is_explained():
-    zone = alignment_summary(Alignment(0, 7198_588_000_000, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
+    zone = summarise_alignment(Alignment(0, 7198_588_000_000, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
     text = "+7198.588 s (about +2 h: one of the two clocks shows local time), found"
     assert text in check_report.describe_clock(zone)
-    other = alignment_summary(Alignment(0, 900_000_000_000, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
+    other = summarise_alignment(Alignment(0, 900_000_000_000, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
     assert "local time" not in check_report.describe_clock(other)
 
 

@@ -12,11 +12,11 @@ from st_offline.checking.gate import check_bag
 from st_recordings.paths import config
 from st_recordings.runs import ReadSettings, find_runs, read
 from st_recordings.runs.bag import definitions_folder, read_bag
-from st_recordings.runs.cdr import ODOMETRY, typestore
+from st_recordings.runs.cdr import ODOMETRY, load_typestore
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.run_types import SteeringField
 
-STORE = typestore(definitions_folder())
+STORE = load_typestore(definitions_folder())
 START_NS = 1_700_000_000_000_000_000
 N, STEP_NS = 400, 10_000_000
 FLOAT, STAMPED, TEXT = "std_msgs/msg/Float64", "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/String"

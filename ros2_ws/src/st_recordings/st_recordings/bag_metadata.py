@@ -43,18 +43,18 @@ class Qos:
 
     def to_entry(self) -> dict[str, Any]:
         return {"history": self.history, "depth": self.depth, "reliability": self.reliability,
-                "durability": self.durability, "deadline": _duration_entry(self.deadline_ns),
-                "lifespan": _duration_entry(self.lifespan_ns), "liveliness": self.liveliness,
-                "liveliness_lease_duration": _duration_entry(self.liveliness_lease_ns),
+                "durability": self.durability, "deadline": _format_duration(self.deadline_ns),
+                "lifespan": _format_duration(self.lifespan_ns), "liveliness": self.liveliness,
+                "liveliness_lease_duration": _format_duration(self.liveliness_lease_ns),
                 "avoid_ros_namespace_conventions": False}
 
 
-def _duration_entry(nanoseconds: int) -> dict[str, int]:
+def _format_duration(nanoseconds: int) -> dict[str, int]:
     seconds, rest = divmod(min(nanoseconds, INFINITE_NS), 1_000_000_000)
     return {"sec": seconds, "nsec": rest}
 
 
-def qos_text(qos: Sequence[Qos]) -> str:
+def format_qos(qos: Sequence[Qos]) -> str:
     """The QoS entries as the YAML text in the metadata of an MCAP channel (rosbag2)."""
     return yaml.safe_dump([q.to_entry() for q in qos], sort_keys=False).strip() if qos else ""
 
@@ -130,13 +130,13 @@ def read_information(directory: Path) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def custom_data(records: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+def collect_custom_data(records: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
     """`custom_data` of metadata.yaml: the short one-line texts of a bag's metadata records, under "record.key"."""
     return {f"{name}.{key}": text for name, entries in records.items() if name != "rosbag2"
             for key, text in entries.items() if len(text) <= MAX_CUSTOM_DATA_LENGTH and "\n" not in text}
 
 
-def _interface_file(type_name: str, suffix: str) -> Path:
+def _find_interface_file(type_name: str, suffix: str) -> Path:
     package, _, name = type_name.replace("/msg/", "/").partition("/")
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         path = Path(prefix, "share", package, "msg", name + suffix)
@@ -147,26 +147,26 @@ def _interface_file(type_name: str, suffix: str) -> Path:
 
 
 @cache
-def definition(type_name: str) -> str:
+def read_definition(type_name: str) -> str:
     """The .msg text of a type ("pkg/msg/Type") and of all types it uses, in the `ros2msg` layout.
 
     Raises UnknownTypeError.
     """
-    text = _interface_file(type_name, ".msg").read_text()
+    text = _find_interface_file(type_name, ".msg").read_text()
     parts, seen = [text.rstrip("\n") + "\n"], {type_name.replace("/msg/", "/")}
-    waiting = _types_used(type_name, text)
+    waiting = _list_types_used(type_name, text)
     while waiting:
         used = waiting.pop(0)
         if used in seen:
             continue
         seen.add(used)
-        text = _interface_file(used, ".msg").read_text()
+        text = _find_interface_file(used, ".msg").read_text()
         parts.append(f"{TYPE_SEPARATOR}\nMSG: {used}\n{text.rstrip(chr(10))}\n")
-        waiting += _types_used(used, text)
+        waiting += _list_types_used(used, text)
     return "".join(parts)
 
 
-def _types_used(owner: str, text: str) -> list[str]:
+def _list_types_used(owner: str, text: str) -> list[str]:
     """The types (pkg/Type) of the fields in a definition, in order of appearance."""
     used = []
     for line in text.splitlines():
@@ -180,9 +180,9 @@ def _types_used(owner: str, text: str) -> list[str]:
 
 
 @cache
-def type_hash(type_name: str) -> str:
+def read_type_hash(type_name: str) -> str:
     """Hash (RIHS01_...) of the installed interface. Raises UnknownTypeError."""
-    document = json.loads(_interface_file(type_name, ".json").read_text())
+    document = json.loads(_find_interface_file(type_name, ".json").read_text())
     for entry in document["type_hashes"]:
         if entry["type_name"] == type_name:
             return str(entry["hash_string"])

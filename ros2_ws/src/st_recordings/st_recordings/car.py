@@ -7,7 +7,7 @@ import yaml
 from st_core.vehicle import VehicleParameters
 
 from .paths import config
-from .runs.errors import RunError, check_readable, short
+from .runs.errors import RunError, check_readable, shorten
 
 STEERING_DEFAULTS = {"steering_sign": 1, "steering_latency": 0.0}
 """Keys of car.yaml and their defaults."""
@@ -85,7 +85,7 @@ def read_yaml_mapping(file: Path) -> dict:
     try:
         table = yaml.safe_load(file.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise RunError(file, f"not YAML: {short(error)}") from None
+        raise RunError(file, f"not YAML: {shorten(error)}") from None
     if not isinstance(table, dict | None):
         raise RunError(file, "not a YAML mapping")
     return table or {}

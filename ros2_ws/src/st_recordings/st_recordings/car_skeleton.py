@@ -22,7 +22,7 @@ from st_core.vehicle import (
 
 from .car import Car, load_car, read_vehicle, read_yaml_mapping
 from .paths import config
-from .runs.columns import unit_named
+from .runs.columns import find_unit
 from .runs.errors import RunError
 from .runs.ins_log import SPEEDS
 
@@ -108,7 +108,7 @@ def write_skeleton(folder: Path) -> list[Path]:
     rt = "\n" + "".join(f"{block.rstrip()}\n\n" for block in blocks if re.match(r"BO_ \d+ RT_", block))
     rows = re.split(r"(?m)^name:.*\n", vehicle)[1].splitlines()
     head, rest = signals.split("messages:\n", 1)
-    texts = {"vehicle.yaml": VEHICLE_TEMPLATE + "".join(f"{_template_row(row)}\n" for row in rows),
+    texts = {"vehicle.yaml": VEHICLE_TEMPLATE + "".join(f"{_make_template_row(row)}\n" for row in rows),
              "signals.yaml": head + SIGNALS_TEMPLATE + rest[rest.index("  # The INS on CAN"):],
              "can.dbc": DBC_TEMPLATE, "rt.dbc": rt, "car.yaml": CAR_TEMPLATE}
     try:
@@ -122,7 +122,7 @@ def write_skeleton(folder: Path) -> list[Path]:
     return [folder / name for name in texts]
 
 
-def problems(folder: str) -> list[str]:
+def find_problems(folder: str) -> list[str]:
     """Faults in the folder of a car, one line each with file and key; empty for a valid car.
 
     Raises RunError for a folder without a car.
@@ -137,21 +137,21 @@ def problems(folder: str) -> list[str]:
         if not str(error.path).endswith("car.yaml"):
             raise
         car, found = Car(Path(error.path).parent, 1, 0.0), [str(error)]
-    return [*found, *_vehicle_problems(car.vehicle), *_bus_problems(car)]
+    return [*found, *_find_vehicle_problems(car.vehicle), *_find_bus_problems(car)]
 
 
-def remarks(folder: str) -> list[str]:
+def list_remarks(folder: str) -> list[str]:
     """Lines about a valid car: values unusual for a road car, and the uncertainties used."""
     car = load_car(folder)
     file = car.vehicle
     vehicle = read_vehicle(file)
     notes = [f"{file}: unusual: {text}" for text in objections(vehicle)]
-    notes += _unused_speeds(car)
+    notes += _suggest_speed_signals(car)
     return [*notes, "uncertainty of each quantity, one standard deviation (st discover keeps the value near it):",
-            *(f"  {line}" for line in uncertainties(vehicle))]
+            *(f"  {line}" for line in list_uncertainties(vehicle))]
 
 
-def uncertainties(vehicle: VehicleParameters) -> list[str]:
+def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
     """One line per quantity with a given or default uncertainty; the last line lists the free quantities."""
     quantities = {**VEHICLE_QUANTITIES,
                   **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
@@ -173,11 +173,12 @@ def uncertainties(vehicle: VehicleParameters) -> list[str]:
     return [*lines, f"free in st discover unless `uncertainty` is given: {', '.join(free)}"] if free else lines
 
 
-def _vehicle_problems(file: Path) -> list[str]:
+def _find_vehicle_problems(file: Path) -> list[str]:
     try:
         document = read_yaml_mapping(file)
-        if empty := set(_unfilled_keys(document)):
-            return [f"{file}: {key}: not filled in{_fill_in_hint(key)}" for key in document if str(key) in empty]
+        if empty := set(_find_unfilled_keys(document)):
+            return [f"{file}: {key}: not filled in{_describe_missing_value(key)}" for key in map(str, document)
+                    if key in empty]
         vehicle = read_vehicle(file)
     except (RunError, StCoreError) as error:
         return [str(error)]
@@ -193,14 +194,14 @@ def _vehicle_problems(file: Path) -> list[str]:
             f"{1e3 * step:g} ms; {needed:g} m/s or more is stable"]
 
 
-def _fill_in_hint(key: str) -> str:
+def _describe_missing_value(key: str) -> str:
     if key not in VEHICLE_QUANTITIES:
         return ""
     entries = "value, source and uncertainty" if key in DEFAULT_UNCERTAINTIES else "value and source"
     return f", {entries}; {VEHICLE_QUANTITIES[key].limit()}"
 
 
-def _bus_problems(car: Car) -> list[str]:
+def _find_bus_problems(car: Car) -> list[str]:
     existing = [file for file in (car.dbc, car.signals) if file.exists()]
     if not existing:  # Such a car can only be used with CSV files and bags.
         return []
@@ -209,7 +210,7 @@ def _bus_problems(car: Car) -> list[str]:
         return [f"{missing}: the file does not exist, and {existing[0].name} cannot be used without it; write it, or "
                 "delete both"]
     try:
-        if any(_unfilled_keys(read_yaml_mapping(car.signals))):
+        if any(_find_unfilled_keys(read_yaml_mapping(car.signals))):
             return [f"{car.signals}: messages: {FILL_IN}_message and {FILL_IN}_signal are not filled in: names in "
                     f"{car.dbc.name} of the message and the signal with the steering wheel angle; if all recordings "
                     "are CSV or bags, delete both files"]
@@ -223,7 +224,7 @@ def _bus_problems(car: Car) -> list[str]:
     return []
 
 
-def _unused_speeds(car: Car) -> list[str]:
+def _suggest_speed_signals(car: Car) -> list[str]:
     """A line that suggests speed signals of the DBC, if the signal table names none."""
     if not car.signals.exists():
         return []
@@ -231,28 +232,28 @@ def _unused_speeds(car: Car) -> list[str]:
     if any(signal.name in SPEEDS for message in table.messages.values() for signal in message.signals):
         return []
     unused = [f"{message.name}.{signal.name}" for message in table.database.messages for signal in message.signals
-              if "speed" in signal.name.lower() and unit_named("speed", signal.unit or "") and
+              if "speed" in signal.name.lower() and find_unit("speed", signal.unit or "") and
               not message.name.startswith("RT_")]
     return [f"{car.signals}: it has no speed signal, but {car.dbc.name} has {', '.join(unused[:4])}: name one "
             "vehicle_speed (or wheel_speed_rear_left, ...); it aligns the clocks of INS and CAN log better than the "
             "steering"] if unused else []
 
 
-def _unfilled_keys(document: Any, top_key: str = "") -> Iterator[str]:
+def _find_unfilled_keys(document: Any, top_key: str = "") -> Iterator[str]:
     """Yields the top-level keys that still contain a placeholder."""
     if isinstance(document, dict):
         for key, value in document.items():
             if str(key).startswith(FILL_IN):
                 yield top_key or str(key)
-            yield from _unfilled_keys(value, top_key or str(key))
+            yield from _find_unfilled_keys(value, top_key or str(key))
     elif isinstance(document, list):
         for value in document:
-            yield from _unfilled_keys(value, top_key)
+            yield from _find_unfilled_keys(value, top_key)
     elif str(document).startswith(FILL_IN):
         yield top_key
 
 
-def _template_row(line: str) -> str:
+def _make_template_row(line: str) -> str:
     """A line for the vehicle file of a new car, made from the same line of the Leaf's file."""
     row = _VEHICLE_ROW.match(line)
     if row is None:

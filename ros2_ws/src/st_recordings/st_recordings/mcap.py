@@ -20,7 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, MessageIndex, Schema
 
 from . import bag_metadata
-from .bag_metadata import BagFile, BagInformation, Qos, Topic, custom_data, qos_text
+from .bag_metadata import BagFile, BagInformation, Qos, Topic, collect_custom_data, format_qos
 from .mcap_contents import MAGIC, Contents
 from .recovery import RecoveryError, RecoveryReport, recover
 from .syncing import Syncer
@@ -64,7 +64,7 @@ class BagWriter:
         self.lost = 0
         self.closed = self.moved = False
         self.syncer: Syncer | None = None
-        self._custom = custom_data(records or {})
+        self._custom = collect_custom_data(records or {})
         self._topics: list[Topic] = []
         self._schemas: dict[str, int] = {}
         if self.directory.is_dir() and any(self.directory.iterdir()):
@@ -99,14 +99,14 @@ class BagWriter:
 
         definition, type_hash: default: from the installed package; raises UnknownTypeError if there is none.
         """
-        definition = definition or bag_metadata.definition(type_name)
-        type_hash = type_hash or bag_metadata.type_hash(type_name)
+        definition = definition or bag_metadata.read_definition(type_name)
+        type_hash = type_hash or bag_metadata.read_type_hash(type_name)
         new: list[Schema | Channel] = []
         if type_name not in self._schemas:
             number = self._schemas[type_name] = len(self._schemas) + 1
             new.append(Schema(id=number, name=type_name, encoding="ros2msg", data=definition.encode()))
         self._topics.append(Topic(name, type_name, type_hash, [q.to_entry() for q in qos]))
-        metadata = {"offered_qos_profiles": qos_text(qos), "topic_type_hash": type_hash}
+        metadata = {"offered_qos_profiles": format_qos(qos), "topic_type_hash": type_hash}
         new.append(Channel(len(self._topics), name, "cdr", metadata, self._schemas[type_name]))
         if not (self.closed or self.error):
             try:

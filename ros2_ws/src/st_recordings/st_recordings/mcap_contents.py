@@ -59,7 +59,7 @@ class DamagedError(ValueError):
     """A record of full length has invalid content."""
 
 
-def _serialised(*records: McapRecord) -> bytes:
+def _serialise(*records: McapRecord) -> bytes:
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
@@ -159,7 +159,7 @@ class Contents:
             self.metadata[entry.name] = entry.metadata
             self._metadata_indexes.append(MetadataIndex(offset=offset, length=length, name=entry.name))
         elif record.opcode == Opcode.ATTACHMENT:
-            self._attachment_indexes.append(_attachment_index(stream, offset, length))
+            self._attachment_indexes.append(_read_attachment_index(stream, offset, length))
 
     def _read_chunk(self, chunk: Chunk, offset: int, length: int) -> None:
         stream, size = get_chunk_data_stream(chunk, validate_crc=True)
@@ -201,7 +201,7 @@ class Contents:
         self._chunks.append(_ChunkEntry(index, messages, {i: len(m.records) for i, m in messages.items()}))
         if len(self._chunks) > DROPPABLE_CHUNKS:
             oldest = self._chunks.popleft()
-            self._older_indexes += _serialised(oldest.index)
+            self._older_indexes += _serialise(oldest.index)
             self._older_count += 1
             self._add_older(oldest.counts, oldest.times())
 
@@ -212,7 +212,7 @@ class Contents:
 
     def append_chunk(self, stream: WritableStream, chunk: Chunk, messages: dict[int, MessageIndex]) -> None:
         """Writes a new chunk with its message indexes; an OSError adds nothing to the inventory."""
-        parts = [_serialised(record) for record in (chunk, *messages.values())]
+        parts = [_serialise(record) for record in (chunk, *messages.values())]
         offset = stream.tell()
         stream.write(b"".join(parts))
         self._add_chunk(chunk, messages, offset, len(parts[0]))
@@ -223,13 +223,13 @@ class Contents:
 
     def append_definitions(self, stream: WritableStream, records: Sequence[Schema | Channel]) -> None:
         """Writes schemas and channels."""
-        stream.write(_serialised(*records))
+        stream.write(_serialise(*records))
         self._definitions_end = stream.tell()
         self.schemas.update({r.id: r for r in records if isinstance(r, Schema)})
         self.channels.update({r.id: r for r in records if isinstance(r, Channel)})
 
     def append_metadata(self, stream: WritableStream, name: str, entries: dict[str, str]) -> None:
-        offset, data = stream.tell(), _serialised(Metadata(name=name, metadata=entries))
+        offset, data = stream.tell(), _serialise(Metadata(name=name, metadata=entries))
         stream.write(data)
         self.metadata[name] = entries
         self._metadata_indexes.append(MetadataIndex(offset=offset, length=len(data), name=name))
@@ -258,10 +258,10 @@ class Contents:
         if self._chunks:
             newest = self._chunks[-1]
             for channel_id in newest.messages.keys() - newest.index.message_index_offsets.keys():
-                data = _serialised(newest.messages[channel_id])
+                data = _serialise(newest.messages[channel_id])
                 newest.add_message_index(channel_id, stream.tell(), len(data))
                 stream.write(data)
-        stream.write(_serialised(DataEnd(0)))
+        stream.write(_serialise(DataEnd(0)))
         stream.write(self._summary(stream.tell()) + MAGIC)
 
     def _summary(self, summary_start: int) -> bytes:
@@ -290,13 +290,13 @@ class Contents:
             if builder.count > group_start:
                 offsets.append(SummaryOffset(opcode, summary_start + group_start, builder.count - group_start))
         offset_start = summary_start + builder.count
-        summary = builder.end() + _serialised(*offsets)
+        summary = builder.end() + _serialise(*offsets)
         crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start), zlib.crc32(summary))
-        return summary + _serialised(Footer(summary_start=summary_start, summary_offset_start=offset_start,
-                                            summary_crc=crc))
+        return summary + _serialise(Footer(summary_start=summary_start, summary_offset_start=offset_start,
+                                           summary_crc=crc))
 
 
-def _attachment_index(stream: ReadDataStream, offset: int, length: int) -> AttachmentIndex:
+def _read_attachment_index(stream: ReadDataStream, offset: int, length: int) -> AttachmentIndex:
     log_time, create_time = stream.read8(), stream.read8()
     name, media_type = stream.read_prefixed_string(), stream.read_prefixed_string()
     return AttachmentIndex(offset=offset, length=length, log_time=log_time, create_time=create_time,

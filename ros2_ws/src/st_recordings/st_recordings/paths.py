@@ -81,7 +81,7 @@ def replace_file(path: Path, text: str) -> None:
         raise
 
 
-def natural_order(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
+def natural_sort_key(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
     """Sort key of a file name by its numbers: drive_9 comes before drive_10."""
     parts = re.split(r"(\d+)", path.stem)
     return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts], path.suffix

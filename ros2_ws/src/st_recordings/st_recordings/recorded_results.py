@@ -15,7 +15,7 @@ from .paths import config
 from .runs import RunError
 from .runs.bag import definitions_folder, open_bag
 from .runs.bag_storage import recorded_parameters, recorded_text
-from .runs.cdr import field_of, typestore
+from .runs.cdr import get_field, load_typestore
 
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
 PLANNED = "st_msgs/msg/PlannedPrediction"
@@ -89,8 +89,8 @@ def recorded_configuration(records: Mapping[str, Mapping[str, str]]) -> Recorded
     return RecordedConfiguration(vehicle or records.get("configuration", {}).get("vehicle"), nodes)
 
 
-def configuration_of(records: Mapping[str, Mapping[str, str]],
-                     vehicle: Path | None) -> tuple[VehicleParameters, RecordedConfiguration, str]:
+def find_configuration(records: Mapping[str, Mapping[str, str]],
+                       vehicle: Path | None) -> tuple[VehicleParameters, RecordedConfiguration, str]:
     """(vehicle, recorded configuration, where the vehicle comes from): the file given, else the recording, else
     config/car/leaf/vehicle.yaml. Raises RunError, ConfigurationError.
     """
@@ -120,7 +120,7 @@ def _read_by_model(bag: Path, type_name: str, input_fields: Sequence[str], progr
     steps, hashes = defaultdict[str, set[float]](set), defaultdict[str, set[str]](set)
     for message in read_messages([bag], type_name, progress, topic_end):
         states = np.stack([getattr(message, name) for name in STATE_FIELDS], axis=-1)
-        rows[message.model][field_of(message, "header.stamp")] = [
+        rows[message.model][get_field(message, "header.stamp")] = [
             states, *(getattr(message, name) for name in input_fields)]
         steps[message.model].add(float(message.step))
         hashes[message.model].add(message.configuration_hash)
@@ -140,7 +140,7 @@ def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[
     for message in read_messages(bags, ERROR, progress):
         errors = np.stack([message.longitudinal, message.lateral, message.yaw], axis=-1)
         reason = message.incomplete_reason
-        rows[message.model, message.mode][field_of(message, "header.stamp")] = (
+        rows[message.model, message.mode][get_field(message, "header.stamp")] = (
             errors, bool(message.complete), END_REASON in reason, JUMP_REASON in reason)
     scores = {}
     for key, entries in rows.items():
@@ -156,7 +156,7 @@ def read_messages(bags: Sequence[Path], type_name: str, progress: Progress | Non
 
     progress: called with the number of messages read in a bag, and their total.
     """
-    store = typestore(definitions_folder())
+    store = load_typestore(definitions_folder())
     for bag in bags:
         storage = open_bag(bag)
         topics = [t for t in storage.topics() if t.type_name == type_name and t.count and t.name.endswith(topic_end)]

@@ -22,9 +22,9 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Footer, Statistics
 
-from .bag_metadata import FILE_NAME, BagFile, BagInformation, Topic, custom_data, read_information
+from .bag_metadata import FILE_NAME, BagFile, BagInformation, Topic, collect_custom_data, read_information
 from .mcap_contents import MAGIC, Contents, DamagedError, read_records
-from .paths import natural_order
+from .paths import natural_sort_key
 
 FOOTER_LENGTH = 29
 _DATA_END = struct.pack("<BQI", Opcode.DATA_END, 4, 0)
@@ -104,7 +104,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
             raise RecoveryError(f"{path} does not exist")
         report = RecoveryReport(target)
         contents = _recover_file(path, target, report)
-        report.topics = _message_counts(_information(report.files, [contents], path.parent))
+        report.topics = _count_messages(_build_information(report.files, [contents], path.parent))
         return report
     except OSError as error:
         name = error.filename or target
@@ -112,15 +112,15 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
 
 
 def _recover_directory(source: Path, target: Path) -> RecoveryReport:
-    files = sorted(source.glob("*.mcap"), key=natural_order)
+    files = sorted(source.glob("*.mcap"), key=natural_sort_key)
     if not files:
         raise RecoveryError(f"{source} has no .mcap file")
     report = RecoveryReport(target)
     if target != source:
         target.mkdir(parents=True)
     contents = [_recover_file(file, target / file.name, report) for file in files]
-    information = _information(report.files, contents, source)
-    report.topics = _message_counts(information)
+    information = _build_information(report.files, contents, source)
+    report.topics = _count_messages(information)
     if not _metadata_matches(target, information):
         information.save(target)
         report.metadata_rebuilt = True
@@ -132,7 +132,7 @@ def _recover_file(source: Path, target: Path, report: RecoveryReport) -> Content
         size = os.fstat(stream.fileno()).st_size
         _check_recoverable(stream, source, size)
         contents, found = Contents(), FileReport(target)
-        found.kept_bytes = len(MAGIC) + sum(map(len, _good_records(stream, size, contents, found)))
+        found.kept_bytes = len(MAGIC) + sum(map(len, _read_undamaged_records(stream, size, contents, found)))
         found.intact = not found.damaged_records and _is_closed(stream, size, contents, found)
         if not (found.intact and target == source):
             contents = _write_repaired(stream, size, source, target, found)
@@ -179,7 +179,7 @@ def _is_closed(stream: BinaryIO, size: int, contents: Contents, found: FileRepor
     return all(count == contents.counts().total() for count in counts)
 
 
-def _good_records(stream: BinaryIO, size: int, contents: Contents, found: FileReport) -> Iterator[bytes]:
+def _read_undamaged_records(stream: BinaryIO, size: int, contents: Contents, found: FileReport) -> Iterator[bytes]:
     """Yields the undamaged records of the data section and adds them to `contents` at their new offsets."""
     kept = end = len(MAGIC)
     found.damaged_records = 0
@@ -210,7 +210,7 @@ def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, fou
     try:
         with temporary.open("wb") as out:
             out.write(MAGIC)
-            out.writelines(_good_records(stream, size, contents, found))
+            out.writelines(_read_undamaged_records(stream, size, contents, found))
             contents.finish(out)
             out.flush()
             os.fsync(out.fileno())
@@ -228,32 +228,32 @@ def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, fou
     return contents
 
 
-def _message_counts(information: BagInformation) -> dict[str, int]:
+def _count_messages(information: BagInformation) -> dict[str, int]:
     counts: Counter[str] = Counter()  # a topic may have two types
     for topic in information.topics:
         counts[topic.name] += topic.count
     return counts
 
 
-def _information(files: list[FileReport], contents: list[Contents], source: Path) -> BagInformation:
+def _build_information(files: list[FileReport], contents: list[Contents], source: Path) -> BagInformation:
     topics: dict[tuple[str, str], Topic] = {}
     previous = read_information(source).get("custom_data")
     custom = {str(key): str(text) for key, text in previous.items()} if isinstance(previous, dict) else {}
     for of_file in contents:
         counts = of_file.counts()
-        custom.update(custom_data(of_file.metadata))
+        custom.update(collect_custom_data(of_file.metadata))
         for channel in of_file.channels.values():
             schema = of_file.schemas.get(channel.schema_id)
             type_name = schema.name if schema else ""
             topic = topics.setdefault((channel.topic, type_name), Topic(
                 channel.topic, type_name, channel.metadata.get("topic_type_hash", ""),
-                _qos_entries(channel.metadata.get("offered_qos_profiles", ""))))
+                _parse_qos(channel.metadata.get("offered_qos_profiles", ""))))
             topic.count += counts[channel.id]
     bag_files = [BagFile(f.path.name, f.messages, f.start_ns, f.end_ns) for f in files]
     return BagInformation(bag_files, list(topics.values()), custom)
 
 
-def _qos_entries(text: str) -> list[Any]:
+def _parse_qos(text: str) -> list[Any]:
     try:
         entries = yaml.safe_load(text)
     except yaml.YAMLError:
@@ -268,5 +268,5 @@ def _metadata_matches(folder: Path, information: BagInformation) -> bool:
         counts = {t["topic_metadata"]["name"]: t["message_count"] for t in found["topics_with_message_count"]}
     except (KeyError, TypeError):
         return False
-    return counts == _message_counts(information) and all(
+    return counts == _count_messages(information) and all(
         found.get(key) == expected[key] for key in ("message_count", "relative_file_paths", "duration"))

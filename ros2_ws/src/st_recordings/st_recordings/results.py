@@ -16,8 +16,8 @@ from .paths import json_ready, replace_file, source_version
 from .recorded_results import ERROR, read_messages
 from .runs.bag import definitions_folder, open_bag, read_fields
 from .runs.bag_storage import Storage
-from .runs.cdr import field_of, typestore
-from .runs.ins_log import yaw_of
+from .runs.cdr import get_field, load_typestore
+from .runs.ins_log import yaw_from_quaternion
 
 MODES = ("forecast", "hindsight")
 DRAWN_STARTS = 6  # number of starts whose predictions are drawn on the map
@@ -97,15 +97,16 @@ def _read_track(path: Path, bag: Storage) -> Track:
         return Track(np.empty(0, np.int64), *(np.empty(0),) * 3)
     position = [f"pose.pose.position.{axis}" for axis in "xy"]
     quaternion = [f"pose.pose.orientation.{axis}" for axis in "xyzw"]
-    values = read_fields(path, bag, topic, ["header.stamp", *position, *quaternion], typestore(definitions_folder()))
+    fields = ["header.stamp", *position, *quaternion]
+    values = read_fields(path, bag, topic, fields, load_typestore(definitions_folder()))
     x, y = (values[name] for name in position)
-    return Track(values["header.stamp"], x, y, np.unwrap(yaw_of(*(values[name] for name in quaternion))))
+    return Track(values["header.stamp"], x, y, np.unwrap(yaw_from_quaternion(*(values[name] for name in quaternion))))
 
 
 def _last_message(bag: Storage, topic: str, type_name: str) -> Any:
     """The last message of a topic; None without one."""
     last = deque(bag.messages(topic), maxlen=1)
-    return typestore(definitions_folder()).deserialize_cdr(last[0], type_name) if last else None
+    return load_typestore(definitions_folder()).deserialize_cdr(last[0], type_name) if last else None
 
 
 def _read_ticks(bag: Storage) -> dict[str, Any]:
@@ -124,7 +125,7 @@ def _read_scores(errors: Path) -> tuple[dict[tuple[str, str], MeanErrors], str]:
     for message in read_messages([errors], ERROR):
         configuration_hash = message.configuration_hash
         rows.setdefault((message.model, message.mode), []).append(
-            (field_of(message, "header.stamp"), message.complete,
+            (get_field(message, "header.stamp"), message.complete,
              message.longitudinal_mean, message.lateral_mean, message.yaw_mean))
     scores = {}
     for key, entries in rows.items():
@@ -142,7 +143,7 @@ def _read_segments(errors: Path, scores: dict[tuple[str, str], MeanErrors]) -> d
     starts = {common[i] for i in np.linspace(0, len(common) - 1, DRAWN_STARTS).round().astype(int)}
     segments = {}
     for message in read_messages([errors], ERROR):
-        start_ns = field_of(message, "header.stamp")
+        start_ns = get_field(message, "header.stamp")
         if start_ns in starts and message.mode == "hindsight":
             segments[message.model, start_ns] = Segment(start_ns + message.horizon * 1e9, message.longitudinal,
                                                         message.lateral)
@@ -154,15 +155,15 @@ def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
     models: dict[str, Any] = {}
     for model in results.models():
         modes = [*MODES, *(mode for name, mode in results.scores if name == model and mode not in MODES)]
-        models[model] = {mode: _statistics(results.scores.get((model, mode))) for mode in modes}
+        models[model] = {mode: _summarise_errors(results.scores.get((model, mode))) for mode in modes}
     for row in results.bands:  # coverage is null where nothing was counted
         models[row.model][row.mode]["bands"] = {"n": int(row.n_bands)} | json_ready(
             {"0.5": row.coverage_50, "0.9": row.coverage_90})
     return {**about, "models": models, "ticks": results.ticks, "configuration_hash": results.configuration_hash,
-            "versions": versions()}
+            "versions": collect_versions()}
 
 
-def _statistics(scores: MeanErrors | None) -> dict[str, Any]:
+def _summarise_errors(scores: MeanErrors | None) -> dict[str, Any]:
     complete = scores.complete if scores else np.zeros(0, dtype=bool)
     result: dict[str, Any] = {"n_starts": int(complete.sum()), "n_incomplete": int((~complete).sum())}
     for axis in ("longitudinal", "lateral", "yaw"):
@@ -178,7 +179,7 @@ def write_summary(path: Path, summary: dict[str, Any]) -> None:
     replace_file(path, json.dumps(summary, indent=2, allow_nan=False) + "\n")
 
 
-def versions() -> dict[str, str]:
+def collect_versions() -> dict[str, str]:
     """Versions of the suite, of Python and of the installed libraries that results depend on."""
     found = {"source": source_version(), "python": platform.python_version()}
     for name in ("numpy", "scipy", "mcap", "rosbags", "cantools", "python-can", "ros-jazzy-rclpy"):
@@ -189,7 +190,7 @@ def versions() -> dict[str, str]:
     return found
 
 
-def band_lines(rows: Sequence[Any]) -> list[str]:
+def format_band_lines(rows: Sequence[Any]) -> list[str]:
     """Coverage of the published bands as the evaluator counted it, one line for each mode with bands.
 
     rows: statistics of st_msgs/ErrorSummary.

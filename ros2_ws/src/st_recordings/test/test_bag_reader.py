@@ -15,10 +15,10 @@ from st_recordings.mcap import BagWriter
 from st_recordings.runs import bag
 from st_recordings.runs.bag import ODOMETRY, STEERING, definitions_folder, read_bag
 from st_recordings.runs.bag_storage import McapStorage, SqliteStorage
-from st_recordings.runs.cdr import INS_ON_CAN, INS_STATUS, NCOM, WHEEL_SPEEDS, Layout, typestore
+from st_recordings.runs.cdr import INS_ON_CAN, INS_STATUS, NCOM, WHEEL_SPEEDS, Layout, load_typestore
 from st_recordings.runs.errors import RunError
 
-STORE = typestore(definitions_folder())
+STORE = load_typestore(definitions_folder())
 START_NS = 1_700_000_000_123_456_789
 N = 500
 

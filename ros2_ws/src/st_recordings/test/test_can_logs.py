@@ -12,7 +12,7 @@ from mdf_files import LogFrame, write_layout_2
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.frames import EXTENDED, SENT, Frames
-from st_recordings.runs.mf4 import read_mf4, session_of
+from st_recordings.runs.mf4 import parse_session, read_mf4
 from support import KEPT, SETS, vectors
 
 REAL = "can/canedge2_2F6913DB_00000004_00000001.MF4"
@@ -109,10 +109,10 @@ def test_splits_of_a_session_are_joined_in_time(tmp_path: Path) -> None:
 
 
 def test_names_of_sessions() -> None:
-    assert session_of(Path("LOG/2F6913DB/00000004/00000012.MF4")) == ("LOG/2F6913DB/00000004", 12)
-    assert session_of(Path("00000007/00000001-6099D010.MF4")) == ("00000007", 1)
-    assert session_of(Path("x/canedge2_2F6913DB_00000004_00000003.MF4")) == ("x/canedge2_2F6913DB_00000004", 3)
-    assert session_of(Path("drive.mf4")) == ("drive.mf4", 1)
+    assert parse_session(Path("LOG/2F6913DB/00000004/00000012.MF4")) == ("LOG/2F6913DB/00000004", 12)
+    assert parse_session(Path("00000007/00000001-6099D010.MF4")) == ("00000007", 1)
+    assert parse_session(Path("x/canedge2_2F6913DB_00000004_00000003.MF4")) == ("x/canedge2_2F6913DB_00000004", 3)
+    assert parse_session(Path("drive.mf4")) == ("drive.mf4", 1)
 
 
 def test_a_bad_file_among_good_ones_costs_a_warning(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from canedge_bridge.decode import Decoder
 from st_recordings.runs.can_logs import read_can_logs
-from st_recordings.runs.can_signals import decode_signals, load_signal_table, steering_of
+from st_recordings.runs.can_signals import decode_signals, find_steering, load_signal_table
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.frames import REMOTE, Frames
 from support import KEPT, ROOT
@@ -84,10 +84,10 @@ def test_a_log_without_steering_says_what_is_there(frames: Frames) -> None:
     without = decode_signals(frames.select(frames.id != 2), table)
     with pytest.raises(RunError, match=r"drive\.mf4: the steering message Leaf_Steering \(0x002\) is not in the log; "
                                        r"it has Leaf_WheelSpeedFront, .*; name the car of this log with --car DIR, or"):
-        steering_of(without, "drive.mf4", table)
+        find_steering(without, "drive.mf4", table)
     real = read_can_logs([KEPT / "can/canedge2_2F6913DB_00000004_00000001.MF4"]).frames
     with pytest.raises(RunError, match=r"2 of 2 frames \(100 %\) have \d bytes, the DBC gives 5; 2 are not used"):
-        steering_of(decode_signals(real, table), "real.mf4", table)
+        find_steering(decode_signals(real, table), "real.mf4", table)
 
 
 def test_remote_frames_decode_to_nothing(frames: Frames) -> None:

@@ -8,7 +8,7 @@ import pytest
 from st_core.log import INS_SIGNALS, DriveLog
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, columns, find_runs, read
-from st_recordings.runs.columns import COLUMNS, UNITS, Layout, normalised
+from st_recordings.runs.columns import COLUMNS, UNITS, Layout, normalise
 from st_recordings.runs.csv import has_drive_columns, read_csv
 from support import ROOT
 
@@ -58,7 +58,7 @@ def assert_whole(log: DriveLog, but: Sequence[str] = ()) -> None:
 
 
 def test_no_name_means_two_channels() -> None:
-    names = [normalised(name) for channel in COLUMNS.values() for name in channel.names]
+    names = [normalise(name) for channel in COLUMNS.values() for name in channel.names]
     assert len(names) == len(set(names)) and not columns.AMBIGUOUS & set(names)
 
 
@@ -191,7 +191,7 @@ def test_the_hand_wheel_alone(tmp_path: Path) -> None:
     loaded = read(run, LEAF)
     assert_whole(loaded.log)
     np.testing.assert_allclose(loaded.log.steering_wheel_angle, values()["steering_wheel_angle"], atol=1e-9)
-    with pytest.raises(RunError, match=r"d\.csv: it has the steering wheel angle only \(column swa_deg\).* give its "):
+    with pytest.raises(RunError, match=r"d\.csv: it has only the steering wheel angle \(column swa_deg\).* give the "):
         read(run)
 
 

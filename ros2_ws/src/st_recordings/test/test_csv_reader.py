@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from st_recordings.runs.columns import Layout
-from st_recordings.runs.csv import MOTION, has_drive_columns, ins_of, read_csv
+from st_recordings.runs.csv import MOTION_SIGNALS, build_ins_log, has_drive_columns, read_csv
 from st_recordings.runs.csv_table import read_table
 from st_recordings.runs.errors import RunError
-from st_recordings.runs.ins_log import yaw_of
+from st_recordings.runs.ins_log import yaw_from_quaternion
 from support import EXAMPLES, KEPT
 
 HEADER = "t,x,y,yaw,vx,vy,yaw_rate,ax,ay,delta"
@@ -40,13 +40,13 @@ def test_a_real_drive() -> None:
 @pytest.mark.parametrize("length", [0.0, 0.5, 1.0, 3.0])
 def test_yaw_of_quaternions_that_are_not_of_length_one(length: float) -> None:
     turns = Rotation.from_euler("ZYX", [[0.8, 0.1, -0.2], [-3.0, -0.3, 0.1]])
-    found = yaw_of(*(length * turns.as_quat().T))
+    found = yaw_from_quaternion(*(length * turns.as_quat().T))
     np.testing.assert_allclose(found, [0.8, -3.0] if length else [np.nan, np.nan])
 
 
 def test_an_ins_log_for_alignment() -> None:
     file = KEPT / "can/synthetic_rt_own_log.csv"
-    ins = ins_of(read_table(file, Layout()), MOTION)
+    ins = build_ins_log(read_table(file, Layout()), MOTION_SIGNALS)
     assert not ins.absolute
     turning = np.gradient(np.unwrap(ins.yaw), ins.time_ns * 1e-9)
     assert ins.rate[2].max() == pytest.approx(turning.max(), rel=0.01)
@@ -106,7 +106,7 @@ def test_times_as_a_spreadsheet_stores_them(tmp_path: Path) -> None:
 def test_an_ins_log_for_alignment_keeps_rows_without_a_position(tmp_path: Path) -> None:
     lines = [",".join([*(row := line.split(","))[:1], *(row[1:3] if k % 20 == 0 else ("", "")), *row[3:]])
              for k, line in enumerate(rows(400))]
-    ins = ins_of(read_table(write(tmp_path, [HEADER, *lines]), Layout()), MOTION)
+    ins = build_ins_log(read_table(write(tmp_path, [HEADER, *lines]), Layout()), MOTION_SIGNALS)
     assert len(ins.time_ns) == 400 and "x 20 of 400 rows (5 %), y 20 of 400 rows (5 %)" in "".join(ins.warnings)
 
 
@@ -114,7 +114,7 @@ def test_velocities_to_east_and_north_need_the_yaw(tmp_path: Path) -> None:
     lines = [f"{0.02 * k:.2f},10,1,0.01" for k in range(100)]
     table = read_table(write(tmp_path, ["t,velocity_east,velocity_north,yaw_rate", *lines]), Layout())
     with pytest.raises(RunError, match="velocity_x"):
-        ins_of(table, MOTION)
+        build_ins_log(table, MOTION_SIGNALS)
 
 
 def test_a_clock_of_tenths_of_a_second_is_not_one_of_days(tmp_path: Path) -> None:

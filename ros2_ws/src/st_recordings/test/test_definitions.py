@@ -6,7 +6,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from st_recordings.bag_metadata import TYPE_SEPARATOR, UnknownTypeError, definition, type_hash
+from st_recordings.bag_metadata import TYPE_SEPARATOR, UnknownTypeError, read_definition, read_type_hash
 
 pytestmark = pytest.mark.ros
 STANDARD = [
@@ -18,14 +18,14 @@ OURS = ["Prediction", "PredictionError", "ErrorSummary", "Steering", "Ncom", "Ca
 
 @pytest.mark.parametrize("name", STANDARD)
 def test_hash_is_the_one_of_the_distribution(name: str) -> None:
-    assert type_hash(name) == get_typestore(Stores.ROS2_JAZZY).hash_rihs01(name)
+    assert read_type_hash(name) == get_typestore(Stores.ROS2_JAZZY).hash_rihs01(name)
 
 
 @pytest.mark.parametrize("name", STANDARD + [f"st_msgs/msg/{n}" for n in OURS])
 def test_hash_follows_from_the_definition(name: str) -> None:
     """The text alone, with all it names, gives the hash the package was built with."""
     store = get_typestore(Stores.EMPTY)
-    parts = definition(name).split(f"{TYPE_SEPARATOR}\n")
+    parts = read_definition(name).split(f"{TYPE_SEPARATOR}\n")
     texts = {name: parts[0]}
     for part in parts[1:]:
         head, _, text = part.partition("\n")
@@ -34,11 +34,11 @@ def test_hash_follows_from_the_definition(name: str) -> None:
     assert len(texts) == len(parts)
     for type_name, text in texts.items():
         store.register(get_types_from_msg(text, type_name))
-    assert store.hash_rihs01(name) == type_hash(name)
+    assert store.hash_rihs01(name) == read_type_hash(name)
 
 
 def test_type_that_is_not_installed_is_named() -> None:
     with pytest.raises(UnknownTypeError, match="no_such_msgs/msg/Thing is not installed"):
-        definition("no_such_msgs/msg/Thing")
+        read_definition("no_such_msgs/msg/Thing")
     with pytest.raises(UnknownTypeError, match="nav_msgs/msg/Thing"):
-        type_hash("nav_msgs/msg/Thing")
+        read_type_hash("nav_msgs/msg/Thing")

@@ -117,7 +117,8 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
     ("american.csv", american, "utf-8", ""),
     ("last.csv", last_stamp, "utf-8", r"the last of \d+ rows is 300\.\d+ s after the previous one"),
     ("geographic.csv", geographic, "utf-8", ""),
-    ("held.csv", lambda log: geographic(log, 5), "utf-8", r"about 20 Hz; the others were interpolated"),
+    ("held.csv", lambda log: geographic(log, 5), "utf-8",
+     r"about 20 Hz; the positions of the other rows were interpolated"),
     ("datenum.csv", lambda log: stamped(log, lambda s: f"{739000.5 + s / 86400:.12f}"), "utf-8", "days of MATLAB"),
     ("pm.csv", lambda log: stamped(log, lambda s: clock((43190 + s) % 43200) + " AP"[1 + (s < 10)] + "M"), "utf-8", ""),
     ("day_first.csv", lambda log: stamped(log, lambda s: f"25/04/2026 {clock(43200 + s)}"), "utf-8", ""),
@@ -209,8 +210,8 @@ def test_a_table_in_parts_is_one_run(tmp_path: Path, drive, kind: str) -> None:
 
 @pytest.mark.parametrize(("text", "error"), [
     (lambda log: "PK\x03\x04" + csv(rows(log)), r"this is a compressed file \(zip, or a spreadsheet\); unpack it"),
-    (lambda log: stamped(log, lambda s: "5.0"), r"1 of \d+ rows .* have a time later than all before"),
-    (lambda log: csv(rows(log)[::-1]), r"1 of \d+ rows .* have a time later than all before; sort its rows"),
+    (lambda log: stamped(log, lambda s: "5.0"), r"1 of \d+ rows .* have a time later than all rows before"),
+    (lambda log: csv(rows(log)[::-1]), r"1 of \d+ rows .* have a time later than all rows before them; sort its rows"),
     (lambda log: stamped(log, lambda s: "04 Mxy 2026 " + clock(s)), r"the first is '04 Mxy 2026 .*export seconds"),
     (lambda log: geographic(log).replace(",5", ",520"),
      r"latitude \(column latitude\) is about 520\d[.\d]* deg; export"),

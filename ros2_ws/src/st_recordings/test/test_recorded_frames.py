@@ -5,10 +5,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from st_recordings.paths import project_root
-from st_recordings.runs.cdr import typestore
+from st_recordings.runs.cdr import load_typestore
 from st_recordings.runs.frames import ERROR, EXTENDED, FD, REMOTE, read_frames
 
-STORE = typestore(project_root() / "ros2_ws" / "src" / "st_msgs" / "msg")
+STORE = load_typestore(project_root() / "ros2_ws" / "src" / "st_msgs" / "msg")
 START = 1_756_900_800_123_456_789
 
 

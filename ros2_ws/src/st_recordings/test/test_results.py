@@ -10,10 +10,10 @@ import pytest
 from st_recordings.mcap import BagWriter
 from st_recordings.results import DRAWN_STARTS, read_results, summarise, write_summary
 from st_recordings.runs.bag import definitions_folder
-from st_recordings.runs.cdr import typestore
+from st_recordings.runs.cdr import load_typestore
 from st_recordings.runs.errors import RunError
 
-STORE = typestore(definitions_folder())
+STORE = load_typestore(definitions_folder())
 ERROR, STATUS, ODOMETRY = "st_msgs/msg/PredictionError", "st_msgs/msg/PredictorStatus", "nav_msgs/msg/Odometry"
 T0 = 1_756_900_800_000_000_000
 HORIZON = np.linspace(0.0, 5.0, 101)

@@ -33,7 +33,7 @@ def test_extended_identifiers_are_marked_alike():
 def test_bounds_the_wrong_way_round_are_refused() -> None:
     source = RunSource("x", "ncom", (Path("x.ncom"),))
     with pytest.raises(RunError, match="--search: 5 is not below 1"):
-        raw.clock_settings(source, ReadSettings(search=(5.0, 1.0)))
+        raw.choose_clock_settings(source, ReadSettings(search=(5.0, 1.0)))
 
 
 def test_files_of_one_stem(tmp_path: Path) -> None:
@@ -283,7 +283,7 @@ def test_the_files_of_a_run_yaml_that_is_wrong_are_no_runs_of_their_own(tmp_path
 
 
 def test_warnings_that_differ_in_file_and_numbers_only_are_logged_once_with_their_files(caplog):
-    with errors.grouped_warnings():
+    with errors.group_similar_warnings():
         errors.log_warnings([f"grouped/{k}.csv: {k} of 3000 rows are not used" for k in range(40)])
         errors.log_warnings(["grouped/1.csv: another reason"])
     lines = [record.getMessage() for record in caplog.records]

@@ -167,10 +167,10 @@ def reads_recordings(*names: str, **changed: Any) -> Callable[[Callable[..., Any
     def decorate(verb: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(verb)
         def called(**given: Any) -> Any:
-            from st_recordings.runs.errors import grouped_warnings
+            from st_recordings.runs.errors import group_similar_warnings
 
             options = {f.name: given.pop(f.name) for f in chosen}
-            with grouped_warnings():
+            with group_similar_warnings():
                 return verb(**given, read_options=ReadOptions(**options))
 
         options = [inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default,
@@ -242,7 +242,7 @@ def report_default_car_of_bag(verb: str, bag: Path, vehicle: Path | None) -> Non
     """As `report_default_car`, for a recording without a vehicle file. Raises RunError if it cannot be read."""
     from st_live.configuration import recordings_of
     from st_recordings.recorded_results import recorded_configuration
-    from st_recordings.runs.bag import records_of
+    from st_recordings.runs.bag import read_metadata_records
 
-    if vehicle is None and recorded_configuration(records_of(recordings_of(bag)[0])).vehicle is None:
+    if vehicle is None and recorded_configuration(read_metadata_records(recordings_of(bag)[0])).vehicle is None:
         report_default_car(verb, LEAF)

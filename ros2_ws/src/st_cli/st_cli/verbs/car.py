@@ -19,15 +19,15 @@ def car(
     uncertainty used for each quantity. Exit status: 0 written, or no mistake; 1 mistakes were found; 2 the folder to
     check does not exist, or the folder to write does.
     """
-    from st_recordings.car_skeleton import problems, remarks, write_skeleton
+    from st_recordings.car_skeleton import find_problems, list_remarks, write_skeleton
 
     with report_errors("car"):
         if what == "new":
             for file in write_skeleton(Path(folder)):
                 typer.echo(file)
             return
-        found = problems(folder)
-        notes = [] if found else remarks(folder)
+        found = find_problems(folder)
+        notes = [] if found else list_remarks(folder)
     for line in found:
         typer.echo(f"st car: {line}", err=True)
     if not found:

@@ -27,7 +27,7 @@ def align(
     from st_offline.alignment_figure import alignment_figure
     from st_offline.terminal import line
     from st_recordings.paths import new_folder
-    from st_recordings.runs.raw import alignment_summary, read_pair
+    from st_recordings.runs.raw import read_pair, summarise_alignment
 
     console = Console()
     with shared.report_errors("align"):
@@ -41,7 +41,7 @@ def align(
         shared.report_default_car("align", pair.dbc)
     alignment = pair.alignment
     report(pair, console)
-    about = {**alignment_summary(alignment), "ins_can_latency": pair.latency}
+    about = {**summarise_alignment(alignment), "ins_can_latency": pair.latency}
     (folder / "alignment.json").write_text(json.dumps(about, indent=2, allow_nan=False) + "\n")
     line(f"  {folder / 'alignment.json'}", console)
     if pair.shared and alignment.offset_ns:

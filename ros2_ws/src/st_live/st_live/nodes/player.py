@@ -24,8 +24,8 @@ from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from st_msgs.msg import Prediction, PredictionError, PredictorStatus, Steering
 from st_recordings.runs.bag import definitions_folder
-from st_recordings.runs.cdr import typestore
-from st_recordings.runs.reconstruct import stamp_of, steering_value
+from st_recordings.runs.cdr import load_typestore
+from st_recordings.runs.reconstruct import extract_steering_angle, get_stamp
 from st_recordings.runs.run_types import SteeringField
 from st_ros import spin
 from st_ros.polling import LATCHED, PolledSubscription, from_nanoseconds, message_class, wait_for_any
@@ -112,7 +112,7 @@ class Player:
 
     def play(self) -> int:
         """Play the recording; returns 0 after its end or a stop signal, 1 without subscribers."""
-        with AnyReader([self._bag], default_typestore=typestore(definitions_folder())) as reader:
+        with AnyReader([self._bag], default_typestore=load_typestore(definitions_folder())) as reader:
             publishers = self._publishers(reader.connections)
             if not self._wait_for_subscribers(list(publishers.values())):
                 print("predictor and evaluator have not subscribed", file=sys.stderr)
@@ -155,11 +155,11 @@ class Player:
         return publishers
 
     def _convert_steering(self, message: Any, field: SteeringField, log_ns: int) -> Steering:
-        value = self._scale * steering_value(self._bag, message, field)
+        value = self._scale * extract_steering_angle(self._bag, message, field)
         wheel = value if field.quantity == "wheel" else math.nan
         converted = Steering(steering_wheel_angle=wheel, road_wheel_angle=(value - self._offset) / self._ratio,
                              valid=math.isfinite(value))
-        converted.header.stamp = from_nanoseconds(stamp_of(message, log_ns))
+        converted.header.stamp = from_nanoseconds(get_stamp(message, log_ns))
         return converted
 
     def _wait_for_subscribers(self, publishers: Sequence[Publisher]) -> bool:

@@ -8,7 +8,7 @@ import foxglove
 from foxglove import Channel, Schema
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from st_recordings.bag_metadata import UnknownTypeError, definition
+from st_recordings.bag_metadata import UnknownTypeError, read_definition
 from st_ros import spin
 from st_ros.polling import PolledSubscription, message_class, steady_timer
 
@@ -42,7 +42,7 @@ class RelayNode(Node):
     def _relay(self, topic: str, type_name: str, publishers: list) -> tuple[PolledSubscription, Channel] | None:
         message_type = message_class(type_name)
         try:
-            text = definition(type_name)
+            text = read_definition(type_name)
         except UnknownTypeError:
             message_type = None
         if message_type is None:

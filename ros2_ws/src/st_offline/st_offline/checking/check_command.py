@@ -10,11 +10,11 @@ from st_core.checks import Severity, compare_runs
 from st_core.errors import ConfigurationError
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_text, new_folder
-from st_recordings.recorded_results import configuration_of
+from st_recordings.recorded_results import find_configuration
 from st_recordings.runs import ReadSettings, RunSource, find_runs, read
-from st_recordings.runs.bag import records_of
+from st_recordings.runs.bag import read_metadata_records
 from st_recordings.runs.errors import join_problems
-from st_recordings.runs.raw import alignment_summary
+from st_recordings.runs.raw import summarise_alignment
 
 from ..terminal import line, list_files, progress_bars, report_problem
 from .check_page import write_page
@@ -82,11 +82,11 @@ def check_run(source: RunSource, job: Job) -> CheckedRun:
     """Read and check one run. Raises one of gate.RUN_ERRORS for files that cannot be read."""
     car, car_from = job.vehicle, job.vehicle_file
     if source.kind == "bag" and not job.given:
-        car, _, car_from = configuration_of(records_of(source.where), None)
+        car, _, car_from = find_configuration(read_metadata_records(source.where), None)
     run = read(source, car, job.read)
     checked = check_log(run.log, car, run.auxiliary, MODELS)
     return CheckedRun(source.name, checked, car, car_from, run.log.duration, run.warnings, run.provenance["files"],
-                      alignment_summary(run.alignment), source.arguments)
+                      summarise_alignment(run.alignment), source.arguments)
 
 
 def write(good: Sequence[CheckedRun], failed: Mapping[str, str], folder: Path, json: Path | None,

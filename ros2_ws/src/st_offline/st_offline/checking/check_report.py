@@ -14,8 +14,8 @@ from st_core.checks.sampling import UNITS as CHANNEL_UNITS
 from st_core.clock_types import alignment_not_needed
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready
-from st_recordings.results import versions
-from st_recordings.runs.raw import alignment_summary
+from st_recordings.results import collect_versions
+from st_recordings.runs.raw import summarise_alignment
 
 from ..terminal import line
 
@@ -150,7 +150,7 @@ def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def describe_clock(alignment: Mapping[str, Any]) -> str:
-    """Sentence on the clock of the steering, from `alignment_summary`; empty if there is only one clock."""
+    """Sentence on the clock of the steering, from `summarise_alignment`; empty if there is only one clock."""
     if alignment["method"] == "none":
         return ""
     origin = "set by hand" if alignment["method"] == "by hand" else (
@@ -170,7 +170,7 @@ def _zone_note(offset: float) -> str:
 @dataclass(frozen=True)
 class CheckedRun:
     """One run of `st check`. vehicle_from: file or recording. warnings: of the reader, with the corrections applied.
-    alignment: from `alignment_summary`. where: files, folder or run.yaml, as given by the user.
+    alignment: from `summarise_alignment`. where: files, folder or run.yaml, as given by the user.
     """
 
     name: str
@@ -180,7 +180,7 @@ class CheckedRun:
     duration: float
     warnings: tuple[str, ...]
     files: Mapping[str, str]
-    alignment: Mapping[str, Any] = field(default_factory=lambda: alignment_summary(alignment_not_needed()))
+    alignment: Mapping[str, Any] = field(default_factory=lambda: summarise_alignment(alignment_not_needed()))
     where: str = "RUN"
 
 
@@ -208,7 +208,7 @@ def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str,
     return {
         "schema": SCHEMA,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": versions(),
+        "versions": collect_versions(),
         "vehicle": {source: {"name": car.name, "hash": car.hash}
                     for source, car in {run.vehicle_from: run.vehicle for run in good}.items()},
         "runs": {run.name: {

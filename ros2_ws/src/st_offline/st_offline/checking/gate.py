@@ -12,7 +12,7 @@ from st_core.log import DriveLog
 from st_core.models import MODELS, Model
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
-from st_recordings.recorded_results import configuration_of
+from st_recordings.recorded_results import find_configuration
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 
 from . import check_report
@@ -71,7 +71,7 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
     Raises Refused, and RunError for a bag that cannot be read.
     """
     run = read(RunSource(bag.stem, "bag", (bag,)), settings=settings)
-    car, recorded, _ = configuration_of(run.provenance["recorded"], vehicle)
+    car, recorded, _ = find_configuration(run.provenance["recorded"], vehicle)
     # The steering ratio is unknown here, so the steering wheel angle is read with ratio 1 and converted below.
     steering = settings.steering if settings else None
     log = run.log.with_steering(car) if steering is not None and steering.quantity == "wheel" else run.log

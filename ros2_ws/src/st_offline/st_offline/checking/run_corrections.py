@@ -11,7 +11,7 @@ from st_core.checks import Finding, Severity
 from st_core.corrections import Correction
 from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunSource
-from st_recordings.runs.errors import printable
+from st_recordings.runs.errors import escape_unprintable
 from st_recordings.runs.readers import READERS
 from st_recordings.runs.run_file import RUN_FILE, RUN_SUFFIX, TABLE_KEYS
 
@@ -37,7 +37,7 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
     corrections: dict[str, Any] = {}
     lines = [HEADER]
     for finding in findings:
-        lines.append(f"# {finding.severity.value}: {finding.name}: {printable(finding.text)}\n")
+        lines.append(f"# {finding.severity.value}: {finding.name}: {escape_unprintable(finding.text)}\n")
         if finding.advice is None:
             continue
         applicable = finding.advice.kind == "run.yaml" and finding.severity is not Severity.NOTE
@@ -46,7 +46,7 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
             reason = ("" if not applicable else
                       "not applied, a more severe finding has another value: " if readable else
                       "not applied, only a csv or vbo has columns and units: ")
-            lines.append(f"#   {reason}{printable(check_report.describe_correction(finding.advice))}\n")
+            lines.append(f"#   {reason}{escape_unprintable(check_report.describe_correction(finding.advice))}\n")
     if read.steering_sign != 1 or read.steering_latency:
         lines.append(f"# read with --steering-sign {read.steering_sign} --steering-latency "
                      f"{read.steering_latency:g}\n")

@@ -16,7 +16,7 @@ from st_core.discovery.result import plain_data
 from st_core.model_file import Interval, ModelFile, ModelProvenance
 from st_core.vehicle import quantity
 from st_recordings.paths import json_ready
-from st_recordings.results import versions
+from st_recordings.results import collect_versions
 
 from ..checking.check_report import findings_from_json
 from ..evaluation.drawing import PageFigure
@@ -60,7 +60,7 @@ def provenance(found: Discovery, request: Request, seconds: Mapping[str, float])
                     if d.problem and d.about},
         "not_used": {d.name: d.problem for d in (*request.drives, *request.healthy) if d.problem},
         "effects_of_the_user": dict(request.own_effects),
-        "versions": versions(),
+        "versions": collect_versions(),
         "seconds": dict(seconds),
     }
 

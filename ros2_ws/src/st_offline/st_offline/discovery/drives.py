@@ -23,7 +23,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready
 from st_recordings.recorded_results import recorded_configuration
 from st_recordings.runs import ReadSettings, RunSource, read
-from st_recordings.runs.load import file_hashes
+from st_recordings.runs.load import hash_files
 
 from ..checking.check_report import findings_as_json
 from ..checking.gate import RUN_ERRORS, Refused, check_log, describe_problem, refuse_errors
@@ -105,7 +105,7 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         checked = check_log(run.log, vehicle, run.auxiliary)
         text = recorded_configuration(run.provenance["recorded"]).vehicle if source.kind == "bag" else None
         car = "" if text is None else VehicleParameters.from_yaml(text, "the vehicle in the recording").name
-        about = {"files": file_hashes((*source.files, *source.can)),
+        about = {"files": hash_files((*source.files, *source.can)),
                  "duration_s": run.log.duration, "alignment": run.alignment.verdict.value,
                  "clock_deviation_s": json_ready(run.alignment.offset_deviation),
                  "warnings": list(run.warnings), "findings": findings_as_json(checked.findings),

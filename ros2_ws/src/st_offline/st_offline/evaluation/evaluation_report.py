@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from st_core.checks import Severity
 from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
-from st_recordings.results import versions
+from st_recordings.results import collect_versions
 
 from ..bands.bands_report import adaptive_rows, band_figures, band_rows, share_rows, summarise_shares
 from ..bands.scoring import pooled_sums, summarise_adaptive, summarise_bands
@@ -66,7 +66,7 @@ def document(reports: Sequence[RunReport], choices: Choices) -> dict[str, Any]:
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "vehicle": {"name": vehicle.name, "file": choices.vehicle_file, "hash": vehicle.hash},
         "settings": {**choices.task.settings.as_dict(), "table_over": choices.over},
-        "versions": versions(),
+        "versions": collect_versions(),
         "runs": {r.name: r.models for r in good},
         "all_runs": pooled([r.models for r in good]),
         "seconds": {r.name: r.seconds_ahead for r in good},

@@ -26,9 +26,9 @@ from st_core.prediction import PredictionSettings
 from st_core.stability import StepTooLongWarning
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
-from st_recordings.runs.csv_table import header_of
+from st_recordings.runs.csv_table import read_header
 from st_recordings.runs.ncom import origin_offset
-from st_recordings.runs.raw import alignment_summary
+from st_recordings.runs.raw import summarise_alignment
 
 from ..bands.bands_report import intervals_of, share_sums
 from ..bands.scoring import AdaptiveScorer, Scorer
@@ -129,7 +129,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     about = {
         "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
         "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
-        "labels": "given" if run.labels else "detected", "alignment": alignment_summary(run.alignment),
+        "labels": "given" if run.labels else "detected", "alignment": summarise_alignment(run.alignment),
         "warnings": list(run.warnings), "provenance": dict(run.provenance), "inputs_ahead": list(ahead),
         "findings": findings}
     sums: dict[str, Any] = adaptive.sums() if adaptive else {}
@@ -273,7 +273,7 @@ def _planned_columns(files: Mapping[str, str],
                      vehicle: VehicleParameters) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
     """Time [ns] and columns as in `recorded_plan`, of the first CSV with planned columns; None without one."""
     for file in (Path(name) for name in files if name.lower().endswith(".csv")):
-        names = header_of(file)
+        names = read_header(file)
         kind = next((kind for kind in (INPUTS, PATH) if set(kind) <= set(names)), None)
         if kind is None or "t" not in names:
             continue

@@ -23,9 +23,9 @@ from st_core.provenance import Provenance
 from st_core.vehicle import VehicleParameters, quantity, value_of
 from st_core.yaml_text import number, quoted
 from st_recordings.paths import json_text, new_folder
-from st_recordings.results import versions
+from st_recordings.results import collect_versions
 from st_recordings.runs import find_runs
-from st_recordings.runs.load import file_hashes
+from st_recordings.runs.load import hash_files
 
 from ..checking.check_report import findings_as_json, print_findings
 from ..discovery.vehicle_update import edit_or_rewrite
@@ -115,7 +115,7 @@ def about(job: Job, now: datetime) -> dict[str, Any]:
     return {
         "created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name,
         "vehicle": {"name": job.setup.vehicle.name, "file": job.vehicle_file, "hash": job.setup.vehicle.hash},
-        "files": file_hashes(data), "versions": versions(),
+        "files": hash_files(data), "versions": collect_versions(),
     }
 
 

@@ -14,20 +14,38 @@ from st_core.log import DriveLog
 
 from ..bag_metadata import read_information
 from ..paths import project_root
-from .bag_storage import EXTENSIONS, Storage, Topic, missing_before, missing_files, open_storage, storage_files
-from .cdr import CAN_FRAMES, DAMAGE, NCOM, ODOMETRY, STEERING, field_of, summary_of, typestore, with_definitions
-from .errors import RunError, check_readable, share, short
-from .ins_log import InsLog, planar_ins_log, usable_rows, yaw_of
+from .bag_storage import (
+    EXTENSIONS,
+    Storage,
+    Topic,
+    describe_missing_before,
+    describe_missing_files,
+    open_storage,
+    storage_files,
+)
+from .cdr import (
+    CAN_FRAMES,
+    NCOM,
+    ODOMETRY,
+    READ_ERRORS,
+    STEERING,
+    add_definitions,
+    get_field,
+    load_typestore,
+    read_summary,
+)
+from .errors import RunError, check_readable, format_share, shorten
+from .ins_log import InsLog, build_planar_ins_log, select_usable_rows, yaw_from_quaternion
 from .reconstruct import (
     RECONSTRUCTED,
     Reconstruction,
-    auxiliary_data,
-    auxiliary_fields,
+    choose_auxiliary_fields,
+    collect_auxiliary_data,
     deserialise,
-    steering_columns,
-    steering_topic,
+    find_steering_topic,
+    read_steering_columns,
 )
-from .run_types import SteeringField, drive_log
+from .run_types import SteeringField, make_drive_log
 
 KNOWN_TOPICS = ("/ins/", "/vehicle/", "/can/", "/predictor/", "/evaluator/", "/identifier/", "/view/", "/tf",
                 "/diagnostics", "/clock", "/rosout", "/parameter_events", "/events/")
@@ -79,7 +97,7 @@ def has_odometry(path: Path) -> bool:
         except (KeyError, TypeError):
             return True
     else:
-        summary = summary_of(path) if path.is_file() and path.suffix.lower() == ".mcap" else None
+        summary = read_summary(path) if path.is_file() and path.suffix.lower() == ".mcap" else None
         if summary is None:
             return True
         types = {schema.name for schema in summary.schemas.values()}
@@ -103,16 +121,16 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     have the type nav_msgs/Odometry. splits: files of one recording in order, by default the files of `path`.
     Raises RunError for a file that is not a bag, was not closed, or lacks odometry or steering.
     """
-    storage, records = open_bag(path, splits), records_of(path)
+    storage, records = open_bag(path, splits), read_metadata_records(path)
     all_topics = storage.topics()
-    store = _store_of(storage, all_topics, steering)
+    store = _build_typestore(storage, all_topics, steering)
     reconstruction = Reconstruction(path, storage, records, store)
     required: dict[Topic, tuple[str, ...]] = {}
     if reads_odometry := bool(odometry) or reconstruction.has(ODOMETRY) or not reconstruction.has(NCOM):
         required[_find_topic(path, all_topics, ODOMETRY, odometry)] = _ODOMETRY_FIELDS
     if steering is None and (reconstruction.has(STEERING) or not reconstruction.has(CAN_FRAMES)):
         required[_find_topic(path, all_topics, STEERING)] = _STEERING_FIELDS
-    optional = auxiliary_fields(all_topics)
+    optional = choose_auxiliary_fields(all_topics)
     uniform = storage.columns({**required, **optional}, store)
     columns = {topic.type_name: uniform.get(topic.name) or _read_one_by_one(path, storage, topic, fields, store)
                for topic, fields in required.items()}
@@ -121,17 +139,18 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
         columns[ODOMETRY] = reconstruction.odometry(_ODOMETRY_FIELDS)
         topics[ODOMETRY] = reconstruction.topic(NCOM).name + RECONSTRUCTED
     if steering is not None:
-        named = steering_topic(path, all_topics, steering, store)
-        columns[STEERING], topics[STEERING] = steering_columns(path, storage, named, steering, store), named.name
+        named = find_steering_topic(path, all_topics, steering, store)
+        columns[STEERING], topics[STEERING] = read_steering_columns(path, storage, named, steering, store), named.name
     elif STEERING not in columns:
         columns[STEERING] = reconstruction.steering()
         topics[STEERING] = reconstruction.topic(CAN_FRAMES).name + RECONSTRUCTED
-    notes = [note for note in [missing_files(path) if path.is_dir() else missing_before(path)] if note]
+    missing_note = describe_missing_files(path) if path.is_dir() else describe_missing_before(path)
+    notes = [missing_note] if missing_note else []
     notes += _replace_meaningless_stamps(storage, topics, columns)
     log, missing, row_notes = _drive_log(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
-    extras = auxiliary_data(storage, all_topics, {t: uniform[t.name] for t in optional if t.name in uniform},
-                            stamps, missing, store, reconstruction)
+    extras = collect_auxiliary_data(storage, all_topics, {t: uniform[t.name] for t in optional if t.name in uniform},
+                                    stamps, missing, store, reconstruction)
     unknown = tuple(f"{t.name} ({t.type_name})" for t in all_topics if t.count and not (
         t.name in topics.values() or t.type_name.startswith("st_msgs/") or t.name.startswith(KNOWN_TOPICS)))
     frame = reconstruction.map_frame()
@@ -148,17 +167,17 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
 def read_odometry(path: Path, odometry: str | None = None) -> InsLog:
     """The INS part of a bag, for a run whose steering is in a CAN log. Raises RunError."""
     storage = open_bag(path)
-    store = _store_of(storage, storage.topics(), None)
+    store = _build_typestore(storage, storage.topics(), None)
     topic = _find_topic(path, storage.topics(), ODOMETRY, odometry)
     columns = read_fields(path, storage, topic, _ODOMETRY_FIELDS, store)
     notes = _replace_meaningless_stamps(storage, {ODOMETRY: topic.name}, {ODOMETRY: columns})
     ins_ns, values, _, row_notes = _odometry_rows(columns)
-    return planar_ins_log(path, ins_ns, values, tuple(f"{path}: {note}" for note in (*notes, *row_notes)))
+    return build_planar_ins_log(path, ins_ns, values, tuple(f"{path}: {note}" for note in (*notes, *row_notes)))
 
 
-def _store_of(storage: Storage, topics: Sequence[Topic], steering: SteeringField | None) -> Typestore:
+def _build_typestore(storage: Storage, topics: Sequence[Topic], steering: SteeringField | None) -> Typestore:
     names = {ODOMETRY} | {t.type_name for t in topics if steering and t.name.lstrip("/") == steering.topic.lstrip("/")}
-    return with_definitions(typestore(definitions_folder()), storage.definitions(), names)
+    return add_definitions(load_typestore(definitions_folder()), storage.definitions(), names)
 
 
 def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
@@ -172,13 +191,13 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
     for kind, topic in topics.items():
         stamps = columns[kind]["header.stamp"]
         if len(stamps) > 1 and (stamps == stamps[0]).all():
-            columns[kind]["header.stamp"] = _log_times(storage, topic, columns[kind])
+            columns[kind]["header.stamp"] = _read_log_times(storage, topic, columns[kind])
             notes.append(f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s; the times of receipt are "
                          "used")
     if len(topics) > 1 and not any(topic.endswith(RECONSTRUCTED) for topic in topics.values()):
         (a, b), names = (columns[kind]["header.stamp"] for kind in topics), list(topics.values())
         if len(a) > 1 and len(b) > 1 and max(a.min(), b.min()) > min(a.max(), b.max()):
-            received = [_log_times(storage, topic, columns[kind]) for kind, topic in topics.items()]
+            received = [_read_log_times(storage, topic, columns[kind]) for kind, topic in topics.items()]
             a, b = received
             if max(a.min(), b.min()) <= min(a.max(), b.max()):
                 for kind, times in zip(topics, received, strict=True):
@@ -188,7 +207,7 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
     return notes
 
 
-def _log_times(storage: Storage, topic: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+def _read_log_times(storage: Storage, topic: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
     """Time of reception of each message; the header stamps if some messages were not read."""
     times = np.array([log_ns for log_ns, _ in storage.timed_messages(topic)], np.int64)
     return times if len(times) == len(columns["header.stamp"]) else columns["header.stamp"]
@@ -199,7 +218,7 @@ def open_bag(path: Path, splits: Sequence[Path] = ()) -> Storage:
     files = splits or ([path] if path.is_file() else storage_files(path))
     for file in files:
         check_readable(file)
-    return open_storage(path, files, typestore(definitions_folder()))
+    return open_storage(path, files, load_typestore(definitions_folder()))
 
 
 def read_fields(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
@@ -209,27 +228,27 @@ def read_fields(path: Path, storage: Storage, topic: Topic, fields: Sequence[str
     return uniform.get(topic.name) or _read_one_by_one(path, storage, topic, fields, store)
 
 
-def records_of(path: Path) -> dict[str, dict[str, str]]:
+def read_metadata_records(path: Path) -> dict[str, dict[str, str]]:
     """Metadata records of an MCAP recording, written by the recorder or `st import`; empty for other storage."""
-    records = _read_records(path)
+    records = _read_all_metadata_records(path)
     records.pop(CLOSING_RECORD, None)
     return records
 
 
 def was_interrupted(path: Path) -> bool:
     """Whether the recorder of the suite was stopped before it closed the recording, for instance by a full disk."""
-    records = _read_records(path)
+    records = _read_all_metadata_records(path)
     return bool(SUITE_RECORDS & records.keys()) and CLOSING_RECORD not in records
 
 
-def _read_records(path: Path) -> dict[str, dict[str, str]]:
+def _read_all_metadata_records(path: Path) -> dict[str, dict[str, str]]:
     records: dict[str, dict[str, str]] = {}
     for file in [path] if path.is_file() else storage_files(path):
-        if file.suffix.lower() == ".mcap" and summary_of(file) is not None:
+        if file.suffix.lower() == ".mcap" and read_summary(file) is not None:
             try:
                 with file.open("rb") as stream:
                     records.update({m.name: dict(m.metadata) for m in make_reader(stream).iter_metadata()})
-            except DAMAGE as error:
+            except READ_ERRORS as error:
                 what = f"its metadata records are damaged ({type(error).__name__})"
                 raise RunError(file, what, "repair the bag with `st recover`") from None
     return records
@@ -262,10 +281,10 @@ def _find_topic(path: Path, topics: Sequence[Topic], type_name: str, name: str |
 def _read_one_by_one(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
                      store: Typestore) -> dict[str, np.ndarray]:
     try:
-        rows = [[field_of(message, field) for field in fields]
+        rows = [[get_field(message, field) for field in fields]
                 for _, message in deserialise(path, storage, topic, store)]
     except AttributeError as error:
-        raise RunError(path, f"its definition of {topic.type_name} is not that of ROS 2: {short(error)}",
+        raise RunError(path, f"its definition of {topic.type_name} is not that of ROS 2: {shorten(error)}",
                        "name a topic of the right type") from None
     return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
@@ -275,13 +294,13 @@ def _odometry_rows(odometry: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict
     """(times, INS channels in the rows used, channel -> rows without a usable value, notes)."""
     values = {
         "x": odometry["pose.pose.position.x"], "y": odometry["pose.pose.position.y"],
-        "yaw": yaw_of(*(odometry[f"pose.pose.orientation.{k}"] for k in "xyzw")),
+        "yaw": yaw_from_quaternion(*(odometry[f"pose.pose.orientation.{k}"] for k in "xyzw")),
         "velocity_x": odometry["twist.twist.linear.x"], "velocity_y": odometry["twist.twist.linear.y"],
         "yaw_rate": odometry["twist.twist.angular.z"],
     }
     missing = {signal: int((~np.isfinite(value)).sum()) for signal, value in values.items()}
     good = np.isfinite(np.stack(list(values.values()))).all(axis=0)
-    time_ns, rows, notes = _usable_messages(odometry["header.stamp"], good, "odometry messages")
+    time_ns, rows, notes = _select_usable_messages(odometry["header.stamp"], good, "odometry messages")
     return time_ns, {k: np.unwrap(v[rows]) if k == "yaw" else v[rows] for k, v in values.items()}, missing, notes
 
 
@@ -291,15 +310,17 @@ def _drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], steeri
     ins_ns, values, missing, notes = _odometry_rows(odometry)
     good = np.isfinite(steering["road_wheel_angle"]) & steering["valid"].astype(bool)
     missing["road_wheel_angle"] = int((~good).sum())
-    steering_ns, steering_rows, steering_notes = _usable_messages(steering["header.stamp"], good, "steering messages")
+    steering_ns, steering_rows, steering_notes = _select_usable_messages(
+        steering["header.stamp"], good, "steering messages")
     wheel = steering["steering_wheel_angle"][steering_rows]
-    log = drive_log(path, name, ins_time_ns=ins_ns, **values, steering_time_ns=steering_ns,
-                    road_wheel_angle=steering["road_wheel_angle"][steering_rows],
-                    steering_wheel_angle=wheel if np.isfinite(wheel).all() else None)
+    log = make_drive_log(path, name, ins_time_ns=ins_ns, **values, steering_time_ns=steering_ns,
+                         road_wheel_angle=steering["road_wheel_angle"][steering_rows],
+                         steering_wheel_angle=wheel if np.isfinite(wheel).all() else None)
     return log, missing, [*notes, *steering_notes]
 
 
-def _usable_messages(time_ns: np.ndarray, good: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
+def _select_usable_messages(time_ns: np.ndarray, good: np.ndarray,
+                            what: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """(strictly ascending times of valid messages, their rows, notes)."""
     time = np.asarray(time_ns, np.int64)
     usable = good & (time != 0)
@@ -307,6 +328,6 @@ def _usable_messages(time_ns: np.ndarray, good: np.ndarray, what: str) -> tuple[
     notes = []
     if (lost := len(time) - len(rows)):
         missing = "usable value" if (time[good] != 0).all() else "usable value or a stamp"
-        notes.append(f"{share(lost, len(time), what)} have no {missing}; they were left out")
-    kept, time_notes = usable_rows(time[rows], what)
+        notes.append(f"{format_share(lost, len(time), what)} have no {missing}; they were left out")
+    kept, time_notes = select_usable_rows(time[rows], what)
     return time[rows[kept]], rows[kept], [*notes, *time_notes]

@@ -24,9 +24,9 @@ from rosbags.typesys.store import Typestore
 
 from ..bag_metadata import read_information
 from ..mcap_contents import MAGIC
-from ..paths import natural_order
-from .cdr import DAMAGE, Block, Layout, blocks, summary_of
-from .errors import RunError, share, short
+from ..paths import natural_sort_key
+from .cdr import READ_ERRORS, Block, Layout, read_blocks, read_summary
+from .errors import RunError, format_share, shorten
 
 EXTENSIONS = (".mcap", ".db3")
 RECOVERY_ADVICE = "if the recording was interrupted, repair it with `st recover`"
@@ -84,28 +84,29 @@ def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage
                    "give the folder written by `ros2 bag record` or by the recorder")
 
 
-def _listed_files(directory: Path) -> list[str]:
+def _read_listed_files(directory: Path) -> list[str]:
     listed = read_information(directory).get("relative_file_paths")
     return [Path(str(name)).name for name in listed] if isinstance(listed, list) else []
 
 
 def storage_files(directory: Path) -> list[Path]:
     """Storage files of a bag directory in recording order, from metadata.yaml or else by number."""
-    files = sorted((f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS), key=natural_order)
-    order = {name: k for k, name in enumerate(_listed_files(directory))}
+    files = sorted((f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS), key=natural_sort_key)
+    order = {name: k for k, name in enumerate(_read_listed_files(directory))}
     return sorted(files, key=lambda f: order.get(f.name, -1)) if {f.name for f in files} <= order.keys() else files
 
 
-def missing_files(directory: Path) -> str:
+def describe_missing_files(directory: Path) -> str:
     """A note on files that metadata.yaml lists but the directory lacks; empty if none is missing."""
-    listed = _listed_files(directory)
+    listed = _read_listed_files(directory)
     missing = [name for name in listed if not (directory / name).is_file()]
     if not missing:
         return ""
-    return f"{share(len(missing), len(listed), 'files')} of metadata.yaml are missing: {', '.join(missing)[:200]}"
+    count = format_share(len(missing), len(listed), "files")
+    return f"{count} listed in metadata.yaml are missing: {', '.join(missing)[:200]}"
 
 
-def missing_before(file: Path) -> str:
+def describe_missing_before(file: Path) -> str:
     """A note on files missing before this one in a numbered recording without metadata.yaml (drive_1, drive_3).
     The time gap must fit missing files as long as their neighbours; else these are separate recordings."""
     stem, _, number = file.stem.rpartition("_")
@@ -114,7 +115,7 @@ def missing_before(file: Path) -> str:
     before = max((k for k in numbers if number.isdigit() and k < int(number)), default=None)
     if before is None or (count := int(number) - before - 1) == 0:
         return ""
-    earlier, own = time_span(numbers[before]), time_span(file)
+    earlier, own = read_time_span(numbers[before]), read_time_span(file)
     if earlier is None or own is None:
         return ""
     lengths = [earlier[1] - earlier[0], own[1] - own[0]]
@@ -124,13 +125,13 @@ def missing_before(file: Path) -> str:
             f"{'are' if count > 1 else 'is'} missing: they are read as separate runs")
 
 
-def time_span(file: Path) -> tuple[int, int] | None:
+def read_time_span(file: Path) -> tuple[int, int] | None:
     """Log times of the first and last message of a storage file [ns]; None for a file that cannot be read."""
     try:
         if file.suffix.lower() == ".db3":
             ((first, last),) = SqliteStorage([file]).query(file, "SELECT MIN(timestamp), MAX(timestamp) FROM messages")
             return None if first is None else (first, last)
-        summary = summary_of(file)
+        summary = read_summary(file)
         if summary is not None and summary.statistics is not None:
             return summary.statistics.message_start_time, summary.statistics.message_end_time
         times = [message.log_time for _, _, message in McapStorage([file]).stream(file)]
@@ -150,7 +151,7 @@ class McapStorage(Storage):
                 tail = stream.read(8)
             if head != MAGIC:
                 raise RunError(file, "cannot be read as a bag (not MCAP)", "correct its extension")
-            summary = summary_of(file)
+            summary = read_summary(file)
             if summary is None and tail != MAGIC:
                 raise RunError(file, "cannot be read as a bag (it was not closed)", RECOVERY_ADVICE)
             self._files.append((file, summary))
@@ -173,7 +174,7 @@ class McapStorage(Storage):
             if summary is None:
                 counts.update((c.topic, schema.name if schema else "") for schema, c, _ in self.stream(file))
                 continue
-            assert summary.statistics is not None  # summary_of
+            assert summary.statistics is not None  # read_summary
             for channel in summary.channels.values():
                 schema = summary.schemas.get(channel.schema_id)
                 counts[channel.topic, schema.name if schema else ""] += \
@@ -194,9 +195,9 @@ class McapStorage(Storage):
     @staticmethod
     def _blocks(file: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:
         try:
-            yield from blocks(file, summary, channels)
-        except DAMAGE as error:
-            raise RunError(file, f"cannot be read as a bag ({short(error)})", RECOVERY_ADVICE) from None
+            yield from read_blocks(file, summary, channels)
+        except READ_ERRORS as error:
+            raise RunError(file, f"cannot be read as a bag ({shorten(error)})", RECOVERY_ADVICE) from None
 
     @staticmethod
     def stream(file: Path) -> Iterator[Any]:
@@ -204,15 +205,15 @@ class McapStorage(Storage):
         try:
             with file.open("rb") as stream:
                 yield from NonSeekingReader(stream).iter_messages(log_time_order=False)
-        except DAMAGE as error:
-            raise RunError(file, f"cannot be read as a bag ({short(error)})", RECOVERY_ADVICE) from None
+        except READ_ERRORS as error:
+            raise RunError(file, f"cannot be read as a bag ({shorten(error)})", RECOVERY_ADVICE) from None
 
     def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
         if any(summary is None for _, summary in self._files):
             return super().columns(fields, store)
         by_topic = {topic.name: _GatheredFields(topic.type_name, names, store) for topic, names in fields.items()}
         for file, summary in self._files:
-            assert summary is not None and summary.statistics is not None  # summary_of
+            assert summary is not None and summary.statistics is not None  # read_summary
             channels = {number: by_topic[channel.topic] for number, channel in summary.channels.items()
                         if channel.topic in by_topic and channel.message_encoding == "cdr"}
             remaining = {number: summary.statistics.channel_message_counts.get(number, 0) for number in channels}
@@ -237,7 +238,7 @@ class SqliteStorage(Storage):
             with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as database:
                 yield from database.execute(text, values)
         except sqlite3.Error as error:
-            raise RunError(file, f"cannot be read as a bag ({short(error)})", "copy it again") from None
+            raise RunError(file, f"cannot be read as a bag ({shorten(error)})", "copy it again") from None
 
     def topics(self) -> list[Topic]:
         counts: Counter[tuple[str, str]] = Counter()
@@ -271,7 +272,7 @@ class RosbagsStorage(Storage):
             self._reader = AnyReader([path], default_typestore=store)
             self._reader.open()
         except (AnyReaderError, ReaderError, OSError, KeyError) as error:
-            raise RunError(path, f"cannot be read as a bag ({short(error)})", RECOVERY_ADVICE) from None
+            raise RunError(path, f"cannot be read as a bag ({shorten(error)})", RECOVERY_ADVICE) from None
 
     def topics(self) -> list[Topic]:
         return [Topic(c.topic, c.msgtype, c.msgcount) for c in self._reader.connections]

@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from .errors import COMPRESSED_MARKS, share, short
+from .errors import COMPRESSED_MARKS, format_share, shorten
 from .mf4 import VENDOR_SUFFIXES
 
 MF4_EXTENSIONS = (".mf4", ".mdf")
@@ -80,8 +80,9 @@ class Format:
     messages: Callable[[Path, list[str]], Iterator[Any]]
 
 
-def _text_reader(make: Callable[[Lines, list[str]], Any], converter: Callable[[], Callable[[str], str]] = lambda: str,
-                 restart: str = "") -> Callable[[Path, list[str]], Iterator[Any]]:
+def _make_text_reader(make: Callable[[Lines, list[str]], Any],
+                      converter: Callable[[], Callable[[str], str]] = lambda: str,
+                      restart: str = "") -> Callable[[Path, list[str]], Iterator[Any]]:
     """A reader of text that continues after a line it cannot read.
 
     converter: makes the function that converts the lines of a file. restart: line that the header parser may consume.
@@ -104,7 +105,7 @@ def _text_reader(make: Callable[[Lines, list[str]], Any], converter: Callable[[]
                         lines.unread(restart)
                     remaining = iter(reader)
             if bad:
-                notes.insert(0, f"{share(len(bad), lines.position, 'lines')} cannot be read, the first is line "
+                notes.insert(0, f"{format_share(len(bad), lines.position, 'lines')} cannot be read, the first is line "
                              f"{bad[0]}; they were skipped")
         finally:
             lines.close()
@@ -118,7 +119,7 @@ def month_number(name: str) -> int | None:
     return _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
 
 
-def _candump_line(line: str) -> str:
+def _convert_candump_line(line: str) -> str:
     """Converts a line printed by candump to the format of its log (-l)."""
     match = _SCREEN_LINE.match(line)
     if match is None:
@@ -131,7 +132,7 @@ def _candump_line(line: str) -> str:
     return f"({stamp}) {channel} {identifier}{kind}{data}{' T' if direction == 'TX' else ''}\n"
 
 
-def _asc(lines: Lines, notes: list[str]) -> Any:
+def _read_asc(lines: Lines, notes: list[str]) -> Any:
     base: Any = import_module("can.io.asc").ASCReader
 
     class Reader(base):
@@ -178,7 +179,7 @@ class _AscLines:
         return f"{key} Mon {_ENGLISH_MONTHS[number - 1] if number else month}{rest}\n"
 
 
-def _trc(lines: Lines, notes: list[str]) -> Any:
+def _read_trc(lines: Lines, notes: list[str]) -> Any:
     base: Any = import_module("can.io.trc").TRCReader
 
     class Reader(base):
@@ -194,7 +195,7 @@ def _trc(lines: Lines, notes: list[str]) -> Any:
     return Reader(lines)
 
 
-def _blf(file: Path, notes: list[str]) -> Iterator[Any]:
+def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
     from can.io import blf
 
     class Reader(blf.BLFReader):
@@ -218,14 +219,14 @@ def _blf(file: Path, notes: list[str]) -> Iterator[Any]:
             yield message
     except Exception as error:
         at = min(reader.file.tell(), size) if not reader.file.closed else size
-        notes.append(f"is damaged after frame {count} ({short(error)}); the {share(size - at, size, 'bytes')} after "
-                     "it are not used")
+        notes.append(f"is damaged after frame {count} ({shorten(error)}); the remaining "
+                     f"{format_share(size - at, size, 'bytes')} are not used")
     finally:
         reader.stop()
     if not reader.file_size:
         notes.append("was not closed by its logger; its end may be missing")
     elif size < reader.file_size:
-        notes.append(f"is truncated: {share(reader.file_size - size, reader.file_size, 'bytes')} are missing")
+        notes.append(f"is truncated: {format_share(reader.file_size - size, reader.file_size, 'bytes')} are missing")
 
 
 def _is_candump(head: bytes) -> bool:
@@ -241,12 +242,13 @@ def _is_asc(head: bytes) -> bool:
 
 FORMATS = (
     Format("candump", (".log", ".candump"), _is_candump,
-           _text_reader(lambda lines, notes: import_module("can.io.canutils").CanutilsLogReader(lines),
-                        lambda: _candump_line)),
-    Format("Vector ASC", (".asc",), _is_asc, _text_reader(_asc, _AscLines, "\n")),
-    Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _blf),
+           _make_text_reader(lambda lines, notes: import_module("can.io.canutils").CanutilsLogReader(lines),
+                             lambda: _convert_candump_line)),
+    Format("Vector ASC", (".asc",), _is_asc, _make_text_reader(_read_asc, _AscLines, "\n")),
+    Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _read_blf),
     Format("PEAK trace", (".trc",), lambda head: b";$FILEVERSION" in head or (
-        head.lstrip().startswith(b";") and (b"Start time:" in head or b"Message Number" in head)), _text_reader(_trc)),
+        head.lstrip().startswith(b";") and (b"Start time:" in head or b"Message Number" in head)),
+        _make_text_reader(_read_trc)),
 )
 EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *VENDOR_SUFFIXES}
 

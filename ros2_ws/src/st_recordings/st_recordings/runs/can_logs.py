@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from .can_formats import FORMATS, MF4_EXTENSIONS, UNSTAMPED_LINE, Format
-from .errors import RunError, check_readable, short
+from .errors import RunError, check_readable, shorten
 from .frames import (
     ERROR,
     EXTENDED,
@@ -21,15 +21,15 @@ from .frames import (
     SENT,
     CanLog,
     Frames,
-    clock_step_notes,
-    concatenated,
+    concatenate,
+    describe_clock_steps,
     empty_frames,
-    merged,
-    without_clock_steps,
-    without_duplicates,
+    merge_by_time,
+    remove_clock_steps,
+    remove_duplicates,
 )
 from .ins_log import LATEST_TIME
-from .mf4 import read_mf4, reject_vendor_container, session_of
+from .mf4 import parse_session, read_mf4, reject_vendor_container
 
 BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMP_NS = 86400 * 10**9  # a frame further from both of its neighbours has a damaged time
@@ -45,7 +45,7 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
     """
     logs: list[CanLog] = []
     errors: list[RunError] = []
-    for file in sorted(files, key=lambda f: (*session_of(f), str(f))):
+    for file in sorted(files, key=lambda f: (*parse_session(f), str(f))):
         try:
             logs.append(_read_log(file))
         except RunError as error:
@@ -57,10 +57,10 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
         raise RunError(used[0], "some logs of the run have UTC times, others count from their own start",
                        "read them in separate commands")
     warnings = [f"{log.files[0]}: {note}" for log in logs for note in log.warnings]
-    frames, repeated = without_duplicates(merged([log.frames for log in logs]))
+    frames, repeated = remove_duplicates(merge_by_time([log.frames for log in logs]))
     if repeated:
         warnings.append(f"{used[0]}: {repeated} frames are in the log twice; one of each was kept")
-    warnings += [str(error) for error in errors] + _missing_splits(used)
+    warnings += [str(error) for error in errors] + _describe_missing_splits(used)
     return CanLog(frames, used, min(log.start_ns for log in logs), logs[0].absolute, tuple(warnings),
                   tuple(step for log in logs for step in log.steps))
 
@@ -100,11 +100,11 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[F
             usable = [message for message in timed if len(message.data) <= MAX_DATA_LENGTH]
             too_long += len(timed) - len(usable)
             if usable:
-                parts.append(_columns(usable))
+                parts.append(_build_frames(usable))
     except Exception as error:  # the readers pass on any exception of their parsing, and a missing file
-        what = f"cannot be read as a {kind.name} log ({short(error)})"
+        what = f"cannot be read as a {kind.name} log ({shorten(error)})"
         raise RunError(file, what, "copy or export it again") from None
-    frames = concatenated(parts) if parts else empty_frames()
+    frames = concatenate(parts) if parts else empty_frames()
     if len(frames) > 1:
         is_outlier = np.abs(frames.time_ns - median_filter(frames.time_ns, 3, mode="mirror")) > MAX_TIME_JUMP_NS
         frames, impossible = frames.select(~is_outlier), impossible + int(is_outlier.sum())
@@ -120,12 +120,12 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[F
             (steps < 0).mean() > MIN_FALLING_SHARE or not steps.any()):
         frames = replace(frames, time_ns=np.cumsum(frames.time_ns))
         format_notes.append("its times are relative to the previous frame (candump -t d); they were summed")
-    frames, clock_steps = without_clock_steps(frames)
-    notes += [*format_notes, *clock_step_notes(clock_steps)]
-    return merged([frames]), clock_steps
+    frames, clock_steps = remove_clock_steps(frames)
+    notes += [*format_notes, *describe_clock_steps(clock_steps)]
+    return merge_by_time([frames]), clock_steps
 
 
-def _columns(messages: Sequence[can.Message]) -> Frames:
+def _build_frames(messages: Sequence[can.Message]) -> Frames:
     width = MAX_DATA_LENGTH if any(len(m.data) > 8 for m in messages) else 8
     ids = [m.arbitration_id | (EXTENDED if m.is_extended_id else 0) for m in messages]
     flags = [(SENT if not m.is_rx else 0) | (REMOTE if m.is_remote_frame else 0) | (ERROR if m.is_error_frame else 0)
@@ -137,11 +137,11 @@ def _columns(messages: Sequence[can.Message]) -> Frames:
         time_ns=np.round(seconds * 1e6).astype(np.int64) * 1000,
         id=np.array(ids, np.uint32), payload=np.frombuffer(payload, np.uint8).reshape(-1, width),
         length=np.array([len(m.data) for m in messages], np.uint8),
-        bus=np.array([_bus_number(m.channel) for m in messages], np.uint8), flags=np.array(flags, np.uint8),
+        bus=np.array([_find_bus_number(m.channel) for m in messages], np.uint8), flags=np.array(flags, np.uint8),
     )
 
 
-def _bus_number(channel: Any) -> int:
+def _find_bus_number(channel: Any) -> int:
     """Number of a bus as in MF4, from 1: can0 -> 1, channel 0 -> 1; 0 if unknown."""
     if isinstance(channel, int):
         return (channel + 1) % 256
@@ -149,10 +149,10 @@ def _bus_number(channel: Any) -> int:
     return (int(digits) + 1) % 256 if digits else 0
 
 
-def _missing_splits(files: Sequence[Path]) -> list[str]:
+def _describe_missing_splits(files: Sequence[Path]) -> list[str]:
     sessions: dict[str, set[int]] = {}
     for file in files:
-        session, split = session_of(file)
+        session, split = parse_session(file)
         sessions.setdefault(session, set()).add(split)
     warnings = []
     for session, splits in sessions.items():

@@ -12,9 +12,9 @@ from canedge_bridge.ins_time import with_unix_time
 from canedge_bridge.signals import CheckSpec, MessageSpec, SignalSpec, SignalTable, load_table
 from st_core.checks import Series
 
-from .errors import RunError, share
+from .errors import RunError, format_share
 from .frames import ERROR, EXTENDED, REMOTE, Frames
-from .ins_log import SPEEDS, car_speed, series
+from .ins_log import SPEEDS, compute_car_speed, make_series
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
             continue
         payload, lengths = frames.payload[rows], frames.length[rows]
         decoded = decode_log(table.database, frames.id[rows], payload, lengths, [message]).get(message)
-        length_fault = _length_fault(spec, lengths, 0 if decoded is None else len(decoded.rows))
+        length_fault = _describe_length_fault(spec, lengths, 0 if decoded is None else len(decoded.rows))
         if decoded is None:
             faults[message] = length_fault
             continue
@@ -108,9 +108,9 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
     return CanSignals(signals, faults, rejected)
 
 
-def _length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: int) -> str:
+def _describe_length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: int) -> str:
     """Describes frames whose length differs from the DBC; empty if there are none."""
-    found = [f"{share(int(count), len(lengths), 'frames')} have {size} bytes"
+    found = [f"{format_share(int(count), len(lengths), 'frames')} have {size} bytes"
              for size, count in zip(*np.unique(lengths, return_counts=True), strict=True) if size != spec.dbc.length]
     if not found:
         return ""
@@ -119,7 +119,7 @@ def _length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: int) -> str
     return f"{', '.join(found)}, the DBC gives {spec.dbc.length}; {consequence}"
 
 
-def steering_of(signals: CanSignals, file: Path | str, table: SignalTable) -> Signal:
+def find_steering(signals: CanSignals, file: Path | str, table: SignalTable) -> Signal:
     """The steering wheel angle. Raises RunError with the expected message and the messages found."""
     steering = signals.first_of("steering_wheel_angle")
     if steering is not None:
@@ -134,8 +134,8 @@ def steering_of(signals: CanSignals, file: Path | str, table: SignalTable) -> Si
                    "name the car of this log with --car DIR, or log the bus that carries the message")
 
 
-def speeds_of(signals: CanSignals, to_reference: Callable[[np.ndarray], np.ndarray] = np.asarray
-              ) -> tuple[Series | None, Series | None]:
+def collect_speeds(signals: CanSignals, to_reference: Callable[[np.ndarray], np.ndarray] = np.asarray
+                   ) -> tuple[Series | None, Series | None]:
     """(speed of the car from its wheels, forward speed that the INS sends on CAN).
 
     to_reference: converts times of the log.
@@ -144,11 +144,11 @@ def speeds_of(signals: CanSignals, to_reference: Callable[[np.ndarray], np.ndarr
               for name in SPEEDS if (signal := signals.first_of(name)) is not None}
     ins = signals.all_of("ins_velocity_x")  # sent in different messages for the two axis conventions
     if not ins:
-        return car_speed(wheels), None
+        return compute_car_speed(wheels), None
     order = np.argsort(np.concatenate([signal.rows[signal.valid] for signal in ins]), kind="stable")
     time_ns, values = (np.concatenate([getattr(signal, name)[signal.valid] for signal in ins])[order]
                        for name in ("time_ns", "values"))
-    return car_speed(wheels), series(to_reference(time_ns), values)
+    return compute_car_speed(wheels), make_series(to_reference(time_ns), values)
 
 
 def load_signal_table(dbc: Path, table: Path) -> SignalTable:
@@ -179,7 +179,7 @@ def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
         if name == "checksum":
             wrong = wrong_checksum = ~checksum_matches(check, payload[:, : spec.dbc.length], spec.dbc.frame_id)
         else:
-            wrong = counter_faults(check.field, payload, time_ns, wrong_checksum, spec.timeout)
+            wrong = find_counter_faults(check.field, payload, time_ns, wrong_checksum, spec.timeout)
         (keep if check.mode is Mode.DROP else valid)[wrong] = False
         if wrong.any():
             faults.append(f"{name} wrong in {wrong.sum()}")
@@ -187,7 +187,7 @@ def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
     for signal in spec.signals:
         if np.isfinite(signal.maximum) or np.isfinite(signal.max_rate):
             sent = keep if not signal.dbc.multiplexer_ids else keep & np.isfinite(values[signal.name])
-            passed = plausible(signal, spec, time_ns[sent], values[signal.name][sent])
+            passed = find_plausible(signal, spec, time_ns[sent], values[signal.name][sent])
             possible[sent] &= passed
             if len(bad := values[signal.name][sent][~passed] / signal.factor):
                 worst = float(bad[np.argmax(np.abs(bad))])
@@ -195,7 +195,7 @@ def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
     return possible, valid & possible, f"{', '.join(faults)} of {n} frames" if faults else ""
 
 
-def plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
+def find_plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Whether each frame is in range, within the rate limit, and not isolated among implausible ones
     (canedge_bridge.decode.Plausibility).
 
@@ -245,8 +245,8 @@ def checksum_matches(check: CheckSpec, payload: np.ndarray, arbitration_id: int)
     return np.array(expected) == found
 
 
-def counter_faults(field: Field, payload: np.ndarray, time_ns: np.ndarray, unreadable: np.ndarray,
-                   restart_after: float) -> np.ndarray:
+def find_counter_faults(field: Field, payload: np.ndarray, time_ns: np.ndarray, unreadable: np.ndarray,
+                        restart_after: float) -> np.ndarray:
     """Whether each counter did not increase by one. As in CounterCheck, `unreadable` frames also count."""
     value = ((payload[:, field.byte] >> field.shift) & field.mask).astype(np.int64)
     index = np.arange(len(value))

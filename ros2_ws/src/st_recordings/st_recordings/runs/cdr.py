@@ -37,7 +37,8 @@ INS_ON_CAN, INS_STATUS = "st_msgs/msg/InsOnCan", "st_msgs/msg/InsStatus"
 WHEEL_FIELDS = {"wheel_speed_front_left": "front_left", "wheel_speed_front_right": "front_right",
                 "wheel_speed_rear_left": "rear_left", "wheel_speed_rear_right": "rear_right",
                 "vehicle_speed": "vehicle_speed"}
-DAMAGE = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, OSError, OverflowError, MemoryError, McapError)
+READ_ERRORS = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, OSError, OverflowError, MemoryError,
+               McapError)
 """Exceptions raised by reading an MCAP file that is damaged or contradicts its index."""
 _DTYPES = {"float64": "<f8", "float32": "<f4", "int64": "<i8", "uint64": "<u8", "int32": "<i4", "uint32": "<u4",
            "int16": "<i2", "uint16": "<u2", "int8": "i1", "uint8": "u1", "byte": "u1", "char": "u1", "bool": "?"}
@@ -47,7 +48,7 @@ _MESSAGE_HEAD = _RECORD_HEAD + 22  # channel, sequence, log time, publish time
 
 
 @cache
-def typestore(definitions: Path) -> Typestore:
+def load_typestore(definitions: Path) -> Typestore:
     """Message types of ROS 2 Jazzy and of the .msg files in a folder <package>/msg."""
     store = get_typestore(Stores.ROS2_JAZZY)
     package = definitions.parent.name
@@ -58,7 +59,7 @@ def typestore(definitions: Path) -> Typestore:
     return store
 
 
-def with_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]], types: Iterable[str]) -> Typestore:
+def add_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]], types: Iterable[str]) -> Typestore:
     """The store with the given types replaced by the recorded definitions; the same store if none differs.
 
     definitions: definitions in the recording (bag_storage.Storage.definitions). One that cannot be parsed is ignored;
@@ -72,7 +73,7 @@ def with_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]
                 recorded |= get_types_from_idl(text) if encoding == "ros2idl" else get_types_from_msg(text, name)
         except Exception:  # rosbags passes on every exception of its parser
             continue
-    if all(name in store.fielddefs and _normalised(store.fielddefs[name][1]) == _normalised(fields)
+    if all(name in store.fielddefs and _normalise(store.fielddefs[name][1]) == _normalise(fields)
            for name, (_, fields) in recorded.items()):
         return store
     merged = get_typestore(Stores.EMPTY)
@@ -83,7 +84,7 @@ def with_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]
     return merged
 
 
-def _normalised(fields: Any) -> list[tuple[str, Any]]:
+def _normalise(fields: Any) -> list[tuple[str, Any]]:
     return [(field[0].lower(), field[1]) for field in fields]
 
 
@@ -123,7 +124,7 @@ class Layout:
     def _walk(self, type_name: str, value: Any, path: str, at: int) -> int:
         """Adds the fields of a (nested) message at byte `at`; returns its end. Both are relative to the body."""
         if type_name in ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"):
-            at = _aligned(at, 4)
+            at = _align(at, 4)
             self.fields[path] = Field(at + _ENCAPSULATION, "<i4", 2)
             return at + 8
         prefix = f"{path}." if path else ""
@@ -136,11 +137,11 @@ class Layout:
             return self._walk(detail, value, path, at)
         if node == Nodetype.BASE:
             if detail[0] == "string":
-                return _aligned(at, 4) + 4 + len(value.encode()) + 1
+                return _align(at, 4) + 4 + len(value.encode()) + 1
             return self._numbers(_DTYPES[detail[0]], 1, path, at)
         (inner, inner_detail), _ = detail
         if node == Nodetype.SEQUENCE:
-            at = _aligned(at, 4) + 4
+            at = _align(at, 4) + 4
         if inner == Nodetype.BASE and inner_detail[0] != "string":
             return self._numbers(_DTYPES[inner_detail[0]], len(value), path, at) if len(value) else at
         for index, element in enumerate(value):
@@ -148,7 +149,7 @@ class Layout:
         return at
 
     def _numbers(self, dtype: str, count: int, path: str, at: int) -> int:
-        field = Field(_aligned(at, np.dtype(dtype).itemsize) + _ENCAPSULATION, dtype, count)
+        field = Field(_align(at, np.dtype(dtype).itemsize) + _ENCAPSULATION, dtype, count)
         self.fields[path] = field
         return field.offset - _ENCAPSULATION + field.width
 
@@ -182,14 +183,14 @@ class Layout:
         return bool(sized) and all((buffer[starts + k] == self.template[k]).all() for k in np.nonzero(self._fixed)[0])
 
 
-def field_of(message: Any, path: str) -> Any:
+def get_field(message: Any, path: str) -> Any:
     """The field of a deserialised message at a path; times in ns."""
     for part in path.split("."):
         message = getattr(message, part)
     return message.sec * 1_000_000_000 + message.nanosec if path.endswith("stamp") else message
 
 
-def _aligned(at: int, size: int) -> int:
+def _align(at: int, size: int) -> int:
     return -(-at // size) * size
 
 
@@ -203,7 +204,7 @@ class Block:
     log_time_ns: np.ndarray
 
 
-def summary_of(path: Path) -> Summary | None:
+def read_summary(path: Path) -> Summary | None:
     """Channels, schemas and chunks of a file that was closed.
 
     None for a file without a complete index: truncated, not MCAP, or written without message index or without channels
@@ -212,7 +213,7 @@ def summary_of(path: Path) -> Summary | None:
     try:
         with path.open("rb") as stream:
             summary = make_reader(stream).get_summary()
-    except DAMAGE:
+    except READ_ERRORS:
         return None
     if summary is None or not summary.chunk_indexes or summary.statistics is None:
         return None
@@ -224,24 +225,24 @@ def summary_of(path: Path) -> Summary | None:
     return summary if is_complete and sum(counts.values()) == summary.statistics.message_count else None
 
 
-def blocks(path: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:
-    """Yields (channel, its messages in a chunk), chunk by chunk. Raises one of DAMAGE."""
+def read_blocks(path: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:
+    """Yields (channel, its messages in a chunk), chunk by chunk. Raises one of READ_ERRORS."""
     chunks = [chunk for chunk in sorted(summary.chunk_indexes, key=lambda c: c.chunk_start_offset)
               if not chunk.message_index_offsets.keys().isdisjoint(channels)]
     with path.open("rb") as stream:
-        for chunk, content in _uncompressed_chunks(stream, chunks):
+        for chunk, content in _decompress_chunks(stream, chunks):
             buffer = np.frombuffer(content, np.uint8)
             for channel in channels:
                 if channel in chunk.message_index_offsets:
-                    yield channel, _block(stream, chunk, channel, buffer)
+                    yield channel, _read_block(stream, chunk, channel, buffer)
 
 
-def _uncompressed_chunks(stream: BinaryIO, chunks: Sequence[ChunkIndex]) -> Iterator[tuple[ChunkIndex, bytes]]:
+def _decompress_chunks(stream: BinaryIO, chunks: Sequence[ChunkIndex]) -> Iterator[tuple[ChunkIndex, bytes]]:
     """Yields chunks with their content. A thread decompresses one chunk ahead, since this releases the GIL."""
     with ThreadPoolExecutor(1) as pool:
         pending: deque[tuple[ChunkIndex, Future[bytes]]] = deque()
         for chunk in chunks:
-            pending.append((chunk, pool.submit(_chunk_content, stream, chunk)))
+            pending.append((chunk, pool.submit(_read_chunk, stream, chunk)))
             if len(pending) > 1:
                 first, content = pending.popleft()
                 yield first, content.result()
@@ -249,8 +250,8 @@ def _uncompressed_chunks(stream: BinaryIO, chunks: Sequence[ChunkIndex]) -> Iter
             yield last, content.result()
 
 
-def _block(stream: BinaryIO, chunk: ChunkIndex, channel: int, buffer: np.ndarray) -> Block:
-    times, offsets = _message_index(stream, chunk.message_index_offsets[channel])
+def _read_block(stream: BinaryIO, chunk: ChunkIndex, channel: int, buffer: np.ndarray) -> Block:
+    times, offsets = _read_message_index(stream, chunk.message_index_offsets[channel])
     words = np.ndarray((max(len(buffer) - 7, 0),), "<u8", buffer.data, 0, (1,))
     if len(offsets) and not 0 <= int(offsets.min()) <= int(offsets.max()) <= len(buffer) - _MESSAGE_HEAD:
         raise ValueError("a message index points outside its chunk")
@@ -260,7 +261,7 @@ def _block(stream: BinaryIO, chunk: ChunkIndex, channel: int, buffer: np.ndarray
     return Block(buffer, offsets + _MESSAGE_HEAD, sizes, times)
 
 
-def _chunk_content(stream: BinaryIO, chunk: ChunkIndex) -> bytes:
+def _read_chunk(stream: BinaryIO, chunk: ChunkIndex) -> bytes:
     record = os.pread(stream.fileno(), chunk.chunk_length, chunk.chunk_start_offset)
     if not 0 < chunk.chunk_length <= len(record) or record[0] != Opcode.CHUNK:
         raise ValueError("a chunk is missing")
@@ -273,7 +274,7 @@ def _chunk_content(stream: BinaryIO, chunk: ChunkIndex) -> bytes:
     return content.read(size)
 
 
-def _message_index(stream: BinaryIO, at: int) -> tuple[np.ndarray, np.ndarray]:
+def _read_message_index(stream: BinaryIO, at: int) -> tuple[np.ndarray, np.ndarray]:
     """(log times, offsets in the chunk) of the messages of one channel."""
     stream.seek(at)
     head = stream.read(_RECORD_HEAD + 6)

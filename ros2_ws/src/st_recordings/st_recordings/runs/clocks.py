@@ -45,10 +45,10 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
     signals; shared signals; substitutes (doubtful at best). search: bounds of the offset [s]. latency: delay of INS
     values on CAN and its standard deviation [s]. steering_sign: +1 if the decoded sensor is left positive.
     """
-    ins, can, notes = without_implausible(ins, can)
-    pairs, warning = shared_signals(ins, can, latency), ""
+    ins, can, notes = mask_implausible(ins, can)
+    pairs, warning = pair_shared_signals(ins, can, latency), ""
     if not pairs:
-        pairs, warning = substitute_signals(ins, can, steering_sign)
+        pairs, warning = pair_substitute_signals(ins, can, steering_sign)
     time_frames = [signal for signal in can.all_of("ins_unix_time") if np.isfinite(signal.values).sum() > 1]
     if offset is not None:
         at_ns = int(pairs[0].other_time_ns[0]) if pairs else 0
@@ -62,12 +62,12 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
     else:
         result = align(pairs, search=search)
         if result.ambiguous and search is None and ins.absolute:
-            result = _nearest_to_logger_clock(pairs, result)
-        result = result.with_doubts(*filter(None, (warning, _opposite_sign_note(pairs, result, search))))
+            result = _prefer_logger_clock(pairs, result)
+        result = result.with_doubts(*filter(None, (warning, _describe_opposite_sign(pairs, result, search))))
     return replace(result, reasons=(*notes, *result.reasons)), pairs
 
 
-def shared_signals(ins: InsLog, can: CanSignals, latency: tuple[float, float] = INS_ON_CAN) -> list[SharedSignal]:
+def pair_shared_signals(ins: InsLog, can: CanSignals, latency: tuple[float, float] = INS_ON_CAN) -> list[SharedSignal]:
     """The signals of the INS that both recordings contain: forward velocity, yaw rate, yaw.
 
     latency: of INS values on CAN, and its standard deviation [s].
@@ -78,12 +78,12 @@ def shared_signals(ins: InsLog, can: CanSignals, latency: tuple[float, float] = 
                                       ("yaw rate", "rate", "ins_yaw_rate", ins.rate[2]),
                                       ("yaw", "angle", "ins_yaw", ins.yaw)):
         if np.isfinite(values).any() or name != "ins_yaw":  # an INS may have no yaw
-            pairs += [_pair(f"{label} ({signal.message})", kind, ins.time_ns, _without_standstill(ins, values), signal,
-                            speed, latency) for signal in can.all_of(name)]
+            pairs += [_make_pair(f"{label} ({signal.message})", kind, ins.time_ns, _mask_ins_standstill(ins, values),
+                                 signal, speed, latency) for signal in can.all_of(name)]
     return pairs
 
 
-def substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1) -> tuple[list[SharedSignal], str]:
+def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1) -> tuple[list[SharedSignal], str]:
     """(signal pair for a log without INS frames: wheel speed, or else curvature against steering; a warning).
 
     steering_sign: +1 where the decoded sensor is left positive.
@@ -95,11 +95,11 @@ def substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1) -> 
         # The speed of a single wheel also depends on the yaw rate.
         speed = replace(speed, values=(speed.values + right.values) / 2.0)
     if speed is not None:
-        values = _without_standstill(ins, np.abs(velocity_x))
+        values = _mask_ins_standstill(ins, np.abs(velocity_x))
         delay, deviation = WHEEL_SPEED
         slip = WHEEL_SLIP * float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
         latency = delay, float(np.hypot(deviation, slip))
-        return ([_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, latency)],
+        return ([_make_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, latency)],
                 f"{NO_INS_FRAMES}: aligned by the wheel speed, whose delay and slip are unknown; assumed: "
                 f"{1e3 * latency[0]:.0f} ± {1e3 * latency[1]:.0f} ms")
     steering = can.first_of("steering_wheel_angle")
@@ -113,7 +113,7 @@ def substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1) -> 
                     "response time of the car")
 
 
-def without_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, list[str]]:
+def mask_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, list[str]]:
     """(both recordings with NaN for implausible values, a note on each such signal).
 
     A single sentinel value or spike can exceed all motion, and then shifts or hides the correlation peak.
@@ -154,7 +154,7 @@ def _is_moving(time_ns: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray
     return np.isfinite(mask_standstill(time_ns, np.ones(len(time_ns)), speed_time_ns, speed, MIN_MOVING_SPEED))
 
 
-def _opposite_sign_note(pairs: list[SharedSignal], result: Alignment, search: tuple[float, float] | None) -> str:
+def _describe_opposite_sign(pairs: list[SharedSignal], result: Alignment, search: tuple[float, float] | None) -> str:
     """A note if the opposite steering sign would avoid the refusal; else empty."""
     if result.verdict is not Verdict.REFUSED or pairs[0].min_deviation != MIN_VARIATION["curvature"]:
         return ""
@@ -163,7 +163,7 @@ def _opposite_sign_note(pairs: list[SharedSignal], result: Alignment, search: tu
         f"with the opposite steering_sign they agree with a correlation of {opposite.signals[0].correlation:.2f}")
 
 
-def _nearest_to_logger_clock(pairs: list[SharedSignal], result: Alignment) -> Alignment:
+def _prefer_logger_clock(pairs: list[SharedSignal], result: Alignment) -> Alignment:
     """Selects the offset near the logger's clock if it is one of several that fit equally well."""
     near = align(pairs, search=(-MAX_CLOCK_ERROR, MAX_CLOCK_ERROR))
     if near.verdict is Verdict.REFUSED or not near.peak or not result.peak or (
@@ -193,8 +193,8 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
     return result
 
 
-def _pair(name: str, kind: str, time_ns: np.ndarray, values: np.ndarray, signal: Signal, speed: Signal | None,
-          latency: tuple[float, float]) -> SharedSignal:
+def _make_pair(name: str, kind: str, time_ns: np.ndarray, values: np.ndarray, signal: Signal, speed: Signal | None,
+               latency: tuple[float, float]) -> SharedSignal:
     other = signal.values
     if speed is not None:
         other = mask_standstill(signal.time_ns, other, speed.time_ns, speed.values)
@@ -202,5 +202,5 @@ def _pair(name: str, kind: str, time_ns: np.ndarray, values: np.ndarray, signal:
                         angle=kind == "angle")
 
 
-def _without_standstill(ins: InsLog, values: np.ndarray) -> np.ndarray:
+def _mask_ins_standstill(ins: InsLog, values: np.ndarray) -> np.ndarray:
     return mask_standstill(ins.time_ns, values, ins.time_ns, ins.velocity[0])

@@ -35,19 +35,19 @@ UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
 }
 
 
-def normalised(text: str) -> str:
+def normalise(text: str) -> str:
     """Normal form of a name or unit for comparison: lower case, letters, digits and ° only."""
     return re.sub(r"[^a-z0-9°]", "", text.lower().replace("µ", "u").replace("μ", "u").replace("²", "2")
                   .replace("º", "°").replace("˚", "°"))
 
 
-_UNIT_OF = {kind: {normalised(text): unit for unit, (_, others) in units.items() for text in (unit, *others)}
+_UNIT_OF = {kind: {normalise(text): unit for unit, (_, others) in units.items() for text in (unit, *others)}
             for kind, units in UNITS.items()}
 
 
-def unit_named(kind: str, text: str) -> str | None:
+def find_unit(kind: str, text: str) -> str | None:
     """The unit of a kind of quantity that a text denotes; None for any other text."""
-    return _UNIT_OF[kind].get(normalised(text))
+    return _UNIT_OF[kind].get(normalise(text))
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ COLUMNS: Mapping[str, Channel] = {
 }
 """All known columns; docs/csv_columns.md is generated from this table (test_csv_columns.py)."""
 
-AMBIGUOUS = {normalised(name) for name in
+AMBIGUOUS = {normalise(name) for name in
              _words("steering_angle steering steer steer_angle steered_angle steering_position steering_pos")}
 """Names that some files use for the steering wheel and others for the road wheels."""
 
@@ -152,7 +152,7 @@ _OTHER_QUANTITY = re.compile(r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command
                              r"engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
 """Words in a path that show that its end is not the measured quantity of this car."""
 
-_CHANNEL_OF = {normalised(name): (channel, rank) for channel, about in COLUMNS.items()
+_CHANNEL_OF = {normalise(name): (channel, rank) for channel, about in COLUMNS.items()
                for rank, name in enumerate(about.names)}
 
 
@@ -188,10 +188,10 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
     found: dict[str, tuple[int, ColumnSource]] = {}
     ambiguous: set[str] = set()  # channels found in two topics, of which either may be meant
     for number, name in enumerate(names):
-        if meaning := _meaning(name):
+        if meaning := _identify_channel(name):
             channel, rank, unit = meaning
             if channel not in found or rank < found[channel][0]:
-                found[channel] = rank, _source(number, name, channel, unit)
+                found[channel] = rank, _make_source(number, name, channel, unit)
                 ambiguous.discard(channel)
             elif rank == found[channel][0] >= PATH_RANK:
                 ambiguous.add(channel)
@@ -201,23 +201,23 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
         if named not in names and named in found:  # a channel, not a column: {x: y, y: x} exchanges the axes
             column: int | None = found[named][1].column
         else:
-            column = _column_number(names, named)
+            column = _find_column(names, named)
         if column is None:
             raise RunError(layout.source or file, f"columns: {channel}: {file.name} has no column {named[:60]!r}",
                            f"it has {', '.join(names)[:300]}")
-        stated = (unit_named(COLUMNS[channel].kind, unit) for text in (names[column], named)
-                  for base, unit in _splits(text) if unit and base)
-        sources[channel] = _source(column, names[column], channel, next(filter(None, stated), None))
-    if "t" not in sources and (pair := stamp_columns(names)):
-        sources["t"] = _source(pair[0], names[pair[0]], "t", "s")
+        stated = (find_unit(COLUMNS[channel].kind, unit) for text in (names[column], named)
+                  for base, unit in _split_name_and_unit(text) if unit and base)
+        sources[channel] = _make_source(column, names[column], channel, next(filter(None, stated), None))
+    if "t" not in sources and (pair := find_stamp_columns(names)):
+        sources["t"] = _make_source(pair[0], names[pair[0]], "t", "s")
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
         sources.pop("yaw", None)
-    return with_units(file, sources, layout)
+    return apply_units(file, sources, layout)
 
 
-def stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
+def find_stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
     """Column numbers of the two parts of a ROS stamp: header.stamp.sec and header.stamp.nanosec, or secs and nsecs."""
-    plain = [normalised(name) for name in names]
+    plain = [normalise(name) for name in names]
     for number, name in enumerate(plain):
         stem = re.fullmatch(r"(.*?)n(?:ano)?secs?", name)
         for seconds in (f"{stem[1]}sec", f"{stem[1]}secs") if stem else ():
@@ -226,16 +226,16 @@ def stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
     return None
 
 
-def _column_number(names: Sequence[str], named: str) -> int | None:
+def _find_column(names: Sequence[str], named: str) -> int | None:
     """Column number of a name: exact match, else ignoring case, else also punctuation, else also the unit."""
-    for form in (str, str.lower, normalised, lambda name: normalised(_splits(name)[0][0])):
+    for form in (str, str.lower, normalise, lambda name: normalise(_split_name_and_unit(name)[0][0])):
         for number, name in enumerate(names):
             if form(name) == form(named):
                 return number
     return None
 
 
-def with_units(file: Path, sources: dict[str, ColumnSource], layout: Layout) -> dict[str, ColumnSource]:
+def apply_units(file: Path, sources: dict[str, ColumnSource], layout: Layout) -> dict[str, ColumnSource]:
     """Sources with the units in the layout. Raises RunError if a channel with a unit has no column."""
     for channel, unit in layout.units.items():
         if channel not in sources:
@@ -245,48 +245,49 @@ def with_units(file: Path, sources: dict[str, ColumnSource], layout: Layout) -> 
     return sources
 
 
-def doubtful_steering(names: Sequence[str]) -> str | None:
+def find_ambiguous_steering(names: Sequence[str]) -> str | None:
     """The first column that may be the steering wheel or the road wheel angle; None if there is none."""
-    return next((name for name in names for base, _ in _splits(name) if normalised(base) in AMBIGUOUS), None)
+    return next((name for name in names if any(normalise(base) in AMBIGUOUS for base, _ in _split_name_and_unit(name))),
+                None)
 
 
-def _source(number: int, name: str, channel: str, unit: str | None) -> ColumnSource:
+def _make_source(number: int, name: str, channel: str, unit: str | None) -> ColumnSource:
     kind = COLUMNS[channel].kind
     return ColumnSource(number, name, kind, unit or next(iter(UNITS[kind])), unit is not None)
 
 
-def _meaning(name: str) -> tuple[str, int, str | None] | None:
+def _identify_channel(name: str) -> tuple[str, int, str | None] | None:
     """(channel, rank among its names, stated unit) of a column name; None for other columns."""
     # "%time" and "field.x" from `rostopic echo -p`, "vx\\CCP:1" from ETAS, "Speed (m/s) *gps" from RaceChrono
     name = re.sub(r"\\.*$| \*\w+$", "", name.lstrip("%# ").removeprefix("field."))
-    for base, unit in _splits(name):
-        if normalised(base) in _CHANNEL_OF:
-            channel, rank = _CHANNEL_OF[normalised(base)]
-            known = unit_named(COLUMNS[channel].kind, unit)
+    for base, unit in _split_name_and_unit(name):
+        if normalise(base) in _CHANNEL_OF:
+            channel, rank = _CHANNEL_OF[normalise(base)]
+            known = find_unit(COLUMNS[channel].kind, unit)
             if known or not unit:
                 return channel, rank, known
     end = re.match(r"[^\W\d][^/.(\[]*[/.](..+)|/(..+)", name[:MAX_NAME_LENGTH])  # but not a number such as 0.123
     rest = end[1] or end[2] if end else ""
-    if len(normalised(re.split(r"[(\[]", rest)[0])) > 1 and not _OTHER_QUANTITY.search(name) and (
-            meaning := _meaning(rest)) and meaning[0] != "t":
+    if len(normalise(re.split(r"[(\[]", rest)[0])) > 1 and not _OTHER_QUANTITY.search(name) and (
+            meaning := _identify_channel(rest)) and meaning[0] != "t":
         return meaning[0], meaning[1] % PATH_RANK + PATH_RANK, meaning[2]
     return None
 
 
-def unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSource]) -> dict[str, str]:
+def describe_unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSource]) -> dict[str, str]:
     """Channel -> message, for the channels whose column is not used because its unit is not known."""
     sentences = {}
     for name in names:
-        base, unit = _splits(name)[0]
-        channel, _ = _CHANNEL_OF.get(normalised(base), ("", 0))
-        if unit and channel and channel not in sources and not _meaning(name):
+        base, unit = _split_name_and_unit(name)[0]
+        channel, _ = _CHANNEL_OF.get(normalise(base), ("", 0))
+        if unit and channel and channel not in sources and not _identify_channel(name):
             kind = COLUMNS[channel].kind
             sentences[channel] = (f"column {name} is not used: {unit!r} is not a unit of {kind} (known are "
                                   f"{', '.join(UNITS[kind])})")
     return sentences
 
 
-def _splits(name: str) -> list[tuple[str, str]]:
+def _split_name_and_unit(name: str) -> list[tuple[str, str]]:
     """Ways to split a column's name into name and unit, the whole name first: yaw_rate_deg_s -> yaw_rate, deg_s."""
     if len(name) > MAX_NAME_LENGTH:  # not a header; splitting it would take quadratic time
         return [(name, "")]

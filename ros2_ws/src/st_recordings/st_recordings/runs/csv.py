@@ -11,22 +11,22 @@ from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.types import wrap_angle
 from st_core.vehicle import VehicleParameters
 
-from .columns import Layout, doubtful_steering, find_columns, unknown_units
-from .csv_table import Table, all_known, header_of, join_tables, rate_of, read_table
-from .errors import RunError, share
-from .ins_log import SPEEDS, InsLog, car_speed, is_mostly_known, planar_ins_log, yaw_of
-from .ncom import enu
-from .run_types import LoadedRun, ReadSettings, RunSource, SteeringField, drive_log
+from .columns import Layout, describe_unknown_units, find_ambiguous_steering, find_columns
+from .csv_table import Table, all_finite, differentiate_yaw, join_tables, read_header, read_table
+from .errors import RunError, format_share
+from .ins_log import SPEEDS, InsLog, build_planar_ins_log, compute_car_speed, is_mostly_known, yaw_from_quaternion
+from .ncom import to_enu
+from .run_types import LoadedRun, ReadSettings, RunSource, SteeringField, make_drive_log
 
-MOTION = ("velocity_x", "yaw_rate")
-ROAD, WHEEL, COMPASS, COURSE = "road_wheel_angle", "steering_wheel_angle", "compass_heading", "course"
+MOTION_SIGNALS = ("velocity_x", "yaw_rate")
+ROAD_WHEEL, STEERING_WHEEL, COMPASS, COURSE = "road_wheel_angle", "steering_wheel_angle", "compass_heading", "course"
 COLUMN_ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.run.yaml with the lines "
                  "`{kind}: {name}`{can} and `columns: {{{channel}: NAME, ...}}` (of many drives: `each: '*.{kind}'`)")
 STEERING_ADVICE = ("name its column, --steering-field NAME --steering-is wheel (or road), with --steering-sign -1 if "
                    "right is positive; or give the CAN log that has the steering as well")
-RELATED = {"time": "t", "x": "longitude", "y": "latitude", "yaw": COMPASS}
+COMPUTED_FROM = {"time": "t", "x": "longitude", "y": "latitude", "yaw": COMPASS}
 """Channel -> the channel from which it is computed if it has no column."""
-QUATERNION = [f"orientation_{axis}" for axis in "xyzw"]
+QUATERNION_CHANNELS = [f"orientation_{axis}" for axis in "xyzw"]
 MIN_COURSE_SPEED = 1.0
 """m/s; at this speed a velocity noise of 0.05 m/s changes the course by 3 degrees."""
 MIN_DISTANCE_SAMPLES = 20
@@ -48,22 +48,22 @@ are multiples of the median distance."""
 
 
 def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layout | None = None) -> LoadedRun:
-    """The drive in a CSV file, as `drive_of`. Raises RunError."""
-    return drive_of(read_table(file, layout or Layout()), vehicle)
+    """The drive in a CSV file, as `build_drive`. Raises RunError."""
+    return build_drive(read_table(file, layout or Layout()), vehicle)
 
 
-def with_steering(layout: Layout, steering: SteeringField | None) -> Layout:
+def add_steering_column(layout: Layout, steering: SteeringField | None) -> Layout:
     """The layout with the steering column named by an option; unchanged if the option names a topic."""
     if steering is None or steering.topic:
         return layout
-    channel = ROAD if steering.quantity == "road" else WHEEL
+    channel = ROAD_WHEEL if steering.quantity == "road" else STEERING_WHEEL
     units = {channel: steering.unit} if steering.unit else {}
     return replace(layout, columns={**layout.columns, channel: steering.field}, units={**layout.units, **units},
                    source=layout.source or "--steering-field")
 
 
-def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: float = 1.0,
-             steering: SteeringField | None = None) -> LoadedRun:
+def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: float = 1.0,
+                steering: SteeringField | None = None) -> LoadedRun:
     """The drive in a table. Raises RunError.
 
     A row without a number in an INS channel is left out of the INS samples but not of the steering samples, and vice
@@ -72,33 +72,35 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
     (channel -> column and unit), and the origin of the map for a table with latitude and longitude.
     """
     file = table.file
-    _require_columns(table, (*INS_SIGNALS, ROAD))
+    _require_columns(table, (*INS_SIGNALS, ROAD_WHEEL))
     notes = list(table.warnings)
-    columns, origin = _with_derived(table, notes)
-    steering_channels = _use_steering(table, columns, vehicle, steering, notes)
+    columns, origin = _derive_channels(table, notes)
+    steering_channels = _choose_steering(table, columns, vehicle, steering, notes)
     missing = _count_missing(table, columns, steering_channels, notes)
-    ins = table.used & all_known(columns, INS_SIGNALS)
-    steered = table.used & all_known(columns, steering_channels)
+    ins = table.used & all_finite(columns, INS_SIGNALS)
+    steered = table.used & all_finite(columns, steering_channels)
     if min(ins.sum(), steered.sum()) < 2:
         reason = ""
         if missing:
             worst = max(missing, key=lambda name: missing[name])
             reason = f": {worst} has no number in {missing[worst]} of {len(table.time_ns) + table.rows_without_time}"
-            if column := next((name for name in (worst, RELATED.get(worst, "")) if name in table.texts), ""):
+            if column := next((name for name in (worst, COMPUTED_FROM.get(worst, "")) if name in table.texts), ""):
                 raise RunError(file, f"it contains fewer than two usable rows: column {table.sources[column].name} has "
                                f"no number, but {table.texts[column]!r}", "export it as plain numbers")
         elif len(table.used) > 1:
-            reason = f": {share(int(table.used.sum()), len(table.used), 'rows')} have a time later than all before"
-            raise RunError(file, f"it contains fewer than two usable rows{reason}", "sort its rows by time")
+            later = format_share(int(table.used.sum()), len(table.used), "rows")
+            raise RunError(file, f"it contains fewer than two usable rows: only {later} have a time later than all "
+                           "rows before them", "sort its rows by time")
         raise RunError(file, f"it contains fewer than two usable rows{reason}", "remove it from the command")
     values = {name: columns[name][ins] for name in INS_SIGNALS}
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
     values |= {name: columns[name][ins] for name in OPTIONAL_INS_SIGNALS if is_mostly_known(columns.get(name))}
-    values |= {name: columns[name][steered] for name in {ROAD, *steering_channels}}
-    log = drive_log(file, file.stem, ins_time_ns=table.time_ns[ins], steering_time_ns=table.time_ns[steered], **values)
+    values |= {name: columns[name][steered] for name in {ROAD_WHEEL, *steering_channels}}
+    log = make_drive_log(file, file.stem, ins_time_ns=table.time_ns[ins], steering_time_ns=table.time_ns[steered],
+                         **values)
     speeds = {name: (table.time_ns[table.used], columns[name][table.used]) for name in SPEEDS if name in columns}
     first, last = np.flatnonzero(table.used)[[0, -1]]
-    extras = AuxiliaryData({"INS": table.time_ns[first : last + 1]}, missing, car_speed(speeds),
+    extras = AuxiliaryData({"INS": table.time_ns[first : last + 1]}, missing, compute_car_speed(speeds),
                            geographic=origin is not None)
     sources = {channel: f"{source.name} [{source.unit}{'' if source.stated else ', assumed'}]"
                for channel, source in table.sources.items()}
@@ -106,15 +108,15 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
     return LoadedRun(log, provenance, warnings=tuple(notes), auxiliary=extras)
 
 
-def ins_of(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
+def build_ins_log(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
     """The INS part of a table, for a run whose steering is in a CAN log. Channels that are not needed may be NaN.
     Raises RunError."""
     _require_columns(table, needed, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)
-    columns, origin = _with_derived(table, notes)
+    columns, origin = _derive_channels(table, notes)
     channels = [name for name in INS_SIGNALS if name in columns
                 and (name in needed or (name == "yaw" and np.isfinite(columns[name]).any()))]
-    rows = table.used & all_known(columns, channels)
+    rows = table.used & all_finite(columns, channels)
     if rows.sum() < 2:
         raise RunError(table.file, "it contains fewer than two usable rows", "remove it from the command")
     reported = {name: columns[name] for name in (*channels, *OPTIONAL_INS_SIGNALS) if name in columns}
@@ -122,13 +124,13 @@ def ins_of(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
     values = {name: columns[name][rows] for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS) if name in columns}
     if "yaw" in values:
         values["yaw"] = np.unwrap(values["yaw"])
-    return planar_ins_log(table.file, table.time_ns[rows], values, tuple(notes), table.absolute, origin)
+    return build_planar_ins_log(table.file, table.time_ns[rows], values, tuple(notes), table.absolute, origin)
 
 
 def read_motion(source: RunSource, settings: ReadSettings) -> InsLog:
     """An INS log with at least time, forward velocity and yaw rate. Raises RunError."""
     layout = source.settings.get("layout") or Layout()
-    return ins_of(join_tables([read_table(file, layout) for file in source.files]), MOTION)
+    return build_ins_log(join_tables([read_table(file, layout) for file in source.files]), MOTION_SIGNALS)
 
 
 def has_drive_columns(file: Path) -> bool:
@@ -138,17 +140,17 @@ def has_drive_columns(file: Path) -> bool:
 
 def lacks_steering(file: Path) -> bool:
     """Whether the header names all columns of an INS and none of a steering angle."""
-    return _missing_in_header(file) == [ROAD]
+    return _missing_in_header(file) == [ROAD_WHEEL]
 
 
 def _missing_in_header(file: Path) -> list[str]:
-    names = header_of(file)
-    return _missing_channels(find_columns(file, names, Layout()), names, ("t", *INS_SIGNALS, ROAD))
+    names = read_header(file)
+    return _missing_channels(find_columns(file, names, Layout()), names, ("t", *INS_SIGNALS, ROAD_WHEEL))
 
 
 def looks_like_a_drive(file: Path) -> bool:
     """Whether the header names at least a position and all but one of the INS channels."""
-    names = header_of(file)
+    names = read_header(file)
     missing = _missing_channels(find_columns(file, names, Layout()), names, INS_SIGNALS, completed=False)
     return len(missing) <= 1 and not {"x", "y"} & set(missing)
 
@@ -157,7 +159,7 @@ def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iter
                       completed: bool = True) -> list[str]:
     """The needed channels that no column gives, directly or derived. completed: count those `_complete_motion` adds."""
     found = set(sources)
-    if found & {COMPASS, COURSE} or found.issuperset(QUATERNION):
+    if found & {COMPASS, COURSE} or found.issuperset(QUATERNION_CHANNELS):
         found.add("yaw")
     if found >= {"yaw", "velocity_east", "velocity_north"}:
         found |= {"velocity_x", "velocity_y"}
@@ -165,8 +167,8 @@ def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iter
         found |= {"velocity_y", "yaw_rate"}
     if found >= {"latitude", "longitude"}:
         found |= {"x", "y"}
-    if WHEEL in found or doubtful_steering(list(names)):
-        found.add(ROAD)
+    if STEERING_WHEEL in found or find_ambiguous_steering(list(names)):
+        found.add(ROAD_WHEEL)
     return [name for name in needed if name not in found]
 
 
@@ -176,29 +178,29 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
     if missing and _is_mostly_numbers(table.names):
         raise RunError(table.file, "its first line has numbers instead of the names of columns",
                        "add a header line with the names of docs/csv_columns.md")
-    unclear = unknown_units(table.names, table.sources)
-    candidates = [*missing, *([WHEEL] if ROAD in missing else [])]
+    unclear = describe_unknown_units(table.names, table.sources)
+    candidates = [*missing, *([STEERING_WHEEL] if ROAD_WHEEL in missing else [])]
     if text := next((unclear[name] for name in candidates if name in unclear), ""):
         raise RunError(table.file, text, "export another unit; or name the column in a run.yaml under `columns:`, and "
                        "convert it with `correct:`")
     if missing:
-        texts = [f"{name} (or {WHEEL})" if name == ROAD else name for name in missing]
+        texts = [f"{name} (or {STEERING_WHEEL})" if name == ROAD_WHEEL else name for name in missing]
         raise RunError(table.file, f"no column of the header is known as {', '.join(texts)}; it has "
-                       f"{', '.join(table.names)[:200]}", STEERING_ADVICE if missing == [ROAD] else
+                       f"{', '.join(table.names)[:200]}", STEERING_ADVICE if missing == [ROAD_WHEEL] else
                        COLUMN_ADVICE.format(stem=table.file.stem, name=table.file.name, can=can, channel=missing[0],
                                             kind="vbo" if table.file.suffix.lower() == ".vbo" else "csv"))
-    doubtful = (doubtful_steering(table.names) or "")[:60]
-    if ROAD in needed and ROAD not in table.sources and WHEEL not in table.sources:
+    doubtful = (find_ambiguous_steering(table.names) or "")[:60]
+    if ROAD_WHEEL in needed and ROAD_WHEEL not in table.sources and STEERING_WHEEL not in table.sources:
         raise RunError(table.file, f"column {doubtful} may be of the steering wheel or of the road wheels",
                        f"declare it: --steering-field '{doubtful}' --steering-is wheel (or road); or in a run.yaml, as "
-                       f"columns: {{{WHEEL}: {doubtful}}} or {{{ROAD}: {doubtful}}}")
+                       f"columns: {{{STEERING_WHEEL}: {doubtful}}} or {{{ROAD_WHEEL}: {doubtful}}}")
 
 
 def _is_mostly_numbers(names: Sequence[str]) -> bool:
     return 2 * sum(bool(re.fullmatch(r"[\d.eE+-]+", name)) for name in names) > len(names)
 
 
-def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray], tuple[float, float, float] | None]:
+def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray], tuple[float, float, float] | None]:
     """(columns with derived channels, origin of the map).
     Derives missing channels: yaw from compass heading, quaternion or course; velocities from east and north velocity or
     from the course; yaw rate from yaw; x and y from latitude and longitude. Interpolates positions at every row."""
@@ -206,10 +208,10 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
     _interpolate_lower_rates(table, columns, notes)
     if "yaw" not in columns and COMPASS in columns:
         columns["yaw"] = np.pi / 2 - columns[COMPASS]
-    elif "yaw" not in columns and columns.keys() >= {*QUATERNION}:
-        columns["yaw"] = yaw_of(*map(columns.__getitem__, QUATERNION))
+    elif "yaw" not in columns and columns.keys() >= {*QUATERNION_CHANNELS}:
+        columns["yaw"] = yaw_from_quaternion(*map(columns.__getitem__, QUATERNION_CHANNELS))
     elif "yaw" not in columns and COURSE in columns:
-        columns[COURSE] = _course_in_motion(table, columns, notes)
+        columns[COURSE] = _replace_course_when_slow(table, columns, notes)
         columns["yaw"] = np.pi / 2 - columns[COURSE]
     if "velocity_y" not in columns and columns.keys() >= {"yaw", "velocity_east", "velocity_north"}:
         c, s = np.cos(columns["yaw"]), np.sin(columns["yaw"])
@@ -225,12 +227,12 @@ def _with_derived(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray]
                                f"run.yaml, as units: {{{name}: 1e-7 deg}}")
         has_fix = (latitude != 0.0) | (longitude != 0.0)  # loggers write zeros before the first fix
         if not has_fix.all():
-            without = share(int((~has_fix).sum()), len(has_fix), "rows")
+            without = format_share(int((~has_fix).sum()), len(has_fix), "rows")
             notes.append(f"{table.file}: {without} have latitude and longitude 0: no fix")
         latitude, longitude = (np.where(has_fix, values, np.nan) for values in (latitude, longitude))
         found = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.used)
         origin = (float(latitude[found[0]]), float(longitude[found[0]]), 0.0) if len(found) else None
-        columns["x"], columns["y"], _ = enu(origin or (0.0, 0.0, 0.0), latitude, longitude, np.zeros(len(latitude)))
+        columns["x"], columns["y"], _ = to_enu(origin or (0.0, 0.0, 0.0), latitude, longitude, np.zeros(len(latitude)))
         _check_distance(table, columns, latitude, longitude)
     _interpolate_lower_rates(table, columns, notes)
     _interpolate_held_positions(table, columns, notes)
@@ -261,7 +263,7 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
     def compared(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
         """Medians over steps: (ratio of position distance to driven distance, angle of course to heading [rad])."""
         first, at = (float(one[rows[0]]), float(other[rows[0]]), 0.0), rows[::step]
-        east, north, _ = (np.diff(v) for v in enu(first, one[at], other[at], np.zeros(len(at))))
+        east, north, _ = (np.diff(v) for v in to_enu(first, one[at], other[at], np.zeros(len(at))))
         ratio = np.median((np.hypot(east, north) / np.maximum(np.diff(driven), 1e-9))[moving])
         if heading is None:
             return float(ratio), np.nan
@@ -312,13 +314,13 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
         interpolated[(steps[after - 1] > MIN_LOST_INTERVAL * median_step) & ~np.isin(rows, samples)] = np.nan
         columns[name] = columns[name].copy()
         columns[name][rows] = interpolated
-        changed.append(f"{name} {share(len(samples), int(table.used.sum()), 'rows')}")
+        changed.append(f"{name} {format_share(len(samples), int(table.used.sum()), 'rows')}")
     if changed:
         notes.append(f"{table.file}: channels with a lower rate or separate stamps: {', '.join(changed)}; the other "
                      "rows were interpolated")
 
 
-def _course_in_motion(table: Table, columns: Mapping[str, np.ndarray], notes: list[str]) -> np.ndarray:
+def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], notes: list[str]) -> np.ndarray:
     """Course over ground [rad], interpolated where the car is slower than MIN_COURSE_SPEED, since it is noise there;
     constant if the car is never faster."""
     course = columns[COURSE]
@@ -333,7 +335,7 @@ def _course_in_motion(table: Table, columns: Mapping[str, np.ndarray], notes: li
     if not slow.any():
         return course
     moving = np.flatnonzero(known & ~slow) if (known & ~slow).any() else np.flatnonzero(known)[:1]
-    notes.append(f"{table.file}: {share(int(slow.sum()), int(table.used.sum()), 'rows')} are slower than "
+    notes.append(f"{table.file}: {format_share(int(slow.sum()), int(table.used.sum()), 'rows')} are slower than "
                  f"{MIN_COURSE_SPEED:g} m/s, where the course is noise and not used")
     course = course.copy()
     course[slow] = np.interp(table.time_ns[slow] - table.time_ns[0], table.time_ns[moving] - table.time_ns[0],
@@ -353,7 +355,7 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[s
         if not np.nan_to_num(slip).any():
             notes.append(f"{table.file}: no column is known as velocity_y: the sideslip is not measured")
     if "yaw_rate" not in columns:
-        columns["yaw_rate"] = rate_of(table, columns["yaw"])
+        columns["yaw_rate"] = differentiate_yaw(table, columns["yaw"])
         notes.append(f"{table.file}: no column is known as yaw_rate; the derivative of yaw is used")
 
 
@@ -361,7 +363,7 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
     """Interpolates positions that have a lower rate than the rows and are repeated until the next one."""
     if not columns.keys() >= {"x", "y", "velocity_x"}:
         return
-    rows = np.flatnonzero(table.used & all_known(columns, ("x", "y", "velocity_x")))
+    rows = np.flatnonzero(table.used & all_finite(columns, ("x", "y", "velocity_x")))
     if len(rows) < 3:
         return
     x, y = columns["x"][rows], columns["y"][rows]
@@ -389,8 +391,8 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
         values[rows[last:]] = values[rows[last]] + slope * (seconds[last:] - seconds[last])
         columns[name] = values
     rate = (fresh.sum() - 1) / max(seconds[fresh][-1] - seconds[0], 1e-9)
-    notes.append(f"{table.file}: positions change in {share(int(fresh.sum()), len(rows), 'rows')}, about {rate:.0f} "
-                 "Hz; the others were interpolated")
+    notes.append(f"{table.file}: positions change in {format_share(int(fresh.sum()), len(rows), 'rows')}, about "
+                 f"{rate:.0f} Hz; the positions of the other rows were interpolated")
 
 
 def _has_steps_of_one_digit(values: np.ndarray) -> bool:
@@ -403,36 +405,39 @@ def _has_steps_of_one_digit(values: np.ndarray) -> bool:
     return bool(np.mean(np.maximum(size / digit, digit / size) <= MAX_ROUNDED_STEP) > MIN_REGULAR_SHARE)
 
 
-def _use_steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,
-                  steering: SteeringField | None, notes: list[str]) -> tuple[str, ...]:
+def _choose_steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,
+                     steering: SteeringField | None, notes: list[str]) -> tuple[str, ...]:
     """Steering channels to use; computes the road wheel angle if the table has only the steering wheel angle."""
     if steering is not None and not steering.topic:
-        named, other = (ROAD, WHEEL) if steering.quantity == "road" else (WHEEL, ROAD)
+        named, other = (ROAD_WHEEL, STEERING_WHEEL) if steering.quantity == "road" else (STEERING_WHEEL, ROAD_WHEEL)
         columns[named] = steering.sign * columns[named]
         columns.pop(other, None)
-    if ROAD not in columns:
+    if ROAD_WHEEL not in columns:
         if vehicle is None:
-            raise RunError(table.file, f"it has the steering wheel angle only (column {table.sources[WHEEL].name}); "
-                           "the road wheel angle needs ratio and offset of the car", "give its vehicle file")
-        columns[ROAD] = vehicle.road_wheel_angle(columns[WHEEL])
-        return (WHEEL,)
-    if WHEEL in columns and _lost_samples(columns[WHEEL]) > 0.5 * len(columns[WHEEL]):
-        notes.append(f"{table.file}: {WHEEL} (column {table.sources[WHEEL].name}) has no number in more than half of "
-                     "the rows; the road wheel angle is used instead")
-        return (ROAD,)
-    return (ROAD, WHEEL) if WHEEL in columns else (ROAD,)
+            raise RunError(table.file, "it has only the steering wheel angle (column "
+                           f"{table.sources[STEERING_WHEEL].name}), and the road wheel angle follows from it only with "
+                           "the steering ratio and offset of the car", "give the vehicle file of the car")
+        columns[ROAD_WHEEL] = vehicle.road_wheel_angle(columns[STEERING_WHEEL])
+        return (STEERING_WHEEL,)
+    if STEERING_WHEEL not in columns:
+        return (ROAD_WHEEL,)
+    if _count_lost_samples(columns[STEERING_WHEEL]) > 0.5 * len(columns[STEERING_WHEEL]):
+        notes.append(f"{table.file}: {STEERING_WHEEL} (column {table.sources[STEERING_WHEEL].name}) has no number in "
+                     "more than half of the rows; the road wheel angle is used instead")
+        return (ROAD_WHEEL,)
+    return ROAD_WHEEL, STEERING_WHEEL
 
 
 def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[str, ...],
                    notes: list[str]) -> dict[str, int]:
     """Channel -> rows without a usable number; adds a note on each. Rows whose time is not used are not counted."""
-    lost = {"time": table.rows_without_time, **{
-        name: _lost_samples(columns[name][table.used]) for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering)
-        if name in columns}}
+    channels = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering) if name in columns]
+    lost = {"time": table.rows_without_time,
+            **{name: _count_lost_samples(columns[name][table.used]) for name in channels}}
     lost = {name: count for name, count in lost.items() if count}
     total = len(table.time_ns) + table.rows_without_time
     for name, count in lost.items():
-        source = table.sources.get(name) or table.sources.get(RELATED.get(name, ""))
+        source = table.sources.get(name) or table.sources.get(COMPUTED_FROM.get(name, ""))
         half = count > total / 2
         if name == "time":
             consequence = "these rows were left out"
@@ -441,12 +446,14 @@ def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tu
         else:
             consequence = f"these samples of the {'steering' if name in steering else 'INS'} were left out"
         column = f" (column {source.name})" if source else ""
-        notes.append(f"{table.file}: {name}{column}: {share(count, total, 'rows')} have no number"
+        notes.append(f"{table.file}: {name}{column}: {format_share(count, total, 'rows')} have no number"
                      f"{', more than half' if half else ''}; {consequence}")
-    return lost if ROAD in steering else {ROAD if name == WHEEL else name: count for name, count in lost.items()}
+    if ROAD_WHEEL not in steering and STEERING_WHEEL in lost:
+        lost[ROAD_WHEEL] = lost.pop(STEERING_WHEEL)
+    return lost
 
 
-def _lost_samples(column: np.ndarray) -> int:
+def _count_lost_samples(column: np.ndarray) -> int:
     """Number of rows without a number, not counting the regular blanks of a channel of lower rate than the rows."""
     known_rows = np.flatnonzero(np.isfinite(column))
     steps = np.diff(known_rows)

@@ -18,14 +18,14 @@ from .columns import (
     UNITS,
     ColumnSource,
     Layout,
+    describe_unknown_units,
     find_columns,
-    normalised,
-    stamp_columns,
-    unit_named,
-    unknown_units,
+    find_stamp_columns,
+    find_unit,
+    normalise,
 )
-from .errors import RunError, check_readable, share, short
-from .ins_log import LATEST_TIME, usable_rows
+from .errors import RunError, check_readable, format_share, shorten
+from .ins_log import LATEST_TIME, select_usable_rows
 
 MAX_UNIT_ROWS = 5  # rows below the header that contain no number: units, sources, types
 MAX_HEADER_LINES = 60  # loggers write some lines of metadata before the header
@@ -103,11 +103,11 @@ def _decode(file: Path, size: int) -> str:
         return raw.decode("cp1252", "replace")
 
 
-def header_of(file: Path) -> list[str]:
+def read_header(file: Path) -> list[str]:
     """Names of the columns; empty for a binary file."""
     try:
         lines = read_text(file, 1 << 16).splitlines()
-        return _split_header(lines[_header_line(lines)])[0] if lines else []
+        return _split_header(lines[_find_header_line(lines)])[0] if lines else []
     except (OSError, RunError):
         return []
 
@@ -117,14 +117,14 @@ def read_table(file: Path, layout: Layout) -> Table:
     check_readable(file)
     text = read_text(file)
     warnings: list[str] = []
-    skipped = _header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
+    skipped = _find_header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
     *above, header, body = (text + "\n").split("\n", skipped + 1)
     if skipped > 1 or (skipped and not _SEPARATOR.match(above[0])):
         warnings.append(f"{file}: the header is in line {skipped + 1}; the {skipped} before it were skipped")
     names, delimiter = _split_header(header)
     if delimiter == " ":
         body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
-    return table_of(file, names, body, delimiter, layout, warnings, above=above)
+    return parse_table(file, names, body, delimiter, layout, warnings, above=above)
 
 
 def join_tables(tables: Sequence[Table]) -> Table:
@@ -150,8 +150,8 @@ def join_tables(tables: Sequence[Table]) -> Table:
                  np.concatenate([part.used for part in parts]), tuple(notes))
 
 
-def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: Layout, warnings: list[str],
-             sources: dict[str, ColumnSource] | None = None, above: Sequence[str] = ()) -> Table:
+def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout: Layout, warnings: list[str],
+                sources: dict[str, ColumnSource] | None = None, above: Sequence[str] = ()) -> Table:
     """Parses rows of text into a table. sources: column of each channel, by default found from the names.
     above: lines before the header, which may give the units. Raises RunError."""
     body = body.replace("\u2212", "-")
@@ -161,40 +161,40 @@ def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: La
         sources = _find_sources(file, names, body, delimiter, layout, warnings)
         sources, body = _read_unit_rows(file, sources, above, body, delimiter, layout)
         sources, body = _read_units_of_cells(sources, body, delimiter, layout)
-    body = _with_decimal_points(file, body, delimiter)
+    body = _use_decimal_points(file, body, delimiter)
     time, first_time = sources.get("t"), None
     if time is not None:
-        first = _first_row(body, delimiter)
+        first = _split_first_row(body, delimiter)
         first_time = first[time.column] if time.column < len(first) else None
         if first_time and (named := _NAMED_MONTH.search(first_time)) and month_number(named[2]):
-            body = _NAMED_MONTH.sub(_numbered_month, body)
-            first_time = _numbered_month(named) + first_time[named.end():]
+            body = _NAMED_MONTH.sub(_replace_month_name, body)
+            first_time = _replace_month_name(named) + first_time[named.end():]
         if first_time and _parse_stamp(first_time):
             if "/" in first_time:
-                body = _with_ordered_dates(file, body, warnings)
-            body = with_seconds(body, delimiter, time.column, _parse_stamp)
-    rows = _numbers(file, body, delimiter, len(names), warnings)
+                body = _order_dates(file, body, warnings)
+            body = times_to_seconds(body, delimiter, time.column, _parse_stamp)
+    rows = _parse_numbers(file, body, delimiter, len(names), warnings)
     warnings += [f"{file}: column {source.name} occurs {names.count(source.name)} times; the first is used"
                  for source in sources.values() if source.name and names.count(source.name) > 1]
     with np.errstate(over="ignore"):
         columns = {channel: rows[:, source.column] * source.factor
                    for channel, source in sources.items() if channel != "t"}
     columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
-    first = _first_row(body, delimiter)
+    first = _split_first_row(body, delimiter)
     texts = {channel: first[source.column][:40] for channel, source in sources.items() if channel in columns
              and source.column < len(first) and not np.isfinite(columns[channel]).any()}
     if time is None:
         return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
-    seconds = _seconds(file, _with_nanoseconds(rows, names, time.column), time, warnings)
-    has_time, time_ns, used = _usable_times(file, seconds, time, first_time, warnings)
+    seconds = _convert_to_seconds(file, _add_nanoseconds(rows, names, time.column), time, warnings)
+    has_time, time_ns, used = _select_usable_times(file, seconds, time, first_time, warnings)
     columns = {channel: values[has_time] for channel, values in columns.items()}
     sources = _read_degrees(file, sources, columns, time_ns, warnings)
     return Table(file, tuple(names), sources, columns, time_ns, int((~has_time).sum()), used, tuple(warnings), texts)
 
 
-def _with_nanoseconds(rows: np.ndarray, names: list[str], column: int) -> np.ndarray:
+def _add_nanoseconds(rows: np.ndarray, names: list[str], column: int) -> np.ndarray:
     """Times of a column, plus the nanosecond column of a ROS stamp if the first contains whole seconds only."""
-    stamps, pair = rows[:, column], stamp_columns(names)
+    stamps, pair = rows[:, column], find_stamp_columns(names)
     if pair is None or pair[0] != column or np.nan_to_num(stamps % 1.0).any():
         return stamps
     fraction = rows[:, pair[1]]
@@ -204,13 +204,13 @@ def _with_nanoseconds(rows: np.ndarray, names: list[str], column: int) -> np.nda
 def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layout: Layout,
                   warnings: list[str]) -> dict[str, ColumnSource]:
     """The channels that a header names; a first column of times without a name, the index of a data frame, is time."""
-    plain = {normalised(name) for name in names}
+    plain = {normalise(name) for name in names}
     sources = find_columns(file, names, layout)
     if (plain & {"id", "canid", "arbitrationid"} and plain & {"dlc", "len", "length"}
             and not sources.keys() & {"velocity_x", "yaw_rate", "yaw"}):
         raise RunError(file, "this is a CAN log as a table", "export it as .asc, .blf, .trc, .mf4 or .log of candump")
-    warnings += [f"{file}: {sentence}" for sentence in unknown_units(names, sources).values()]
-    first = _first_row(body, delimiter)[:1]
+    warnings += [f"{file}: {sentence}" for sentence in describe_unknown_units(names, sources).values()]
+    first = _split_first_row(body, delimiter)[:1]
     if "t" not in sources and names[:1] == [""] and first and _parse_stamp(first[0]):
         sources["t"] = ColumnSource(0, "(without a name)", "time", "s", stated=True)
     return sources
@@ -243,8 +243,8 @@ def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[st
     return sources
 
 
-def _usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_time: str | None,
-                  warnings: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_time: str | None,
+                         warnings: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(whether each row has a time, those times [ns], whether each of them is used). Raises RunError if none has."""
     has_time = np.abs(seconds) <= LATEST_TIME
     if first_time is not None and len(seconds) and not np.isfinite(seconds).any():
@@ -252,12 +252,12 @@ def _usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_t
                        "export seconds, or date and time with seconds, as 2026-05-04 10:11:12.3")
     known = np.abs(seconds[np.isfinite(seconds)])
     if len(known) and has_time.sum() < 0.5 * len(known):
-        unit = _unit_of_step(seconds)
+        unit = _guess_time_unit(seconds)
         raise RunError(file, f"times like {known.max():.3g} in column {source.name} are not in {source.unit}",
                        f"declare their unit in a run.yaml, as units: {{t: {unit}}}" if unit else "export seconds")
     # Seconds since 1970 as a float have a resolution of microseconds.
     time_ns = np.round(seconds[has_time] * 1e6).astype(np.int64) * 1000
-    usable, notes = usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
+    usable, notes = select_usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
     used = np.zeros(len(time_ns), dtype=bool)
     used[usable] = True
     warnings += [f"{file}: {note}" for note in notes]
@@ -266,11 +266,11 @@ def _usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_t
                         "a second")
     if not source.stated and used.sum() > 2 and (step := float(np.median(np.diff(time_ns[used])) * 1e-9)) > 1.0:
         warnings.append(f"{file}: its times are {step:g} s apart; if they are not seconds, declare their unit in a "
-                        f"run.yaml, as units: {{t: {_unit_of_step(seconds) or 'ms'}}}")
+                        f"run.yaml, as units: {{t: {_guess_time_unit(seconds) or 'ms'}}}")
     return has_time, time_ns, used
 
 
-def _unit_of_step(times: np.ndarray) -> str:
+def _guess_time_unit(times: np.ndarray) -> str:
     """The time unit that gives plausible times and a typical step between 0.5 ms and 0.5 s; empty if there is none."""
     times = times[np.isfinite(times)]
     step = np.abs(np.diff(times))
@@ -280,7 +280,7 @@ def _unit_of_step(times: np.ndarray) -> str:
                  if 5e-4 <= usual * factor < 0.5 and largest * factor <= LATEST_TIME), "")
 
 
-def _header_line(lines: list[str], layout: Layout | None = None) -> int:
+def _find_header_line(lines: list[str], layout: Layout | None = None) -> int:
     """Index of the first line that names the most channels. If no line names two channels, index of the first line
     with the most frequent number of cells."""
     counts, widths = [], []
@@ -317,13 +317,13 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
         cells = [cell.strip(' \r"') for cell in line.split(delimiter)]
         found = {channel: text for channel, source in sources.items() if source.column < len(cells)
                  and (text := cells[source.column].strip("[]() ")).lower() not in MISSING}
-        is_data = any(np.isfinite(_number(cell.replace(",", "."))) for cell in cells) or any(
+        is_data = any(np.isfinite(_parse_number(cell.replace(",", "."))) for cell in cells) or any(
             _parse_stamp(text) or _split_unit(channel, text) for channel, text in found.items())
         return {} if is_data else found
 
     def invalid(found: Mapping[str, str]) -> list[str]:
         return [channel for channel, text in found.items()
-                if channel not in layout.units and unit_named(COLUMNS[channel].kind, text) is None]
+                if channel not in layout.units and find_unit(COLUMNS[channel].kind, text) is None]
 
     below, lines = list[dict[str, str]](), body.split("\n", MAX_UNIT_ROWS)
     while len(lines) > 1 and (not lines[0].strip() or texts(lines[0])):
@@ -338,19 +338,19 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
         raise RunError(
             file, f"unit row: {units[channel][:40]!r} of column {sources[channel].name} is not a unit of {kind}",
             f"known are {', '.join(UNITS[kind])}; or set it in a run.yaml, as units: {{{channel}: ...}}")
-    return _with_units(sources, units or {}, layout), "\n".join(lines)
+    return _apply_units(sources, units or {}, layout), "\n".join(lines)
 
 
-def _with_units(sources: dict[str, ColumnSource], texts: Mapping[str, str], layout: Layout) -> dict[str, ColumnSource]:
+def _apply_units(sources: dict[str, ColumnSource], texts: Mapping[str, str], layout: Layout) -> dict[str, ColumnSource]:
     """The sources with the units that `texts` gives by channel; units in the layout have priority."""
     return {**sources, **{channel: replace(sources[channel], unit=unit, stated=True) for channel, text in texts.items()
-                          if channel not in layout.units and (unit := unit_named(COLUMNS[channel].kind, text))}}
+                          if channel not in layout.units and (unit := find_unit(COLUMNS[channel].kind, text))}}
 
 
 def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter: str,
                          layout: Layout) -> tuple[dict[str, ColumnSource], str]:
     """(sources with the units written after the numbers in their cells, the body without these units)."""
-    first = _first_row(body, delimiter)
+    first = _split_first_row(body, delimiter)
     found = {channel: text for channel, source in sources.items() if source.column < len(first)
              and (text := _split_unit(channel, first[source.column]))}
     if not found:
@@ -360,22 +360,22 @@ def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter:
         for row in rows:
             if (column := sources[channel].column) < len(row):
                 row[column] = row[column].strip(' \r"').removesuffix(text)
-    return _with_units(sources, found, layout), "\n".join(map(delimiter.join, rows))
+    return _apply_units(sources, found, layout), "\n".join(map(delimiter.join, rows))
 
 
 def _split_unit(channel: str, cell: str) -> str:
     """The unit written after the number in a cell of a channel; empty if there is none."""
     match = _WITH_UNIT.fullmatch(cell)
-    return match[2] if match and unit_named(COLUMNS[channel].kind, match[2]) else ""
+    return match[2] if match and find_unit(COLUMNS[channel].kind, match[2]) else ""
 
 
-def _first_row(body: str, delimiter: str) -> list[str]:
+def _split_first_row(body: str, delimiter: str) -> list[str]:
     """Cells of the first row that is not blank."""
     row = next((line.split(delimiter) for line in body.split("\n", 20) if line.strip()), [])
     return [cell.strip(' \r"') for cell in row]
 
 
-def with_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], tuple[float, float] | None]) -> str:
+def times_to_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], tuple[float, float] | None]) -> str:
     """Converts the times of the rows to seconds; a time of day continues past midnight.
 
     clock: reads a cell as (seconds, period after which they restart, 0 for never); None for an invalid cell.
@@ -397,7 +397,7 @@ def with_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], 
     return "\n".join(map(delimiter.join, rows))
 
 
-def _with_ordered_dates(file: Path, body: str, warnings: list[str]) -> str:
+def _order_dates(file: Path, body: str, warnings: list[str]) -> str:
     """The body with dates like 25/04/2026 as 2026-04-25, if any date determines which number is the day."""
     pairs = {(int(a), int(b)) for a, b, _ in _SLASHED.findall(body) if int(a) <= 31 and int(b) <= 31}
     day_first, month_first = any(a > 12 for a, _ in pairs), any(b > 12 for _, b in pairs)
@@ -409,7 +409,7 @@ def _with_ordered_dates(file: Path, body: str, warnings: list[str]) -> str:
     return body
 
 
-def _numbered_month(date: re.Match[str]) -> str:
+def _replace_month_name(date: re.Match[str]) -> str:
     return f"{date[3]}-{month_number(date[2]) or 0:02d}-{date[1]}"
 
 
@@ -436,7 +436,7 @@ def _parse_stamp(text: str) -> tuple[float, float] | None:
     return seconds + (dated - date(1970, 1, 1)).days * DAY, 0.0
 
 
-def _seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list[str]) -> np.ndarray:
+def _convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list[str]) -> np.ndarray:
     """Times [s], from the stated unit or an inferred format: HHMMSS, or ms, us, ns or days since 1970."""
     finite = times[np.isfinite(times)]
     median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
@@ -475,7 +475,7 @@ def _is_hhmmss(times: np.ndarray) -> bool:
     return bool(median < 5.0 and (np.abs(steps % 4000 - 40.0 - median) < median + 0.01).any())
 
 
-def _with_decimal_points(file: Path, body: str, delimiter: str) -> str:
+def _use_decimal_points(file: Path, body: str, delimiter: str) -> str:
     """Converts all numbers to decimal points without thousands separators.
 
     The whole file decides whether comma or point is the decimal mark. Raises RunError if a cell remains ambiguous:
@@ -487,7 +487,7 @@ def _with_decimal_points(file: Path, body: str, delimiter: str) -> str:
         return body
     if not quoted and "." not in body and not _GROUPED_CELL.search(body):
         return body.replace(",", ".")
-    table = _cells(file, io.StringIO(body), delimiter)
+    table = _split_cells(file, io.StringIO(body), delimiter)
     cells = {cell.strip(' \r"') for row in table for cell in row}
     commas = {cell for cell in cells if "," in cell}
     points = {cell for cell in cells if "." in cell}
@@ -496,7 +496,7 @@ def _with_decimal_points(file: Path, body: str, delimiter: str) -> str:
     for mark, cells_with_mark, other in ((",", commas, "."), (".", points, ",")):
         single = {cell for cell in cells_with_mark if other not in cell}
         if any(cell.count(mark) == 1 and not _GROUPED[mark].fullmatch(cell) and
-               np.isfinite(_number(cell.replace(",", "."))) for cell in single):
+               np.isfinite(_parse_number(cell.replace(",", "."))) for cell in single):
             marks.add(mark)  # ... the mark of 12,5, ...
         elif any(cell.count(mark) > 1 for cell in single if _GROUPED[mark].fullmatch(cell)):
             marks.add(other)  # ... and the mark that is not in 1,234,567
@@ -514,33 +514,33 @@ def _with_decimal_points(file: Path, body: str, delimiter: str) -> str:
                        for cell in row) for row in table)
 
 
-def _cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[str]]:
+def _split_cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[str]]:
     try:
         return list(csv.reader(lines, delimiter=delimiter, skipinitialspace=delimiter == " "))
     except csv.Error as error:
         raise RunError(file, f"a row cannot be read ({error})", "correct or remove that row") from None
 
 
-def _numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
+def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
     """The numbers in the rows, (n, width), NaN for missing ones. Rows of another width are left out."""
     lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}') and not _is_comment(line, delimiter)]
     try:
         return _parse_rows(lines, delimiter, width)
     except ValueError as first:
         error = first
-    widths = [len(row) for row in _cells(file, lines, delimiter)]
+    widths = [len(row) for row in _split_cells(file, lines, delimiter)]
     complete = [line for line, count in zip(lines, widths, strict=False) if count in (width, width + 1)]
     lost = len(lines) - len(complete)
     if complete and 2 * lost < len(lines):
         try:
             rows = _parse_rows(complete, delimiter, width)
             what = "the last row is truncated; it was left out" if lost == 1 and widths[-1] != width else (
-                f"{share(lost, len(lines), 'rows')} do not have as many cells as the header; they were left out")
+                f"{format_share(lost, len(lines), 'rows')} do not have as many cells as the header; they were left out")
             warnings.append(f"{file}: {what}")
             return rows
         except ValueError as second:
             error = second
-    raise RunError(file, f"a row cannot be read ({short(error).partition('; use')[0]})", "correct or remove that row "
+    raise RunError(file, f"a row cannot be read ({shorten(error).partition('; use')[0]})", "correct or remove that row "
                    "(rows count from 0 after the header)") from None
 
 
@@ -550,7 +550,7 @@ def _parse_rows(lines: list[str], delimiter: str, width: int) -> np.ndarray:
     try:
         rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None)
     except ValueError:  # a cell is empty or text: convert cell by cell, which takes three times longer
-        rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, quotechar='"', converters=_number, comments=None)
+        rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, quotechar='"', converters=_parse_number, comments=None)
     if rows.shape[1] == width + 1 and all(line.rstrip().endswith(delimiter) for line in lines):
         rows = rows[:, :width]  # every row ends with a delimiter
     if rows.shape[1] != width:
@@ -563,19 +563,19 @@ def _is_comment(line: str, delimiter: str) -> bool:
     return text.startswith("#") and text.split(delimiter, 1)[0].strip().lower() not in MISSING
 
 
-def _number(text: str) -> float:
+def _parse_number(text: str) -> float:
     try:
         return float(text)
     except ValueError:
         return float("nan")
 
 
-def all_known(columns: Mapping[str, np.ndarray], names: Iterable[str]) -> np.ndarray:
+def all_finite(columns: Mapping[str, np.ndarray], names: Iterable[str]) -> np.ndarray:
     """Whether each row has a number in all of the named channels."""
     return np.isfinite(np.stack([columns[name] for name in names])).all(axis=0)
 
 
-def rate_of(table: Table, angle: np.ndarray) -> np.ndarray:
+def differentiate_yaw(table: Table, angle: np.ndarray) -> np.ndarray:
     """Yaw rate [rad/s] from a yaw angle, at used rows with an angle; NaN elsewhere, or if fewer than 3 have it."""
     rate = np.full(len(angle), np.nan)
     rows = np.flatnonzero(table.used & np.isfinite(angle))

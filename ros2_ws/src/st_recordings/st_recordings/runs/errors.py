@@ -23,22 +23,22 @@ class RunError(ValueError):
 
     def __init__(self, path: Path | str, what: str, advice: str = ""):
         self.path, self.what, self.advice = path, what, advice
-        super().__init__(printable(f"{path}: {what}" + (f"; {advice}" if advice else "")))
+        super().__init__(escape_unprintable(f"{path}: {what}" + (f"; {advice}" if advice else "")))
 
 
-def printable(text: str) -> str:
+def escape_unprintable(text: str) -> str:
     """The text as one line for a terminal, with control characters (of damaged files) escaped."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
-def share(count: int, total: int, what: str) -> str:
+def format_share(count: int, total: int, what: str) -> str:
     """A count with its percentage of the total, such as "98 of 249 rows (39 %)"."""
     percent = 100.0 * count / max(total, 1)
     digits = f"{percent:.2g}" if percent < 10 else f"{percent:.3g}" if 99.0 < percent < 100.0 else f"{percent:.0f}"
     return f"{count} of {total} {what} ({digits} %)"
 
 
-def short(error: Exception) -> str:
+def shorten(error: Exception) -> str:
     """The text of a library's error in one line, or its type."""
     return (" ".join(str(error).split()) or type(error).__name__)[:120]
 
@@ -54,11 +54,11 @@ def log_warnings(warnings: Iterable[str]) -> None:
             similar.append(warning)
             if len(similar) > MAX_SIMILAR_WARNINGS:
                 continue
-        _LOGGER.warning("warning: %s", printable(warning))
+        _LOGGER.warning("warning: %s", escape_unprintable(warning))
 
 
 @contextmanager
-def grouped_warnings() -> Iterator[None]:
+def group_similar_warnings() -> Iterator[None]:
     """Context in which warnings that differ only in file and numbers are abbreviated: the first MAX_SIMILAR_WARNINGS
     are logged in full, on exit only the file names of the others."""
     groups: dict[str, list[str]] = {}
@@ -70,7 +70,7 @@ def grouped_warnings() -> Iterator[None]:
         for similar in groups.values():
             if others := [warning.partition(": ")[0] for warning in similar[MAX_SIMILAR_WARNINGS:]]:
                 files = ", ".join(others[:10]) + (f" and {len(others) - 10} more" if len(others) > 10 else "")
-                _LOGGER.warning("warning: %s", printable(
+                _LOGGER.warning("warning: %s", escape_unprintable(
                     f"{len(others)} more like {similar[0][:100]}...: {files} (each in full in the report)"))
 
 

@@ -48,7 +48,7 @@ class CanLog:
 
     start_ns: start of the first session from its header, or else time of the first frame. absolute: whether times are
     UTC on the logger's clock; otherwise they count from the start of the log. warnings: complete sentences.
-    steps: clock steps as returned by `without_clock_steps`.
+    steps: clock steps as returned by `remove_clock_steps`.
     """
 
     frames: Frames
@@ -64,7 +64,7 @@ def empty_frames() -> Frames:
                   *(np.zeros(0, np.uint8) for _ in range(3)))
 
 
-def concatenated(parts: Sequence[Frames], order: np.ndarray | slice = slice(None)) -> Frames:
+def concatenate(parts: Sequence[Frames], order: np.ndarray | slice = slice(None)) -> Frames:
     """The frames of all parts, concatenated and then in the given order; their times are not compared."""
     if len(parts) == 1 and isinstance(order, slice):
         return parts[0]
@@ -74,17 +74,17 @@ def concatenated(parts: Sequence[Frames], order: np.ndarray | slice = slice(None
     return Frames(**{f.name: np.concatenate([getattr(p, f.name) for p in parts])[order] for f in fields(Frames)})
 
 
-def merged(parts: Sequence[Frames]) -> Frames:
+def merge_by_time(parts: Sequence[Frames]) -> Frames:
     """The frames of all parts in order of time; frames of equal time stay in the order of the parts."""
     parts = [p for p in parts if len(p)]
     if not parts:
         return empty_frames()
     time_ns = np.concatenate([p.time_ns for p in parts])
     is_ordered = not (time_ns[1:] < time_ns[:-1]).any()
-    return concatenated(parts, slice(None) if is_ordered else np.argsort(time_ns, kind="stable"))
+    return concatenate(parts, slice(None) if is_ordered else np.argsort(time_ns, kind="stable"))
 
 
-def without_duplicates(frames: Frames) -> tuple[Frames, int]:
+def remove_duplicates(frames: Frames) -> tuple[Frames, int]:
     """(frames that differ from the previous one in time or content, number of duplicates)."""
     if len(frames) < 2:
         return frames, 0
@@ -97,7 +97,7 @@ def without_duplicates(frames: Frames) -> tuple[Frames, int]:
     return frames.select(np.delete(np.arange(len(frames)), rows + 1)), len(rows)
 
 
-def without_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]]:
+def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]]:
     """Frames in the order they were written, with the time after each step back of the clock moved forward.
 
     A logger writes frames as they arrive, so a step back in time means that its clock was set. The frames after it
@@ -119,8 +119,8 @@ def without_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]
                                                       strict=True))
 
 
-def clock_step_notes(steps: Sequence[tuple[int, float]]) -> list[str]:
-    """A sentence on the steps of `without_clock_steps`; none without steps."""
+def describe_clock_steps(steps: Sequence[tuple[int, float]]) -> list[str]:
+    """A sentence on the steps of `remove_clock_steps`; none without steps."""
     if not steps:
         return []
     times = f"{len(steps)} times, first " if len(steps) > 1 else ""
@@ -134,12 +134,12 @@ def read_frames(messages: Iterable[bytes]) -> Frames:
     one before.
     """
     parts = list(messages)
-    firsts, counts = zip(*map(_first_frame, parts), strict=True) if parts else ((), ())
+    firsts, counts = zip(*map(_locate_first_frame, parts), strict=True) if parts else ((), ())
     sizes = np.array([len(part) for part in parts], np.int64)
     ends = np.cumsum(sizes)
     buffer = np.frombuffer(b"".join(parts) + bytes(FRAME_HEAD_LENGTH + MAX_DATA_LENGTH), np.uint8)
     at, remaining = np.array(firsts, np.int64) + ends - sizes, np.array(counts, np.int64)
-    heads = _windows(buffer, FRAME_HEAD_LENGTH)
+    heads = _sliding_windows(buffer, FRAME_HEAD_LENGTH)
     offsets: list[np.ndarray] = []
     message_numbers: list[np.ndarray] = []
     message = np.arange(len(parts))
@@ -155,10 +155,10 @@ def read_frames(messages: Iterable[bytes]) -> Frames:
         return empty_frames()
     # From order by k to order by message; the stable sort keeps the frames of a message in order.
     sequence = np.argsort(np.concatenate(message_numbers), kind="stable")
-    return _columns(buffer, np.concatenate(offsets)[sequence])
+    return _build_frames(buffer, np.concatenate(offsets)[sequence])
 
 
-def _first_frame(message: bytes) -> tuple[int, int]:
+def _locate_first_frame(message: bytes) -> tuple[int, int]:
     """(byte at which the first frame of a message begins, number of frames)."""
     if len(message) < _FRAME_ID_AT + 4:
         raise ValueError("a message is too short")
@@ -172,12 +172,12 @@ def _first_frame(message: bytes) -> tuple[int, int]:
     return count_at + 4, count
 
 
-def _columns(buffer: np.ndarray, at: np.ndarray) -> Frames:
-    heads = _windows(buffer, FRAME_HEAD_LENGTH)[at]
+def _build_frames(buffer: np.ndarray, at: np.ndarray) -> Frames:
+    heads = _sliding_windows(buffer, FRAME_HEAD_LENGTH)[at]
     words = heads[:, :12].copy().view("<i4")
     length = heads[:, 16]
     width = 8 if int(length.max()) <= 8 else MAX_DATA_LENGTH
-    payload = _windows(buffer, width)[at + FRAME_HEAD_LENGTH]
+    payload = _sliding_windows(buffer, width)[at + FRAME_HEAD_LENGTH]
     payload[np.arange(width) >= length[:, None]] = 0
     extended, error, remote, fd = ((heads[:, k] != 0).astype(np.uint8) for k in range(12, 16))
     return Frames(
@@ -187,6 +187,6 @@ def _columns(buffer: np.ndarray, at: np.ndarray) -> Frames:
         flags=error * np.uint8(ERROR) | remote * np.uint8(REMOTE) | fd * np.uint8(FD))
 
 
-def _windows(buffer: np.ndarray, width: int) -> np.ndarray:
+def _sliding_windows(buffer: np.ndarray, width: int) -> np.ndarray:
     """A view whose row k is the `width` bytes from k on."""
     return np.ndarray((len(buffer) - width + 1, width), np.uint8, buffer.data, 0, (1, 1))

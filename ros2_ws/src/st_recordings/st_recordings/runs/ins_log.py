@@ -9,7 +9,7 @@ from st_core.checks import InsQuality, Series
 from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.timeseries import interpolate
 
-from .errors import share
+from .errors import format_share
 
 # The unsteered axle gives the most accurate speed of the car; then the other axle, then the speed signal of the car.
 _SPEEDS = (("wheel_speed_rear_left", "wheel_speed_rear_right"), ("wheel_speed_front_left", "wheel_speed_front_right"),
@@ -50,8 +50,9 @@ class InsLog:
     absolute: bool = True
 
 
-def planar_ins_log(file: Path, time_ns: np.ndarray, values: Mapping[str, np.ndarray], warnings: tuple[str, ...] = (),
-                   absolute: bool = True, origin: tuple[float, float, float] | None = None) -> InsLog:
+def build_planar_ins_log(file: Path, time_ns: np.ndarray, values: Mapping[str, np.ndarray],
+                         warnings: tuple[str, ...] = (), absolute: bool = True,
+                         origin: tuple[float, float, float] | None = None) -> InsLog:
     """An INS log of motion in the plane: pitch, roll and vertical motion are zero.
 
     values: any of x, y, yaw, velocity_x, velocity_y, yaw_rate, acceleration_x, acceleration_y.
@@ -64,13 +65,13 @@ def planar_ins_log(file: Path, time_ns: np.ndarray, values: Mapping[str, np.ndar
                   absolute)
 
 
-def yaw_of(x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.ndarray:
+def yaw_from_quaternion(x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.ndarray:
     """Yaw [rad] in (-pi, pi] of quaternions from body to map axes, of any length; NaN for length 0."""
     unset = x * x + y * y + z * z + w * w == 0
     return np.where(unset, np.nan, np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
-def car_speed(speeds: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Series | None:
+def compute_car_speed(speeds: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Series | None:
     """Speed of the car from its wheels [m/s]: mean of the rear ones, else of the front ones, else its speed signal.
 
     speeds: name (one of SPEEDS) -> (time [ns], ascending; values [m/s]).
@@ -78,14 +79,14 @@ def car_speed(speeds: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Series | N
     for names in _SPEEDS:
         if all(name in speeds and np.isfinite(speeds[name][1]).any() for name in names):
             time_ns = speeds[names[0]][0]
-            wheels = [interpolate(*_finite(*speeds[name]), time_ns, MAX_WHEEL_GAP_NS) for name in names]
-            return series(time_ns, np.mean(wheels, axis=0))
+            wheels = [interpolate(*_select_finite(*speeds[name]), time_ns, MAX_WHEEL_GAP_NS) for name in names]
+            return make_series(time_ns, np.mean(wheels, axis=0))
     return None
 
 
-def series(time_ns: np.ndarray, values: np.ndarray) -> Series | None:
+def make_series(time_ns: np.ndarray, values: np.ndarray) -> Series | None:
     """The finite samples of a signal with ascending time; None without any."""
-    time_ns, values = _finite(np.asarray(time_ns, np.int64), values)
+    time_ns, values = _select_finite(np.asarray(time_ns, np.int64), values)
     if not len(time_ns):
         return None
     rows = is_newer(time_ns)
@@ -102,12 +103,12 @@ def is_mostly_known(values: np.ndarray | None) -> bool:
     return values is not None and len(values) > 0 and bool(np.isfinite(values).mean() >= 0.5)
 
 
-def _finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _select_finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     known = np.isfinite(values)
     return time_ns[known], values[known]
 
 
-def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
+def select_usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
     """(rows of strictly ascending time, warnings with the fraction that is not used).
 
     Single rows that are not later than all before are left out. If these are more than MAX_LOST_SHARE, the clock was
@@ -120,14 +121,14 @@ def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
     lost = n - len(rows)
     notes = []
     back = -np.diff(time_ns)[np.diff(time_ns) < 0] * 1e-9
-    longest = _longest_stretch(time_ns) if len(back) and lost > max(MAX_LOST_SHARE * n, 1) else rows[:0]
+    longest = _find_longest_stretch(time_ns) if len(back) and lost > max(MAX_LOST_SHARE * n, 1) else rows[:0]
     if len(longest) and n - len(longest) <= lost + MAX_LOST_SHARE * n:
         rows = longest
         often = f"{len(back)} times, first" if len(back) > 1 else "once,"
         notes.append(f"the clock was set back {often} by {back[0]:.3f} s: "
-                     f"{share(n - len(rows), n, what)} are not used; split the recording to use them")
+                     f"{format_share(n - len(rows), n, what)} are not used; split the recording to use them")
     elif lost:
-        notes.append(f"{share(lost, n, what)} are not later than all before; they were left out")
+        notes.append(f"{format_share(lost, n, what)} are not later than all before; they were left out")
     steps = np.diff(time_ns[rows])
     usual = np.percentile(steps, 95) if len(rows) > 10 else 0.0  # rows may arrive in batches
     if len(rows) > 10 and steps[-1] > MAX_END_STEP * usual:
@@ -139,7 +140,7 @@ def usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
     return rows, notes
 
 
-def _longest_stretch(time_ns: np.ndarray) -> np.ndarray:
+def _find_longest_stretch(time_ns: np.ndarray) -> np.ndarray:
     """The rows of ascending time in the longest stretch without a step back."""
     edges = np.concatenate(([0], np.flatnonzero(np.diff(time_ns) < 0) + 1, [len(time_ns)]))
     longest = int(np.argmax(np.diff(edges)))

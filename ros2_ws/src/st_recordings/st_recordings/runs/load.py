@@ -34,7 +34,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
         raise source.problem
     # Hashing releases the GIL, so it runs in parallel with reading.
     with ThreadPoolExecutor(1) as pool:
-        digests = pool.submit(file_hashes, (*source.files, *source.can))
+        digests = pool.submit(hash_files, (*source.files, *source.can))
         loaded = _read(source, vehicle, settings)
     start_ns = int(loaded.log.ins_time_ns[0]) if len(loaded.log.ins_time_ns) else 0
     log, implausible = without_implausible(loaded.log, start_ns)
@@ -46,7 +46,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
         text = (f"{source.where}: yaw is the course over ground; heading and sideslip are computed from it for steady "
                 "cornering with the vehicle file")
         loaded = replace(loaded, log=log, warnings=(*loaded.warnings, text))
-    loaded = replace(loaded, warnings=(*loaded.warnings, *coverage_warnings(source, loaded.log)))
+    loaded = replace(loaded, warnings=(*loaded.warnings, *check_coverage(source, loaded.log)))
     log_warnings(loaded.warnings)
     return replace(loaded, provenance={**loaded.provenance, "files": digests.result()})
 
@@ -85,7 +85,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
         auxiliary=replace(run.auxiliary, corrected=phrases))
 
 
-def coverage_warnings(source: RunSource, log: DriveLog) -> list[str]:
+def check_coverage(source: RunSource, log: DriveLog) -> list[str]:
     """Warnings of time that only INS or only steering covers, with its fraction. Raises RunError if they do not overlap
     in time."""
     spans = {"INS": log.ins_time_ns, "steering": log.steering_time_ns}
@@ -102,7 +102,7 @@ def coverage_warnings(source: RunSource, log: DriveLog) -> list[str]:
             if (unused := seconds[name] - log.overlap) > max(MIN_UNCOVERED_TIME, MIN_UNCOVERED_SHARE * seconds[name])]
 
 
-def file_hashes(paths: Iterable[Path]) -> dict[str, str]:
+def hash_files(paths: Iterable[Path]) -> dict[str, str]:
     """Path -> SHA-256 of the files, and of the files in the folders."""
     hashes = {}
     for path in paths:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from . import frames, mdf_blocks
-from .errors import RunError, check_readable, share, short
+from .errors import RunError, check_readable, format_share, shorten
 from .mdf_blocks import VARIABLE_LENGTH, VIRTUAL, DamageError
 
 RECORDS_AT_ONCE = 1 << 20
@@ -30,7 +30,7 @@ _BUS = re.compile(r"CAN[ _]?(\d+)")
 _SPLIT = re.compile(r"^(\d{8})(-[0-9A-Fa-f]{8})?$")
 
 
-def session_of(path: Path) -> tuple[str, int]:
+def parse_session(path: Path) -> tuple[str, int]:
     """(session, split) of a file; the files of a session are consecutive parts of one recording.
 
     Both follow from the logger's folders LOG/<device>/<8-digit session>/<8-digit split>[-hex].MF4, or from a copy named
@@ -47,7 +47,7 @@ def session_of(path: Path) -> tuple[str, int]:
 
 def reject_vendor_container(path: Path) -> None:
     """Raises RunError for a compressed or encrypted container of the logger vendor, recognised by name or content."""
-    if path.suffix.lower() in VENDOR_SUFFIXES or _head(path).startswith(b"Generic File"):
+    if path.suffix.lower() in VENDOR_SUFFIXES or _read_head(path).startswith(b"Generic File"):
         kinds = {".mfc": "compressed", ".mfe": "encrypted", ".mfm": "compressed and encrypted"}
         kind = kinds.get(path.suffix.lower(), "compressed or encrypted")
         raise RunError(path, f"this is a {kind} log in CSS Electronics' own container, which cannot be read",
@@ -62,10 +62,10 @@ def read_mf4(path: Path) -> frames.CanLog:
     """
     check_readable(path)
     reject_vendor_container(path)
-    if _head(path)[:4] not in (b"MDF ", b"UnFi"):
+    if _read_head(path)[:4] not in (b"MDF ", b"UnFi"):
         raise RunError(path, "this is not an MF4 file (no MDF mark at its start)",
                        "correct its extension, or remove it from the command")
-    if (version := _head(path)[8:12])[:2] != b"4.":
+    if (version := _read_head(path)[8:12])[:2] != b"4.":
         raise RunError(path, f"this is MDF version {version.decode('latin-1').strip()}; only version 4 can be read",
                        "convert it with asammdf")
     warnings: list[str] = []
@@ -77,15 +77,15 @@ def read_mf4(path: Path) -> frames.CanLog:
         parts = []
         clock_steps: list[tuple[int, float]] = []
         for group in range(len(log.groups)):
-            if _frame_channel(log, group) is None:
+            if _find_frame_channel(log, group) is None:
                 decoded_signals += [c.name for c in log.groups[group].channels if c.channel_type not in _TIME_CHANNELS]
-            pieces = list(_group_frames(log, group, start_ns))
+            pieces = list(_read_group_frames(log, group, start_ns))
             if pieces:
                 recorded, valid = log.groups[group].channel_group.cycles_nr, sum(map(len, pieces))
                 if valid < recorded:
-                    warnings.append(f"{share(recorded - valid, recorded, 'frames')} are marked as invalid by the "
-                                    "logger; they were left out")
-                part, steps = frames.without_clock_steps(frames.concatenated(pieces))
+                    count = format_share(recorded - valid, recorded, "frames")
+                    warnings.append(f"{count} are marked as invalid by the logger; they were left out")
+                part, steps = frames.remove_clock_steps(frames.concatenate(pieces))
                 clock_steps += steps
                 parts.append(part)
     if not parts and decoded_signals:
@@ -94,11 +94,12 @@ def read_mf4(path: Path) -> frames.CanLog:
                        "give the log with the raw frames, or export the signals as CSV (asammdf) and give that")
     if not parts:
         raise RunError(path, "the log contains no CAN frames", "check that the logger was on the right bus")
-    warnings += frames.clock_step_notes(clock_steps)
-    return frames.CanLog(frames.merged(parts), (path,), start_ns, warnings=tuple(warnings), steps=tuple(clock_steps))
+    warnings += frames.describe_clock_steps(clock_steps)
+    return frames.CanLog(frames.merge_by_time(parts), (path,), start_ns, warnings=tuple(warnings),
+                         steps=tuple(clock_steps))
 
 
-def _head(path: Path) -> bytes:
+def _read_head(path: Path) -> bytes:
     with path.open("rb") as stream:
         return stream.read(64)
 
@@ -120,7 +121,7 @@ def _open_quietly(path: Path, warnings: list[str]) -> Iterator[Any]:
         raise RunError(path, f"the file is truncated or damaged: {error}",
                        "copy it from the logger's card again") from None
     except Exception as error:
-        raise RunError(path, f"asammdf cannot read it ({short(error)})",
+        raise RunError(path, f"asammdf cannot read it ({shorten(error)})",
                        "copy it from the logger's card again") from None
     finally:
         if log is not None:
@@ -157,7 +158,7 @@ def _open_readable_part(path: Path, warnings: list[str]) -> Any:
     return log
 
 
-def _frame_channel(log: Any, group: int) -> str | None:
+def _find_frame_channel(log: Any, group: int) -> str | None:
     names = {channel.name for channel in log.groups[group].channels}
     return next((name for name in _FLAGS_OF_KIND if name in names), None)
 
@@ -168,7 +169,7 @@ def _has_payloads(log: Any, group: int) -> bool:
     asammdf follows the offsets in the frames and allocates the longest payload it finds, terabytes for one wrong byte.
     So offsets and lengths are checked first, with private functions of asammdf.
     """
-    if _frame_channel(log, group) is None or not log.groups[group].channel_group.cycles_nr:
+    if _find_frame_channel(log, group) is None or not log.groups[group].channel_group.cycles_nr:
         return True
     content, reader = log.groups[group], log._mdf
     for index, channel in enumerate(content.channels):
@@ -189,12 +190,12 @@ def _has_payloads(log: Any, group: int) -> bool:
     return True
 
 
-def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[frames.Frames]:
+def _read_group_frames(log: Any, group: int, start_ns: int) -> Iterator[frames.Frames]:
     """Yields the frames of a group, RECORDS_AT_ONCE at a time."""
-    name = _frame_channel(log, group)
+    name = _find_frame_channel(log, group)
     if name is None:
         return
-    content, bus = log.groups[group], _bus_of(log, group)
+    content, bus = log.groups[group], _find_bus(log, group)
     if not content.channel_group.samples_byte_nr:
         raise DamageError("its records have length zero")
     if not any(channel.channel_type in _TIME_CHANNELS for channel in content.channels):
@@ -205,10 +206,10 @@ def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[frames.Frames
         with np.errstate(all="ignore"):
             signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=False, record_offset=first,
                              record_count=min(RECORDS_AT_ONCE, count - first))
-        yield _frames(name, signal, bus, start_ns, {c.name.rsplit(".", 1)[-1]: c for c in content.channels})
+        yield _build_frames(name, signal, bus, start_ns, {c.name.rsplit(".", 1)[-1]: c for c in content.channels})
 
 
-def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[str, Any]) -> frames.Frames:
+def _build_frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[str, Any]) -> frames.Frames:
     """Columns of some frames of a group. Every column is checked, because a file can describe any layout.
 
     channels: by short name. A virtual channel takes no bytes of the record; its conversion gives a constant. Firmware
@@ -245,7 +246,7 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[s
         payload = np.pad(payload[:, :width], ((0, 0), (0, max(width - payload.shape[1], 0))))
     identifier = member("ID").astype(np.uint32)
     extended = member("IDE").astype(bool) | (identifier > 0x7FF)
-    length = _lengths(member("DataLength"), channels["DataLength"]) if "DataLength" in members else \
+    length = _convert_lengths(member("DataLength"), channels["DataLength"]) if "DataLength" in members else \
         FD_LENGTHS[member("DLC", 8) & 15]
     flags = np.full(n, _FLAGS_OF_KIND[name], np.uint8)
     flags[member("Dir").astype(bool)] |= frames.SENT
@@ -258,7 +259,7 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[s
     )
 
 
-def _lengths(stored: np.ndarray, channel: Any) -> np.ndarray:
+def _convert_lengths(stored: np.ndarray, channel: Any) -> np.ndarray:
     """Bytes of each frame: the stored number, or its entry in the channel's table of CAN FD length codes."""
     if channel.conversion is None or not len(stored):
         return FD_LENGTHS[stored & 15] if channel.bit_count <= 4 else stored
@@ -268,7 +269,7 @@ def _lengths(stored: np.ndarray, channel: Any) -> np.ndarray:
     return length
 
 
-def _bus_of(log: Any, group: int) -> int:
+def _find_bus(log: Any, group: int) -> int:
     """Bus of a group whose records do not contain it (layout 2), from the name of the group, such as CAN1_Rx."""
     channel_group = log.groups[group].channel_group
     source = channel_group.acq_source

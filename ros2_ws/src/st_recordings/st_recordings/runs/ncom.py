@@ -10,8 +10,8 @@ from oxts_bridge.file_decoder import Columns
 from oxts_bridge.ncom import BATCH_S, BY_STATUS, ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS, NcomError
 from st_core.checks import InsQuality
 
-from .errors import RunError, check_readable, share
-from .ins_log import MAX_LOST_SHARE, InsLog, usable_rows
+from .errors import RunError, check_readable, format_share
+from .ins_log import MAX_LOST_SHARE, InsLog, select_usable_rows
 
 ACCURACIES = {3: ("EastAcc", "NorthAcc", "AltAcc"), 4: ("VeAcc", "VnAcc", "VdAcc"),
               5: ("RollAcc", "PitchAcc", "HeadingAcc")}
@@ -49,7 +49,7 @@ def read_ncom(file: Path) -> NcomLog:
         raise RunError(file, "no packet has the GPS minute (status channel 0 is missing)",
                        "record for more than a few seconds; the unit sends it every 200 packets")
     found = np.flatnonzero(timed)
-    used, notes = usable_rows(columns.utc_ns[found], "packets")
+    used, notes = select_usable_rows(columns.utc_ns[found], "packets")
     rows = found[used]
     warnings += [f"{file}: {note}" for note in notes]
     latitude, longitude, altitude = (c[rows] for c in (columns.latitude, columns.longitude, columns.altitude))
@@ -61,15 +61,15 @@ def read_ncom(file: Path) -> NcomLog:
     north, east, down = columns.velocity_ned[:, rows]
     stamped = (columns.kind == file_decoder.REGULAR) & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
     return NcomLog(
-        file=file, time_ns=columns.utc_ns[rows], position=enu(origin, latitude, longitude, altitude),
-        yaw=yaw, pitch=pitch, roll=roll, velocity=to_body(np.stack([east, north, -down]), yaw, pitch, roll),
+        file=file, time_ns=columns.utc_ns[rows], position=to_enu(origin, latitude, longitude, altitude),
+        yaw=yaw, pitch=pitch, roll=roll, velocity=rotate_to_body(np.stack([east, north, -down]), yaw, pitch, roll),
         rate=columns.angular_rate[:, rows] * flip, acceleration=columns.acceleration[:, rows] * flip, origin=origin,
-        stamps_ns=columns.utc_ns[stamped], quality=ins_quality(columns, rows), columns=columns, rows=rows,
+        stamps_ns=columns.utc_ns[stamped], quality=collect_quality(columns, rows), columns=columns, rows=rows,
         warnings=tuple(warnings),
     )
 
 
-def to_body(vector: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
+def rotate_to_body(vector: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
     """Vectors (3, n) from map axes to body axes (forward, left, up): (Rz(yaw) Ry(pitch) Rx(roll))^T v, angles [rad]."""
     x, y, z = vector
     c, s = np.cos(yaw), np.sin(yaw)
@@ -80,10 +80,10 @@ def to_body(vector: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, roll: np.nda
     return np.stack([x, c * y + s * z, -s * y + c * z])
 
 
-def enu(origin: tuple[float, float, float], latitude: np.ndarray, longitude: np.ndarray,
-        altitude: np.ndarray) -> np.ndarray:
+def to_enu(origin: tuple[float, float, float], latitude: np.ndarray, longitude: np.ndarray,
+           altitude: np.ndarray) -> np.ndarray:
     """East, north, up [m], (3, n), in the origin's tangent plane, as oxts_bridge.motion.LocalFrame; angles [rad]."""
-    dx, dy, dz = ecef(latitude, longitude, altitude) - ecef(*(np.array([v]) for v in origin))
+    dx, dy, dz = to_ecef(latitude, longitude, altitude) - to_ecef(*(np.array([v]) for v in origin))
     s_lat, c_lat, s_lon, c_lon = np.sin(origin[0]), np.cos(origin[0]), np.sin(origin[1]), np.cos(origin[1])
     outward = c_lon * dx + s_lon * dy
     return np.stack([-s_lon * dx + c_lon * dy, -s_lat * outward + c_lat * dz, c_lat * outward + s_lat * dz])
@@ -92,11 +92,11 @@ def enu(origin: tuple[float, float, float], latitude: np.ndarray, longitude: np.
 def origin_offset(origin: tuple[float, float], latitude: float, longitude: float) -> tuple[float, float]:
     """East and north [m] of a point from an origin; latitudes and longitudes [deg], height 0."""
     at, point = np.radians(origin).tolist(), np.radians([[latitude], [longitude]])
-    east, north, _ = enu((at[0], at[1], 0.0), point[0], point[1], np.zeros(1))[:, 0].tolist()
+    east, north, _ = to_enu((at[0], at[1], 0.0), point[0], point[1], np.zeros(1))[:, 0].tolist()
     return east, north
 
 
-def ecef(latitude: np.ndarray, longitude: np.ndarray, altitude: np.ndarray) -> np.ndarray:
+def to_ecef(latitude: np.ndarray, longitude: np.ndarray, altitude: np.ndarray) -> np.ndarray:
     """Earth-centred x, y, z [m], (3, n); latitude, longitude [rad], altitude [m] taken as ellipsoidal."""
     normal = SEMI_MAJOR_AXIS / np.sqrt(1 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
     equatorial = (normal + altitude) * np.cos(latitude)
@@ -110,7 +110,7 @@ def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
     with file.open("rb") as stream:
         is_capture = stream.read(4) in file_decoder.CAPTURE_MARKS  # has headers between the packets
     if counters.skipped_bytes and not is_capture:
-        lost.append(f"{share(counters.skipped_bytes, file.stat().st_size, 'bytes')} are not part of a packet")
+        lost.append(f"{format_share(counters.skipped_bytes, file.stat().st_size, 'bytes')} are not part of a packet")
     if counters.checksum_errors:
         lost.append(f"{counters.checksum_errors} packets have a wrong checksum")
     if counters.duplicates:
@@ -119,13 +119,13 @@ def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
     regular = columns.kind == file_decoder.REGULAR
     other = regular & np.isin(columns.order, (packet_time.SAME, packet_time.LATE))
     if other.sum() > MAX_LOST_SHARE * regular.sum():
-        count = share(int(other.sum()), int(regular.sum()), "packets")
+        count = format_share(int(other.sum()), int(regular.sum()), "packets")
         notes.append(f"{file}: {count} are not later than those before, and differ from them; they were left out; if "
                      "two units were recorded, export one of them (tshark -Y 'ip.src == ADDRESS')")
     return notes
 
 
-def status_values(columns: Columns, channel: int, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+def decode_status_channel(columns: Columns, channel: int, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
     """(packets that carry a status channel, its values (n, len(names)), NaN where invalid)."""
     packets = np.flatnonzero((columns.channel == channel) & columns.has_status)
     batches = np.ascontiguousarray(columns.raw[packets, BATCH_S]).view("<u8").ravel()
@@ -135,18 +135,18 @@ def status_values(columns: Columns, channel: int, names: tuple[str, ...]) -> tup
     return packets, values[which]
 
 
-def latest_values(sent_in: np.ndarray, values: np.ndarray, packets: np.ndarray) -> np.ndarray:
-    """The last `status_values` before or in each packet, (n, k); NaN before the first. packets: ascending."""
+def select_latest_values(sent_in: np.ndarray, values: np.ndarray, packets: np.ndarray) -> np.ndarray:
+    """The last `decode_status_channel` before or in each packet, (n, k); NaN before the first. packets: ascending."""
     if not len(sent_in):
         return np.full((len(packets), values.shape[1]), np.nan)
     newest = np.searchsorted(sent_in, packets, side="right") - 1
     return np.where((newest >= 0)[:, None], values[np.maximum(newest, 0)], np.nan)
 
 
-def ins_quality(columns: Columns, packets: np.ndarray) -> InsQuality:
+def collect_quality(columns: Columns, packets: np.ndarray) -> InsQuality:
     """Quality that the unit reports at given packets with ascending time."""
-    position = latest_values(*status_values(columns, 3, ACCURACIES[3]), packets)
-    heading = latest_values(*status_values(columns, 5, ("HeadingAcc",)), packets)[:, 0]
+    position = select_latest_values(*decode_status_channel(columns, 3, ACCURACIES[3]), packets)
+    heading = select_latest_values(*decode_status_channel(columns, 5, ("HeadingAcc",)), packets)[:, 0]
     return InsQuality(columns.utc_ns[packets], columns.navigation_status[packets].astype(float),
-                      latest_values(*status_values(columns, 0, ("GpsPosMode",)), packets)[:, 0],
+                      select_latest_values(*decode_status_channel(columns, 0, ("GpsPosMode",)), packets)[:, 0],
                       np.hypot(position[:, 0], position[:, 1]), np.radians(heading))

@@ -17,14 +17,14 @@ from ..paths import json_ready
 from . import csv
 from .can_formats import EXTENSIONS
 from .can_logs import read_can_logs
-from .can_signals import CanSignals, Signal, decode_signals, load_signal_table, speeds_of, steering_of
+from .can_signals import CanSignals, Signal, collect_speeds, decode_signals, find_steering, load_signal_table
 from .clocks import INS_ON_CAN, align_clocks
-from .errors import RunError, check_readable, share
+from .errors import RunError, check_readable, format_share
 from .frames import CanLog, empty_frames
 from .ins_log import InsLog, is_mostly_known
 from .readers import READERS
 from .run_file import TABLE_KEYS
-from .run_types import LoadedRun, ReadSettings, RunSource, drive_log, signal_files
+from .run_types import LoadedRun, ReadSettings, RunSource, find_signal_files, make_drive_log
 from .sources import find_runs
 
 MAX_LOG_GAP = 10.0
@@ -68,21 +68,21 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
     if not source.where.is_dir():  # a folder is a bag, which its reader checks
         check_readable(source.where)
     can = read_can_logs(source.can)
-    dbc, file = signal_files(source, settings)
+    dbc, file = find_signal_files(source, settings)
     table = load_signal_table(dbc, file)
     signals = decode_signals(can.frames, table)
-    steering = steering_of(signals, can.files[0], table) if needs_steering else None
-    parts = _parts_of(can)
+    steering = find_steering(signals, can.files[0], table) if needs_steering else None
+    parts = _split_log(can)
     if not keep_frames:
         can = replace(can, frames=empty_frames())
-    ins, options = read_ins(source, settings), clock_settings(source, settings)
+    ins, options = read_ins(source, settings), choose_clock_settings(source, settings)
     alignment, shared = align_clocks(ins, signals, **options)
     notes = []
-    if alignment.verdict is Verdict.REFUSED and (part := _alignable_part(ins, signals, parts, options)):
+    if alignment.verdict is Verdict.REFUSED and (part := _find_alignable_part(ins, signals, parts, options)):
         span, alignment, shared = part
         signals = signals.between(*span)
         can = replace(can, frames=can.frames.select(slice(*np.searchsorted(can.frames.time_ns, span).tolist())))
-        steering = steering_of(signals, can.files[0], table) if needs_steering else None
+        steering = find_steering(signals, can.files[0], table) if needs_steering else None
         used, total = (1e-9 * sum(end - start for start, end in spans) for spans in ([span], parts))
         notes.append(f"{can.files[0]}: its clock was set, or it contains several drives: {used:.1f} of {total:.1f} s "
                      f"({100.0 * used / total:.0f} %) fit the INS recording and are used")
@@ -93,7 +93,7 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
                   (*ins.warnings, *can.warnings, *faults, *notes))
 
 
-def _parts_of(can: CanLog) -> list[tuple[int, int]]:
+def _split_log(can: CanLog) -> list[tuple[int, int]]:
     """(start, end) [ns] of the parts of a log without a step of its clock or a gap of MAX_LOG_GAP between frames, the
     longest first."""
     time_ns = can.frames.time_ns
@@ -104,8 +104,8 @@ def _parts_of(can: CanLog) -> list[tuple[int, int]]:
     return sorted(parts, key=lambda part: part[0] - part[1])
 
 
-def _alignable_part(ins: InsLog, signals: CanSignals, parts: Sequence[tuple[int, int]], options: Mapping[str, Any]
-                    ) -> tuple[tuple[int, int], Alignment, list[SharedSignal]] | None:
+def _find_alignable_part(ins: InsLog, signals: CanSignals, parts: Sequence[tuple[int, int]], options: Mapping[str, Any]
+                         ) -> tuple[tuple[int, int], Alignment, list[SharedSignal]] | None:
     """((start, end), alignment, shared signals) of the longest part of a log that can be aligned, for a log of several
     drives or with a clock that was set."""
     for part in parts[:MAX_PARTS] if len(parts) > 1 else ():
@@ -121,10 +121,10 @@ def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings:
     if vehicle is None:
         raise RunError(source.where, "the steering of a CAN log needs the steering ratio and offset of the car",
                        "give its vehicle file")
-    return as_drive(source, vehicle, settings, read_raw(source, settings, read_ins, keep_frames=False))
+    return build_drive(source, vehicle, settings, read_raw(source, settings, read_ins, keep_frames=False))
 
 
-def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> LoadedRun:
+def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> LoadedRun:
     """The decoded run as a drive on the INS clock. Raises RunError, also for a refused alignment."""
     warnings, verdict, reasons = list(run.warnings), run.alignment.verdict, "; ".join(run.alignment.reasons)
     if verdict is Verdict.REFUSED or (verdict is Verdict.DOUBTFUL and not settings.accept_doubtful):
@@ -140,34 +140,34 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
     accelerations = dict(zip(OPTIONAL_INS_SIGNALS, ins.acceleration, strict=False))
     missing = {name: int(np.isnan(values).sum()) for name, values in accelerations.items()}
     missing = {name: count for name, count in missing.items() if count < len(ins.time_ns)}  # all missing: not recorded
-    warnings += [f"{source.where}: {name}: {share(count, len(ins.time_ns), 'samples')} have no value; "
+    warnings += [f"{source.where}: {name}: {format_share(count, len(ins.time_ns), 'samples')} have no value; "
                  f"it is {'unknown there' if is_mostly_known(accelerations[name]) else 'not used'}"
                  for name, count in missing.items() if count]
     missing["road_wheel_angle"] = int((~steering.valid).sum())
-    log = drive_log(
+    log = make_drive_log(
         source.where, source.name, ins_time_ns=ins.time_ns, x=ins.position[0], y=ins.position[1], yaw=ins.yaw,
         velocity_x=ins.velocity[0], velocity_y=ins.velocity[1], yaw_rate=ins.rate[2],
         **{name: values for name, values in accelerations.items() if is_mostly_known(values)},
         steering_time_ns=steering_ns[good], steering_wheel_angle=wheel,
         road_wheel_angle=vehicle.road_wheel_angle(wheel))
     provenance = {"reader": f"{source.kind} and CAN log", **({"origin": list(ins.origin)} if ins.origin else {}),
-                  "alignment": alignment_summary(run.alignment),
+                  "alignment": summarise_alignment(run.alignment),
                   "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency,
                                "ins_can_latency": run.latency}}
     auxiliary = AuxiliaryData({"INS": ins.stamps_ns, "steering": steering_ns},
                               {name: count for name, count in missing.items() if count},
-                              *speeds_of(run.signals, run.alignment.to_reference_ns), ins.quality,
-                              implausible=_refused_steering(run, settings))
+                              *collect_speeds(run.signals, run.alignment.to_reference_ns), ins.quality,
+                              implausible=_describe_rejected_steering(run, settings))
     return LoadedRun(log, provenance, source.labels, tuple(warnings), run.alignment, auxiliary)
 
 
-def _refused_steering(run: RawRun, settings: ReadSettings) -> tuple[Finding, ...]:
+def _describe_rejected_steering(run: RawRun, settings: ReadSettings) -> tuple[Finding, ...]:
     """A finding on steering frames that the decoder rejected; empty if there are none."""
     assert run.steering is not None
     message = run.steering.message
     if message not in run.signals.rejected or not len(run.ins.time_ns):
         return ()
-    time_ns = _steering_clock(run, settings, run.signals.rejected[message])
+    time_ns = _steering_to_ins_clock(run, settings, run.signals.rejected[message])
     return (rejected_frames_finding((time_ns - run.ins.time_ns[0]) * 1e-9, len(time_ns) + len(run.steering.time_ns),
                                     run.signals.faults[message]),)
 
@@ -175,14 +175,14 @@ def _refused_steering(run: RawRun, settings: ReadSettings) -> tuple[Finding, ...
 def steering_times(run: RawRun, settings: ReadSettings) -> np.ndarray:
     """Times of the steering angles on the INS clock [ns], corrected for the steering latency."""
     assert run.steering is not None
-    return _steering_clock(run, settings, run.steering.time_ns)
+    return _steering_to_ins_clock(run, settings, run.steering.time_ns)
 
 
-def _steering_clock(run: RawRun, settings: ReadSettings, time_ns: np.ndarray) -> np.ndarray:
+def _steering_to_ins_clock(run: RawRun, settings: ReadSettings, time_ns: np.ndarray) -> np.ndarray:
     return run.alignment.to_reference_ns(time_ns) - round(settings.steering_latency * 1e9)
 
 
-def alignment_summary(alignment: Alignment) -> dict[str, Any]:
+def summarise_alignment(alignment: Alignment) -> dict[str, Any]:
     """The alignment in Python types for reports and metadata; the keys contain the units."""
     return {
         "method": alignment.method, "verdict": str(alignment.verdict), "reasons": list(alignment.reasons),
@@ -192,7 +192,7 @@ def alignment_summary(alignment: Alignment) -> dict[str, Any]:
     }
 
 
-def clock_settings(source: RunSource, settings: ReadSettings) -> dict[str, Any]:
+def choose_clock_settings(source: RunSource, settings: ReadSettings) -> dict[str, Any]:
     """Arguments of `align_clocks`, from the settings or else from the run.yaml. Raises RunError."""
     if settings.search and settings.search[0] >= settings.search[1]:
         raise RunError("--search", "{:g} is not below {:g}".format(*settings.search))
@@ -206,13 +206,13 @@ def read_pair(files: Sequence[Path], settings: ReadSettings) -> RawRun:
 
     files: recording (NCOM, VBO, or CSV with speed and yaw rate) and logs, or a folder or run.yaml that names them.
     """
-    source = _pair_source(files)
+    source = _find_pair(files)
     read_ins = csv.read_motion if source.kind == "csv" else READERS[source.kind].read_ins
     assert read_ins is not None  # every kind with CAN logs has it
     return read_raw(source, settings, read_ins, keep_frames=False, needs_steering=False)
 
 
-def _pair_source(files: Sequence[Path]) -> RunSource:
+def _find_pair(files: Sequence[Path]) -> RunSource:
     tables = [f for f in files if f.suffix.lower()[1:] in TABLE_KEYS]
     logs = [f for f in files if f.suffix.lower() in EXTENSIONS]
     if len(tables) == 1 and len(logs) == len(files) - 1 and logs:  # other commands read a table as a complete drive

@@ -20,10 +20,10 @@ from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
 
 from .bag_storage import Storage, Topic, recorded_parameters, recorded_text
-from .cdr import CAN_FRAMES, INS_ON_CAN, INS_STATUS, NCOM, WHEEL_FIELDS, WHEEL_SPEEDS, field_of
+from .cdr import CAN_FRAMES, INS_ON_CAN, INS_STATUS, NCOM, WHEEL_FIELDS, WHEEL_SPEEDS, get_field
 from .errors import RunError
-from .ins_log import car_speed, is_newer, series
-from .ncom import ins_quality, to_body
+from .ins_log import compute_car_speed, is_newer, make_series
+from .ncom import collect_quality, rotate_to_body
 from .run_types import SteeringField
 
 ORIGIN_TOPIC, ORIGIN_TYPE = "ins/origin", "sensor_msgs/msg/NavSatFix"
@@ -97,10 +97,10 @@ class Reconstruction:
 
     def steering(self) -> dict[str, np.ndarray]:
         """Fields of st_msgs/Steering. Raises RunError."""
-        from .can_signals import steering_of
+        from .can_signals import find_steering
 
         bridge = self._nodes.get("canedge_bridge", {})
-        signal = steering_of(self._signals, self._path, self._table)
+        signal = find_steering(self._signals, self._path, self._table)
         ratio, offset = (self._steering_parameter(bridge, key) for key in ("steering_ratio", "steering_wheel_offset"))
         calibration = SteeringCalibration(bridge.get("steering_sign", 1), offset, ratio)
         latency_ns = round(float(bridge.get("steering_latency", 0.0)) * 1e9)
@@ -119,10 +119,10 @@ class Reconstruction:
             raise RunError(self._path, f"the steering of its raw frames needs a vehicle file: {error}") from None
 
     def speeds(self) -> tuple[Series | None, Series | None]:
-        """See `can_signals.speeds_of`."""
-        from .can_signals import speeds_of
+        """See `can_signals.collect_speeds`."""
+        from .can_signals import collect_speeds
 
-        return speeds_of(self._signals)
+        return collect_speeds(self._signals)
 
     def _descriptions(self) -> tuple[str | None, ...]:
         bridge = self._nodes.get("canedge_bridge", {})
@@ -155,7 +155,7 @@ class Reconstruction:
         return decode_signals(frames, table)
 
 
-def auxiliary_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, ...]]:
+def choose_auxiliary_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, ...]]:
     """Topics for the checks, one per type, and their fields. Raw packets only if no other topics have their content."""
     by_type = {topic.type_name: topic for topic in topics if topic.count}
     fields = {by_type[name]: fields for name, fields in _AUXILIARY_FIELDS.items() if name in by_type}
@@ -164,19 +164,19 @@ def auxiliary_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, ...]]:
     return fields
 
 
-def auxiliary_data(storage: Storage, topics: Sequence[Topic], columns: Mapping[Topic, Mapping[str, np.ndarray]],
-                   stamps: Mapping[str, np.ndarray], missing: Mapping[str, int], store: Typestore,
-                   reconstruction: Reconstruction) -> AuxiliaryData:
+def collect_auxiliary_data(storage: Storage, topics: Sequence[Topic], columns: Mapping[Topic, Mapping[str, np.ndarray]],
+                           stamps: Mapping[str, np.ndarray], missing: Mapping[str, int], store: Typestore,
+                           reconstruction: Reconstruction) -> AuxiliaryData:
     """Data of a bag for the checks; speeds are reconstructed if no topic has them.
 
-    columns: readable topics of `auxiliary_fields`. stamps, missing: of odometry and steering (missing: counts).
+    columns: readable topics of `choose_auxiliary_fields`. stamps, missing: of odometry and steering (missing: counts).
     """
     by_type = {topic.type_name: fields for topic, fields in columns.items()}
     status = next((topic for topic in topics if topic.type_name == INS_STATUS and topic.count), None)
-    quality = _reported_quality(storage, status, store) if status else None
-    wheels = _wheel_speed(by_type[WHEEL_SPEEDS]) if WHEEL_SPEEDS in by_type else None
+    quality = _read_reported_quality(storage, status, store) if status else None
+    wheels = _compute_wheel_speed(by_type[WHEEL_SPEEDS]) if WHEEL_SPEEDS in by_type else None
     on_can = by_type.get(INS_ON_CAN)
-    ins_speed = series(on_can["header.stamp"], on_can["velocity_x"]) if on_can else None
+    ins_speed = make_series(on_can["header.stamp"], on_can["velocity_x"]) if on_can else None
     if WHEEL_SPEEDS not in by_type and reconstruction.bus_is_described:
         wheels, ins_speed = reconstruction.speeds()
     if NCOM in by_type and (quality is None or ins_speed is None):
@@ -185,14 +185,14 @@ def auxiliary_data(storage: Storage, topics: Sequence[Topic], columns: Mapping[T
     return AuxiliaryData(stamps, {name: count for name, count in missing.items() if count}, wheels, ins_speed, quality)
 
 
-def _wheel_speed(columns: Mapping[str, np.ndarray]) -> Series | None:
+def _compute_wheel_speed(columns: Mapping[str, np.ndarray]) -> Series | None:
     speeds = {}
     for name, field in WHEEL_FIELDS.items():
         valid = columns["valid"].astype(bool)
-        speed = series(columns["header.stamp"][valid], columns[field][valid])
+        speed = make_series(columns["header.stamp"][valid], columns[field][valid])
         if speed is not None:
             speeds[name] = speed.time_ns, speed.values
-    return car_speed(speeds)
+    return compute_car_speed(speeds)
 
 
 def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
@@ -207,16 +207,16 @@ def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
     if not len(rows):
         return None, None
     north, east, down = columns.velocity_ned[:, rows]
-    forward = to_body(np.stack([east, north, -down]), np.pi / 2 - columns.heading[rows], -columns.pitch[rows],
-                      columns.roll[rows])[0]
+    forward = rotate_to_body(np.stack([east, north, -down]), np.pi / 2 - columns.heading[rows], -columns.pitch[rows],
+                             columns.roll[rows])[0]
     fix = ~columns.approximate[rows]
-    return ins_quality(columns, rows), series(columns.utc_ns[rows][fix], forward[fix])
+    return collect_quality(columns, rows), make_series(columns.utc_ns[rows][fix], forward[fix])
 
 
-def _reported_quality(storage: Storage, topic: Topic, store: Typestore) -> InsQuality | None:
+def _read_reported_quality(storage: Storage, topic: Topic, store: Typestore) -> InsQuality | None:
     """Quality from st_msgs/InsStatus, read one by one: about one message a second, with texts of varying length."""
     try:
-        rows = [[field_of(message, field) for field in _STATUS_FIELDS]
+        rows = [[get_field(message, field) for field in _STATUS_FIELDS]
                 for _, message in deserialise("", storage, topic, store)]
     except (RunError, AttributeError):  # the data for checks is optional
         return None
@@ -229,7 +229,7 @@ def _reported_quality(storage: Storage, topic: Topic, store: Typestore) -> InsQu
     return InsQuality(time_ns, status, mode, np.hypot(north, east), heading)
 
 
-def steering_topic(where: Any, topics: list[Topic], steering: SteeringField, store: Typestore) -> Topic:
+def find_steering_topic(where: Any, topics: list[Topic], steering: SteeringField, store: Typestore) -> Topic:
     """The topic named by the option. Raises RunError if it is not in the bag, is empty, or has an unknown type."""
     found = next((t for t in topics if t.name.lstrip("/") == steering.topic.lstrip("/") and t.count), None)
     if found is None:
@@ -242,7 +242,7 @@ def steering_topic(where: Any, topics: list[Topic], steering: SteeringField, sto
     return found
 
 
-def steering_value(where: Any, message: Any, steering: SteeringField) -> float:
+def extract_steering_angle(where: Any, message: Any, steering: SteeringField) -> float:
     """The steering angle in a message [rad], left positive.
 
     Raises RunError, with the existing fields, if the path does not lead to a number.
@@ -272,7 +272,7 @@ def _is_list(value: Any) -> bool:
     return hasattr(value, "__getitem__") and hasattr(value, "__len__") and not isinstance(value, str | bytes)
 
 
-def stamp_of(message: Any, log_ns: int) -> int:
+def get_stamp(message: Any, log_ns: int) -> int:
     """header.stamp [ns]; the log time if the message has no stamp or a zero one."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     return (stamp.sec * 1_000_000_000 + stamp.nanosec if stamp else 0) or log_ns
@@ -289,13 +289,13 @@ def deserialise(where: Any, storage: Storage, topic: Topic, store: Typestore) ->
         yield log_ns, message
 
 
-def steering_columns(where: Any, storage: Storage, topic: Topic, steering: SteeringField,
-                     store: Typestore) -> dict[str, np.ndarray]:
+def read_steering_columns(where: Any, storage: Storage, topic: Topic, steering: SteeringField,
+                          store: Typestore) -> dict[str, np.ndarray]:
     """The fields of st_msgs/Steering from a topic of another type; NaN if not measured. Raises RunError."""
     stamps, angles = [], []
     for log_ns, message in deserialise(where, storage, topic, store):
-        stamps.append(stamp_of(message, log_ns))
-        angles.append(steering_value(where, message, steering))
+        stamps.append(get_stamp(message, log_ns))
+        angles.append(extract_steering_angle(where, message, steering))
     values, missing = np.array(angles), np.full(len(angles), math.nan)
     # DriveLog.with_steering computes the road wheel angle from a steering wheel angle.
     return {"header.stamp": np.array(stamps, np.int64), "road_wheel_angle": values,

@@ -12,9 +12,9 @@ from st_core.errors import ConfigurationError, StCoreError
 
 from .can_formats import EXTENSIONS as CAN_EXTENSIONS
 from .can_formats import is_can_log
-from .columns import COLUMNS, UNITS, Layout, unit_named
-from .errors import RunError, short
-from .readers import READERS, reader_of
+from .columns import COLUMNS, UNITS, Layout, find_unit
+from .errors import RunError, shorten
+from .readers import READERS, find_reader
 from .run_types import Label, RunSource
 
 RUN_FILE = "run.yaml"
@@ -32,22 +32,22 @@ def is_run_file(path: Path) -> bool:
 
 def read_run_file(path: Path) -> list[RunSource]:
     """The run that a run.yaml describes, or the runs under its key `each`. Raises RunError."""
-    content = _content(path)
-    return _runs_of_each(path, content) if "each" in content else [_single_run(path, content)]
+    content = _read_content(path)
+    return _parse_each(path, content) if "each" in content else [_parse_single_run(path, content)]
 
 
-def described_by_each(file: Path) -> RunSource | None:
+def find_run_of_each(file: Path) -> RunSource | None:
     """The run of a single recording, described by a run.yaml with `each` in its folder. Raises RunError."""
     paths = [path for path in sorted(file.parent.glob(f"*{RUN_FILE}")) if is_run_file(path) and path.is_file()
              and re.search(r"^each\s*:", path.read_text("utf-8", "replace"), re.MULTILINE)]
     return next((run for path in paths for run in read_run_file(path) if file in run.files), None)
 
 
-def _content(path: Path) -> dict[str, Any]:
+def _read_content(path: Path) -> dict[str, Any]:
     try:
         content = yaml_text.load(path.read_text(encoding="utf-8"))
     except (OSError, ConfigurationError, UnicodeDecodeError) as error:
-        raise RunError(path, f"invalid YAML: {short(error)}") from None
+        raise RunError(path, f"invalid YAML: {shorten(error)}") from None
     if not isinstance(content, dict):
         raise RunError(path, "is not a YAML mapping", f"known keys are {', '.join(_KEYS)}")
     unknown = [key for key in content if key not in _KEYS]
@@ -56,59 +56,59 @@ def _content(path: Path) -> dict[str, Any]:
     return content
 
 
-def _single_run(path: Path, content: Mapping[str, Any]) -> RunSource:
+def _parse_single_run(path: Path, content: Mapping[str, Any]) -> RunSource:
     file_keys = [key for key in _FILE_KEYS if key in content]
     if len(file_keys) != 1:
         known = f"{', '.join(_FILE_KEYS[:-1])} and {_FILE_KEYS[-1]}"
         raise RunError(path, f"exactly one of the keys {known} must name the file of the INS measurements",
                        "or use `each` to read several recordings in the same way")
-    files = _parts(path, file_keys[0], content[file_keys[0]])
+    files = _find_parts(path, file_keys[0], content[file_keys[0]])
     default = path.parent.name if path.name == RUN_FILE else path.name.removesuffix(RUN_SUFFIX)
     name = str(content.get("name", default))  # results are stored under it
     if not name.isprintable() or name in ("", ".", "..") or "/" in name or "\\" in name:
         raise RunError(path, f"name: {name[:100]!r} cannot be the name of a folder", "leave out slashes")
-    return _run(path, content, name, file_keys[0], files, _can_logs(path, content.get("can", [])))
+    return _build_run(path, content, name, file_keys[0], files, _find_can_logs(path, content.get("can", [])))
 
 
-def _runs_of_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
+def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
     """One run per file, with the CAN logs of its stem. NAME.run.yaml has priority for a file NAME.csv."""
     if keys := [key for key in content if key in _KEYS_OF_ONE_RUN]:
         raise RunError(path, f"{keys[0]} belongs to one run, and `each` describes several",
                        "write a NAME.run.yaml for that run")
-    files = dict.fromkeys(_matching_files(path, "each", content["each"]))
+    files = dict.fromkeys(_find_matching_files(path, "each", content["each"]))
     if not files:
         raise RunError(path, f"each: no file in its folder matches {content['each']!r}")
-    return [_run_of_own_file(path, file) or _run_of_each(path, content, file) for file in files]
+    return [_read_own_run_file(path, file) or _parse_run_of_each(path, content, file) for file in files]
 
 
-def _run_of_own_file(path: Path, file: Path) -> RunSource | None:
+def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
     """The run of a recording with its own run.yaml (same stem or folder). path: the run.yaml with `each`."""
     for own in (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE)):
         try:
-            content = _content(own) if own.exists() and own != path else {"each": ""}
-            if "each" not in content and file in (run := _single_run(own, content)).files:
+            content = _read_content(own) if own.exists() and own != path else {"each": ""}
+            if "each" not in content and file in (run := _parse_single_run(own, content)).files:
                 return run
         except RunError as error:
             return RunSource(own.name, "", (own,), problem=error, run_file=own)
     return None
 
 
-def _run_of_each(path: Path, content: Mapping[str, Any], file: Path) -> RunSource:
-    reader = reader_of(file)
+def _parse_run_of_each(path: Path, content: Mapping[str, Any], file: Path) -> RunSource:
+    reader = find_reader(file)
     if reader is None:
         raise RunError(path, f"each: {file.name} is not a recording")
     is_complete = reader.kind == "csv" and reader.has_drive(file)
-    logs = [] if is_complete else [log for log in logs_of(file, sorted(file.parent.iterdir())) if is_can_log(log)]
+    logs = [] if is_complete else [log for log in find_logs(file, sorted(file.parent.iterdir())) if is_can_log(log)]
     if reader.needs_can and not logs:
         raise RunError(path, f"each: no CAN log has the stem of {file.name}",
                        "list the files of each run in a run.yaml")
-    return _run(path, content, file.name if file.is_dir() else file.stem, reader.key, (file,), logs)
+    return _build_run(path, content, file.name if file.is_dir() else file.stem, reader.key, (file,), logs)
 
 
-def _run(path: Path, content: Mapping[str, Any], name: str, key: str, files: tuple[Path, ...],
-         logs: Sequence[Path]) -> RunSource:
+def _build_run(path: Path, content: Mapping[str, Any], name: str, key: str, files: tuple[Path, ...],
+               logs: Sequence[Path]) -> RunSource:
     """key: key of the files, one of _FILE_KEYS."""
-    reader = reader_of(files[0], key)
+    reader = find_reader(files[0], key)
     assert reader is not None  # every key belongs to one
     if reader.needs_can and not logs:
         raise RunError(path, "no CAN log under the key can", "list the logs, a folder of them, or a pattern")
@@ -119,34 +119,34 @@ def _run(path: Path, content: Mapping[str, Any], name: str, key: str, files: tup
     settings = {setting: read(path, content[setting]) for setting, read in _SETTINGS.items()
                 if setting in content and (setting != "offset" or content[setting] is not None)}
     if "columns" in content or "units" in content:
-        settings["layout"] = Layout(_columns(path, content.get("columns", {})), _units(path, content.get("units", {})),
-                                    path)
-    return RunSource(name, reader.kind, files, tuple(logs), _labels(path, content.get("labels", [])), settings,
+        settings["layout"] = Layout(_parse_columns(path, content.get("columns", {})),
+                                    _parse_units(path, content.get("units", {})), path)
+    return RunSource(name, reader.kind, files, tuple(logs), _parse_labels(path, content.get("labels", [])), settings,
                      run_file=path)
 
 
-def logs_of(file: Path, files: Sequence[Path]) -> list[Path]:
+def find_logs(file: Path, files: Sequence[Path]) -> list[Path]:
     """The CAN logs among the files with the stem and folder of a recording."""
     return [f for f in files if f.stem == file.stem and f.parent == file.parent and f.suffix.lower() in CAN_EXTENSIONS]
 
 
-def _parts(path: Path, key: str, value: Any) -> tuple[Path, ...]:
+def _find_parts(path: Path, key: str, value: Any) -> tuple[Path, ...]:
     """The files of the INS measurements; several (a list or pattern) only for parts of one csv or vbo recording."""
     if key not in TABLE_KEYS:
-        return (_existing_file(path, key, value),)
-    found = tuple(dict.fromkeys(_matching_files(path, key, value)))
+        return (_find_file(path, key, value),)
+    found = tuple(dict.fromkeys(_find_matching_files(path, key, value)))
     if not found:
         raise RunError(path, f"{key}: no file in its folder matches {value!r}")
     return found
 
 
-def _can_logs(path: Path, value: Any) -> list[Path]:
-    return [f for entry in _matching_files(path, "can", value)
+def _find_can_logs(path: Path, value: Any) -> list[Path]:
+    return [f for entry in _find_matching_files(path, "can", value)
             for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
             if f.is_file() and f.suffix.lower() in CAN_EXTENSIONS and (f == entry or is_can_log(f))]
 
 
-def _matching_files(path: Path, key: str, value: Any) -> list[Path]:
+def _find_matching_files(path: Path, key: str, value: Any) -> list[Path]:
     """Files and folders that match a name or pattern, or a list of them."""
     entries = [value] if isinstance(value, str) else value
     if not isinstance(entries, list) or not all(isinstance(e, str) for e in entries):
@@ -155,7 +155,7 @@ def _matching_files(path: Path, key: str, value: Any) -> list[Path]:
     for text in entries:
         try:
             is_pattern = any(c in text for c in "*?[") and not _exists(path, text)
-            found += sorted(path.parent.glob(text)) if is_pattern else [_existing_file(path, key, text)]
+            found += sorted(path.parent.glob(text)) if is_pattern else [_find_file(path, key, text)]
         except RunError:
             raise
         except (ValueError, NotImplementedError, OSError) as error:
@@ -164,7 +164,7 @@ def _matching_files(path: Path, key: str, value: Any) -> list[Path]:
     return found
 
 
-def _latency(path: Path, value: Any) -> tuple[float, float]:
+def _parse_latency(path: Path, value: Any) -> tuple[float, float]:
     try:
         latency, deviation = map(float, value)
         if 0.0 <= latency <= 1.0 and 0.0 <= deviation <= 1.0:
@@ -174,13 +174,13 @@ def _latency(path: Path, value: Any) -> tuple[float, float]:
     raise RunError(path, f"ins_can_latency: {value!r} is not [latency, standard deviation] in seconds, each 0 to 1")
 
 
-def _number(path: Path, key: str, value: Any) -> float:
+def _parse_number(path: Path, key: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
         raise RunError(path, f"{key}: {str(value)[:40]!r} is not a number")
     return float(value)
 
 
-def _existing_file(path: Path, key: str, text: Any) -> Path:
+def _find_file(path: Path, key: str, text: Any) -> Path:
     if isinstance(text, str) and _exists(path, text):
         return path.parent / text
     raise RunError(path, f"{key}: there is no {str(text)[:200]!r} in its folder")
@@ -193,7 +193,7 @@ def _exists(path: Path, text: str) -> bool:
         return False
 
 
-def _labels(path: Path, value: Any) -> tuple[Label, ...]:
+def _parse_labels(path: Path, value: Any) -> tuple[Label, ...]:
     try:
         labels = tuple(Label(str(entry["name"]), float(entry["start"]), float(entry["end"])) for entry in value)
     except (KeyError, TypeError, ValueError):
@@ -204,18 +204,18 @@ def _labels(path: Path, value: Any) -> tuple[Label, ...]:
     return labels
 
 
-def _columns(path: Path, value: Any) -> dict[str, str]:
-    for channel, name in _mapping(path, "columns", value, COLUMNS).items():
+def _parse_columns(path: Path, value: Any) -> dict[str, str]:
+    for channel, name in _check_mapping(path, "columns", value, COLUMNS).items():
         if not isinstance(name, str) or not name:
             raise RunError(path, f"columns: {channel}: {name!r} is not the name of a column", "put it in quotes")
     return dict(value)
 
 
-def _units(path: Path, value: Any) -> dict[str, str]:
+def _parse_units(path: Path, value: Any) -> dict[str, str]:
     units = {}
-    for channel, text in _mapping(path, "units", value, COLUMNS).items():
+    for channel, text in _check_mapping(path, "units", value, COLUMNS).items():
         kind = COLUMNS[channel].kind
-        unit = unit_named(kind, text) if isinstance(text, str) else None
+        unit = find_unit(kind, text) if isinstance(text, str) else None
         if unit is None:
             raise RunError(path, f"units: {channel}: {str(text)[:40]!r} is not a unit of {kind}",
                            f"known are {', '.join(UNITS[kind])}")
@@ -223,11 +223,11 @@ def _units(path: Path, value: Any) -> dict[str, str]:
     return units
 
 
-def _corrections(path: Path, value: Any) -> dict[str, Correction]:
+def _parse_corrections(path: Path, value: Any) -> dict[str, Correction]:
     corrections = {}
-    for channel, given in _mapping(path, "correct", value, CHANNELS).items():
-        entries = _mapping(path, f"correct: {channel}", given, CHANNELS[channel])
-        corrections[channel] = Correction(**{key: _number(path, f"correct: {channel}: {key}", number)
+    for channel, given in _check_mapping(path, "correct", value, CHANNELS).items():
+        entries = _check_mapping(path, f"correct: {channel}", given, CHANNELS[channel])
+        corrections[channel] = Correction(**{key: _parse_number(path, f"correct: {channel}: {key}", number)
                                              for key, number in entries.items()})
     try:
         check_corrections(corrections)
@@ -236,7 +236,7 @@ def _corrections(path: Path, value: Any) -> dict[str, Correction]:
     return corrections
 
 
-def _stretches(path: Path, value: Any) -> tuple[tuple[float, float], ...]:
+def _parse_intervals(path: Path, value: Any) -> tuple[tuple[float, float], ...]:
     try:
         stretches = tuple((float(start), float(end)) for start, end in value)
     except (TypeError, ValueError):
@@ -248,7 +248,7 @@ def _stretches(path: Path, value: Any) -> tuple[tuple[float, float], ...]:
     return stretches
 
 
-def _mapping(path: Path, key: str, value: Any, known: Any) -> dict[str, Any]:
+def _check_mapping(path: Path, key: str, value: Any, known: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise RunError(path, f"{key}: expected a mapping", f"known keys are {', '.join(known)}")
     unknown = [name for name in value if name not in known]
@@ -258,7 +258,7 @@ def _mapping(path: Path, key: str, value: Any, known: Any) -> dict[str, Any]:
 
 
 _SETTINGS: Mapping[str, Callable[[Path, Any], Any]] = {
-    "dbc": lambda path, value: _existing_file(path, "dbc", value),
-    "signals": lambda path, value: _existing_file(path, "signals", value),
-    "offset": lambda path, value: _number(path, "offset", value),
-    "ins_can_latency": _latency, "correct": _corrections, "leave_out": _stretches}
+    "dbc": lambda path, value: _find_file(path, "dbc", value),
+    "signals": lambda path, value: _find_file(path, "signals", value),
+    "offset": lambda path, value: _parse_number(path, "offset", value),
+    "ins_can_latency": _parse_latency, "correct": _parse_corrections, "leave_out": _parse_intervals}

@@ -113,7 +113,7 @@ class LoadedRun:
     auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)
 
 
-def drive_log(where: Path, name: str, **columns: Any) -> DriveLog:
+def make_drive_log(where: Path, name: str, **columns: Any) -> DriveLog:
     """The log of a run's columns. Raises RunError if DriveLog rejects them."""
     try:
         return DriveLog(name, **columns)
@@ -121,7 +121,7 @@ def drive_log(where: Path, name: str, **columns: Any) -> DriveLog:
         raise RunError(where, str(error)) from None
 
 
-def signal_files(source: RunSource, settings: ReadSettings) -> tuple[Path, Path]:
+def find_signal_files(source: RunSource, settings: ReadSettings) -> tuple[Path, Path]:
     """(DBC, signal table) of a run: from the settings, else its run.yaml, else the Leaf's."""
     return (settings.dbc or source.settings.get("dbc") or config("car/leaf/can.dbc"),
             settings.signals or source.settings.get("signals") or config("car/leaf/signals.yaml"))

@@ -14,7 +14,7 @@ from st_core.vehicle import VehicleParameters
 from .can_signals import CanSignals
 from .cdr import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, Layout
 from .frames import ERROR, EXTENDED, FD, FRAME_HEAD_LENGTH, REMOTE, Frames
-from .ncom import ACCURACIES, NcomLog, latest_values, status_values
+from .ncom import ACCURACIES, NcomLog, decode_status_channel, select_latest_values
 
 UNKNOWN_VARIANCE = 1e6
 """As in oxts_bridge.convert: so large that filters ignore the value, and finite so that they do not fail."""
@@ -29,7 +29,7 @@ class Covariances:
     def __init__(self, columns: Columns):
         self._accuracies = {}
         for channel, names in ACCURACIES.items():
-            packets, values = status_values(columns, channel, names)
+            packets, values = decode_status_channel(columns, channel, names)
             self._accuracies[channel] = packets, np.radians(values) if channel == 5 else values
 
     def of(self, ins: NcomLog, rows: slice) -> tuple[np.ndarray, np.ndarray]:
@@ -41,22 +41,22 @@ class Covariances:
         packets = ins.rows[rows]
         yaw, pitch, roll = (a[rows] for a in (ins.yaw, ins.pitch, ins.roll))
         pose, twist = np.zeros((len(packets), 6, 6)), np.zeros((len(packets), 6, 6))
-        level = rotation(-yaw, 0 * yaw, 0 * yaw)
+        level = body_to_map_rotation(-yaw, 0 * yaw, 0 * yaw)
         pose[:, :3, :3] = self._rotated(3, packets, Rotation.identity(len(packets)))
         pose[:, 3:, 3:] = self._rotated(5, packets, level)
-        twist[:, :3, :3] = self._rotated(4, packets, rotation(yaw, pitch, roll))
+        twist[:, :3, :3] = self._rotated(4, packets, body_to_map_rotation(yaw, pitch, roll))
         twist[:, 3:, 3:] = np.eye(3) * UNKNOWN_VARIANCE
         return pose.reshape(-1, 36), twist.reshape(-1, 36)
 
     def _rotated(self, channel: int, packets: np.ndarray, axes: Rotation) -> np.ndarray:
         """R^T diag(variance) R, (n, 3, 3), of the accuracies of a channel."""
-        deviation = latest_values(*self._accuracies[channel], packets)
+        deviation = select_latest_values(*self._accuracies[channel], packets)
         known = np.isfinite(deviation).all(axis=1)[:, None, None]
         rotated = np.einsum("nij,ni,nik->njk", axes.as_matrix(), np.nan_to_num(deviation) ** 2, axes.as_matrix())
         return np.where(known, rotated, np.eye(3) * UNKNOWN_VARIANCE)
 
 
-def rotation(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> Rotation:
+def body_to_map_rotation(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> Rotation:
     """The rotation from body axes to map axes, Rz(yaw) Ry(pitch) Rx(roll), angles [rad]."""
     return Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1))
 
@@ -114,7 +114,7 @@ class Serialiser:
             columns[f"pose.pose.position.{axis}"] = ins.position[k, rows]
             columns[f"twist.twist.linear.{axis}"] = ins.velocity[k, rows]
             columns[f"twist.twist.angular.{axis}"] = ins.rate[k, rows]
-        quaternions = rotation(ins.yaw[rows], ins.pitch[rows], ins.roll[rows]).as_quat(canonical=True)
+        quaternions = body_to_map_rotation(ins.yaw[rows], ins.pitch[rows], ins.roll[rows]).as_quat(canonical=True)
         columns |= {f"pose.pose.orientation.{axis}": quaternions[:, k] for k, axis in enumerate("xyzw")}
         return self._messages("/ins/odometry", ODOMETRY, columns, frame_id=MAP_FRAME, child_frame_id=INS_FRAME)
 
@@ -177,7 +177,7 @@ class Serialiser:
         return Messages("/can/frames", CAN_FRAMES, time_ns[cuts], memoryview(bytes(data)), np.array(edges, np.int64))
 
 
-def in_time_order(parts: list[Messages]) -> Iterator[tuple[int, str, memoryview]]:
+def merge_in_time_order(parts: list[Messages]) -> Iterator[tuple[int, str, memoryview]]:
     """Yields (log time [ns], topic, bytes) of all messages in order of time."""
     if not parts:
         return

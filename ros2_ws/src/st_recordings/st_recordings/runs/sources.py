@@ -7,15 +7,15 @@ from pathlib import Path
 
 from st_core import yaml_text
 
-from ..paths import natural_order
+from ..paths import natural_sort_key
 from .bag_storage import EXTENSIONS as BAG_EXTENSIONS
-from .bag_storage import time_span
+from .bag_storage import read_time_span
 from .can_formats import EXTENSIONS as CAN_EXTENSIONS
 from .can_formats import is_can_log
 from .errors import RunError
-from .mf4 import session_of
-from .readers import READERS, Reader, reader_of
-from .run_file import RUN_FILE, RUN_SUFFIX, described_by_each, is_run_file, logs_of, read_run_file
+from .mf4 import parse_session
+from .readers import READERS, Reader, find_reader
+from .run_file import RUN_FILE, RUN_SUFFIX, find_logs, find_run_of_each, is_run_file, read_run_file
 from .run_types import RunSource
 
 GENERIC_NAMES = ("run", "bag")
@@ -54,41 +54,41 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
             folder = path.absolute().parent
             others = [other.name for other in folder.iterdir()] if folder.is_dir() else []
             advice = f"looked for in {folder}{yaml_text.nearest(path.name, others)}"
-            runs.append(_unusable(path, "the file or folder does not exist", advice))
-        elif path.is_dir() and reader_of(path) is None:
-            found = _in_folder(path)
-            runs += found or _without_run(path)
+            runs.append(_make_unusable(path, "the file or folder does not exist", advice))
+        elif path.is_dir() and find_reader(path) is None:
+            found = _search_folder(path)
+            runs += found or _explain_no_run(path)
         elif is_run_file(path):
-            runs += _from_run_file(path)
+            runs += _read_run_file_or_problem(path)
         else:
             loose.append(path)
     if len(loose) > 1 or runs:
         loose = [f for f in loose if not _is_document(f)] or loose
-    described = [run for path in loose if (run := _described_by_each(path)) is not None]
+    described = [run for path in loose if (run := _find_described_run(path)) is not None]
     rest = [f for f in loose if not any(f in (*run.files, *run.can) for run in described)]
     if any(f.suffix.lower() in CAN_EXTENSIONS for f in rest):  # the user names other CAN logs than `each`
         described, rest = [], loose
-    return _with_distinct_names([*runs, *described, *_from_files(rest, given=True)])
+    return _assign_distinct_names([*runs, *described, *_group_files(rest, given=True)])
 
 
-def _described_by_each(path: Path) -> RunSource | None:
+def _find_described_run(path: Path) -> RunSource | None:
     try:
-        return described_by_each(path) if reader_of(path) is not None else None
+        return find_run_of_each(path) if find_reader(path) is not None else None
     except RunError as error:
         return RunSource(path.name, "", (path,), problem=error)
 
 
-def _without_run(folder: Path) -> list[RunSource]:
+def _explain_no_run(folder: Path) -> list[RunSource]:
     """Problems of recordings in a folder that form no run; if there are none, a problem of the folder."""
     bag = READERS["bag"]
     files = sorted(folder.rglob("*"))
     bags = [f for f in files if bag.accepts(f) and not any(bag.accepts(parent) for parent in f.parents)]
     others = [f for f in files if f.suffix.lower() in UNKNOWN_ADVICE.keys() - {*DOCUMENT_EXTENSIONS}]
-    return [*(_single_run(f, bag) for f in bags), *map(_unknown_file, others)] or [_unusable(
+    return [*(_make_single_run(f, bag) for f in bags), *map(_reject_unknown_file, others)] or [_make_unusable(
         folder, "no recording is in this folder", "give a folder with .ncom and CAN logs, bags, CSV or VBO files")]
 
 
-def _in_folder(folder: Path) -> list[RunSource]:
+def _search_folder(folder: Path) -> list[RunSource]:
     runs: list[RunSource] = []
     used: set[Path] = set()
     files: list[Path] = []
@@ -97,12 +97,12 @@ def _in_folder(folder: Path) -> list[RunSource]:
         if is_hidden or any(parent in used for parent in path.parents):
             continue
         if path.is_dir():
-            if reader_of(path) is not None:
+            if find_reader(path) is not None:
                 used.add(path)
                 files.append(path)
         elif is_run_file(path):
             described = [run.run_file for run in runs]  # including those of a run.yaml with `each`
-            found = _from_run_file(path)
+            found = _read_run_file_or_problem(path)
             runs += [run for run in found if run.run_file not in described]
             used.update(file for run in found for file in (*run.files, *run.can))
             # The files of an invalid run.yaml are not separate runs, so that one mistake is reported once.
@@ -114,46 +114,46 @@ def _in_folder(folder: Path) -> list[RunSource]:
             files.append(path)
     runs = [run for run in runs if not any({*run.files} < {*other.files} for other in runs)]  # `each` lists its parts
     loose = [path for path in files if path not in used or path.is_dir()]
-    return runs + _from_files([path for path in loose if _may_be_in_a_run(path, files)], given=False)
+    return runs + _group_files([path for path in loose if _may_be_in_a_run(path, files)], given=False)
 
 
 def _may_be_in_a_run(path: Path, files: Sequence[Path]) -> bool:
     """Whether a file in a folder may be a recording or CAN log; False for tables and bags without a drive."""
-    reader = reader_of(path)
+    reader = find_reader(path)
     if reader is None or reader.needs_can:
         return True
     if path.suffix.lower() in TEXT_EXPORTS and not reader.has_drive(path) and any(
-            other.stem == path.stem and other != path and reader_of(other) for other in files):
+            other.stem == path.stem and other != path and find_reader(other) for other in files):
         return False  # an export of the same drive
     return (reader.has_drive(path) or reader.is_ins_only(path) or reader.is_incomplete(path)
-            or (path.suffix.lower() == ".csv" and any(map(is_can_log, logs_of(path, files)))))
+            or (path.suffix.lower() == ".csv" and any(map(is_can_log, find_logs(path, files)))))
 
 
 def _is_document(file: Path) -> bool:
     """Whether a file is a document by its extension, and not a text table with a recording."""
-    reader = reader_of(file)
+    reader = find_reader(file)
     return file.suffix.lower() in DOCUMENT_EXTENSIONS and not (
         reader and (reader.has_drive(file) or reader.is_ins_only(file) or reader.is_incomplete(file)))
 
 
-def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
+def _group_files(files: Sequence[Path], given: bool) -> list[RunSource]:
     """Runs of single files. given: named by the user, so that an unknown file type is a problem."""
-    readers = {f: reader for f in files if (reader := reader_of(f)) is not None}
+    readers = {f: reader for f in files if (reader := find_reader(f)) is not None}
     logs = [f for f in files if f not in readers and f.suffix.lower() in CAN_EXTENSIONS and (given or is_can_log(f))]
-    runs = [_unknown_file(f) for f in files if given and f not in readers and f not in logs]
-    for group in _split_bags([f for f in readers if f.suffix.lower() in BAG_EXTENSIONS and f.is_file()]):
+    runs = [_reject_unknown_file(f) for f in files if given and f not in readers and f not in logs]
+    for group in _group_split_bags([f for f in readers if f.suffix.lower() in BAG_EXTENSIONS and f.is_file()]):
         runs.append(RunSource(group[0].stem.rpartition("_")[0] or group[0].stem, readers[group[0]].kind, tuple(group)))
         readers = {f: reader for f, reader in readers.items() if f not in group}
     without_logs = []
     for file, reader in readers.items():
-        own_logs = logs_of(file, logs)
+        own_logs = find_logs(file, logs)
         # A table with unknown columns and a CAN log of the same stem is also an INS recording.
         if not reader.needs_can and not (logs and reader.is_ins_only(file)) and (
                 reader.kind != "csv" or not own_logs or reader.has_drive(file)):
-            runs.append(_single_run(file, reader))
+            runs.append(_make_single_run(file, reader))
             continue
         if given and not own_logs and not logs and reader.needs_can:
-            own_logs = logs_of(file, sorted(file.parent.iterdir()))
+            own_logs = find_logs(file, sorted(file.parent.iterdir()))
         if own_logs:
             runs.append(RunSource(file.stem, reader.kind, (file,), tuple(own_logs)))
             logs = [f for f in logs if f not in own_logs]
@@ -162,42 +162,43 @@ def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
     if len(without_logs) == 1 and logs:
         file = without_logs[0]
         return [*runs, RunSource(file.stem, readers[file].kind, (file,), tuple(logs))]
-    return [*runs, *_unmatched(without_logs, readers, logs)]
+    return [*runs, *_report_unmatched(without_logs, readers, logs)]
 
 
-def _unknown_file(file: Path) -> RunSource:
+def _reject_unknown_file(file: Path) -> RunSource:
     known = sorted({*CAN_EXTENSIONS, *(e for reader in READERS.values() for e in reader.extensions)})
     advice = UNKNOWN_ADVICE.get(file.suffix.lower(), f"known are {', '.join(known)}, folders of bags, and run.yaml")
-    return _unusable(file, f"the extension {file.suffix or '(none)'} is not that of a recording", advice)
+    return _make_unusable(file, f"the extension {file.suffix or '(none)'} is not that of a recording", advice)
 
 
-def _unmatched(recordings: Sequence[Path], readers: dict[Path, Reader], logs: Sequence[Path]) -> Iterator[RunSource]:
+def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
+                      logs: Sequence[Path]) -> Iterator[RunSource]:
     """Yields entries for INS recordings without CAN logs and CAN logs without an INS recording."""
     for file in recordings:
         if not readers[file].needs_can:
-            yield _single_run(file, readers[file])  # its reader reports what is missing
+            yield _make_single_run(file, readers[file])  # its reader reports what is missing
             continue
         why = "there are several INS recordings and CAN logs" if logs else "no CAN log has the same stem"
         advice = "give them the same name, or list the files of each run in a run.yaml"
         others = [f.name for f in sorted(file.parent.glob(f"{glob.escape(file.stem)}.*")) if f not in recordings]
         if others and not logs:
             advice += f"; if {others[0]} is one, convert it to .asc, .blf, .log (candump), .trc or .mf4"
-        yield _unusable(file, f"no CAN log belongs to it: {why}", advice)
-    for session in dict.fromkeys(session_of(f)[0] for f in logs) if not recordings else ():
-        file = next(f for f in logs if session_of(f)[0] == session)
+        yield _make_unusable(file, f"no CAN log belongs to it: {why}", advice)
+    for session in dict.fromkeys(parse_session(f)[0] for f in logs) if not recordings else ():
+        file = next(f for f in logs if parse_session(f)[0] == session)
         csv = READERS["csv"]
         tables = [f.name for f in sorted(file.parent.iterdir())
                   if csv.accepts(f) and not _is_document(f) and not (csv.has_drive(f) or csv.is_ins_only(f))]
         advice = "give both, or list the files of the run in a run.yaml"
         if tables:
             advice += f"; it can also name unrecognised columns of {tables[0]}, as columns: {{x: NAME, ...}}"
-        yield _unusable(file, "no INS recording (.ncom, CSV, VBO, bag) belongs to this CAN log", advice)
+        yield _make_unusable(file, "no INS recording (.ncom, CSV, VBO, bag) belongs to this CAN log", advice)
 
 
-def _split_bags(files: Sequence[Path]) -> list[list[Path]]:
+def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
     """Groups of bag files drive_0, drive_1, ... in which each file begins where the previous one ends."""
     groups: list[list[Path]] = []
-    for file in sorted(files, key=lambda f: (f.parent, natural_order(f))):
+    for file in sorted(files, key=lambda f: (f.parent, natural_sort_key(f))):
         if groups and _is_continuation(groups[-1][-1], file):
             groups[-1].append(file)
         else:
@@ -209,27 +210,27 @@ def _is_continuation(before: Path, file: Path) -> bool:
     (a, _, first), (b, _, second) = before.stem.rpartition("_"), file.stem.rpartition("_")
     if (before.parent, a, before.suffix) != (file.parent, b, file.suffix) or not (first.isdigit() and second.isdigit()):
         return False
-    earlier, later = time_span(before), time_span(file)
+    earlier, later = read_time_span(before), read_time_span(file)
     return int(second) == int(first) + 1 and earlier is not None and later is not None and (
         abs(later[0] - earlier[1]) * 1e-9 < MAX_SPLIT_GAP)
 
 
-def _single_run(path: Path, reader: Reader) -> RunSource:
+def _make_single_run(path: Path, reader: Reader) -> RunSource:
     return RunSource(path.name if path.is_dir() else path.stem, reader.kind, (path,))
 
 
-def _from_run_file(path: Path) -> list[RunSource]:
+def _read_run_file_or_problem(path: Path) -> list[RunSource]:
     try:
         return read_run_file(path)
     except RunError as error:
         return [RunSource(path.name, "", (path,), problem=error, run_file=path)]
 
 
-def _unusable(path: Path, what: str, advice: str) -> RunSource:
+def _make_unusable(path: Path, what: str, advice: str) -> RunSource:
     return RunSource(path.name, "", (path,), problem=RunError(path, what, advice))
 
 
-def _with_distinct_names(runs: Sequence[RunSource]) -> list[RunSource]:
+def _assign_distinct_names(runs: Sequence[RunSource]) -> list[RunSource]:
     """The runs with distinct names, prefixed by their folder if necessary: results are stored by name."""
     used: set[str] = set()
     named = []

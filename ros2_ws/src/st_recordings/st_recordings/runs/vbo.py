@@ -11,8 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
-from .columns import COLUMNS, ColumnSource, Layout, doubtful_steering, find_columns, normalised, unit_named, with_units
-from .csv_table import DAY, Table, rate_of, read_text, table_of, with_seconds
+from .columns import (
+    COLUMNS,
+    ColumnSource,
+    Layout,
+    apply_units,
+    find_ambiguous_steering,
+    find_columns,
+    find_unit,
+    normalise,
+)
+from .csv_table import DAY, Table, differentiate_yaw, parse_table, read_text, times_to_seconds
 from .errors import RunError, check_readable
 
 _SECTION = re.compile(r"^\[([^\]]*)\][ \t]*\n", re.MULTILINE)
@@ -39,14 +48,14 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     """
     check_readable(file)
     text = read_text(file)
-    sections = _sections(text)
+    sections = _split_sections(text)
     if not {"column names", "data"} <= sections.keys():
         raise RunError(file, "this is not a VBO file: sections [column names] and [data] are missing",
                        "correct its extension")
-    names = _names(sections)
+    names = _read_column_names(sections)
     if len({*re.findall(r"(?mi)^\[column names\]\s*\n(.*)", text)}) > 1:
         raise RunError(file, "it consists of several files with different [column names]", "give them one by one")
-    sources = _sources(file, names, sections, layout)
+    sources = _find_sources(file, names, sections, layout)
     warnings: list[str] = []
     body = re.sub(r"[ \t]+", " ", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", sections["data"]))
     if "," in body and "." not in body:
@@ -54,27 +63,28 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     source = sources.pop("t", None)
     if source is None:
         raise RunError(file, "[column names] has no time", f"it has {', '.join(names)[:200]}")
-    midnight = _midnight(text)
+    midnight = _read_midnight(text)
     if _is_hhmmss(body, source.column):
-        body = with_seconds(body, " ", source.column, lambda cell: _seconds(cell, midnight))
+        body = times_to_seconds(body, " ", source.column, lambda cell: _parse_time(cell, midnight))
     else:
         warnings.append(f"{file}: its times are not HHMMSS; they were read as seconds")
         source = replace(source, stated=False)
-    table = table_of(file, names, body, " ", layout, warnings, {**sources, "t": source})
-    return _with_signs(table)
+    table = parse_table(file, names, body, " ", layout, warnings, {**sources, "t": source})
+    return _correct_signs(table)
 
 
 def lacks_steering(file: Path) -> bool:
     """Whether [column names] has no steering angle, of either kind."""
     try:
-        names = _names(_sections(read_text(file, HEADER_SIZE)))
+        names = _read_column_names(_split_sections(read_text(file, HEADER_SIZE)))
         found = find_columns(file, names, Layout())
     except (RunError, OSError):  # the reader names what is wrong
         return False
-    return bool(names) and not {"road_wheel_angle", "steering_wheel_angle"} & {*found} and not doubtful_steering(names)
+    return bool(names) and not (found.keys() & {"road_wheel_angle", "steering_wheel_angle"}
+                                or find_ambiguous_steering(names))
 
 
-def _sections(text: str) -> dict[str, str]:
+def _split_sections(text: str) -> dict[str, str]:
     """Section -> text. Repeated data sections (joined files) are concatenated; of others the first is used."""
     parts = _SECTION.split(text)
     sections: dict[str, str] = {}
@@ -84,18 +94,18 @@ def _sections(text: str) -> dict[str, str]:
     return sections
 
 
-def _names(sections: dict[str, str]) -> list[str]:
+def _read_column_names(sections: dict[str, str]) -> list[str]:
     return [name.strip('"') for name in re.findall(r'"[^"\n]*"|\S+', sections.get("column names", ""))]
 
 
-def _sources(file: Path, names: list[str], sections: dict[str, str], layout: Layout) -> dict[str, ColumnSource]:
+def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout: Layout) -> dict[str, ColumnSource]:
     """Channels of the columns: the standard ones, then those with the names of CSV columns."""
-    units = _units(names, sections)
+    units = _read_units(names, sections)
     sources = {}
     for channel, source in find_columns(file, names, Layout(layout.columns, {}, layout.source)).items():
-        if normalised(source.name) == "heading" and channel not in layout.columns:
+        if normalise(source.name) == "heading" and channel not in layout.columns:
             continue  # heading, or _heading of a second solution, is the course
-        stated = unit_named(source.kind, units.get(source.name, ""))
+        stated = find_unit(source.kind, units.get(source.name, ""))
         sources[channel] = replace(source, unit=stated or _DEFAULT_UNITS.get(source.kind, source.unit),
                                    stated=stated is not None)
     for number, name in enumerate(names):
@@ -103,16 +113,16 @@ def _sources(file: Path, names: list[str], sections: dict[str, str], layout: Lay
         if first and (standard := _STANDARD_CHANNELS.get(name.lower())) and standard[0] not in layout.columns:
             channel, unit = standard
             kind = COLUMNS[channel].kind
-            sources[channel] = ColumnSource(number, name, kind, unit_named(kind, units.get(name, "")) or unit, True)
-        if normalised(name) in TRUE_HEADING_NAMES:
-            unit = unit_named("angle", units.get(name, "")) or "deg"
+            sources[channel] = ColumnSource(number, name, kind, find_unit(kind, units.get(name, "")) or unit, True)
+        if normalise(name) in TRUE_HEADING_NAMES:
+            unit = find_unit("angle", units.get(name, "")) or "deg"
             sources["compass_heading"] = ColumnSource(number, name, "angle", unit, True)
     if "yaw" in sources and "course" in sources and "yaw" not in layout.columns:
         sources.pop("yaw")
-    return with_units(file, sources, layout)
+    return apply_units(file, sources, layout)
 
 
-def _units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
+def _read_units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
     """Column -> unit, from [channel units], which lists the last columns, and from velocity in [header]."""
     lines = [line.strip() for line in sections.get("channel units", sections.get("units", "")).splitlines()]
     while lines and not lines[-1]:
@@ -124,7 +134,7 @@ def _units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
     return units
 
 
-def _midnight(text: str) -> float:
+def _read_midnight(text: str) -> float:
     """UTC [s] of the start of the day on which the file was created; 0 if it does not state the day."""
     match = _CREATED.search(text[:2000])
     try:
@@ -142,7 +152,7 @@ def _is_hhmmss(body: str, column: int) -> bool:
     return bool(other.sum() <= MAX_DAMAGED_TIMES * len(clock) and not (other[:-2] & other[1:-1] & other[2:]).any())
 
 
-def _seconds(text: str, midnight: float) -> tuple[float, float] | None:
+def _parse_time(text: str, midnight: float) -> tuple[float, float] | None:
     """(UTC [s] of HHMMSS.ss on the day that began at midnight, period of a day); None for an invalid cell."""
     try:
         clock = float(text)
@@ -153,18 +163,18 @@ def _seconds(text: str, midnight: float) -> tuple[float, float] | None:
     return (midnight + seconds, DAY) if is_time else None
 
 
-def _with_signs(table: Table) -> Table:
+def _correct_signs(table: Table) -> Table:
     """The table with longitude east positive, and a yaw rate with the sign of the heading."""
     columns, notes = dict(table.columns), list(table.warnings)
     if "longitude" in columns:
         columns["longitude"] = -columns["longitude"]
     heading = next((columns[name] for name in ("compass_heading", "course") if name in columns), None)
     if heading is not None and columns.keys() >= {"velocity_x", "yaw_rate"}:
-        _compare_yaw_rate(table, columns, rate_of(table, -heading), notes)
+        _correct_yaw_rate(table, columns, differentiate_yaw(table, -heading), notes)
     return replace(table, columns=columns, warnings=tuple(notes))
 
 
-def _compare_yaw_rate(table: Table, columns: dict[str, np.ndarray], derived: np.ndarray, notes: list[str]) -> None:
+def _correct_yaw_rate(table: Table, columns: dict[str, np.ndarray], derived: np.ndarray, notes: list[str]) -> None:
     """Gives the yaw rate the sign of the derivative of the heading, or replaces it by this derivative."""
     both = np.isfinite(columns["yaw_rate"]) & np.isfinite(derived) & (np.abs(columns["velocity_x"]) > 3.0)
     measured, expected = columns["yaw_rate"][both], derived[both]

@@ -12,16 +12,16 @@ from st_core.checks import Finding
 from st_core.vehicle import VehicleParameters
 
 from ..mcap import BagWriter
-from ..results import versions
+from ..results import collect_versions
 from .bag import definitions_folder
-from .cdr import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, typestore
+from .cdr import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, load_typestore
 from .errors import RunError
-from .load import apply_run_file, coverage_warnings, file_hashes
+from .load import apply_run_file, check_coverage, hash_files
 from .ncom import NcomLog
-from .raw import RawRun, alignment_summary, as_drive, read_raw, steering_times
+from .raw import RawRun, build_drive, read_raw, steering_times, summarise_alignment
 from .readers.ncom import read_ins
 from .run_types import LoadedRun, ReadSettings, RunSource
-from .serialiser import Covariances, Messages, Serialiser, in_time_order
+from .serialiser import Covariances, Messages, Serialiser, merge_in_time_order
 
 TOPICS = {"/ins/odometry": ODOMETRY, "/ins/ncom": NCOM, "/vehicle/steering": STEERING,
           "/vehicle/wheel_speeds": WHEEL_SPEEDS, "/can/frames": CAN_FRAMES}
@@ -57,21 +57,21 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
         raise RunError(source.where, f"import writes NCOM packets and CAN frames; this is a run of kind {source.kind}",
                        "evaluate, check, identify and discover read it directly")
     run = read_raw(source, settings, read_ins)
-    drive = apply_run_file(source, as_drive(source, vehicle, settings, run), vehicle)
-    uncovered_time = coverage_warnings(source, drive.log)
+    drive = apply_run_file(source, build_drive(source, vehicle, settings, run), vehicle)
+    uncovered_time = check_coverage(source, drive.log)
     findings = tuple(check(drive))
     try:
-        writer = BagWriter(directory, _metadata_records(source, vehicle, settings, run))
+        writer = BagWriter(directory, _build_metadata_records(source, vehicle, settings, run))
     except OSError as error:
         raise RunError(directory, str(error.strerror or error)) from None
-    store = typestore(definitions_folder())
+    store = load_typestore(definitions_folder())
     ids = {topic: writer.add_topic(topic, name, definition=store.generate_msgdef(name, ros_version=2)[0],
                                    type_hash=store.hash_rihs01(name)) for topic, name in TOPICS.items()}
     blocks = _MessageBlocks(run, vehicle, settings, Serialiser(store))
     counts = dict.fromkeys(TOPICS, 0)
     try:
         for start in range(blocks.start_ns, blocks.end_ns + 1, BLOCK_NS):
-            for time_ns, topic, data in in_time_order(blocks.messages(start, start + BLOCK_NS)):
+            for time_ns, topic, data in merge_in_time_order(blocks.messages(start, start + BLOCK_NS)):
                 writer.write(ids[topic], bytes(data), time_ns)
                 counts[topic] += 1
             if progress is not None:
@@ -97,7 +97,7 @@ class _MessageBlocks:
         self._covariances = Covariances(columns)
         structure_b = columns.navigation_status == 11
         self._packets = np.nonzero(~structure_b)[0]
-        self._packet_ns = _monotonic_times(columns.utc_ns[self._packets], run.ins.time_ns)
+        self._packet_ns = _make_monotonic(columns.utc_ns[self._packets], run.ins.time_ns)
         to_reference = run.alignment.to_reference_ns
         self._frame_ns = to_reference(run.can.frames.time_ns)
         buses = np.unique(run.can.frames.bus).tolist()
@@ -111,29 +111,29 @@ class _MessageBlocks:
 
     def messages(self, start_ns: int, end_ns: int) -> list[Messages]:
         run, serialiser = self._run, self._serialiser
-        parts = [serialiser.odometry(self._ins, _between(run.ins.time_ns, start_ns, end_ns), self._covariances)]
-        rows = _between(self._packet_ns, start_ns, end_ns)
+        parts = [serialiser.odometry(self._ins, _select_between(run.ins.time_ns, start_ns, end_ns), self._covariances)]
+        rows = _select_between(self._packet_ns, start_ns, end_ns)
         parts.append(serialiser.ncom(self._ins.columns.raw[self._packets[rows]], self._packet_ns[rows]))
-        rows = _between(self._steering_ns, start_ns, end_ns)
+        rows = _select_between(self._steering_ns, start_ns, end_ns)
         wheel = self._settings.steering_sign * self._steering.values[rows]
         parts.append(serialiser.steering(self._steering_ns[rows], wheel, self._steering.valid[rows], self._vehicle))
         for wheels in self._wheels:
-            rows = _between(wheels.time_ns, start_ns, end_ns)
+            rows = _select_between(wheels.time_ns, start_ns, end_ns)
             parts.append(Messages(wheels.topic, wheels.type_name, wheels.time_ns[rows], wheels.data,
                                   wheels.edges[rows.start : rows.stop + 1]))
         for bus, of_bus in self._frames:
-            frames = of_bus[_between(self._frame_ns[of_bus], start_ns, end_ns)]
+            frames = of_bus[_select_between(self._frame_ns[of_bus], start_ns, end_ns)]
             if len(frames):
                 parts.append(serialiser.can_frames(run.can.frames.select(frames), self._frame_ns[frames],
                                                    f"log:can{bus}"))
         return [p for p in parts if len(p)]
 
 
-def _between(time_ns: np.ndarray, start_ns: int, end_ns: int) -> slice:
+def _select_between(time_ns: np.ndarray, start_ns: int, end_ns: int) -> slice:
     return slice(*np.searchsorted(time_ns, (start_ns, end_ns)).tolist())
 
 
-def _monotonic_times(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
+def _make_monotonic(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
     """Monotonic times of the packets; a packet without a time near the fixes gets that of the previous one."""
     known = utc_ns != file_decoder.UNKNOWN_TIME
     near = known & (utc_ns >= fix_ns[0] - TIME_MARGIN_NS) & (utc_ns <= fix_ns[-1] + TIME_MARGIN_NS)
@@ -141,9 +141,9 @@ def _monotonic_times(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
     return np.maximum.accumulate(np.where(near, utc_ns, first))
 
 
-def _metadata_records(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings,
-                      run: RawRun) -> dict[str, Any]:
-    alignment = {k: v if isinstance(v, str) else json.dumps(v) for k, v in alignment_summary(run.alignment).items()}
+def _build_metadata_records(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings,
+                            run: RawRun) -> dict[str, Any]:
+    alignment = {k: v if isinstance(v, str) else json.dumps(v) for k, v in summarise_alignment(run.alignment).items()}
     latitude, longitude, altitude = run.ins.origin or (0.0, 0.0, 0.0)
     return {
         "import": {
@@ -156,6 +156,6 @@ def _metadata_records(source: RunSource, vehicle: VehicleParameters, settings: R
             "labels": json.dumps([[entry.name, entry.start, entry.end] for entry in source.labels]),
         },
         "alignment": alignment,
-        "files_sha256": file_hashes((*source.files, *source.can)),
-        "versions": versions(),
+        "files_sha256": hash_files((*source.files, *source.can)),
+        "versions": collect_versions(),
     }

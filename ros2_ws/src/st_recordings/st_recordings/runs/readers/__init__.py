@@ -64,7 +64,7 @@ def register(reader: Reader) -> Reader:
     return reader
 
 
-def reader_of(path: Path, key: str | None = None) -> Reader | None:
+def find_reader(path: Path, key: str | None = None) -> Reader | None:
     """The reader of a file or folder; with a key of a run.yaml, the best match among the readers of that key."""
     candidates = [reader for reader in READERS.values() if key in (None, reader.key)]
     return next((reader for reader in candidates if reader.accepts(path)), candidates[0] if key else None)

@@ -23,13 +23,13 @@ def _register(kind: str, extensions: tuple[str, ...], table_of: Callable[[Path, 
 
     def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
         yaw = source.settings.get("correct", {}).get("yaw", Correction())
-        layout = csv.with_steering(source.settings.get("layout") or Layout(), settings.steering)
-        run = csv.drive_of(_read_joined(source, layout), vehicle, yaw.scale, settings.steering)
+        layout = csv.add_steering_column(source.settings.get("layout") or Layout(), settings.steering)
+        run = csv.build_drive(_read_joined(source, layout), vehicle, yaw.scale, settings.steering)
         return replace(run, log=replace(run.log, name=source.name), labels=source.labels,
                        provenance={"reader": kind, **run.provenance})
 
     def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
-        return csv.ins_of(_read_joined(source, source.settings.get("layout") or Layout()))
+        return csv.build_ins_log(_read_joined(source, source.settings.get("layout") or Layout()))
 
     register(Reader(kind, kind, extensions, read, read_ins, scales_yaw=True, **more))
 
