@@ -14,15 +14,7 @@ from st_core.log import DriveLog
 
 from ..bag_metadata import read_information
 from ..paths import project_root
-from .bag_storage import (
-    EXTENSIONS,
-    Storage,
-    Topic,
-    describe_missing_before,
-    describe_missing_files,
-    open_storage,
-    storage_files,
-)
+from .bag_storage import EXTENSIONS, Storage, Topic, describe_missing_files, open_storage, storage_files
 from .cdr import (
     CAN_FRAMES,
     NCOM,
@@ -144,9 +136,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     elif STEERING not in columns:
         columns[STEERING] = reconstruction.steering()
         topics[STEERING] = reconstruction.topic(CAN_FRAMES).name + RECONSTRUCTED
-    missing_note = describe_missing_files(path) if path.is_dir() else describe_missing_before(path)
-    notes = [missing_note] if missing_note else []
-    notes += _replace_meaningless_stamps(storage, topics, columns)
+    notes = [*describe_missing_files(path), *_replace_meaningless_stamps(storage, topics, columns)]
     log, missing, row_notes = _drive_log(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
     extras = collect_auxiliary_data(storage, all_topics, {t: uniform[t.name] for t in optional if t.name in uniform},

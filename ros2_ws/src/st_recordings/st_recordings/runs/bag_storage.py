@@ -96,19 +96,26 @@ def storage_files(directory: Path) -> list[Path]:
     return sorted(files, key=lambda f: order.get(f.name, -1)) if {f.name for f in files} <= order.keys() else files
 
 
-def describe_missing_files(directory: Path) -> str:
-    """A note on files that metadata.yaml lists but the directory lacks; empty if none is missing."""
-    listed = _read_listed_files(directory)
-    missing = [name for name in listed if not (directory / name).is_file()]
-    if not missing:
-        return ""
-    count = format_share(len(missing), len(listed), "files")
-    return f"{count} listed in metadata.yaml are missing: {', '.join(missing)[:200]}"
+def describe_missing_files(path: Path) -> list[str]:
+    """A note on the missing files of a bag; empty if none is missing.
+
+    Files that metadata.yaml lists can be missing in a bag directory, and earlier files of a numbered recording can be
+    missing beside a single file.
+    """
+    listed = _read_listed_files(path)
+    missing = [name for name in listed if not (path / name).is_file()]
+    if missing:
+        count = format_share(len(missing), len(listed), "files")
+        return [f"{count} listed in metadata.yaml are missing: {', '.join(missing)[:200]}"]
+    return [note] if path.is_file() and (note := _describe_missing_before(path)) else []
 
 
-def describe_missing_before(file: Path) -> str:
-    """A note on files missing before this one in a numbered recording without metadata.yaml (drive_1, drive_3).
-    The time gap must fit missing files as long as their neighbours; else these are separate recordings."""
+def _describe_missing_before(file: Path) -> str:
+    """A note on files missing before this one in a numbered recording (drive_1, drive_3); empty if none is missing.
+
+    Files are only reported as missing if the time gap is about as long as that many neighbouring files. Otherwise the
+    files are separate recordings.
+    """
     stem, _, number = file.stem.rpartition("_")
     numbers = {int(end): other for other in file.parent.iterdir() if other.suffix == file.suffix
                and other.stem.rpartition("_")[0] == stem and (end := other.stem.rpartition("_")[2]).isdigit()}
