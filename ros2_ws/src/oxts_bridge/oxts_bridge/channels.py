@@ -1,6 +1,6 @@
-"""Status channels (byte 62, batch S): table of all fields, decoder and encoder of the 8 bytes.
+"""Layout, decoding and encoding of the NCOM status channels: byte 62 numbers the channel, batch S holds its 8 bytes.
 
-Field names are the vendor's, as in tests/golden/data/ncom; angles are in degrees as the vendor's tools show them.
+Field names are the vendor's, as in tests/golden/data/ncom. Angles are in degrees, as in the vendor's tools.
 Source: NCOM manual 260702 and the behaviour of the vendor's public decoder. Checked by:
 tests/golden/test_ncom_vectors.py (every channel), test_channels.py (round trips).
 """
@@ -16,7 +16,7 @@ from .ncom import NcomError
 from .packet_time import LAST_MINUTE
 
 Value: TypeAlias = Any
-"""Float, int or text depending on the field; None: invalid."""
+"""Float, int or text, depending on the field; None if invalid."""
 
 LONG_RANGE_CHANNEL = 57
 TRIGGER_CHANNELS = {24: "TrigTime", 43: "Trig2Time", 65: "DigitalOutTime", 79: "Trig3Time", 80: "Trig4Time",
@@ -25,36 +25,39 @@ TRIGGER_CHANNELS = {24: "TrigTime", 43: "Trig2Time", 65: "DigitalOutTime", 79: "
 # Batch S with every flag byte valid, for the validity rules while encoding.
 _VALID_FLAGS = bytes(6) + b"\0\x01"
 _F32 = struct.Struct("<f")
-_ALIASES = {"shifted": "i8", "digits6": "i24", "lo4": "bits0+4", "hi4": "bits4+4"}
+_INTEGER_FORMATS = {"shifted": "i8", "digits6": "i24", "lo4": "bits0+4", "hi4": "bits4+4"}
 
 
 @dataclass(frozen=True)
 class Validity:
     """Condition under which a field is valid.
 
-    accepts(raw, data): raw number of the field, the 8 bytes. mark: raw number that encodes an invalid value.
-    flag: index of the validity byte of a group of fields, written as flag_valid or 0xFF.
+    text: the condition in words, for error messages. accepts: tests the field's raw number and the channel's 8 bytes.
+    invalid_raw: raw number written for an invalid value. flag_byte: index of the byte that declares a group of fields
+    valid (its value is then flag_valid) or invalid (0xFF); None if the raw number alone decides.
     """
 
     text: str
     accepts: Callable[[int, bytes], bool]
-    mark: int = -1
-    flag: int | None = None
+    invalid_raw: int = -1
+    flag_byte: int | None = None
     flag_valid: int = 0
 
 
-ALWAYS = Validity("always", lambda raw, data: True, mark=0)
+ALWAYS = Validity("always", lambda raw, data: True, invalid_raw=0)
 
 
 @dataclass(frozen=True)
 class Field:
     """One value of a status channel: physical value = raw number * scale + offset.
 
-    name: the vendor's, else the project's.  at: first byte.  unit: of the physical value.
-    kind: u8 ... u64, i8 ... i32; bits<first>+<count> of the byte (ibits: inverted), lo4, hi4: its halves; f32; shifted:
-    7-bit number above a validity bit; digits6: i24 as text of six digits; text<n>; constant: implied by the channel,
-    value in offset.
-    cyclic: width in bits of a counter that wraps (unwrapped by status.StatusTracker).
+    name: the vendor's, or the project's where the vendor gives none. at: index of the first byte. unit: of the
+    physical value. cyclic: width [bits] of a counter that wraps; status.StatusTracker unwraps it.
+    kind: format of the raw number:
+        u8 to u64, i8 to i32, f32: unsigned or signed integer or float, little-endian
+        bits<first>+<count>, lo4, hi4: bits of one byte, its lower half, its upper half; ibits: inverted bits
+        shifted: signed 7-bit number above a validity bit; digits6: i24, decoded to six digits of text
+        text<n>: n characters; constant: implied by the channel, its value is the offset
     """
 
     name: str
@@ -67,11 +70,12 @@ class Field:
     cyclic: int = 0
 
     def _bit_layout(self) -> tuple[int, int, int, int]:
-        """(shift, mask, flip, sign): the number is ((word >> shift & mask ^ flip) ^ sign) - sign.
+        """(shift, mask, flip, sign) of the raw number: ((word >> shift & mask ^ flip) ^ sign) - sign.
 
-        word: the 8 bytes as one little-endian integer. sign: weight of the sign bit, 0 for unsigned numbers.
+        word: the 8 bytes as one little-endian integer. flip: mask for inverted bits, else 0. sign: weight of the sign
+        bit, 0 for unsigned numbers.
         """
-        kind = _ALIASES.get(self.kind, self.kind)
+        kind = _INTEGER_FORMATS.get(self.kind, self.kind)
         prefix, _, bits = kind.partition("bits")
         if bits:
             first, count = bits.split("+")
@@ -80,16 +84,18 @@ class Field:
         width = int(kind[1:])
         return 8 * self.at, (1 << width) - 1, 0, 1 << width - 1 if kind[0] == "i" else 0
 
-    def decoder(self) -> Callable[[int, bytes], Value]:
-        """Function (8 bytes as little-endian integer, 8 bytes) -> physical value, None if invalid."""
+    def make_decoder(self) -> Callable[[int, bytes], Value]:
+        """A function that decodes the field; None if invalid. Its arguments: the 8 bytes as `word`, and as bytes."""
         at, scale, offset, accepts = self.at, self.scale, self.offset, self.validity.accepts
         if self.kind == "constant":
             return lambda word, data: int(offset)
         if self.kind.startswith("text"):
             end = at + int(self.kind[4:])
-            return lambda word, data: _text(data[at:end])
-        if self.kind == "f32":  # negative = invalid; so is NaN
+            return lambda word, data: _decode_text(data[at:end])
+        if self.kind == "f32":
+            # The comparison also rejects NaN.
             return lambda word, data: value if (value := _F32.unpack_from(data, at)[0]) >= 0 else None
+        # The raw number is computed within each function: a call per field would slow down the decoding of a packet.
         shift, mask, flip, sign = self._bit_layout()
         if self.kind == "digits6":
             return lambda word, data: f"{raw:06d}" if (raw := (word >> shift & mask ^ sign) - sign) >= 0 else None
@@ -102,9 +108,9 @@ class Field:
             raw * scale + offset if accepts(raw := ((word >> shift & mask ^ flip) ^ sign) - sign, data) else None)
 
     def encode(self, buffer: bytearray, value: Value) -> None:
-        """Write a value (None: invalid) into the 8 bytes; encode_channel() writes the flags of groups.
+        """Write a value (None: invalid) into the 8 bytes; encode_channel() writes the flag bytes.
 
-        A scaled quantity is clipped to the range of its format; a count or code out of range raises NcomError.
+        A scaled quantity is clipped to the range of its format. A count or code out of range raises NcomError.
         """
         if self.kind == "constant":
             return
@@ -117,12 +123,12 @@ class Field:
             _F32.pack_into(buffer, self.at, -1.0 if value is None else value)
             return
         shift, mask, flip, _ = self._bit_layout()
-        number = self.validity.mark if value is None else self._raw_number(value)
+        number = self.validity.invalid_raw if value is None else self._to_raw(value)
         others = int.from_bytes(buffer, "little") & ~(mask << shift)
         buffer[:] = (others | (number & mask ^ flip) << shift).to_bytes(8, "little")
 
-    def _raw_number(self, value: float | int | str) -> int:
-        """Raw number that the validity rule accepts, closest to a value."""
+    def _to_raw(self, value: float | int | str) -> int:
+        """The valid raw number closest to a physical value."""
         unscaled = self.scale == 1 and not self.offset
         _, mask, _, sign = self._bit_layout()
         low, high = -sign, mask - sign
@@ -133,50 +139,51 @@ class Field:
         if low <= number <= high and accepts(number, _VALID_FLAGS):
             return number
         if unscaled:
-            raise NcomError(f"{self.name}: {value} does not fit ({low} to {high}, {self.validity.text})")
+            raise NcomError(f"{self.name}: {value} does not fit: {low} to {high} expected, valid: {self.validity.text}")
         while not accepts(number, _VALID_FLAGS):
             number += 1 if number <= 0 else -1
         return number
 
 
-def _text(data: bytes) -> str | None:
-    """Text up to the first zero byte; unprintable bytes as \\xNN, so that a CSV row stays one line."""
+def _decode_text(data: bytes) -> str | None:
+    """Text up to the first zero byte; an unprintable byte becomes \\xNN, because a line break would split a CSV row."""
     return "".join(chr(c) if 32 <= c < 127 else f"\\x{c:02x}" for c in data.split(b"\0")[0]) or None
 
 
 F = Field  # abbreviation in the table
 _FRESH_TEXT = "b6 < 150"
-FRESH = Validity(_FRESH_TEXT, lambda raw, data: data[6] < 150, flag=6)
-B6_ZERO = Validity("b6 = 0", lambda raw, data: data[6] == 0, flag=6)
-B6_NOT_255 = Validity("b6 < 255", lambda raw, data: data[6] < 255, flag=6)
-HIGH_BIT = Validity("bit 7 = 0", lambda raw, data: raw < 0x80, mark=0xFF)
-NOT_NEGATIVE = Validity(">= 0", lambda raw, data: raw >= 0, mark=-1)
-POSITIVE = Validity("> 0", lambda raw, data: raw > 0, mark=0)
-BIT0 = Validity("bit 0 = 1", lambda raw, data: bool(raw & 1), mark=0)
-MINUTE_MS = Validity("< 60000", lambda raw, data: raw < 60000, mark=0xFFFF)
-GPS_MINUTE = Validity(">= 1000", lambda raw, data: raw >= 1000, mark=0)
-OMNISTAR_STATUS = Validity("b4 < 255", lambda raw, data: data[4] < 255, flag=4)
-INVERTED_B6 = Validity("bit 7 of b6 = 0", lambda raw, data: data[6] < 0x80, flag=6, flag_valid=0x7F)
-INVERTED_B7 = Validity("bit 7 of b7 = 0", lambda raw, data: data[7] < 0x80, flag=7, flag_valid=0x7F)
-LONG_RANGE = Validity(f"{_FRESH_TEXT} and b7 > 0", lambda raw, data: data[6] < 150 and data[7] != 0, flag=6)
+FRESH = Validity(_FRESH_TEXT, lambda raw, data: data[6] < 150, flag_byte=6)
+B6_ZERO = Validity("b6 = 0", lambda raw, data: data[6] == 0, flag_byte=6)
+B6_NOT_255 = Validity("b6 < 255", lambda raw, data: data[6] < 255, flag_byte=6)
+HIGH_BIT_CLEAR = Validity("bit 7 = 0", lambda raw, data: raw < 0x80, invalid_raw=0xFF)
+NOT_NEGATIVE = Validity(">= 0", lambda raw, data: raw >= 0, invalid_raw=-1)
+POSITIVE = Validity("> 0", lambda raw, data: raw > 0, invalid_raw=0)
+BIT0_SET = Validity("bit 0 = 1", lambda raw, data: bool(raw & 1), invalid_raw=0)
+WITHIN_MINUTE = Validity("< 60000", lambda raw, data: raw < 60000, invalid_raw=0xFFFF)
+GPS_MINUTE = Validity(">= 1000", lambda raw, data: raw >= 1000, invalid_raw=0)
+OMNISTAR_STATUS = Validity("b4 < 255", lambda raw, data: data[4] < 255, flag_byte=4)
+INVERTED_B6 = Validity("bit 7 of b6 = 0", lambda raw, data: data[6] < 0x80, flag_byte=6, flag_valid=0x7F)
+INVERTED_B7 = Validity("bit 7 of b7 = 0", lambda raw, data: data[7] < 0x80, flag_byte=7, flag_valid=0x7F)
+LONG_RANGE = Validity(f"{_FRESH_TEXT} and b7 > 0", lambda raw, data: data[6] < 150 and data[7] != 0, flag_byte=6)
 
 
-def unless(*marks: int) -> Validity:
-    """Valid unless the number is one of the marks; the first mark is used for encoding."""
-    return Validity(f"not {', '.join(map(str, marks))}", lambda raw, data: raw not in marks, marks[0])
+def unless(*codes: int) -> Validity:
+    """Valid unless the raw number is one of the codes; the first code is written for an invalid value."""
+    return Validity(f"not {', '.join(map(str, codes))}", lambda raw, data: raw not in codes, codes[0])
 
 
-def fresh_unless(*marks: int) -> Validity:
+def fresh_unless(*codes: int) -> Validity:
     """As unless(), and valid only while the age in byte 6 is below 150."""
-    return Validity(f"{_FRESH_TEXT} and not {', '.join(map(str, marks))}",
-                    lambda raw, data: data[6] < 150 and raw not in marks, marks[0])
+    return Validity(f"{_FRESH_TEXT} and not {', '.join(map(str, codes))}",
+                    lambda raw, data: data[6] < 150 and raw not in codes, codes[0])
 
 
 BYTE = unless(0xFF)
 WORD = unless(0xFFFF)
-# Units mark an unknown undulation as 0x8000; the manual prints 0xFFFF (-5 mm), also invalid if HDOP and PDOP are.
+# Units send 0x8000 for an unknown undulation. The manual prints 0xFFFF, but that is also a valid -5 mm: it is taken as
+# unknown only while HDOP and PDOP are invalid too.
 UNDULATION = Validity("not -32768, and not -1 while HDOP and PDOP are invalid",
-                      lambda raw, data: raw != -0x8000 and (raw != -1 or data[2:4] != b"\xff\xff"), mark=-0x8000)
+                      lambda raw, data: raw != -0x8000 and (raw != -1 or data[2:4] != b"\xff\xff"), -0x8000)
 NIBBLE = unless(0xF)
 
 
@@ -191,15 +198,15 @@ def _word(name: str, at: int, unit: str = "1", scale: float = 1, offset: float =
 
 
 def _xyz(names: Iterable[str], kind: str, scale: float, unit: str, validity: Validity) -> list[Field]:
-    """Three consecutive two-byte values from byte 0 on."""
+    """Three consecutive two-byte values, the first at byte 0."""
     return [F(name, kind, 2 * i, unit, scale, 0, validity) for i, name in enumerate(names)]
 
 
-def _lever(prefix: str) -> list[Field]:
+def _lever_arm(prefix: str) -> list[Field]:
     return _xyz([f"{prefix}{axis}" for axis in "XYZ"], "i16", 1e-3, "m", B6_ZERO)
 
 
-def _lever_accuracy(prefix: str) -> list[Field]:
+def _lever_arm_accuracy(prefix: str) -> list[Field]:
     return _xyz([f"{prefix}{axis}Acc" for axis in "XYZ"], "u16", 1e-4, "m", B6_ZERO)
 
 
@@ -208,8 +215,8 @@ def _angles(prefix: str) -> list[Field]:
 
 
 def _innovations(*names: str, first: int = 0) -> list[Field]:
-    """Kalman filter innovations divided by their standard deviation; |value| < 1 is consistent."""
-    return [F(name, "shifted", first + i, "sigma", 0.1, 0, BIT0) for i, name in enumerate(names)]
+    """Kalman filter innovations divided by their standard deviation [1]."""
+    return [F(name, "shifted", first + i, "sigma", 0.1, 0, BIT0_SET) for i, name in enumerate(names)]
 
 
 def _counters(*names: str) -> list[Field]:
@@ -234,16 +241,17 @@ def _nibbles(at: int, low: str, high: str) -> list[Field]:
 
 
 def _trigger(channel: int) -> list[Field]:
-    """Time of the event = minutes * 60 s + ms + fine, in GPS time; see trigger_nanoseconds()."""
+    """GPS time of an event (minutes * 60 s + ms + fine) and its count; see trigger_nanoseconds()."""
     name = TRIGGER_CHANNELS[channel].removesuffix("Time")
     return [F(f"{name}Minutes", "i32", 0, "min", validity=POSITIVE), F(f"{name}Milliseconds", "u16", 4, "ms"),
             F(f"{name}Fine", "i8", 6, "4 us"), F(f"{name}Count", "u8", 7, validity=POSITIVE)]
 
 
 TABLE: dict[int, list[Field]] = {
-    0: [F("GpsMinutes", "i32", 0, "min", validity=GPS_MINUTE), F("GpsNumObs", "u8", 4, validity=HIGH_BIT),
-        F("GpsPosMode", "u8", 5, validity=HIGH_BIT), F("GpsVelMode", "u8", 6, validity=HIGH_BIT),
-        F("GpsAttMode", "u8", 7, validity=HIGH_BIT)],
+    **{channel: _trigger(channel) for channel in TRIGGER_CHANNELS},
+    0: [F("GpsMinutes", "i32", 0, "min", validity=GPS_MINUTE), F("GpsNumObs", "u8", 4, validity=HIGH_BIT_CLEAR),
+        F("GpsPosMode", "u8", 5, validity=HIGH_BIT_CLEAR), F("GpsVelMode", "u8", 6, validity=HIGH_BIT_CLEAR),
+        F("GpsAttMode", "u8", 7, validity=HIGH_BIT_CLEAR)],
     1: _innovations("InnPosX", "InnPosY", "InnPosZ", "InnVelX", "InnVelY", "InnVelZ", "InnPitch", "InnHeading"),
     2: _receiver_counters("GpsPrimary"),
     3: [*_xyz(("NorthAcc", "EastAcc", "AltAcc"), "u16", 1e-3, "m", FRESH), _byte("UmacStatus", 7)],
@@ -258,7 +266,7 @@ TABLE: dict[int, list[Field]] = {
         *_nibbles(7, "GpsExternal.NumGpsL1", "GpsExternal.NumGpsL2")],
     9: [*_xyz(("WxBiasAcc", "WyBiasAcc", "WzBiasAcc"), "u16", degrees(1e-6), "deg/s", FRESH),
         *_nibbles(7, "GpsPrimary.NumGloL1", "GpsPrimary.NumGloL2")],
-    # The manual prints low = L2, high = L1 for channel 10 alone. A misprint: channels 9 and 11 have low = L1.
+    # The manual swaps L1 and L2 in channel 10 alone; this is taken as a misprint.
     10: [*_xyz(("AxBiasAcc", "AyBiasAcc", "AzBiasAcc"), "u16", 1e-5, "m/s^2", FRESH),
          *_nibbles(7, "GpsSecondary.NumGloL1", "GpsSecondary.NumGloL2")],
     11: [*_xyz(("WxSfAcc", "WySfAcc", "WzSfAcc"), "u16", 1e-6, "1", FRESH),
@@ -272,7 +280,7 @@ TABLE: dict[int, list[Field]] = {
     15: [F("AtHAcc", "u16", 0, "deg", degrees(1e-5), 0, FRESH), F("AtPAcc", "u16", 2, "deg", degrees(1e-5), 0, FRESH),
          F("BaseLineLengthAcc", "u16", 4, "m", 1e-4, 0, fresh_unless(0xFFFF)),
          *_nibbles(7, "HeadNumGloAvailable", "HeadNumGloUsed")],
-    16: [*_angles("Imu2Veh"), F("TimeUtcOffset", "shifted", 7, "s", 1, 0, BIT0)],
+    16: [*_angles("Imu2Veh"), F("TimeUtcOffset", "shifted", 7, "s", 1, 0, BIT0_SET)],
     17: _receiver_counters("GpsSecondary"),
     18: [F("ImuChars", "u32", 0), F("ImuPkts", "u16", 4, cyclic=16), F("ImuCharsSkipped", "u16", 6, cyclic=16)],
     19: [F("DevId", "text8", 0)],
@@ -283,17 +291,16 @@ TABLE: dict[int, list[Field]] = {
          _word("ImuLoopTime", 4, "ms"), _word("OpLoopTime", 6, "ms")],
     23: [_word("BnsLag", 0, "ms"), _word("UpTimeCode", 2), _byte("GPSPosReject", 4), _byte("GPSVelReject", 5),
          _byte("GPSAttReject", 6), F("PtpStatus", "u8", 7, validity=POSITIVE)],
-    24: _trigger(24),
     25: [F("OldRefX", "i24", 0, "m", 1.2e-3, 0, unless(-0x800000, 0x7FFFFF)),
          F("OldRefY", "i24", 3, "m", 1.2e-3, 0, unless(-0x800000, 0x7FFFFF)),
          F("OldRefHeading", "i16", 6, "deg", degrees(1e-4), 0, unless(-0x8000))],
-    26: _lever("RemoteLeverArm"),
+    26: _lever_arm("RemoteLeverArm"),
     27: [_byte("HeadQuality", 0), _byte("HeadSearchType", 1), _byte("HeadSearchStatus", 2), _byte("HeadSearchReady", 3),
          _word("HeadSearchInit", 4), _word("HeadSearchNum", 6)],
     28: [_byte("HeadSearchMaster", 0, "PRN", 1, 1), _byte("HeadSearchSlave1", 1, "PRN", 1, 1),
          _byte("HeadSearchSlave2", 2, "PRN", 1, 1), _byte("HeadSearchSlave3", 3, "PRN", 1, 1),
          F("HeadSearchTime", "u16", 4, "s"), F("HeadSearchConstr", "u16", 6)],
-    29: [F(f"Option{name}", "u8", i, validity=HIGH_BIT) for i, name in enumerate(
+    29: [F(f"Option{name}", "u8", i, validity=HIGH_BIT_CLEAR) for i, name in enumerate(
         ("Level", "Vibration", "GpsAcc", "Udp", "Ser1", "Ser2", "Heading", "Heave"))],
     30: [_byte("OsVersion1", 0), _byte("OsVersion2", 1), _byte("OsVersion3", 2),
          F("OsScriptId", "digits6", 3, validity=NOT_NEGATIVE), _word("SerialNumber", 6)],
@@ -304,15 +311,15 @@ TABLE: dict[int, list[Field]] = {
              ("L1DiffEnabled", 5), ("L1L2DiffEnabled", 6)))],
     32: [*_innovations("InnZeroVelX", "InnZeroVelY", "InnZeroVelZ", "InnNoSlipH", "InnHeadingH", "InnWSpeed"),
          *_innovations("InnClockOffset", "InnClockDrift", first=6)],
-    33: _lever("ZeroVelLeverArm"),
-    34: _lever_accuracy("ZeroVelLeverArm"),
-    35: _lever("NoSlipLeverArm"),
-    36: _lever_accuracy("NoSlipLeverArm"),
+    33: _lever_arm("ZeroVelLeverArm"),
+    34: _lever_arm_accuracy("ZeroVelLeverArm"),
+    35: _lever_arm("NoSlipLeverArm"),
+    36: _lever_arm_accuracy("NoSlipLeverArm"),
     37: [F("HeadingMisAlign", "i16", 0, "deg", degrees(1e-4), 0, B6_NOT_255),
          F("HeadingMisAlignAcc", "u16", 2, "deg", degrees(1e-5), 0, B6_NOT_255), _byte("NumSatsUsedPos", 4),
          _byte("NumSatsUsedVel", 5), _byte("NumSatsUsedAtt", 7)],
     38: [_byte("OptionSZVDelay", 0, "s"), _byte("OptionSZVPeriod", 1, "s", 0.1), _word("OptionTopSpeed", 2, "m/s", 0.5),
-         _byte("OptionInitSpeed", 4, "m/s", 0.1), F("OptionSer3", "u8", 5, validity=HIGH_BIT)],
+         _byte("OptionInitSpeed", 4, "m/s", 0.1), F("OptionSer3", "u8", 5, validity=HIGH_BIT_CLEAR)],
     39: [_byte("OptionNSDelay", 0, "s", 0.1), _byte("OptionNSPeriod", 1, "s", 0.02),
          _word("OptionNSAngleStd", 2, "deg", degrees(1e-5)), _byte("OptionNSHAccel", 4, "m/s^2", 0.04),
          _byte("OptionNSVAccel", 5, "m/s^2", 0.04), _byte("OptionNSSpeed", 6, "m/s", 0.1),
@@ -324,15 +331,14 @@ TABLE: dict[int, list[Field]] = {
          *(F(f"WifiIp{i}", "u8", 3 + i, validity=BYTE) for i in (1, 2, 3, 4))],
     42: [_byte("OptionHLDelay", 0, "s"), _byte("OptionHLPeriod", 1, "s", 0.1),
          _word("OptionHLAngleStd", 2, "deg", degrees(1e-5)), _byte("OptionStatDelay", 4, "s"),
-         _byte("OptionStatSpeed", 5, "m/s", 0.01), F("GnssSources", "u8", 6, validity=HIGH_BIT)],
-    43: _trigger(43),
+         _byte("OptionStatSpeed", 5, "m/s", 0.01), F("GnssSources", "u8", 6, validity=HIGH_BIT_CLEAR)],
     44: [_word("WSpeedScale", 0, "pulse/m", 0.1), _word("WSpeedScaleStd", 2, "%", 0.002),
          _byte("OptionWSpeedDelay", 4, "s", 0.1), _byte("OptionWSpeedZVDelay", 5, "s", 0.1),
          _byte("OptionWSpeedNoiseStd", 6, "pulse", 0.1), _byte("WarmupStatus", 7)],
-    45: [F("WSpeedCount", "u32", 0, "pulse"), F("WSpeedMilliseconds", "u16", 4, "ms", validity=MINUTE_MS),
+    45: [F("WSpeedCount", "u32", 0, "pulse"), F("WSpeedMilliseconds", "u16", 4, "ms", validity=WITHIN_MINUTE),
          _byte("WSpeedTimeUnchanged", 6, "s", 0.1), _byte("GadStatus", 7)],
-    46: _lever("WSpeedLeverArm"),
-    47: _lever_accuracy("WSpeedLeverArm"),
+    46: _lever_arm("WSpeedLeverArm"),
+    47: _lever_arm_accuracy("WSpeedLeverArm"),
     48: [F("Undulation", "i16", 0, "m", 5e-3, 0, UNDULATION), _byte("HDOP", 2, "1", 0.1), _byte("PDOP", 3, "1", 0.1),
          _byte("OutputDatum", 5), _byte("DatumEllipsoid", 6), _byte("DatumEarthFrame", 7)],
     49: [_word("OmniStarFreq", 0, "Hz", 1000, 1.52e9), _byte("OmniStarSNR", 2, "dB", 0.2),
@@ -342,7 +348,7 @@ TABLE: dict[int, list[Field]] = {
              "HpNotConverged", "HpKeyInvalid"))),
          F("OmniStarSerial", "u24", 5, validity=unless(0xFFFFFF))],
     50: _counters("CmdChars", "CmdPkts", "CmdCharsSkipped", "CmdErrors"),
-    **{channel: _lever(f"SlipPoint{i}") for i, channel in enumerate((51, 52, 53, 54, 68, 69, 70, 71), 1)},
+    **{channel: _lever_arm(f"SlipPoint{i}") for i, channel in enumerate((51, 52, 53, 54, 68, 69, 70, 71), 1)},
     55: _receiver_status("GpsPrimary"),
     56: _receiver_status("GpsSecondary"),
     57: _xyz(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", LONG_RANGE),  # times b7, see decode_channel()
@@ -363,7 +369,6 @@ TABLE: dict[int, list[Field]] = {
              ("GnssGlonassEnabled", "GnssGalileoEnabled", "RawRngEnabled", "RawDopEnabled", "RawL1Enabled",
               "RawL2Enabled", "RawL5Enabled"))),
          _byte("ProductType", 7)],
-    65: _trigger(65),
     66: [F("RefLat", "i32", 0, "deg", 1e-7, 0, unless(-(1 << 31))),
          F("RefLon", "i32", 4, "deg", 1e-7, 0, unless(-(1 << 31)))],
     67: [F("RefAlt", "i32", 0, "m", 1e-3, 0, unless(-(1 << 31))),
@@ -377,15 +382,12 @@ TABLE: dict[int, list[Field]] = {
     77: [_byte("DiffFormat", 0), _byte("DiffType", 1), _byte("DiffNumStations", 2)],
     78: [F("CanTx", "u16", 0, cyclic=16), F("CanRx", "u16", 2, cyclic=16), _byte("CanTxOkPercent", 4, "%"),
          _byte("CanRxOkPercent", 5, "%"), F("CanErrors", "u8", 6, cyclic=8), F("CanLastError", "u8", 7)],
-    79: _trigger(79),
-    80: _trigger(80),
-    81: _trigger(81),
     85: [F("KitDevId", "u64", 0)],
     87: [F("JerkFiltType", "lo4", 0), F("JerkFiltOrder", "hi4", 0, validity=POSITIVE),
          F("JerkFiltFreq", "f32", 1, "Hz"), F("JerkFiltWindow", "u24", 5, "ms")],
     88: _innovations("InnVerticalSlip"),
-    89: [*_lever("VerticalSlipLeverArm"), F("WifiApStatus", "u8", 7, validity=POSITIVE)],
-    90: [*_lever_accuracy("VerticalSlipLeverArm"), F("WifiRegion", "u8", 7)],
+    89: [*_lever_arm("VerticalSlipLeverArm"), F("WifiApStatus", "u8", 7, validity=POSITIVE)],
+    90: [*_lever_arm_accuracy("VerticalSlipLeverArm"), F("WifiRegion", "u8", 7)],
     91: [F("PitchMisalign", "i16", 0, "deg", degrees(1e-4), 0, B6_ZERO),
          F("PitchMisalignAcc", "u16", 2, "deg", degrees(1e-5), 0, B6_ZERO)],
     93: [*_nibbles(1, "NumGalUsedInPos", "NumBdsUsedInPos"), F("NmeaEnabled", "lo4", 2), F("PtpEpoch", "hi4", 2),
@@ -399,35 +401,33 @@ TABLE: dict[int, list[Field]] = {
          *_nibbles(5, "GpsExternal.NumBdsB1", "GpsExternal.NumBdsB2"), *_nibbles(6, "DiffNumGalE1", "DiffNumGalE5"),
          *_nibbles(7, "DiffNumBdsB1", "DiffNumBdsB2")],
     95: [F("GadStreamId", "u8", 0, validity=POSITIVE), _byte("GadRejected", 1),
-         *_innovations("GadInn1", "GadInn2", "GadInn3", first=2), F("GadTime", "u16", 5, "s", 1e-3, 0, MINUTE_MS)],
+         *_innovations("GadInn1", "GadInn2", "GadInn3", first=2), F("GadTime", "u16", 5, "s", 1e-3, 0, WITHIN_MINUTE)],
 }
 
-FIELDS: dict[int, dict[str, Field]] = {
-    channel: {field.name: field for field in fields} for channel, fields in TABLE.items()
-}
-_DECODERS = {channel: tuple((field.name, field.decoder()) for field in fields) for channel, fields in TABLE.items()}
+FIELDS: dict[int, dict[str, Field]] = {channel: {f.name: f for f in fields} for channel, fields in TABLE.items()}
+_DECODERS = {channel: tuple((f.name, f.make_decoder()) for f in fields) for channel, fields in TABLE.items()}
 _TRIGGER = struct.Struct("<iHbB")
 UTC_CHANNEL = 16
-_DECODE_UTC_OFFSET = FIELDS[UTC_CHANNEL]["TimeUtcOffset"].decoder()
+_DECODE_UTC_OFFSET = FIELDS[UTC_CHANNEL]["TimeUtcOffset"].make_decoder()
 
 
 def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
-    """Fields of a channel by name, in the units of the table; None: invalid. Empty for an unknown channel.
+    """Values of a channel by field name, in the units of the table; None: invalid. Empty for an unknown channel.
 
-    Cyclic counters are as sent: status.StatusTracker unwraps them and adds derived values.
+    Cyclic counters are as sent; status.StatusTracker unwraps them and adds derived values.
     """
     word = int.from_bytes(data, "little")
     values = {name: decode(word, data) for name, decode in _DECODERS.get(channel, ())}
-    # Factor 0xFF: the numbers are saturated and have no factor.
+    # Byte 7 is the factor of all three lengths; 0xFF means that they are saturated and have no factor.
     if channel == LONG_RANGE_CHANNEL and values["GAPx"] is not None and data[7] != 0xFF:
         values = {name: value * data[7] for name, value in values.items()}
     return values
 
 
 def trigger_nanoseconds(data: bytes) -> int | None:
-    """GPS time of an event [ns since 1980-01-06] from the 8 bytes of a trigger channel, resolution 4 us.
+    """GPS time of an event [ns since 1980-01-06, in steps of 4 us] from the 8 bytes of a trigger channel.
 
-    None: no event yet.
+    None if no event has occurred yet.
     """
     minutes, milliseconds, fine, count = _TRIGGER.unpack(data)
     if not 0 < minutes <= LAST_MINUTE or not count:
@@ -442,10 +442,10 @@ def utc_offset(data: bytes) -> int | None:
 
 
 def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
-    """The 8 bytes of a channel; a missing field, None or NaN is encoded as invalid (0 in fields without such a code).
+    """The 8 bytes of a channel.
 
-    decode_channel(n, encode_channel(n, v)) equals v within the resolution of each field. Raises NcomError for an
-    unknown channel or field, a value out of range, and an incomplete group of values that share a validity byte.
+    A missing field, None or NaN is encoded as invalid, or as 0 where the format has no code for it. Raises NcomError
+    for an unknown channel or field, a value out of range, and an incomplete group of fields with one flag byte.
     """
     fields = FIELDS.get(channel)
     if fields is None:
@@ -459,18 +459,18 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
     buffer = bytearray(b"\xff" * 8)
     groups: dict[int, list[Field]] = {}
     for field in fields.values():
-        if field.validity.flag is not None:
-            groups.setdefault(field.validity.flag, []).append(field)
+        if field.validity.flag_byte is not None:
+            groups.setdefault(field.validity.flag_byte, []).append(field)
     for flag, group in groups.items():
         is_set = [values.get(field.name) is not None for field in group]
         if any(is_set) and not all(is_set):
-            raise NcomError(f"channel {channel}: {', '.join(f.name for f in group)} are valid together or not at all")
+            raise NcomError(f"channel {channel}: give all or none of {', '.join(f.name for f in group)}")
         buffer[flag] = group[0].validity.flag_valid if any(is_set) else 0xFF
     if any(f.validity.text.startswith(_FRESH_TEXT) and values.get(f.name) is not None for f in fields.values()):
         buffer[6] = 0
     for name, field in fields.items():
         value = values.get(name)
-        if value is not None or field.validity.flag is None:
+        if value is not None or field.validity.flag_byte is None:
             field.encode(buffer, value)
     return bytes(buffer)
 
@@ -478,12 +478,12 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
 def _encode_long_range(values: Mapping[str, Value]) -> bytes:
     lengths: list[Value] = [values.get(name) for name in ("GAPx", "GAPy", "GAPz")]
     if all(length is None for length in lengths):
-        return b"\xff" * 6 + b"\xff\x00"
+        return b"\xff" * 7 + b"\0"
     if any(length is None for length in lengths):
-        raise NcomError("channel 57: GAPx, GAPy, GAPz are valid together or not at all")
+        raise NcomError("channel 57: give all or none of GAPx, GAPy, GAPz")
     factor = max(1, -(-max(abs(round(length * 1000)) for length in lengths) // 0x7FFF))
     if factor > 0xFE:
-        raise NcomError(f"channel 57: a lever arm of {max(map(abs, lengths))} m does not fit; at most 8322 m")
+        raise NcomError(f"channel 57: a lever arm of {max(map(abs, lengths))} m exceeds the largest possible, 8322 m")
     buffer = bytearray(b"\0" * 7 + bytes([factor]))
     for field, length in zip(TABLE[LONG_RANGE_CHANNEL], lengths, strict=True):
         field.encode(buffer, length / factor)

@@ -1,7 +1,7 @@
-"""A whole NCOM file as numpy columns: the same packets, times and counts as stream.NcomParser, 30 times as fast.
+"""Decodes a whole NCOM file into numpy columns, 30 times as fast as stream.NcomParser and with equal results.
 
-Runs of regular packets are decoded in columns; faults are handled by the functions of the parser: next_packet()
-searches for the next packet, GpsClock tracks the time. tests/golden and test_stream.py compare both decoders.
+Uninterrupted runs of packets are decoded together; after a fault, next_packet() finds the next packet and GpsClock
+its time, as in the parser. Checked by: tests/golden and test_stream.py, which compare both decoders.
 """
 
 from collections import deque
@@ -16,14 +16,14 @@ from .channels import FIELDS, TRIGGER_CHANNELS, UTC_CHANNEL, trigger_nanoseconds
 from .ncom import BATCH_S, BY_STATUS, PACKET_SIZE, Counters, NcomError, is_valid_position, next_packet
 
 CAPTURE_MARKS = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\n\r\r\n")
-"""First bytes of a network capture: pcap in either byte order, with us or ns, and pcapng."""
+"""First bytes of a network capture: pcap in either byte order with times in us or ns, and pcapng."""
 KINDS = ("empty", "regular", "status", "trigger")
 EMPTY, REGULAR, STATUS, TRIGGER = range(4)
 UNKNOWN_TIME = np.iinfo(np.int64).min
 
-# Packets per step: few right after a fault, then growing, so that a clean file takes a few large steps.
+# Packets decoded at once: few after a fault, then four times as many at each step.
 _FIRST_ROWS, _MAX_ROWS = 64, 1 << 16
-# Packets timed one by one after a fault, before the times of a whole column are computed again.
+# After a fault, this many packets are timed one by one before times are computed in columns again.
 _SINGLE_STEPS = 16
 
 _FIELDS = np.dtype({
@@ -33,7 +33,7 @@ _FIELDS = np.dtype({
                 ncom.CHANNEL_AT, ncom.BATCH_S_AT),
     "itemsize": PACKET_SIZE})
 
-# Rules by navigation status, and properties of the channels.
+# The rules as arrays, indexed by navigation status.
 _KIND = np.array([KINDS.index(rule.kind) for rule in BY_STATUS], np.int8)
 _HAS_TIME, _HAS_IMU, _HAS_STATUS, _IS_KNOWN = (
     np.array([getattr(rule, part) for rule in BY_STATUS]) for part in ("time", "imu", "status", "known"))
@@ -50,12 +50,12 @@ _UTC_OFFSET = np.array([
 class Columns:
     """One entry per accepted packet, in file order; structure B packets are included as EMPTY.
 
-    offset: byte position.  raw: (n, 72) uint8.  kind: index into KINDS.  order: as stream.Received.order.
-    gps_ns: since 1980-01-06, utc_ns: since 1970, UNKNOWN_TIME where unknown.  milliseconds, navigation_status,
-    channel: as sent. acceleration: specific force, gravity included (z about -9.81 at rest) [m/s^2], angular_rate
-    [rad/s]: (3, n), vehicle FRD.  latitude, longitude [rad], altitude [m] as sent.  velocity_ned: (3, n) [m/s].
-    heading: clockwise from true north, pitch: nose up +, roll: right side down + [rad].  NaN = invalid.
-    approximate: navigation before the first fix.  has_status: batch S is valid.
+    offset: byte position in the file.  raw: (n, 72) uint8.  kind: index into KINDS.  order: as in stream.Received.
+    gps_ns: [ns since 1980-01-06], utc_ns: [ns since 1970], UNKNOWN_TIME where unknown.  milliseconds,
+    navigation_status, channel: as sent.  acceleration: (3, n), specific force (z about -9.81 at rest) [m/s^2],
+    angular_rate: (3, n) [rad/s], both in vehicle axes FRD.  latitude, longitude [rad], altitude [m]: as sent.
+    velocity_ned: (3, n) [m/s].  heading: clockwise from true north, pitch: nose up +, roll: right side down + [rad].
+    NaN = invalid.  approximate: true for navigation values sent before the first fix.  has_status: batch S is valid.
     """
 
     offset: np.ndarray
@@ -92,7 +92,7 @@ class Columns:
 def decode_file(source: str | Path | bytes) -> Columns:
     """Columns of an NCOM file, given as a path or as its bytes.
 
-    Raises NcomError, naming the file and its content, if it contains no packet; OSError if it cannot be read.
+    Raises NcomError if it contains no packet, OSError if it cannot be read.
     """
     if isinstance(source, str | Path):
         data, name = Path(source).read_bytes(), str(source)
@@ -106,7 +106,7 @@ def decode_file(source: str | Path | bytes) -> Columns:
 
 
 def _find_packets(data: bytes, counters: Counters) -> np.ndarray:
-    """Byte offsets of all packets; fills packets, checksum_errors and skipped_bytes of the counters."""
+    """Byte offsets of all packets; counts packets, checksum_errors and skipped_bytes."""
     bytes_ = np.frombuffer(data, np.uint8)
     found: list[np.ndarray] = []
     at, size, rows = 0, len(data), _FIRST_ROWS
@@ -121,7 +121,7 @@ def _find_packets(data: bytes, counters: Counters) -> np.ndarray:
         rows = min(_MAX_ROWS, 4 * rows)
         if run < count:
             at, rows = next_packet(data, at, True, counters)[0], _FIRST_ROWS
-    next_packet(data, at, True, counters)  # counts the bytes after the last packet
+    next_packet(data, at, True, counters)  # only to count the bytes after the last packet
     offset = np.concatenate(found) if found else np.empty(0, np.int64)
     counters.packets = len(offset)
     return offset
@@ -133,7 +133,7 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     status, channel = packets["status"].copy(), packets["channel"].copy()
     kind, gps_ns, order, jumps = _times(raw, packets)
     heading, pitch, roll = _i24(raw, ncom.ANGLES_AT, ncom.ANGLE_UNIT)
-    with np.errstate(invalid="ignore"):  # private or empty packets may hold signalling NaN
+    with np.errstate(invalid="ignore"):  # structure B and empty packets may contain a signalling NaN
         altitude = packets["altitude"].astype(np.float64)
     columns = Columns(
         offset=offset,
@@ -165,7 +165,7 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
 
 
 def _rows(data: bytes, offset: np.ndarray) -> np.ndarray:
-    """(n, 72) bytes; a view of the data if the packets are contiguous."""
+    """The packets as (n, 72) bytes, without a copy if they are contiguous."""
     bytes_ = np.frombuffer(data, np.uint8)
     breaks = np.flatnonzero(np.diff(offset) != PACKET_SIZE) + 1
     starts, ends = [0, *breaks], [*breaks, len(offset)]
@@ -174,7 +174,7 @@ def _rows(data: bytes, offset: np.ndarray) -> np.ndarray:
 
 
 def _i24(raw: np.ndarray, at: int, unit: float) -> np.ndarray:
-    """(3, n) physical values of three consecutive i24, each read as the upper 24 bits of an i32."""
+    """Physical values (3, n) of three consecutive i24; each is read as the upper 24 bits of an i32."""
     number = np.ndarray((3, len(raw)), "<i4", raw.reshape(-1).data, at - 1, (3, PACKET_SIZE)) >> 8
     values = number * unit
     values[number == ncom.INVALID_I24] = np.nan
@@ -211,14 +211,14 @@ def _times(raw: np.ndarray, packets: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 def packet_times(ms: np.ndarray, minutes: np.ndarray,
                  hints: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray, int]:
-    """GPS time [ms] (-1 unknown) and order (NEW, SAME, LATE) of the timed packets of a file, and the number of jumps.
+    """GPS time [ms] (-1 unknown) and order (NEW, SAME, LATE) of packets, and the number of time jumps.
 
-    Equal to the times of a GpsClock that is stepped through all of them. Once the clock has settled, packet times
-    follow from counting minute rollovers, up to the next late packet or a transmitted minute that differs from the
-    count; from there the clock is stepped again.
+    The results are those of a GpsClock stepped through all packets. Once the clock has settled, times follow from
+    counting minute rollovers up to the next late packet or the next transmitted minute that differs from the count;
+    from there the clock is stepped again.
 
-    ms, minutes: of each packet, minutes -1 where it has no channel 0. hints: (index of the packet before which it
-    was sent, minute) of status-only packets.
+    ms: milliseconds of the minute. minutes: GPS minute sent with the packet, -1 if none. hints: (index, minute) for
+    each status-only packet that sent a minute; index: number of timed packets before it.
     """
     step = np.diff(ms, prepend=ms[:1])
     ahead = step % packet_time.MINUTE_MS
@@ -253,7 +253,7 @@ def packet_times(ms: np.ndarray, minutes: np.ndarray,
 def _utc_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray, gps_ns: np.ndarray) -> np.ndarray:
     """UTC [ns since 1970] of each packet.
 
-    An offset that the unit sends applies from that packet on; before the first, the leap-second table is used.
+    UTC - GPS as sent by the unit applies from that packet on; before the first one, the leap-second table is used.
     """
     known = gps_ns != UNKNOWN_TIME
     offset = -at_all_gps(np.where(known, gps_ns // 1_000_000_000, 0))
@@ -282,7 +282,7 @@ def _fill_counters(columns: Columns) -> None:
 
 
 def _mask_invalid(columns: Columns) -> None:
-    """Set NaN where the navigation status declares values invalid, and for impossible positions."""
+    """Replace values that the navigation status declares invalid, and impossible positions, by NaN."""
     status, usable = columns.navigation_status, columns.kind != EMPTY
     columns.approximate &= usable
     no_imu = ~(_HAS_IMU[status] & usable)
@@ -304,17 +304,17 @@ def _mask_invalid(columns: Columns) -> None:
 
 def _no_packet_message(name: str, data: bytes) -> str:
     if not data:
-        return f"{name}: empty file, contains no NCOM packet"
+        return f"{name}: the file is empty"
     head = data[:4]
-    capture = "a network capture without whole NCOM packets: record all bytes of UDP port 3000 (tcpdump -s 0)"
+    capture = "a network capture without complete NCOM packets: record whole datagrams of port 3000 (tcpdump -s 0)"
     content = {
         **dict.fromkeys(CAPTURE_MARKS, capture),
-        b"OggS": "an Ogg container (an .xcom file? export NCOM from it first)",
+        b"OggS": "an Ogg container (if it is an .xcom file, export NCOM from it first)",
         b"\x7fELF": "an executable",
         b"PK\x03\x04": "a zip archive",
         b"MDF ": "an MDF log",
     }.get(head)
     if content is None:
         printable = sum(32 <= c < 127 or c in b"\t\r\n" for c in data[:512])
-        content = "text" if printable > 0.95 * len(data[:512]) else f"of unknown format (first bytes {head.hex(' ')})"
+        content = "text" if printable > 0.95 * len(data[:512]) else f"of unknown format (it starts with {head.hex(' ')})"
     return f"{name}: no NCOM packet in {len(data)} bytes (one packet is {PACKET_SIZE} bytes); the file is {content}"

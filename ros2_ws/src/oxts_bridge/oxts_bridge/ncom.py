@@ -1,16 +1,15 @@
-"""NCOM packets of structure A (72 bytes, little-endian): physical values, navigation statuses, GNSS modes, and the
-search for packets in a byte stream.
+"""Decodes and encodes NCOM packets of structure A (72 bytes, little-endian) and finds them in a byte stream.
 
     byte  0      sync 0xE7
           1-2    u16 milliseconds into the GPS minute
-          3-20   6 x i24: acceleration x, y, z [1e-4 m/s^2], angular rate x, y, z [1e-5 rad/s]     (vehicle axes, FRD)
+          3-20   6 x i24: acceleration x, y, z [1e-4 m/s^2], angular rate x, y, z [1e-5 rad/s], vehicle axes (FRD)
           21     navigation status          22  checksum 1 over 1..21
           23-38  f64 latitude, longitude [rad]   39-42 f32 altitude [m]
           43-60  6 x i24: velocity north, east, down [1e-4 m/s], heading, pitch, roll [1e-6 rad]
           61     checksum 2 over 1..60      62  status channel      63-70  batch S      71  checksum 3 over 1..70
 
-An i24 of -8388608 means "invalid" and is NaN here. Source: NCOM manual 260702; checked by
-tests/golden/test_ncom_vectors.py.
+An i24 of -8388608 means "invalid" and is decoded as NaN. Source: NCOM manual 260702.
+Checked by: tests/golden/test_ncom_vectors.py.
 """
 
 import math
@@ -25,7 +24,7 @@ PACKET_SIZE = 72
 STRUCTURE_B = 11
 _SYNC = bytes([SYNC])
 
-# First bytes of the fields, as in _LAYOUT below. Each checksum is the sum of all bytes between the sync and itself.
+# Index of the first byte of each field. Each checksum is the sum of all bytes between the sync byte and itself.
 MILLISECONDS_AT, ACCELERATION_AT, ANGULAR_RATE_AT, STATUS_AT, CHECKSUM_1_AT = 1, 3, 12, 21, 22
 LATITUDE_AT, LONGITUDE_AT, ALTITUDE_AT = 23, 31, 39
 VELOCITY_AT, ANGLES_AT, CHECKSUM_2_AT = 43, 52, 61
@@ -37,8 +36,8 @@ ANGULAR_RATE_UNIT = 1e-5
 VELOCITY_UNIT = 1e-4
 ANGLE_UNIT = 1e-6
 
-# WGS84, the ellipsoid of latitude and longitude [m, 1].
-SEMI_MAJOR_AXIS = 6_378_137.0
+# WGS84, the reference ellipsoid of latitude and longitude.
+SEMI_MAJOR_AXIS = 6_378_137.0  # m
 FLATTENING = 1 / 298.257223563
 ECCENTRICITY_SQUARED = FLATTENING * (2 - FLATTENING)
 
@@ -55,9 +54,10 @@ class NcomError(ValueError):
 class Rule(NamedTuple):
     """Parts of a packet that are valid at a navigation status (byte 21).
 
-    time: bytes 1-2 belong to the series of packet times.  imu: batch A.  navigation: position, velocity, angles:
-    "none", "valid", or "approximate" (before the first fix, not published).  status: batch S.  kind: regular, status,
-    trigger (an event, timed by batch S), empty.  known: defined by the manual.
+    time: bytes 1-2 are the time of the measurement. imu: acceleration and angular rate are valid. navigation: validity
+    of position, velocity and angles: "none", "valid", or "approximate" (before the first fix, not published). status:
+    batch S is valid. kind: "regular", "status", "trigger" (an event whose time is in batch S) or "empty". known: the
+    manual defines this status.
     """
 
     text: str
@@ -86,11 +86,11 @@ RULES: dict[int, Rule] = {
     22: Rule("trigger while locked", False, True, "valid", True, "trigger"),
 }
 BY_STATUS: tuple[Rule, ...] = tuple(RULES.get(n, Rule(f"reserved ({n})", known=False)) for n in range(256))
-# Statuses in which channel 0 sets the GPS minute. Status-only packets are included because files start with them; not
-# status 1 (raw IMU), because the unit's clock is not set yet.
+# Statuses in which channel 0 sets the GPS minute. Status-only packets are included because files start with them, raw
+# IMU (status 1) is excluded because the unit's clock is not set yet.
 MINUTE_STATUSES = frozenset((INITIALISING, LOCKING, LOCKED, STATUS_ONLY))
 
-# Position, velocity and orientation modes of GNSS.
+# Names of the GNSS modes, numbered from 0, for position, velocity and orientation.
 _SOLUTIONS = ("Doppler", "SPS", "differential", "float", "integer")
 MODES = dict(enumerate((
     "none", "search", "Doppler", "SPS", "differential", "RTK float", "RTK integer", "SBAS", "OmniSTAR VBS",
@@ -98,13 +98,14 @@ MODES = dict(enumerate((
     "not recognised", *(f"gx {name}" for name in _SOLUTIONS), *(f"ix {name}" for name in _SOLUTIONS),
     "PPP converging", "PPP", "unknown")))
 
-NO_FIX, FIX, SBAS_FIX, GBAS_FIX = -1, 0, 1, 2
+NO_FIX, FIX, SBAS_FIX, GBAS_FIX = -1, 0, 1, 2  # sensor_msgs/NavSatStatus
 _FIX_STATUS = {
     **dict.fromkeys((3, 13, 21, 26), FIX),
     **dict.fromkeys((7, 8, 9, 17, 18, 30, 31), SBAS_FIX),
     **dict.fromkeys((4, 5, 6, 14, 15, 16, 22, 23, 24, 27, 28, 29), GBAS_FIX),
 }
-_MODE_RANKS = {mode: rank for rank, mode in enumerate((0, 1, 2, 3, 7, 4, 5, 6))}
+# Live modes in ascending order of accuracy; SBAS (7) lies between SPS (3) and differential (4).
+_MODES_BY_ACCURACY = (0, 1, 2, 3, 7, 4, 5, 6)
 
 
 def mode_text(mode: int | None) -> str:
@@ -113,28 +114,27 @@ def mode_text(mode: int | None) -> str:
 
 
 def mode_rank(mode: int | None) -> int:
-    """Rank of a live GNSS mode, from none (0) to RTK integer (7); -1 for other modes, which have no order."""
-    return -1 if mode is None else _MODE_RANKS.get(mode, -1)
+    """Accuracy rank of a live GNSS mode, 0 (none) to 7 (RTK integer); -1 for any other mode and for None."""
+    return _MODES_BY_ACCURACY.index(mode) if mode in _MODES_BY_ACCURACY else -1
 
 
 def fix_status(mode: int | None) -> int:
-    """NavSatStatus.status of a position mode. NO_FIX for None and undefined numbers."""
+    """NavSatStatus.status for a position mode; NO_FIX for None and undefined numbers."""
     return NO_FIX if mode is None else _FIX_STATUS.get(mode, NO_FIX)
 
 
 @dataclass(slots=True)
 class Packet:
-    """Values of one packet in the frames of the wire: navigation NED, vehicle FRD (x forward, y right, z down).
-    NaN = invalid.
+    """Values of one packet in the transmitted axes: NED, and FRD of the vehicle (forward, right, down). NaN = invalid.
 
-    milliseconds: into the GPS minute, 0..59999; larger numbers are kept as sent and give no time.
-    acceleration: specific force x, y, z [m/s^2], about -9.81 on z at rest, |a| <= 838.8607.
-    angular_rate: x, y, z [rad/s] relative to inertial space, |w| <= 83.88607.
+    milliseconds: into the GPS minute, 0..59999; a larger number is kept, but gives no time.
+    acceleration: specific force x, y, z [m/s^2], z about -9.81 at rest; each at most 838.8607.
+    angular_rate: x, y, z [rad/s] relative to inertial space; each at most 83.88607.
     navigation_status: 0..255, see RULES.
     latitude, longitude: geodetic [rad].  altitude: [m], above the geoid unless the unit is configured otherwise.
-    velocity_ned: north, east, down [m/s], |v| <= 838.8607.
-    heading: from true north clockwise [rad], pitch: nose up + [rad], roll: right side down + [rad].
-    channel: number of the status channel in batch_s; batch_s: its 8 bytes, see channels.py.
+    velocity_ned: north, east, down [m/s]; each at most 838.8607.
+    heading: clockwise from true north [rad].  pitch: nose up + [rad].  roll: right side down + [rad].
+    channel: number of the status channel.  batch_s: the 8 bytes of this channel, see channels.py.
     """
 
     milliseconds: int = 0
@@ -165,10 +165,10 @@ def decode(data: bytes) -> Packet:
 
 
 def decode_unchecked(data: bytes) -> Packet:
-    """As decode(), without its checks."""
+    """Physical values of 72 bytes already known to be a structure A packet."""
     (ms, x0, x1, y0, y1, z0, z1, p0, p1, q0, q1, r0, r1, status, latitude, longitude, altitude,
      n0, n1, e0, e1, d0, d1, h0, h1, t0, t1, l0, l1, channel, batch_s) = _LAYOUT.unpack(data)
-    # Written out because this runs for every packet: a call per component would double its time.
+    # Written out because this runs for every packet: a call per component would double the time.
     return Packet(
         ms,
         (
@@ -199,14 +199,14 @@ def decode_unchecked(data: bytes) -> Packet:
 
 
 def encode(packet: Packet) -> bytes:
-    """The 72 bytes of a packet, checksums filled. encode(decode(p)) == p if the checksums are correct.
+    """The 72 bytes of a packet with its checksums.
 
-    Values are rounded to the wire's unit (half to even) and limited to +/- 8388607 units; NaN becomes the invalid mark.
-    Angles are written as given: keep the heading within +/- pi, as units do. Raises NcomError for a batch_s that is not
-    8 bytes or an integer field outside its range.
+    Values are rounded (half to even) to the unit of their field and limited to +/- 8388607 units; NaN becomes
+    INVALID_I24. Angles are not wrapped: keep the heading within +/- pi, as units do. Raises NcomError for structure B,
+    a batch_s that is not 8 bytes, or an integer field outside its range.
     """
     if len(packet.batch_s) != 8:
-        raise NcomError(f"batch_s has {len(packet.batch_s)} bytes, must have 8")
+        raise NcomError(f"batch_s must have 8 bytes, not {len(packet.batch_s)}")
     if packet.navigation_status == STRUCTURE_B:
         raise NcomError("structure B packets (navigation status 11) cannot be encoded")
     angles = (packet.heading, packet.pitch, packet.roll)
@@ -217,7 +217,7 @@ def encode(packet: Packet) -> bytes:
             packet.milliseconds, *imu, packet.navigation_status, packet.latitude, packet.longitude, packet.altitude,
             *navigation, packet.channel, packet.batch_s))
     except (struct.error, OverflowError) as error:
-        raise NcomError(f"packet does not fit the wire: {error}") from None
+        raise NcomError(f"a value is outside the range of its field: {error}") from None
     data[0] = SYNC
     for at in (CHECKSUM_1_AT, CHECKSUM_2_AT, CHECKSUM_3_AT):
         data[at] = sum(data[1:at]) & 0xFF
@@ -237,7 +237,7 @@ def radii(latitude: float) -> tuple[float, float]:
 
 
 def inner_checksums_match(data: bytes) -> bool:
-    """Whether checksums 1 and 2 are correct; the parser counts wrong ones but accepts the packet."""
+    """Whether checksums 1 and 2 are correct."""
     first = sum(data[1:CHECKSUM_1_AT])
     second = first + sum(data[CHECKSUM_1_AT:CHECKSUM_2_AT])
     return first & 0xFF == data[CHECKSUM_1_AT] and second & 0xFF == data[CHECKSUM_2_AT]
@@ -245,12 +245,12 @@ def inner_checksums_match(data: bytes) -> bool:
 
 @dataclass
 class Counters:
-    """Counts over all bytes since the start of the stream."""
+    """Counts since the start of the stream."""
 
     packets: int = 0
-    checksum_errors: int = 0  # final checksum wrong where a packet was expected
+    checksum_errors: int = 0  # checksum 3 is wrong where a packet was expected
     skipped_bytes: int = 0  # not part of a packet
-    inner_checksum_warnings: int = 0  # checksum 1 or 2 wrong, final one right: accepted, as the vendor's tools do
+    inner_checksum_warnings: int = 0  # checksum 1 or 2 is wrong, 3 is correct: accepted, as by the vendor's tools
     late: int = 0
     duplicates: int = 0
     unknown_statuses: int = 0  # reserved navigation status: ignored
@@ -262,18 +262,18 @@ class Counters:
 
 
 def next_packet(data: bytes, at: int, in_sync: bool, counters: Counters) -> tuple[int, bool]:
-    """(position of the next whole packet, else of the first byte to keep; whether a packet is expected there).
+    """Index of the next whole packet, or else of the first byte to keep; and whether a packet is expected there.
 
     in_sync: a packet is expected at `at`. Counts checksum_errors and skipped_bytes. Out of sync, a packet is accepted
-    only with all three checksums and a known navigation status, because the final checksum alone matches after one in
-    256 false sync bytes.
+    only if all three checksums are correct and its navigation status is known, because checksum 3 alone matches by
+    chance after one in 256 false sync bytes.
     """
     while at < len(data):
         if data[at] == SYNC:
             raw = data[at : at + PACKET_SIZE]
             if len(raw) < PACKET_SIZE:
                 break
-            if sum(raw[1:CHECKSUM_3_AT]) & 0xFF == raw[CHECKSUM_3_AT] and (in_sync or _plausible(raw)):
+            if sum(raw[1:CHECKSUM_3_AT]) & 0xFF == raw[CHECKSUM_3_AT] and (in_sync or _is_plausible(raw)):
                 return at, True
             counters.checksum_errors += in_sync
         following = data.find(_SYNC, at + 1)
@@ -283,13 +283,13 @@ def next_packet(data: bytes, at: int, in_sync: bool, counters: Counters) -> tupl
     return at, in_sync
 
 
-def _plausible(raw: bytes) -> bool:
+def _is_plausible(raw: bytes) -> bool:
     status = raw[STATUS_AT]
     return status == STRUCTURE_B or (BY_STATUS[status].known and inner_checksums_match(raw))
 
 
 def _i24_parts(values: tuple[float, float, float], unit: float) -> Iterator[int]:
-    """Low 16 bits (unsigned) and high 8 bits (signed) of each value / unit, limited; NaN is INVALID_I24."""
+    """The low 16 bits (unsigned) and high 8 bits (signed) of each value as an i24."""
     for value in values:
         if math.isnan(value):
             raw = INVALID_I24

@@ -122,7 +122,7 @@ def test_nan_is_invalid_and_infinity_saturates():
 def test_long_lever_arms_choose_their_factor():
     values = decode_channel(57, encode_channel(57, {"GAPx": 100.0, "GAPy": -1.0, "GAPz": 0.5}))
     assert values == pytest.approx({"GAPx": 100.0, "GAPy": -1.0, "GAPz": 0.5}, abs=0.0021)
-    with pytest.raises(NcomError, match="does not fit"):
+    with pytest.raises(NcomError, match="exceeds the largest"):
         encode_channel(57, {"GAPx": 9000.0, "GAPy": 0.0, "GAPz": 0.0})
 
 
@@ -136,12 +136,12 @@ def test_accuracies_saturate_at_what_the_wire_carries():
 @pytest.mark.parametrize(
     ("channel", "values", "text"),
     [
-        (3, {"NorthAcc": 1.0}, "valid together"),
+        (3, {"NorthAcc": 1.0}, "all or none"),
         (0, {"GpsPosMode": 200}, "does not fit"),
         (0, {"GpsPosMode": 300}, "does not fit"),
         (3, {"Northacc": 1.0}, "has no field Northacc"),
         (84, {}, "no published layout"),
-        (31, {"PsrDiffEnabled": 1}, "valid together"),
+        (31, {"PsrDiffEnabled": 1}, "all or none"),
     ],
 )
 def test_wrong_values_are_refused_by_name(channel, values, text):

@@ -73,7 +73,7 @@ def test_heading_is_shown_from_0_to_360(tmp_path, packet):
 @pytest.mark.parametrize(
     ("content", "text"),
     [
-        (b"", "empty file"),
+        (b"", "the file is empty"),
         (b"\xe7" * 50, "no NCOM packet in 50 bytes"),
         (b"time,x,y\n1,2,3\n" * 40, "the file is text"),
         (b"OggS" + bytes(500), "Ogg container"),

@@ -133,7 +133,7 @@ def test_packets_in_a_network_capture(tmp_path: Path, mark: bytes, head: int, si
     parts = (bytes(head + 42) + stream[k : k + size] for k in range(0, len(stream), 72))
     file.write_bytes(mark + bytes(20) + b"".join(parts))
     if size < 72:
-        with pytest.raises(RunError, match="a network capture without whole NCOM packets: record all bytes"):
+        with pytest.raises(RunError, match="a network capture without complete NCOM packets: record whole datagrams"):
             read_ncom(file)
     else:
         log = read_ncom(file)
