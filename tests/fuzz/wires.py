@@ -15,7 +15,7 @@ from canedge_bridge.transport import LoopbackMulticastBus, pack_message, parse_c
 from oxts_bridge import ncom
 from oxts_bridge.channels import FIELDS, encode_channel
 from oxts_bridge.file_decoder import decode_file
-from oxts_bridge.motion import FIRST_FIX, UNIT, Accuracy, Origin, motion_of
+from oxts_bridge.motion import FIRST_FIX, UNIT, Accuracy, Origin, extract_motion
 from oxts_bridge.ncom import PACKET_SIZE, SYNC, NcomError
 from oxts_bridge.status import EventLog, StatusTracker
 from oxts_bridge.stream import NcomParser, StreamStatistics
@@ -57,7 +57,7 @@ class Pipeline:
             self.status.update(packet.channel, packet.batch_s, seconds, place)
         event = self.events.event(received)
         assert event is None or 0 < event.gps_ns < LAST_STAMP_NS
-        motion = motion_of(received)
+        motion = extract_motion(received)
         if motion is not None:
             for origin in self.origins:
                 frame = origin.update(motion, self.status, now_ns)

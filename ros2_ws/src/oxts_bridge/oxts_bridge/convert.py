@@ -1,7 +1,7 @@
-"""Publishers of the bridge and the ROS messages they fill.
+"""Converts the motion and status of the INS to ROS messages and publishes them. Frames, signs and units: REP-103.
 
 Frequent messages are filled in place and published again: publishing copies them, and constructing an Odometry costs
-more than all other work on a packet. Frames, signs and units: REP-103.
+more than all other work on a packet.
 """
 
 from math import degrees, isfinite
@@ -26,8 +26,8 @@ from .ncom import BY_STATUS, Counters, fix_status, mode_text
 from .status import StatusTracker
 from .stream import Received
 
-# Variance of an unknown quantity in messages that cannot express "unknown": large enough for filters to ignore the
-# value, finite so that no filter fails.
+# Variance of an unknown quantity in messages that cannot express "unknown": so large that filters ignore the value, but
+# finite, because filters fail at infinity.
 UNKNOWN_VARIANCE = 1e6
 _UNKNOWN_BLOCK = (UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE)
 
@@ -36,9 +36,9 @@ TYPES = {"ncom": Ncom, "odometry": Odometry, "imu": Imu, "nav_sat_fix": NavSatFi
 
 
 class Publishers:
-    """All topics of the bridge. Times in ns since 1970; now: monotonic clock [s].
+    """Publishes all topics of the bridge; frequent messages are filled only while their topic has subscribers.
 
-    A message is filled only while its topic has subscribers.
+    stamp_ns, utc_ns: [ns since 1970]; now: monotonic clock [s].
     """
 
     def __init__(self, node: Node, settings: SimpleNamespace):
@@ -82,14 +82,14 @@ class Publishers:
         for publisher in self._publishers:
             self._node.destroy_publisher(publisher)
 
-    def raw(self, received: Received, now: float) -> None:
+    def publish_raw(self, received: Received, now: float) -> None:
         """st_msgs/Ncom: the packet as received, stamped with the time of receipt."""
         if received.received_ns is not None and self._out["ncom"].has_subscribers(now):
             _set_time(self._ncom.header.stamp, received.received_ns)
             self._ncom.raw_packet.data[:] = memoryview(received.raw)
             self._out["ncom"].publish(self._ncom)
 
-    def time_reference(self, received: Received, now: float) -> None:
+    def publish_time_reference(self, received: Received, now: float) -> None:
         """sensor_msgs/TimeReference: host time of receipt (header) and UTC of the INS."""
         received_ns, utc_ns = received.received_ns, received.utc_ns
         if received_ns is not None and utc_ns is not None and self._out["time_reference"].has_subscribers(now):
@@ -98,8 +98,9 @@ class Publishers:
             _set_time(message.time_ref, utc_ns)
             self._out["time_reference"].publish(message)
 
-    def motion(self, stamp_ns: int, motion: Motion, position: Vector | None, accuracy: Accuracy, now: float) -> None:
-        """Publish odometry, the transform odom to base, and velocity.
+    def publish_motion(self, stamp_ns: int, motion: Motion, position: Vector | None, accuracy: Accuracy,
+                       now: float) -> None:
+        """Publish odometry, the transform from odom to base_link, and velocity.
 
         Odometry: pose of the INS point in the map frame (ENU), twist in vehicle axes (FLU). position: ENU in the map
         frame [m], None without an origin.
@@ -126,11 +127,11 @@ class Publishers:
             _set_block(self._velocity.twist.covariance, 0, _velocity_covariance(motion, accuracy))
             self._out["velocity"].publish(self._velocity)
 
-    def fix(self, stamp_ns: int, motion: Motion, accuracy: Accuracy, status: StatusTracker, now: float) -> None:
+    def publish_fix(self, stamp_ns: int, motion: Motion, accuracy: Accuracy, status: StatusTracker, now: float) -> None:
         """sensor_msgs/NavSatFix; its altitude is above the ellipsoid, NaN while the geoid undulation is unknown."""
         if not self._out["nav_sat_fix"].has_subscribers(now):
             return
-        # Height above the ellipsoid = altitude + undulation; the manual prints a minus, but recordings need the plus.
+        # Height above the ellipsoid = altitude + undulation; the manual prints a minus, which recordings contradict.
         undulation = 0.0 if self._settings.altitude_is_ellipsoidal else status.number("Undulation")
         message, variances = self._fix, accuracy.position_variances
         _set_time(message.header.stamp, stamp_ns)
@@ -142,15 +143,15 @@ class Publishers:
             NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if variances else NavSatFix.COVARIANCE_TYPE_UNKNOWN)
         self._out["nav_sat_fix"].publish(message)
 
-    def imu(self, stamp_ns: int, received: Received, motion: Motion | None, accuracy: Accuracy, now: float) -> None:
+    def publish_imu(self, stamp_ns: int, received: Received, motion: Motion | None, accuracy: Accuracy,
+                    now: float) -> None:
         """sensor_msgs/Imu; motion: None without a valid attitude.
 
-        Orientation covariance by the convention of sensor_msgs: zeros = unknown, -1 in the first element = no
-        orientation.
+        Its orientation covariance is zero if unknown; -1 in the first element means that there is no orientation.
         """
         packet, covariance = received.packet, self._imu.orientation_covariance
-        finite = isfinite(sum(packet.acceleration) + sum(packet.angular_rate))
-        if not finite or not self._out["imu"].has_subscribers(now):
+        is_valid = isfinite(sum(packet.acceleration) + sum(packet.angular_rate))
+        if not is_valid or not self._out["imu"].has_subscribers(now):
             return
         _set_time(self._imu.header.stamp, stamp_ns)
         _set_vector(self._imu.angular_velocity, flu_from_frd(packet.angular_rate))
@@ -164,33 +165,32 @@ class Publishers:
             covariance[:] = _orientation_covariance(motion, accuracy) or 0.0
         self._out["imu"].publish(self._imu)
 
-    def trigger(self, message: Trigger) -> None:
+    def publish_trigger(self, message: Trigger) -> None:
         self._out["trigger"].publish(message)
 
-    def status(self, message: InsStatus) -> None:
+    def publish_status(self, message: InsStatus) -> None:
         if self._status is not None:
             self._status.publish(message)
 
-    def origin(self, stamp_ns: int, geodetic: tuple[float, float, float]) -> None:
-        """Publish the map origin; geodetic: latitude, longitude [deg], altitude [m] as the unit sends it."""
+    def publish_origin(self, stamp_ns: int, geodetic: tuple[float, float, float]) -> None:
+        """geodetic: latitude, longitude [deg], altitude [m] as the unit sends it."""
         if self._origin is not None:
             message = NavSatFix(header=Header(frame_id=self._settings.map_frame))
             _set_time(message.header.stamp, stamp_ns)
             message.latitude, message.longitude, message.altitude = geodetic
             self._origin.publish(message)
 
-    def clock(self, utc_ns: int) -> None:
+    def publish_clock(self, utc_ns: int) -> None:
         if self._clock is not None:
             message = Clock()
             _set_time(message.clock, utc_ns)
             self._clock.publish(message)
 
-    def static_transforms(self, stamp_ns: int) -> None:
-        """map -> odom (identity: the INS does not drift relative to the map) and base_link -> ins_link."""
+    def publish_static_transforms(self, stamp_ns: int) -> None:
+        """map -> odom (identity, because the INS does not drift relative to the map) and base_link -> ins_link."""
         if self._tf_static is None:
             return
-        s = self._settings
-        transforms = []
+        s, transforms = self._settings, []
         for parent, child, offset in ((s.map_frame, s.odom_frame, (0.0, 0.0, 0.0)),
                                       (s.base_frame, s.ins_frame, self._base_to_ins)):
             transform = TransformStamped(header=Header(frame_id=parent), child_frame_id=child)
@@ -213,7 +213,7 @@ def _set_vector(message: Any, vector: Vector) -> None:
 
 
 def _set_block(covariance: Any, first: int, block: tuple[float, ...]) -> None:
-    """Set a 3 x 3 block of a 6 x 6 matrix, its first element at index `first`."""
+    """Set a 3 x 3 block of a 6 x 6 matrix; first: index of the first element of the block."""
     covariance[first], covariance[first + 1], covariance[first + 2] = block[0:3]
     covariance[first + 6], covariance[first + 7], covariance[first + 8] = block[3:6]
     covariance[first + 12], covariance[first + 13], covariance[first + 14] = block[6:9]
@@ -239,14 +239,14 @@ def _velocity_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...
 
 
 def _orientation_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...] | None:
-    """Row-major 3 x 3 [rad^2], None while unknown."""
+    """Row-major 3 x 3 covariance [rad^2]; None while unknown."""
     variances = accuracy.attitude_variances
     return None if variances is None else motion.attitude.orientation_covariance(variances)
 
 
 def make_trigger(stamp_ns: int, map_frame: str, channel: int, count: int, position: Vector | None,
                  motion: Motion | None) -> Trigger:
-    """st_msgs/Trigger of an event input or output; position, motion: at that instant, None where unknown."""
+    """st_msgs/Trigger for an event input or output; position, motion: at that instant, None if unknown."""
     message = Trigger(header=Header(frame_id=map_frame), source=channel, count=count)
     _set_time(message.header.stamp, stamp_ns)
     message.pose_valid = position is not None and motion is not None
@@ -264,7 +264,7 @@ def make_status(stamp_ns: int, ins_frame: str, navigation_status: int, status: S
         header=Header(frame_id=ins_frame),
         navigation_status=navigation_status,
         navigation_status_text=BY_STATUS[navigation_status].text,
-        satellites=_integer(get("GpsNumObs")),
+        satellites=_to_integer(get("GpsNumObs")),
         position_accuracy_north=accuracy.north,
         position_accuracy_east=accuracy.east,
         position_accuracy_down=accuracy.vertical,
@@ -279,8 +279,8 @@ def make_status(stamp_ns: int, ins_frame: str, navigation_status: int, status: S
         output_latency=number("OutputLatency"),
         differential_age=number("GpsDiffAge"),
         antenna_lever_arm=[number("GAPx"), number("GAPy"), number("GAPz")],
-        # Serial numbers above 65535 are sent in channel 40 instead.
-        serial_number=_integer(get("SerialNumber") if get("SerialNumber") is not None else get("SerialNumber24")),
+        # A serial number above 65535 is sent in channel 40 instead of 30.
+        serial_number=_to_integer(get("SerialNumber") if get("SerialNumber") is not None else get("SerialNumber24")),
         firmware=str(get("DevId") or ""),
         seen_channels=sorted(status.seen),
         packets=counters.packets,
@@ -291,11 +291,11 @@ def make_status(stamp_ns: int, ins_frame: str, navigation_status: int, status: S
     )
     _set_time(message.header.stamp, stamp_ns)
     for name, field in (("position", "GpsPosMode"), ("velocity", "GpsVelMode"), ("orientation", "GpsAttMode")):
-        setattr(message, f"{name}_mode", _integer(get(field)))
+        setattr(message, f"{name}_mode", _to_integer(get(field)))
         setattr(message, f"{name}_mode_text", mode_text(get(field)))
     return message
 
 
-def _integer(value: Value) -> int:
-    """A status value as an integer, -1 where it is unknown."""
+def _to_integer(value: Value) -> int:
+    """A status value as an integer; -1 if unknown."""
     return -1 if value is None else int(value)

@@ -1,8 +1,7 @@
-"""Quantities that the vendor's tools derive from the packets: level-frame values, speed, slip, distance, ISO axes.
+"""Derives the vendor's additional quantities from decoded packets: level-frame values, speed, slip, distance, ISO axes.
 
-Conventions: level frame = forward, right, down; Iso = forward, left, up. Only packets with valid
-navigation (status 3, 4, 21, 22) have values; NaN where an input is missing.
-Checked by: tests/golden/test_ncom_vectors.py.
+Level frame: forward, right, down; Iso: forward, left, up. NaN where an input is missing and in packets without valid
+navigation (status other than 3, 4, 21, 22). Checked by: tests/golden/test_ncom_vectors.py.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,9 +16,9 @@ from .ncom import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS
 EARTH_RATE = 7.2921151467e-5  # rad/s
 # Accuracy of the horizontal speed until the unit sends one [m/s].
 UNKNOWN_SPEED_ACCURACY = 0.14
-# Distance is not integrated across a longer or a backward step of the packet time [s]: joined files, a changed clock.
+# Distance is not integrated across a backward or a longer step of the packet time [s] (joined files, a changed clock).
 LONGEST_STEP = 10.0
-# Two successive steps give the sampling rate if they are equal within this fraction.
+# Two successive steps give the sampling rate if they differ by less than this fraction.
 _STEP_TOLERANCE = 0.01
 
 
@@ -27,8 +26,8 @@ _STEP_TOLERANCE = 0.01
 class Settings:
     """Status values that derived columns depend on, as pairs (index of the first packet they apply to, value).
 
-    speed_accuracy: 2 sqrt(north^2 + east^2) [m/s], NaN unknown.  acceleration_filter, rate_filter: (cutoff [Hz],
-    damping ratio).
+    speed_accuracy: 2 sqrt(north^2 + east^2) of the velocity accuracies [m/s], NaN if unknown.  acceleration_filter,
+    rate_filter: (cutoff [Hz], damping ratio).
     """
 
     speed_accuracy: list[tuple[int, float]]
@@ -37,7 +36,7 @@ class Settings:
 
 
 def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
-    """Derived columns by name, in the order of the CSV; units deg, deg/s, m, m/s, m/s^2 as in the vendor's tools."""
+    """Derived columns by name, in the order and units (deg, deg/s, m, m/s, m/s^2) of the vendor's tools."""
     fix = (columns.kind != EMPTY) & ~columns.approximate
     velocity = np.where(fix, columns.velocity_ned, np.nan)
     heading, pitch, roll = (np.where(fix, angle, np.nan) for angle in (columns.heading, columns.pitch, columns.roll))
@@ -61,10 +60,10 @@ def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
 
 
 def float_seconds(columns: Columns) -> np.ndarray:
-    """GPS seconds since 1980-01-06, NaN unknown.
+    """GPS seconds since 1980-01-06, NaN if unknown.
 
-    Minutes and milliseconds are added as floats, as in the vendor's tools: the rounding of 2e-7 s in a time difference
-    affects their angular accelerations and distances.
+    Minutes and milliseconds are added as floats, as in the vendor's tools: the rounding error of 2e-7 s affects the
+    tools' angular accelerations and distances.
     """
     known = columns.gps_ns != UNKNOWN_TIME
     minutes, remainder = np.divmod(np.where(known, columns.gps_ns, 0), 60_000_000_000)
@@ -73,7 +72,7 @@ def float_seconds(columns: Columns) -> np.ndarray:
 
 
 def _level_matrix(pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
-    """Ry(pitch) Rx(roll), (3, 3, n): vehicle axes to level axes."""
+    """Rotation from vehicle axes to level axes, Ry(pitch) Rx(roll), (3, 3, n)."""
     sp, cp, sr, cr = np.sin(pitch), np.cos(pitch), np.sin(roll), np.cos(roll)
     return np.array([[cp, sp * sr, sp * cr], [0 * sp, cr, -sr], [-sp, cp * sr, cp * cr]])
 
@@ -87,7 +86,7 @@ def _apply_transposed(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 def _to_level_heading(ned: np.ndarray, heading: np.ndarray) -> np.ndarray:
-    """Rz(heading) transposed: north, east, down to forward, right, down."""
+    """Forward, right, down components of vectors given as north, east, down."""
     s, c = np.sin(heading), np.cos(heading)
     return np.array([ned[0] * c + ned[1] * s, -ned[0] * s + ned[1] * c, ned[2]])
 
@@ -108,7 +107,7 @@ def _add_speed_and_slip(out: dict, velocity: np.ndarray, heading: np.ndarray, ya
 
 
 def _forward_fill(changes: list[tuple[int, float]], count: int) -> np.ndarray:
-    """Column of a value that is constant between changes, NaN before the first."""
+    """Column of a value that is constant between changes; NaN before the first change."""
     if not changes:
         return np.full(count, np.nan)
     where = np.array([index for index, _ in changes])
@@ -118,7 +117,7 @@ def _forward_fill(changes: list[tuple[int, float]], count: int) -> np.ndarray:
 
 
 def _add_distances(out: dict, columns: Columns, seconds: np.ndarray) -> None:
-    """Trapezoidal integral of speed; a trigger packet gets the distance at its time without advancing it."""
+    """Add the trapezoidal integral of the speed, also at the times of trigger packets, which do not enter the sum."""
     for name, speed in (("Dist2d", out["Speed2d"]), ("Dist3d", out["Speed3d"])):
         usable = ~np.isnan(speed) & ~np.isnan(seconds)
         series = np.flatnonzero(usable & (columns.kind == REGULAR) & (columns.order == 0))
@@ -139,7 +138,7 @@ def _add_distances(out: dict, columns: Columns, seconds: np.ndarray) -> None:
 
 
 def _count_skipped_packets(columns: Columns, series: np.ndarray) -> int:
-    """1 if the first packet of the series sets the minute, which the vendor's tools skip; else 0."""
+    """1 if the first packet sets the minute, because the vendor's tools skip such a packet; else 0."""
     if not len(series) or columns.channel[series[0]] != 0:
         return 0
     earlier = slice(0, series[0])
@@ -147,7 +146,7 @@ def _count_skipped_packets(columns: Columns, series: np.ndarray) -> int:
 
 
 def _add_angular_acceleration(out: dict, columns: Columns, seconds: np.ndarray) -> None:
-    """Backward difference of the angular rate by packet time [deg/s^2], regular packets only."""
+    """Add the backward difference of the angular rate [deg/s^2] for regular packets."""
     rate = np.degrees(columns.angular_rate)
     series = np.flatnonzero((columns.kind == REGULAR) & ~np.isnan(seconds) & ~np.isnan(rate).any(axis=0))
     result = np.full(rate.shape, np.nan)
@@ -172,14 +171,14 @@ def _add_filtered(out: dict, columns: Columns, seconds: np.ndarray, settings: Se
 
 def low_pass(seconds: np.ndarray, values: np.ndarray,
              settings: Sequence[tuple[int, float | None, float | None]]) -> np.ndarray:
-    """Values after the second-order low-pass whose settings a unit sends in channels 63 and 74.
+    """Values filtered by the second-order low-pass whose settings the unit sends in channels 63 and 74.
 
         b = (K^2, 2 K^2, K^2) / D,  a = (1, 2 (K^2 - 1) / D, (K^2 - 2 z K + 1) / D),
         K = tan(pi fc / fs),  D = K^2 + 2 z K + 1
 
-    settings: (index of its first sample, cutoff fc [Hz], damping ratio z); both 0: off (output = input), None:
-    unchanged. NaN until there are a setting with fc < fs / 2 and three evenly spaced samples; the filter starts in
-    steady state at the first of these.
+    settings: (index of the first sample, cutoff fc [Hz], damping ratio z); both 0: no filter, None: as before. NaN
+    until there are a setting with fc < fs / 2 and three evenly spaced samples; the filter starts in steady state at
+    the first of them.
     Source: NCOM manual 260702. Checked by: tests/golden/test_ncom_vectors.py (case filters).
     """
     output = np.full(len(values), np.nan)
@@ -214,7 +213,7 @@ def _without_gravity(columns: Columns, velocity: np.ndarray, heading: np.ndarray
                      acceleration: np.ndarray) -> np.ndarray:
     """Acceleration relative to the ground [m/s^2], vehicle axes (FRD): a = A + R_no^T (g - (2 w_ie + w_en) x v).
 
-    A: specific force. w_ie: rotation of the earth, w_en: of the local frame as it moves over the earth.
+    A: specific force. g: gravity. w_ie: angular rate of the earth. w_en: of the local frame moving over the earth.
     """
     latitude, height = columns.latitude, columns.altitude
     north, east, _ = velocity
@@ -230,6 +229,6 @@ def _without_gravity(columns: Columns, velocity: np.ndarray, heading: np.ndarray
 
 
 def gravity(latitude: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Normal gravity [m/s^2] at latitude [rad], height [m]; constant below height 0."""
+    """Normal gravity [m/s^2] at a latitude [rad] and height [m]; constant below height 0."""
     surface = 9.780318 * (1 + 5.3024e-3 * np.sin(latitude) ** 2 - 5.9e-6 * np.sin(2 * latitude) ** 2)
     return surface / (1 + np.maximum(height, 0) / 6367435.68) ** 2

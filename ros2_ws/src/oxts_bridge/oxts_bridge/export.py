@@ -1,4 +1,4 @@
-"""An NCOM file as CSV: the values of every packet, and every change of the status. Called by `st ncom`."""
+"""Exports an NCOM file to CSV for `st ncom`: the values of every packet, and every change of the status."""
 
 import csv
 from pathlib import Path
@@ -20,7 +20,7 @@ Change: TypeAlias = tuple[int, int, str, Value]
 TRIGGER_NAMES = {24: "in1down", 43: "in1up", 65: "out1", 79: "in2down", 80: "in2up", 81: "out2"}
 # The vendor's tools write 10 for all robot interface codes without a name.
 _LARGEST_UMAC_STATUS = 10
-# In these fields the invalid mark means "no new value": the last one stays valid, as in the vendor's tools.
+# In these fields "invalid" means "no new value": the last value stays valid, as in the vendor's tools.
 _RETAINED = frozenset(
     name for fields in FIELDS.values() for name, field in fields.items()
     if name.startswith("Inn") or name == "Undulation" or field.validity is INVERTED_B6)
@@ -31,10 +31,10 @@ _ROWS_PER_WRITE = 1 << 12
 def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Path | None = None) -> int:
     """Write the packets of an .ncom file, and optionally its status changes, as CSV; returns the number of packets.
 
-    csv_path: columns of `_table`, one row per accepted packet; empty = invalid. Units m, m/s, m/s^2, deg, deg/s, and
-    GPS seconds.
-    status_path: pkt,channel,field,valid,value, one row per change of value or validity.
-    Raises NcomError for a file without packets and for an output that is the recording or the other output; OSError.
+    csv_path: columns of `_make_table`, one row per accepted packet; empty: invalid. Units: m, m/s, m/s^2, deg, deg/s,
+    GPS seconds. status_path: pkt,channel,field,valid,value, one row per change of value or validity.
+    Raises NcomError for a file without packets and if two of the three files are the same; OSError for one that cannot
+    be read or written.
     """
     outputs = [Path(path) for path in (csv_path, status_path) if path is not None]
     for output in outputs:
@@ -44,13 +44,13 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
         raise NcomError(f"values and status would both be written to {csv_path}: name two files")
     columns = decode_file(ncom_path)
     changes, settings = _read_status(columns)
-    table = _table(columns, settings)
+    table = _make_table(columns, settings)
     names = list(table)
     with Path(csv_path).open("w", encoding="ascii", newline="") as file:
         file.write(",".join(names) + "\n")
         for start in range(0, len(columns), _ROWS_PER_WRITE):
             rows = slice(start, start + _ROWS_PER_WRITE)
-            # Shortest digits that read back as the same number; NaN becomes empty.
+            # str() gives the shortest text that reads back as the same number; NaN becomes empty.
             texts = (map(str, table[name][rows].tolist()) for name in names)
             cells = [["" if text == "nan" else text for text in column] for column in texts]
             file.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))
@@ -63,7 +63,7 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
     return len(columns)
 
 
-def _table(columns: Columns, settings: Settings) -> dict[str, np.ndarray]:
+def _make_table(columns: Columns, settings: Settings) -> dict[str, np.ndarray]:
     n = len(columns)
     in_series = (columns.gps_ns != UNKNOWN_TIME) & (columns.kind != TRIGGER)
     gps_ms = np.where(in_series, columns.gps_ns // 1_000_000, 0)
@@ -114,7 +114,7 @@ def _read_status(columns: Columns) -> tuple[list[Change], Settings]:
             if name not in RAW_FIELDS and (value is not None or name not in _RETAINED) and known.get(name) != value:
                 known[name] = value
                 changes.append((i, channel, name, value))
-        # Status applies from the next packet on; to an event packet, its own status applies.
+        # A status applies from the next packet on, that of a trigger packet from the packet itself.
         since = i if columns.kind[i] == TRIGGER else i + 1
         if channel == 4 and fields:
             north, east = tracker.number("VnAcc"), tracker.number("VeAcc")
@@ -135,7 +135,7 @@ def _surface_angles(columns: Columns, surfaces: list[tuple[int, tuple[Value, ...
 
         R_vehicle->surface = R_surface->NED^T R_vehicle->NED,   R = Rz(heading) Ry(pitch) Rx(roll)
 
-    surfaces: (first packet, heading, pitch, roll of the surface from NED [deg], None invalid).
+    surfaces: index of the first packet and (heading, pitch, roll) of the surface in NED [deg], None: invalid.
     """
     changes: list[Change] = []
     ends = [index for index, _ in [*surfaces, (len(columns), ())]][1:]

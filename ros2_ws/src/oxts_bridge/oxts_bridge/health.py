@@ -1,4 +1,4 @@
-"""Diagnostic checks of the OxTS bridge."""
+"""Builds the diagnostic checks of the OxTS bridge."""
 
 import time
 from collections.abc import Callable
@@ -12,31 +12,30 @@ from .sources import SourceStatus
 from .status import StatusTracker
 from .stream import NcomParser, StreamStatistics
 
-# A larger median difference between stamps and the host's clock is a warning [s]. CAN frames are stamped by the host,
-# so this is also the time error of the steering; the delay of unit and network is well below.
+# Largest median difference between stamps and the host's clock without a warning [s]. The host stamps CAN frames, so
+# this is also the time error of the steering. The delay of the unit and the network is much smaller.
 MAX_CLOCK_OFFSET = 0.05
-# A larger difference is not a delay but a wrong date [s]: a wrong GPS week, a recording sent to the port.
+# A larger difference is not a delay [s], but comes from a wrong GPS week or from packets of a recording.
 MAX_DELAY = 60.0
 _DAY = 86_400.0  # s
 _NEVER = float("-inf")
 
 
 class Health:
-    """Diagnostic checks from the counts of parser, status and source.
+    """Builds diagnostic checks from the counts of the parser, the status and the source.
 
-    Set by the node: navigation_status; last_packet_at: time of receipt on the monotonic clock [s]; minute_from_host:
-    whether the GPS minute is taken from the host's clock; failures: packets that could not be published; incomplete:
-    packets without odometry because position, velocity, angles or rates are invalid although the status has a fix.
+    The node sets navigation_status; last_packet_at: time of receipt on the monotonic clock [s]; minute_from_host:
+    whether the GPS minute is taken from the host's clock; failures: number of packets that could not be published;
+    incomplete: number of packets with a fix, but with an invalid position, velocity, angle or rate.
     """
 
     def __init__(self, parser: NcomParser, status: StatusTracker, origin: Origin, statistics: StreamStatistics,
                  source: Callable[[], SourceStatus | None], live: bool, ellipsoidal: bool, silence_after: float):
-        """live: packets arrive as they are measured, so their stamps can be compared with the host's clock."""
+        """live: packets come from a unit, so their stamps can be compared with the host's clock."""
         self.navigation_status: int | None = None
         self.last_packet_at = _NEVER
         self.minute_from_host = False
-        self.failures = 0
-        self.incomplete = 0
+        self.failures = self.incomplete = 0
         self._best_mode: int | None = None
         self._parser, self._status, self._origin, self._statistics = parser, status, origin, statistics
         self._source, self._live, self._ellipsoidal, self._silence_after = source, live, ellipsoidal, silence_after
@@ -44,7 +43,7 @@ class Health:
         self._previous_ignored = 0
 
     def checks(self) -> list[Check]:
-        """The checks for /diagnostics; some of them count since the previous call."""
+        """The checks for /diagnostics; some count faults since the previous call."""
         source = self._source()
         if source is None:
             return [Check("source", OK, "not active")]
@@ -63,14 +62,15 @@ class Health:
             return Check("source", ERROR, f"{self.failures} packets could not be published, see the log", values)
         if source.problem:
             return Check("source", ERROR, source.problem, values)
-        if source.done:
+        if source.is_done:
             return Check("source", OK, f"{source.name}: replay finished", values)
         ignored, self._previous_ignored = source.ignored_ports - self._previous_ignored, source.ignored_ports
         if ignored > 0:
-            text = f"a second sender on {source.sender}: {ignored} datagrams ignored since the last report"
+            text = f"{ignored} datagrams of a second sender on {source.sender} ignored since the last report"
             return Check("source", WARN, f"{source.name}: {text}", values)
         if source.ignored and not source.sender:
-            return Check("source", WARN, f"{source.name}: only ignored senders: {', '.join(source.ignored)}", values)
+            return Check("source", WARN, f"{source.name}: only ignored senders: {', '.join(source.ignored)}; "
+                         "check sender_filter", values)
         return Check("source", OK, f"{source.name}" + (f" from {source.sender}" if source.sender else ""), values)
 
     def _check_stream(self, source: SourceStatus) -> Check:
@@ -99,7 +99,7 @@ class Health:
             "unknown channels": counters.unknown_channels,
             "age [s]": age,
         }
-        if source.done:
+        if source.is_done:
             return Check("stream", OK, "replay finished", values)
         if self.last_packet_at == _NEVER:
             return Check("stream", ERROR, "no NCOM packet yet", values)
@@ -141,7 +141,7 @@ class Health:
         return Check("solution", WARN, f"{text}: {reason}", values)
 
     def _check_completeness(self) -> Check:
-        """Missing information and its consequence for the topics."""
+        """Report missing information and its effect on the topics."""
         accuracy, status = Accuracy.from_status(self._status), self._status
         degraded, missing = [], []
         if self._parser.clock.minute is None:

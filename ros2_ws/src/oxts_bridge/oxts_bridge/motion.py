@@ -1,5 +1,4 @@
-"""Vehicle motion in ROS axes and units from one packet, the origin of the map frame, and odometry reconstructed from
-recorded packets.
+"""Converts the motion in a packet to ROS axes and units, and its position to a local map frame.
 
 NED and FRD (forward, right, down) as sent become ENU and FLU (forward, left, up); WGS84 latitude, longitude and height
 become coordinates of a local east-north-up frame:
@@ -25,18 +24,18 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 FIRST_FIX, GIVEN, UNIT = "first_fix", "given", "unit"
-# A unit repeats its local frame about every 200 packets; if none has arrived after this time, it has none [ns].
+# A unit sends its local frame about every 200 packets; if none has arrived within this time, it has none [ns].
 LOCAL_FRAME_TIMEOUT_NS = 10_000_000_000
 
 
 def yaw_from_heading(heading: float) -> float:
-    """Yaw from east, counter-clockwise [rad], in (-pi, pi], from a heading from north, clockwise [rad]."""
+    """Yaw in (-pi, pi], counter-clockwise from east [rad], of a heading clockwise from north [rad]."""
     yaw = (1.5 * pi - heading) % tau - pi
     return pi if yaw == -pi else yaw
 
 
 class Attitude:
-    """Orientation of the vehicle (FLU) in ENU from heading, pitch, roll as sent [rad] (NED to FRD)."""
+    """Orientation of the vehicle (FLU) in ENU, from heading, pitch and roll as sent [rad]."""
 
     __slots__ = ("_rows", "pitch", "roll", "yaw")
 
@@ -53,7 +52,7 @@ class Attitude:
             -sp, cp * sr, cp * cr)
 
     def quaternion(self) -> Quaternion:
-        """x, y, z, w of the rotation body to ENU, w >= 0."""
+        """x, y, z, w of the rotation from body axes to ENU; w >= 0."""
         sy, cy = sin(self.yaw / 2), cos(self.yaw / 2)
         sp, cp = sin(self.pitch / 2), cos(self.pitch / 2)
         sr, cr = sin(self.roll / 2), cos(self.roll / 2)
@@ -62,19 +61,19 @@ class Attitude:
         return (x, y, z, w) if w >= 0 else (-x, -y, -z, -w)
 
     def to_body(self, enu: Vector) -> Vector:
-        """Components along forward, left, up of a vector given as east, north, up."""
+        """Forward, left, up components of a vector given as east, north, up."""
         a, b, c, d, e, f, g, h, i = self._rows
         x, y, z = enu
         return a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
 
     def to_enu(self, body: Vector) -> Vector:
-        """Components along east, north, up of a vector given as forward, left, up."""
+        """East, north, up components of a vector given as forward, left, up."""
         a, b, c, d, e, f, g, h, i = self._rows
         x, y, z = body
         return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
 
     def covariance_to_body(self, enu_variances: Vector) -> tuple[float, ...]:
-        """R^T diag(east^2, north^2, up^2) R, row by row: covariance in body axes of independent ENU errors."""
+        """Covariance of independent ENU errors in body axes, row by row: R^T diag(enu_variances) R."""
         rows = self._rows
         ve, vn, vu = enu_variances
         xx, xy, xz = (
@@ -85,8 +84,9 @@ class Attitude:
         return xx, xy, xz, xy, yy, yz, xz, yz, zz
 
     def orientation_covariance(self, variances: Vector) -> tuple[float, ...]:
-        """Rz(yaw) diag(roll^2, pitch^2, heading^2) Rz(yaw)^T, row by row: errors about the fixed axes at small pitch
-        and roll. variances: of roll, pitch, heading [rad^2]."""
+        """Covariance about the fixed axes at small pitch and roll, row by row: Rz(yaw) diag(variances) Rz(yaw)^T.
+
+        variances: of roll, pitch, heading [rad^2]."""
         s, c = sin(self.yaw), cos(self.yaw)
         roll, pitch, heading = variances
         cross = (roll - pitch) * s * c
@@ -94,12 +94,12 @@ class Attitude:
 
 
 def flu_from_frd(frd: Vector) -> Vector:
-    """(forward, right, down) to (forward, left, up)."""
+    """A vector given as (forward, right, down) as (forward, left, up)."""
     return frd[0], -frd[1], -frd[2]
 
 
 def to_ecef(latitude: float, longitude: float, height: float) -> tuple[float, float, float]:
-    """Earth-centred x, y, z [m] of latitude, longitude [rad], height above the ellipsoid [m]."""
+    """Earth-centred x, y, z [m] from latitude, longitude [rad] and height above the ellipsoid [m]."""
     normal = radii(latitude)[1]
     axis_distance = (normal + height) * cos(latitude)
     z = (normal * (1 - ECCENTRICITY_SQUARED) + height) * sin(latitude)
@@ -110,7 +110,7 @@ class LocalFrame:
     """East-north-up frame, tangent to the ellipsoid at an origin."""
 
     def __init__(self, latitude: float, longitude: float, altitude: float) -> None:
-        """latitude, longitude: [rad]; altitude: [m], above the same reference (geoid or ellipsoid) as positions.
+        """Origin: latitude, longitude [rad], altitude [m] above the reference (geoid or ellipsoid) of the positions.
 
         Raises ValueError for an origin that is not finite.
         """
@@ -120,7 +120,7 @@ class LocalFrame:
         self._rotation = sin(latitude), cos(latitude), sin(longitude), cos(longitude)
 
     def enu(self, latitude: float, longitude: float, altitude: float) -> tuple[float, float, float]:
-        """East, north, up [m] of a position from the origin."""
+        """East, north, up [m] of a position relative to the origin."""
         x, y, z = to_ecef(latitude, longitude, altitude)
         x0, y0, z0 = self._ecef
         dx, dy, dz = x - x0, y - y0, z - z0
@@ -131,7 +131,7 @@ class LocalFrame:
 
 @dataclass(slots=True)
 class Accuracy:
-    """Standard deviations reported by the unit; NaN: unknown (never sent, or marked as outdated).
+    """Standard deviations reported by the unit; NaN if unknown (never sent, or declared outdated).
 
     east, north, vertical [m]; velocity_east, velocity_north, velocity_vertical [m/s]; roll, pitch, heading [rad].
     """
@@ -175,8 +175,8 @@ def _squares(a: float, b: float, c: float) -> Vector | None:
 class Motion:
     """Motion of the INS point at one instant.
 
-    latitude, longitude [rad], altitude [m] as sent.  attitude: body (FLU) in ENU.  velocity: ENU [m/s].  body_velocity,
-    angular_velocity, acceleration: FLU [m/s, rad/s, m/s^2]; acceleration is specific force, +9.8 up at rest.
+    latitude, longitude [rad], altitude [m]: as sent.  velocity: ENU [m/s].  body_velocity [m/s], angular_velocity
+    [rad/s], acceleration [m/s^2]: FLU.  acceleration: specific force, +9.8 up at rest.
     """
 
     latitude: float
@@ -193,8 +193,8 @@ class Motion:
         return frame.enu(self.latitude, self.longitude, self.altitude)
 
 
-def motion_of(received: Received) -> Motion | None:
-    """Motion from one packet; None unless it has a fix and valid position, velocity, angles and rates."""
+def extract_motion(received: Received) -> Motion | None:
+    """The motion in a packet; None unless it has a fix and valid position, velocity, angles and angular rates."""
     if received.rule.navigation != "valid" or received.kind not in ("regular", "trigger"):
         return None
     packet = received.packet
@@ -212,12 +212,12 @@ def motion_of(received: Received) -> Motion | None:
 class Origin:
     """Origin of the map frame: the first fix, a given point, or the unit's own local frame; constant once chosen.
 
-    frame: None until chosen. geodetic: its latitude, longitude [deg], altitude [m]. source: as configured. used: the
-    source of the frame, "" until chosen; the first fix if the unit sends no local frame within 10 s.
+    frame: None until chosen. geodetic: latitude, longitude [deg], altitude [m] of the origin. source: as configured.
+    used: source of the chosen origin ("" before), FIRST_FIX also if the unit sends no local frame within 10 s.
     """
 
     def __init__(self, source: str, given: tuple[float, float, float] | None = None) -> None:
-        """given: latitude, longitude [deg], altitude [m] as the unit sends it; required for source "given"."""
+        """given: latitude, longitude [deg], altitude [m] as the unit sends it; required for source GIVEN."""
         self.source = source
         self.used = ""
         self.frame: LocalFrame | None = None
@@ -227,16 +227,16 @@ class Origin:
             self._set(GIVEN, *given)
 
     def update(self, motion: Motion, status: StatusTracker, now_ns: int) -> LocalFrame | None:
-        """The map frame, chosen at this fix at the latest; None while waiting for the unit's local frame.
+        """The map frame, chosen now if not before; None while waiting for the unit's local frame.
 
         now_ns: time on any monotonic clock [ns].
         """
         if self.frame is not None:
             return self.frame
         if self.source == UNIT:
-            sent = status.local_frame
-            if sent is not None:
-                return self._set(UNIT, *sent[:3])
+            local_frame = status.local_frame
+            if local_frame is not None:
+                return self._set(UNIT, *local_frame[:3])
             if self._waiting_since_ns is None:
                 self._waiting_since_ns = now_ns
             if 0 <= now_ns - self._waiting_since_ns < LOCAL_FRAME_TIMEOUT_NS:
@@ -251,8 +251,8 @@ class Origin:
 
 
 class ReconstructedOdometry(NamedTuple):
-    """One odometry message. stamp_ns: UTC since 1970. position: ENU from the origin [m]. velocity [m/s], rate [rad/s]:
-    FLU."""
+    """Content of one odometry message. stamp_ns: UTC [ns since 1970]. position: ENU relative to the origin [m].
+    velocity [m/s], rate [rad/s]: FLU."""
 
     stamp_ns: int
     position: Vector
@@ -263,10 +263,10 @@ class ReconstructedOdometry(NamedTuple):
 
 def reconstruct_odometry(packets: Iterable[tuple[int, bytes]], origin: Origin, live: bool = True,
                          by_receive_time: bool = False) -> Iterator[ReconstructedOdometry]:
-    """Odometry from recorded packets, bit-identical to what the live node published; about 20 us per packet.
+    """Odometry from recorded packets, bit-identical to the messages of the live node.
 
     packets: (time of receipt [ns since 1970], 72 bytes), in order of receipt. origin: as configured in the node.
-    live: from a unit, not from a replayed file. by_receive_time: the node's parameter stamp_source was "receive".
+    live: the packets came from a unit, not from a replayed file. by_receive_time: stamp_source was "receive".
     """
     parser, status, minute = NcomParser(), StatusTracker(), HostMinute()
     for received_ns, raw in packets:
@@ -276,7 +276,7 @@ def reconstruct_odometry(packets: Iterable[tuple[int, bytes]], origin: Origin, l
                 continue
             if origin.frame is None:
                 status.update_from(received)
-            motion = motion_of(received)
+            motion = extract_motion(received)
             frame = None if motion is None else origin.update(motion, status, received_ns)
             if received.kind != "regular" or received.order != NEW:
                 continue

@@ -1,4 +1,4 @@
-"""Lifecycle node oxts_bridge: NCOM from UDP or a file to ROS topics."""
+"""Lifecycle node oxts_bridge, which publishes NCOM packets from UDP or a file as ROS topics."""
 
 import math
 import sys
@@ -13,7 +13,7 @@ from st_ros.parameters import ConfigurationError, Parameter
 
 from .convert import Publishers, make_status, make_trigger
 from .health import Health
-from .motion import FIRST_FIX, GIVEN, UNIT, Accuracy, Motion, Origin, Vector, motion_of
+from .motion import FIRST_FIX, GIVEN, UNIT, Accuracy, Motion, Origin, Vector, extract_motion
 from .ncom import NcomError
 from .packet_time import DUPLICATE, NEW, SAME, unix_nanoseconds
 from .sources import Continuity, ReplaySource, Source, UdpSource, is_address
@@ -55,13 +55,13 @@ PARAMETERS = (
               100.0),
 )
 
-_CLOCK_PERIOD = 0.01
+_CLOCK_PERIOD = 0.01  # s
 _ACCURACY_CHANNELS = frozenset((3, 4, 5))
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
 class OxtsBridge(LifecycleNode):
-    """When configured, the publishers exist; when active, the thread of the source decodes packets and publishes."""
+    """Creates its publishers when configured; when active, the thread of the source decodes packets and publishes."""
 
     def __init__(self) -> None:
         super().__init__("oxts_bridge")
@@ -73,7 +73,7 @@ class OxtsBridge(LifecycleNode):
         self._problem = ""
         self._reset()
         self._diagnostics = Diagnostics(self, "oxts", lambda: self._health.checks())  # noqa: PLW0108 - _reset() replaces it
-        # A change of the port is reported at once; only the executor's thread may publish diagnostics.
+        # The thread of the source reports a change through this, because only the executor may publish diagnostics.
         self._changed = self.create_guard_condition(self._diagnostics.publish)
         if self._settings.autostart:
             for transition in (self.trigger_configure, self.trigger_activate):
@@ -112,7 +112,7 @@ class OxtsBridge(LifecycleNode):
         if self._source is None:
             self._source = self._make_source()
         assert self._outputs is not None, "created by on_configure()"
-        self._outputs.static_transforms(time.time_ns())
+        self._outputs.publish_static_transforms(time.time_ns())
         self._source.start()
         self.get_logger().info(f"reading {self._source.status.name}")
         return super().on_activate(state)
@@ -131,7 +131,7 @@ class OxtsBridge(LifecycleNode):
     on_shutdown = on_cleanup
 
     def close(self) -> None:
-        """Stop the thread, which must not publish after the node is destroyed."""
+        """Stop the thread of the source, which must not publish after the node is destroyed."""
         self._stop_source()
 
     def _make_source(self) -> Source:
@@ -157,7 +157,7 @@ class OxtsBridge(LifecycleNode):
             try:
                 if self._outputs is not None:
                     self._process(received, received_ns, self._outputs, publish)
-            except Exception as error:  # an unforeseen packet must not end the thread
+            except Exception as error:  # no packet may end the thread
                 self._health.failures += 1
                 self.get_logger().error(f"packet at byte {received.offset} failed: {error!r}",
                                         throttle_duration_sec=10.0)
@@ -167,7 +167,7 @@ class OxtsBridge(LifecycleNode):
         now = time.monotonic()
         self._health.last_packet_at = now
         if publish and received.order != DUPLICATE:
-            publishers.raw(received, now)
+            publishers.publish_raw(received, now)
         if received.order not in (NEW, SAME):
             return
         if received.rule.known:
@@ -179,12 +179,12 @@ class OxtsBridge(LifecycleNode):
         if not publish:
             return
         in_series = received.kind == "regular" and received.order == NEW
-        motion = motion_of(received)
+        motion = extract_motion(received)
         self._health.incomplete += in_series and motion is None and received.rule.navigation == "valid"
         position = self._position(publishers, received_ns, motion)
-        if (event := self._events.event(received)) is not None:
-            pose = (position, motion) if event.complete else (None, None)
-            publishers.trigger(make_trigger(unix_nanoseconds(event.gps_ns, self._parser.utc_offset),
+        if (event := self._events.detect(received)) is not None:
+            pose = (position, motion) if event.has_pose else (None, None)
+            publishers.publish_trigger(make_trigger(unix_nanoseconds(event.gps_ns, self._parser.utc_offset),
                                             self._settings.map_frame, event.channel, event.count, *pose))
         if in_series:
             self._continuity.update(received.packet)
@@ -200,22 +200,22 @@ class OxtsBridge(LifecycleNode):
         before = self._origin.frame
         frame = self._origin.update(motion, self._status, received_ns)
         if frame is not before and self._origin.geodetic is not None:
-            publishers.origin(received_ns, self._origin.geodetic)
+            publishers.publish_origin(received_ns, self._origin.geodetic)
         return None if frame is None else motion.position(frame)
 
     def _publish_motion(self, publishers: Publishers, received: Received, motion: Motion | None,
                         position: Vector | None, now: float) -> None:
         stamp = received.utc_ns if self._settings.stamp_source == NCOM else received.received_ns
-        publishers.time_reference(received, now)
+        publishers.publish_time_reference(received, now)
         if stamp is None:
             return
         if motion is not None:
-            publishers.motion(stamp, motion, position, self._accuracy, now)
-            publishers.fix(stamp, motion, self._accuracy, self._status, now)
-        publishers.imu(stamp, received, motion, self._accuracy, now)
+            publishers.publish_motion(stamp, motion, position, self._accuracy, now)
+            publishers.publish_fix(stamp, motion, self._accuracy, self._status, now)
+        publishers.publish_imu(stamp, received, motion, self._accuracy, now)
         if received.utc_ns is not None and now - self._clock_at >= _CLOCK_PERIOD:
             self._clock_at = now
-            publishers.clock(received.utc_ns)
+            publishers.publish_clock(received.utc_ns)
 
     def _publish_status(self, publishers: Publishers, stamp: int, now: float) -> None:
         get = self._status.get
@@ -223,12 +223,12 @@ class OxtsBridge(LifecycleNode):
         if state == self._reported and now - self._reported_at < self._settings.status_period:
             return
         self._reported, self._reported_at = state, now
-        publishers.status(make_status(stamp, self._settings.ins_frame, self._health.navigation_status or 0,
+        publishers.publish_status(make_status(stamp, self._settings.ins_frame, self._health.navigation_status or 0,
                                       self._status, self._parser.counters, self._parser.time_jumps))
 
 
 def check(settings: SimpleNamespace, node_name: str) -> None:
-    """Checks beyond the range of a single parameter. Raises ConfigurationError with the key and the required value."""
+    """Raises ConfigurationError for a parameter whose value is invalid although it is within its declared range."""
 
     def reject(key: str, reason: str) -> None:
         raise ConfigurationError(f"{node_name}.{key}: {reason}")
@@ -242,11 +242,11 @@ def check(settings: SimpleNamespace, node_name: str) -> None:
         reject("sender_filter", f"{settings.sender_filter!r} is not an IP address")
     lever = settings.base_to_ins
     if len(lever) != 3 or not all(isinstance(v, int | float) and math.isfinite(v) and abs(v) <= 100 for v in lever):
-        reject("base_to_ins", f"{list(lever)} is not three lengths in m, each within 100 m")
+        reject("base_to_ins", f"{list(lever)} is not three lengths of at most 100 m")
     if settings.origin_source == GIVEN:
         for key in ("origin_latitude", "origin_longitude", "origin_altitude"):
             if math.isnan(getattr(settings, key)):
-                reject(key, "required when origin_source is 'given'")
+                reject(key, "is required when origin_source is 'given'")
     frames = [settings.map_frame, settings.odom_frame, settings.base_frame, settings.ins_frame]
     if settings.publish_tf and len(set(frames)) != len(frames):
         reject("map_frame", f"the four frames {', '.join(frames)} must differ while publish_tf is true")

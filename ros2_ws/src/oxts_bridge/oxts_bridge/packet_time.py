@@ -1,4 +1,4 @@
-"""GPS and UTC time of NCOM packets in integers, from the milliseconds of the minute and an occasional minute number.
+"""Computes GPS and UTC times of NCOM packets, in integers, from milliseconds of the minute and occasional minutes.
 
 GPS time counts from 1980-01-06T00:00:00 without leap seconds: gps = minutes * 60 s + ms.  UTC = gps - leap seconds.
 Source: NCOM manual 260702. Checked by: test_packet_time.py, tests/golden/test_ncom_vectors.py.
@@ -14,13 +14,13 @@ FIRST_MINUTE, LAST_MINUTE = 1_000, 30_525_000
 
 # Order of a packet relative to the newest one. SAME: equal time; DUPLICATE: equal bytes too.
 NEW, SAME, LATE, DUPLICATE = 0, 1, 2, 3
-# A packet behind by up to this time is late, any other is ahead: milliseconds of the minute are unique up to a minute.
+# Milliseconds of the minute are ambiguous: a packet that would be ahead by this time or more is taken as late instead.
 HALF_MINUTE_MS = 30_000
-# More consecutive late packets, each later than the previous one, mean that the clock was set back, not reordering.
+# After more consecutive late packets, each later than the previous one, the clock is taken to have been set back.
 LATE_RUN = 10
 # Longest pause on the receive clock across which the minute count is continued [ns].
 LONGEST_GAP_NS = 30_000_000_000
-# Within this time of a minute change, a channel 0 that differs by one minute must be confirmed by the next [ms].
+# Within this time of a minute change [ms], a channel 0 that differs by one minute must be confirmed by the next one.
 CONFIRMATION_MS = 1_000
 # A step of the packet time that exceeds the pause on the receive clock by more than this is a jump [ns].
 LARGEST_STEP_NS = 1_000_000_000
@@ -37,9 +37,9 @@ def unix_nanoseconds(gps_nanoseconds: int, utc_offset: int | None = None) -> int
 
 
 def host_minute(received_ns: int, milliseconds: int) -> int:
-    """The GPS minute that puts a packet's milliseconds nearest to a host time [ns since 1970].
+    """The GPS minute in which a packet with these milliseconds is nearest to a host time [ns since 1970].
 
-    Correct if the host's clock is within half a minute of GPS time.
+    Correct if the host's clock is within half a minute of UTC.
     """
     gps_ms = received_ns // 1_000_000 - GPS_EPOCH_UNIX * 1000
     gps_ms += at_gps(gps_ms // 1000) * 1000
@@ -47,11 +47,11 @@ def host_minute(received_ns: int, milliseconds: int) -> int:
 
 
 class GpsClock:
-    """GPS time of a series of packets, each with milliseconds of the minute and some with the minute (channel 0).
+    """Tracks the GPS time of packets that all have milliseconds of the minute, and some the minute (channel 0).
 
     The clock counts a minute whenever the milliseconds wrap; a sent minute has precedence over the count.
-    minute, milliseconds: of the newest packet; None until known. jumps: number of steps back, or forward by more than
-    1 s beyond the pause on the receive clock. step() never raises.
+    minute, milliseconds: time of the newest packet, None until known. jumps: number of steps back, or forward by more
+    than 1 s beyond the pause on the receive clock.
     """
 
     def __init__(self) -> None:
@@ -60,8 +60,8 @@ class GpsClock:
         self.jumps = 0
         self._received_ns: int | None = None
         self._unconfirmed: int | None = None  # difference of the last sent minute from the count
-        self._late_count = 0  # length of the current run of late packets, and its newest time
-        self._late_ms = 0
+        self._late_count = 0  # length of the current run of late packets
+        self._late_ms = 0  # time of its newest packet
         self._late_minute: int | None = None
 
     @property
@@ -75,10 +75,10 @@ class GpsClock:
             self.minute = minute
 
     def step(self, ms: int, minute: int | None = None, received_ns: int | None = None) -> tuple[int | None, int]:
-        """GPS time [ms] of one packet, None while no minute is known, and NEW, SAME or LATE relative to the newest.
+        """GPS time [ms] of the next packet, None while no minute is known; and its order NEW, SAME or LATE.
 
-        ms: milliseconds of the packet. minute: of its channel 0, None without one. received_ns: host time of receipt,
-        None in a file.
+        ms: milliseconds of the minute. minute: sent in channel 0, None if the packet has none. received_ns: host time
+        of receipt, None for packets from a file.
         """
         pause = 0
         if received_ns is not None:
@@ -108,7 +108,7 @@ class GpsClock:
         return self.minute * MINUTE_MS + self.milliseconds
 
     def _correct_minute(self, ms: int, minute: int) -> bool:
-        """Replace the counted minute by another one that was sent; True if the time jumps."""
+        """Replace the counted minute by a different one that was sent; returns whether the time jumps."""
         difference = None if self.minute is None else minute - self.minute
         is_near_change = ms < CONFIRMATION_MS or ms >= MINUTE_MS - CONFIRMATION_MS
         if is_near_change and difference in (-1, 1) and self._unconfirmed != difference:
@@ -118,9 +118,9 @@ class GpsClock:
         return difference is not None
 
     def _step_back(self, ms: int, minute: int | None, behind: int) -> tuple[int | None, int]:
-        """The time of a packet whose milliseconds are `behind` those of the newest one, and its order."""
+        """GPS time [ms] and order of a packet that is `behind` the newest one by this many milliseconds."""
         now = self._time()
-        if minute is not None and now is not None and minute * MINUTE_MS + ms > now:  # newer by its own minute
+        if minute is not None and now is not None and minute * MINUTE_MS + ms > now:  # a later minute was sent
             self.jumps += 1
             return self._restart(ms, minute), NEW
         if self._late_count and (ms - self._late_ms) % MINUTE_MS < HALF_MINUTE_MS:

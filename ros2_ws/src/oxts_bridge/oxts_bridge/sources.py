@@ -1,4 +1,4 @@
-"""Sources of NCOM bytes, each on its own thread: a UDP port, or a file replayed with its recorded timing."""
+"""Reads NCOM bytes in a thread of its own, from a UDP port or from a file replayed with its recorded timing."""
 
 import ipaddress
 import socket
@@ -18,23 +18,23 @@ from .file_decoder import UNKNOWN_TIME, decode_file
 from .ncom import PACKET_SIZE, NcomError, Packet, decode
 from .packet_time import MINUTE_MS
 
-# Linux socket option and message type of the kernel's receive time; not every Python build defines the name.
+# Linux socket option and message type for the kernel's receive time; not every Python build defines the name.
 _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
 _TIMESPEC = struct.Struct("@qq")
-_LARGEST_DATAGRAM = 65_535
-_RECEIVE_BUFFER = 1 << 20
-_WAKE_PERIOD = 0.2
-RETRY_PERIOD = 1.0
+_LARGEST_DATAGRAM = 65_535  # bytes
+_RECEIVE_BUFFER = 1 << 20  # bytes
+_WAKE_PERIOD = 0.2  # s
+RETRY_PERIOD = 1.0  # s
 # Another sender is accepted after the one in use has been silent for this time [s].
 SENDER_TIMEOUT = 2.0
 _MAX_SENDERS_COUNTED = 16
-# A longer step of the recorded time is skipped in a replay: joined files, or a clock that was set [ns].
+# A replay skips longer steps of the recorded time, which come from joined files or a clock that was set [ns].
 LONGEST_PAUSE_NS = 60_000_000_000
 # A datagram from another port continues the stream only within this time [ms].
 LONGEST_CONTINUATION_MS = 1_000
 EARTH_RADIUS = 6_371_000.0  # m; the error of 0.5 % is far below the tolerance for a position jump
 
-# on_data(bytes, received_ns, publish) -> number of packets; publish: false before the start offset of a replay.
+# (bytes, received_ns, publish) -> number of packets; publish: false before the start offset of a replay.
 OnData = Callable[[bytes, int, bool], int]
 
 
@@ -45,12 +45,12 @@ class Continuity:
         self._newest: Packet | None = None
 
     def update(self, packet: Packet) -> None:
-        """Store the newest packet of the stream in use."""
+        """Remember the newest packet of the stream in use."""
         self._newest = packet
 
     def continues(self, data: bytes) -> bool:
-        """Whether the first packet of a datagram is at most 1 s later than the newest one, at a position consistent
-        with the velocity. False if either position is unknown."""
+        """Whether the first packet of a datagram is at most 1 s later than the newest packet, at a position consistent
+        with the velocity; false if either position is unknown."""
         before = self._newest
         try:
             packet = decode(data[:PACKET_SIZE])
@@ -73,15 +73,15 @@ class Continuity:
 class SourceStatus:
     """State of a source for the diagnostics.
 
-    problem: why no data can arrive, or empty.  done: a replay has reached its end.  sender: address in use.
+    problem: why no data can arrive, or empty.  is_done: a replay has reached its end.  sender: address in use.
     ignored: ignored datagrams per address, or per address and port if only the port differs from the sender in use.
-    ignored_ports: their number from other ports of the sender in use.  progress: fraction of the file replayed.
-    loops: completed replays.
+    ignored_ports: ignored datagrams from other ports of the sender in use.  progress: fraction of the file replayed.
+    loops: completed repetitions of a replay.
     """
 
     name: str
     problem: str = ""
-    done: bool = False
+    is_done: bool = False
     sender: str = ""
     datagrams: int = 0
     ignored: dict[str, int] = field(default_factory=dict)
@@ -121,8 +121,8 @@ class UdpSource(Source):
 
     def __init__(self, address: str, port: int, sender_filter: str, on_data: OnData, on_change: Callable[[], None],
                  continues: Callable[[bytes], bool] = lambda data: False):
-        """sender_filter: IP address, or empty for any. on_change: called from the thread when `problem` changes.
-        continues: whether a datagram from another port continues the stream, see Continuity."""
+        """sender_filter: IP address, or empty for any sender. on_change: called from the thread when `problem` changes.
+        continues: tests whether a datagram from another port continues the stream, see Continuity."""
         super().__init__(f"udp {address}:{port}")
         self._address, self._port, self._filter = address, port, sender_filter
         self._on_data, self._on_change, self._continues = on_data, on_change, continues
@@ -197,7 +197,7 @@ class UdpSource(Source):
 
 
 def _kernel_time(control: list[tuple[int, int, bytes]]) -> int:
-    """Kernel receive time of a datagram [ns since 1970]; the current time if the kernel gives none."""
+    """Kernel receive time of a datagram [ns since 1970], or the current time if the kernel gives none."""
     for level, kind, data in control:
         if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(data) >= _TIMESPEC.size:
             seconds, nanoseconds = _TIMESPEC.unpack_from(data)
@@ -221,8 +221,8 @@ class ReplaySource(Source):
 
     def __init__(self, path: Path, on_data: OnData, on_restart: Callable[[], None], speed_factor: float = 1.0,
                  loop: bool = False, start_offset: float = 0.0):
-        """start_offset: [s] after the first time in the file; earlier packets only set the status. on_restart: called
-        before each repetition."""
+        """start_offset: [s] after the first time in the file; earlier packets are not published, but update the status.
+        on_restart: called before each repetition."""
         super().__init__(f"file {path}")
         columns = decode_file(path)
         self._data = path.read_bytes()
@@ -238,7 +238,7 @@ class ReplaySource(Source):
                 break
             self.status.loops += 1
             self._on_restart()
-        self.status.done = not self._stop.is_set()
+        self.status.is_done = not self._stop.is_set()
 
     def _play(self) -> None:
         start = time.monotonic()

@@ -1,4 +1,4 @@
-"""State of the unit from its status channels: newest values, unwrapped counters, derived values, and events."""
+"""Tracks the state of the unit from its status channels: newest, unwrapped and derived values, and events."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from .channels import FIELDS, TRIGGER_CHANNELS, Value, decode_channel, trigger_n
 from .ncom import radii
 from .stream import Received
 
-# Raw fields that StatusTracker replaces by values derived from them.
+# Fields that StatusTracker replaces by values derived from them.
 RAW_FIELDS = frozenset(
     {"GpsMinutes", "UpTimeCode", "WSpeedMilliseconds", "OldRefX", "OldRefY", "OldRefHeading"}
     | {name for channel in TRIGGER_CHANNELS for name in FIELDS[channel]}
@@ -16,7 +16,7 @@ RAW_FIELDS = frozenset(
 LOCAL_FRAME = ("RefLat", "RefLon", "RefAlt", "RefHeading")
 # Weight of a new value in the filtered lag, as in the vendor's tools.
 _LAG_WEIGHT = 0.01
-# Decoded even if their bytes repeat: channels with derived values that change, and 12 and 57, which share a field.
+# Processed even if their bytes repeat: values derived from 23 and 45 change with time, 12 and 57 set the same fields.
 _NEVER_SKIPPED = frozenset({12, 23, 45, 57})
 
 _CYCLIC = {
@@ -28,7 +28,7 @@ _CYCLIC = {
 class StatusTracker:
     """Newest value of every field of every channel.
 
-    values: by field name, units as in the channel table; None = invalid, absent = never sent. seen: channels received.
+    values: by field name, in the units of the channel table; None: invalid, absent: never sent. seen: channels sent.
     """
 
     def __init__(self) -> None:
@@ -41,10 +41,10 @@ class StatusTracker:
     def update(self, channel: int, data: bytes, gps_seconds: float | None = None,
                position: tuple[float, float, float] | None = None,
                decoded: Mapping[str, Value] | None = None) -> dict[str, Value]:
-        """Values set by the 8 bytes of a channel; empty if they repeat the previous ones.
+        """Set and return the values in the 8 bytes of a channel; empty if the bytes repeat the previous ones.
 
-        gps_seconds: time of the packet, for wheel speed. position: its latitude, longitude [rad], altitude [m], for
-        channel 25. decoded: decode_channel() of the bytes, if the caller has it.
+        gps_seconds: time of the packet, for the wheel speed. position: latitude, longitude [rad], altitude [m] of the
+        packet, for channel 25. decoded: result of decode_channel() if the caller has it.
         """
         if self._raw.get(channel) == data and channel not in _NEVER_SKIPPED:
             return {}
@@ -63,7 +63,7 @@ class StatusTracker:
             if lag is not None:
                 previous = self.values.get("BnsLagFilt")
                 fields["BnsLagFilt"] = lag if previous is None else previous * (1 - _LAG_WEIGHT) + lag * _LAG_WEIGHT
-            fields["UpTime"] = None if code is None else up_time(code)
+            fields["UpTime"] = None if code is None else decode_up_time(code)
         elif channel == 25:
             self._set_legacy_origin(fields, data, position)
         elif channel == 45:
@@ -81,7 +81,7 @@ class StatusTracker:
         return fields
 
     def update_from(self, received: Received) -> dict[str, Value]:
-        """Values set by a packet; empty if its status channel is invalid or unchanged."""
+        """Set and return the values in a packet; empty if its status channel is invalid or unchanged."""
         if not received.rule.status:
             return {}
         packet = received.packet
@@ -90,17 +90,17 @@ class StatusTracker:
         return self.update(packet.channel, packet.batch_s, seconds, position, received.fields)
 
     def get(self, name: str) -> Value:
-        """Newest value, None when invalid or never sent."""
+        """Newest value; None if invalid or never sent."""
         return self.values.get(name)
 
     def number(self, name: str) -> float:
-        """Newest value, NaN when invalid or never sent."""
+        """Newest value; NaN if invalid or never sent."""
         value = self.values.get(name)
         return float("nan") if value is None else float(value)
 
     @property
     def local_frame(self) -> tuple[float, float, float, float] | None:
-        """Origin latitude, longitude [deg], altitude [m], heading [deg] of the unit's last complete local frame."""
+        """Latitude, longitude [deg], altitude [m] of the origin and heading [deg] of the unit's newest local frame."""
         # All four are set together.
         return None if self.get("RefLat") is None else tuple(self.values[name] for name in LOCAL_FRAME)
 
@@ -112,7 +112,7 @@ class StatusTracker:
         milliseconds = fields.pop("WSpeedMilliseconds")
         fields["WSpeedTime"] = None
         if milliseconds is None or gps_seconds is None:
-            return  # without a new time the last frequency stays valid
+            return  # without a new time, the last frequency stays valid
         time = 60.0 * round((gps_seconds - milliseconds * 1e-3) / 60.0) + milliseconds * 1e-3
         count, previous = fields["WSpeedCount"], self._last_pulses
         fields["WSpeedFreq"] = (
@@ -133,8 +133,8 @@ def origin_from_channel_25(x: float, y: float, heading: float, latitude: float, 
                            altitude: float) -> tuple[float, float, float, float]:
     """Local frame of old firmware: latitude, longitude [deg], altitude [m] of its origin, heading [deg] of its x axis.
 
-    x, y: current position in the local frame [m], heading: of its x axis from north [deg]. latitude, longitude [rad],
-    altitude [m]: current position. The latitude is iterated because the radii are those at the origin.
+    x, y: current position in the local frame [m]. heading: of the x axis, clockwise from north [deg]. latitude,
+    longitude [rad], altitude [m]: current position. Iterates because the radii of curvature depend on the origin.
     """
     s, c = sin(radians(heading)), cos(radians(heading))
     north, east = x * c + y * s, x * s - y * c
@@ -151,8 +151,8 @@ def wrap_degrees(angle: float) -> float:
     return 180.0 - (180.0 - angle) % 360.0
 
 
-def up_time(code: int) -> int:
-    """Seconds since power-on from the compressed code of channel 23: seconds, then minutes, then hours."""
+def decode_up_time(code: int) -> int:
+    """Seconds since power-on from the compressed code of channel 23, which counts seconds, then minutes, then hours."""
     if code <= 10_800:
         return code
     return (code - 10_620) * 60 if code <= 20_700 else (code - 20_532) * 3600
@@ -162,28 +162,28 @@ def up_time(code: int) -> int:
 class Event:
     """Edge of an event input or output.
 
-    channel: status channel of the input or output and edge.  gps_ns: instant [ns since 1980-01-06].  count: event
-    counter of the unit, wraps after 255.  complete: the packet contains the pose at that instant; false for a
-    repetition in a regular packet.
+    channel: status channel, which identifies input or output and edge.  gps_ns: instant [ns since 1980-01-06].  count:
+    event counter of the unit, wraps after 255.  has_pose: the packet contains the pose at that instant; false if the
+    event is only reported in a regular packet.
     """
 
     channel: int
     gps_ns: int
     count: int
-    complete: bool
+    has_pose: bool
 
 
 class EventLog:
-    """Removes repetitions: one event per change of the unit's counter.
+    """Reports each event once, although units repeat it in regular packets.
 
-    A first count in a regular packet belongs to an old event and only initialises the counter.
+    The first count in a regular packet belongs to an old event and only initialises the counter.
     """
 
     def __init__(self) -> None:
         self._last: dict[int, tuple[int, int]] = {}  # by channel: count and time of the newest event
 
-    def event(self, received: Received) -> Event | None:
-        """The event if this packet is the first to report it, else None."""
+    def detect(self, received: Received) -> Event | None:
+        """The event that this packet is the first to report, else None."""
         packet = received.packet
         channel = packet.channel
         if channel not in TRIGGER_CHANNELS or not received.rule.status:
@@ -194,6 +194,6 @@ class EventLog:
         count = packet.batch_s[7]
         before = self._last.get(channel)
         self._last[channel] = (count, time)
-        complete = received.kind == "trigger"
-        is_new = complete if before is None else count != before[0] and (complete or time > before[1])
-        return Event(channel, time, count, complete) if is_new else None
+        has_pose = received.kind == "trigger"
+        is_new = has_pose if before is None else count != before[0] and (has_pose or time > before[1])
+        return Event(channel, time, count, has_pose) if is_new else None

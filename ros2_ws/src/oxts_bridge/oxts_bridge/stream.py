@@ -1,4 +1,4 @@
-"""Parses a byte stream, in pieces of any size, into timed NCOM packets; never raises, whatever the bytes."""
+"""Parses a byte stream, given in pieces of any size, into timed NCOM packets; no input raises an exception."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ _NO_VECTOR = (ncom.NAN, ncom.NAN, ncom.NAN)
 _NO_FIELDS: Mapping[str, Value] = {}
 # After this time without channel 0, a stream gets its minute from the host's clock [ns].
 HOST_MINUTE_DELAY_NS = 2_000_000_000
-# A step longer than this many typical ones is a gap.
+# A step longer than this many typical steps is a gap.
 GAP_STEPS = 1.75
 _CLOCK_SAMPLES = 1000  # four seconds at 250 Hz
 
@@ -23,11 +23,11 @@ _CLOCK_SAMPLES = 1000  # four seconds at 250 Hz
 class Received:
     """One accepted packet.
 
-    packet: its values; parts that its navigation status declares invalid are NaN.  raw: its 72 bytes.
-    fields: decoded batch S, empty if not valid or not published.  offset: of its first byte in the stream.
+    packet: values, NaN where the navigation status declares them invalid.  raw: the 72 bytes.
+    fields: decoded batch S, empty if invalid or of an unknown channel.  offset: index of the first byte in the stream.
     kind: regular, status, trigger or empty (no valid part).  gps_ns: GPS time of the measurement or event [ns since
-    1980-01-06], None while unknown.  utc_ns: the same as UTC [ns since 1970].
-    order: NEW (newer than all previous ones), SAME (time as the newest one), DUPLICATE (all bytes too), LATE (older).
+    1980-01-06], None while unknown.  utc_ns: this time as UTC [ns since 1970].
+    order: relative to the newest packet: NEW (newer), SAME (equal time), DUPLICATE (equal bytes), LATE (older).
     received_ns: host time of receipt [ns since 1970], as given to feed().
     """
 
@@ -44,7 +44,7 @@ class Received:
 
 
 class NcomParser:
-    """Streaming parser with its own clock, for datagrams or pieces of a file; packets may extend over several."""
+    """Parses datagrams or pieces of a file; a packet may extend over several of them."""
 
     def __init__(self) -> None:
         self.clock = GpsClock()
@@ -62,13 +62,13 @@ class NcomParser:
         return self.clock.jumps
 
     def restart(self) -> None:
-        """Start another stream: discard the time and an incomplete packet, keep the counters."""
+        """Prepare for another stream: discard the time and an incomplete packet, but keep the counters."""
         jumps, self.clock = self.clock.jumps, GpsClock()
         self.clock.jumps = jumps
         self._tail, self._in_sync = b"", True
 
     def feed(self, data: bytes, received_ns: int | None = None) -> list[Received]:
-        """All packets completed by these bytes, in order; received_ns: host time of their receipt [ns since 1970]."""
+        """All packets completed by these bytes, in order; received_ns: host time of receipt [ns since 1970]."""
         buffer = self._tail + data if self._tail else bytes(data)
         size, packet_size = len(buffer), ncom.PACKET_SIZE
         packets: list[Received] = []
@@ -125,7 +125,7 @@ class NcomParser:
         return None if gps_ms is None else gps_ms * 1_000_000, order
 
     def _event_time(self, packet: Packet, raw: bytes) -> tuple[int | None, int]:
-        """GPS time [ns] and order of an event; None without a time in the packet."""
+        """GPS time [ns] of an event, None if the packet has none; and the packet's order."""
         self.counters.triggers += 1
         before, self._last_trigger = self._last_trigger, raw
         gps_ns = channels.trigger_nanoseconds(packet.batch_s) if packet.channel in TRIGGER_CHANNELS else None
@@ -157,13 +157,13 @@ class NcomParser:
 
 
 class HostMinute:
-    """Sets the GPS minute from the host's clock if a live stream has no channel 0 (normally every 10th packet)."""
+    """Sets the GPS minute from the host clock if a live stream lacks channel 0 (normally every 10th packet)."""
 
     def __init__(self) -> None:
         self._untimed_since: int | None = None
 
     def update(self, received: Received, received_ns: int, clock: GpsClock) -> bool:
-        """Process a packet of the series and its time of receipt [ns]; True if it set the minute of the clock."""
+        """Process a regular packet and its time of receipt [ns]; returns whether the minute of the clock was set."""
         if not received.rule.time or received.gps_ns is not None:
             self._untimed_since = None
             return False
@@ -176,7 +176,7 @@ class HostMinute:
 
 
 class StreamStatistics:
-    """Rate, gaps and delay of the new packets of the series."""
+    """Rate, gaps and delay of the regular packets."""
 
     def __init__(self) -> None:
         self.gaps = 0
@@ -186,7 +186,7 @@ class StreamStatistics:
         self._steps, self._covered_ns, self._longest_ns = 0, 0, 0  # since take()
 
     def add(self, received: Received) -> None:
-        """Count a new packet of the series; ignored while the time is unknown."""
+        """Count a new regular packet, unless its time is unknown."""
         if received.gps_ns is None:
             return
         if self._last_gps_ns is not None and received.gps_ns > self._last_gps_ns:
@@ -203,7 +203,7 @@ class StreamStatistics:
             self._typical_ns = step
         elif step > GAP_STEPS * self._typical_ns:
             self.gaps += 1
-            # Slow adaptation: a changed rate becomes typical, a lost packet has little effect.
+            # Adapts slowly: a changed rate becomes typical, but a lost packet has little effect.
             self._typical_ns += min(step - self._typical_ns, self._typical_ns) // 64
         else:
             self._typical_ns += (step - self._typical_ns) // 64
@@ -216,7 +216,7 @@ class StreamStatistics:
         return rate, longest
 
     def stamp_minus_host(self) -> tuple[float, float, float] | None:
-        """Median, 1st percentile and newest value of packet time minus receive time [s]; negative: it is older."""
+        """Median, 1st percentile and newest value of packet time minus time of receipt [s], normally negative."""
         offsets = list(self._offsets.copy())
         if not offsets:
             return None
@@ -225,7 +225,7 @@ class StreamStatistics:
 
 
 def _mask_invalid(packet: Packet, rule: Rule, kind: str) -> bool:
-    """Set NaN where the navigation status declares values invalid; returns whether the position is impossible."""
+    """Replace invalid values by NaN; returns whether the position is impossible although declared valid."""
     if kind == "empty" or not rule.imu:
         packet.acceleration = packet.angular_rate = _NO_VECTOR
     if kind == "empty" or rule.navigation == "none":

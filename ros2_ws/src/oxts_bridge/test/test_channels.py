@@ -15,7 +15,7 @@ from oxts_bridge.channels import (
     trigger_nanoseconds,
 )
 from oxts_bridge.ncom import NcomError
-from oxts_bridge.status import up_time
+from oxts_bridge.status import decode_up_time
 from trigger_bytes import encode_trigger
 
 # The manual lists these without a layout.
@@ -178,4 +178,4 @@ def test_no_event_yet(minutes, count):
     [(0, 0), (10_800, 10_800), (10_801, 181 * 60), (20_700, 604_800), (20_701, 169 * 3600), (65_534, 45_002 * 3600)],
 )
 def test_up_time_in_its_three_ranges(code, seconds):
-    assert up_time(code) == seconds
+    assert decode_up_time(code) == seconds

@@ -33,7 +33,7 @@ def test_sigterm_is_a_clean_end_too(tmp_path):
     [
         ({"udp_prot": 3000}, "unknown parameter udp_prot"),
         ({"udp_port": 70000}, "udp_port: 70000 is outside 1 to 65535"),
-        ({"origin_source": "given"}, "origin_latitude: required when"),
+        ({"origin_source": "given"}, "origin_latitude: is required when"),
         ({"replay_file": __file__}, "no NCOM packet in"),
     ],
 )

@@ -4,7 +4,7 @@ import math
 
 import pytest
 from oxts_bridge.channels import encode_channel
-from oxts_bridge.motion import FIRST_FIX, GIVEN, LOCAL_FRAME_TIMEOUT_NS, UNIT, Accuracy, Origin, motion_of
+from oxts_bridge.motion import FIRST_FIX, GIVEN, LOCAL_FRAME_TIMEOUT_NS, UNIT, Accuracy, Origin, extract_motion
 from oxts_bridge.ncom import fix_status, mode_text
 from oxts_bridge.status import EventLog, StatusTracker
 from oxts_bridge.stream import NcomParser
@@ -88,15 +88,15 @@ def test_each_event_is_told_once_however_often_it_is_repeated(packet):
     no_event = (-10080).to_bytes(4, "little", signed=True) + bytes(4)
 
     def event(status, data, channel=24):
-        return log.event(receive(parser, packet(START, channel, batch_s=data, navigation_status=status)))
+        return log.detect(receive(parser, packet(START, channel, batch_s=data, navigation_status=status)))
 
     assert event(4, no_event) is None
     complete = event(22, first)
-    assert (complete.channel, complete.count, complete.complete) == (24, 7, True)
+    assert (complete.channel, complete.count, complete.has_pose) == (24, 7, True)
     assert event(4, first) is None and event(22, first) is None
     # The trigger packet of the second event was lost; its repeat still tells the time, but no pose.
     repeat = event(4, second)
-    assert (repeat.count, repeat.complete, repeat.gps_ns) == (8, False, (START + 900) * 1_000_000)
+    assert (repeat.count, repeat.has_pose, repeat.gps_ns) == (8, False, (START + 900) * 1_000_000)
     assert event(4, second) is None
     assert event(4, encode_channel(5, {}), channel=5) is None
 
@@ -104,9 +104,9 @@ def test_each_event_is_told_once_however_often_it_is_repeated(packet):
 def test_an_event_from_before_the_start_is_not_news(packet):
     parser, log = NcomParser(), EventLog()
     old = encode_trigger(43, START * 1_000_000, 200)
-    assert log.event(receive(parser, packet(START, 43, batch_s=old))) is None
+    assert log.detect(receive(parser, packet(START, 43, batch_s=old))) is None
     new = encode_trigger(43, (START + 1) * 1_000_000, 201)
-    assert log.event(receive(parser, packet(START, 43, batch_s=new, navigation_status=22))).count == 201
+    assert log.detect(receive(parser, packet(START, 43, batch_s=new, navigation_status=22))).count == 201
 
 
 def test_event_counter_wraps(packet):
@@ -114,13 +114,13 @@ def test_event_counter_wraps(packet):
     counts = []
     for i, count in enumerate((254, 255, 1)):
         data = encode_trigger(65, (START + i) * 1_000_000, count)
-        counts.append(log.event(receive(parser, packet(START, 65, batch_s=data, navigation_status=22))).count)
+        counts.append(log.detect(receive(parser, packet(START, 65, batch_s=data, navigation_status=22))).count)
     assert counts == [254, 255, 1]
 
 
 @pytest.fixture
 def motion(packet):
-    return motion_of(receive(NcomParser(), packet(START, 0)))
+    return extract_motion(receive(NcomParser(), packet(START, 0)))
 
 
 def test_motion_in_ros_axes(motion):
@@ -133,7 +133,7 @@ def test_motion_in_ros_axes(motion):
 @pytest.mark.parametrize("status", [0, 1, 2, 5, 10])
 def test_no_motion_without_a_fix(packet, status):
     received = NcomParser().feed(packet(START, 0, navigation_status=status))[0]
-    assert motion_of(received) is None
+    assert extract_motion(received) is None
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ def test_no_motion_without_a_fix(packet, status):
     ],
 )
 def test_no_motion_from_half_a_solution(packet, changes):
-    assert motion_of(NcomParser().feed(packet(START, 0, **changes))[0]) is None
+    assert extract_motion(NcomParser().feed(packet(START, 0, **changes))[0]) is None
 
 
 def test_first_fix_is_kept(motion):
