@@ -230,7 +230,7 @@ def test_fewer_loads_give_fewer_parameters(leaf):
     one, two = of(4250.0), of(4250.0, 5200.0)
     assert {e.parameter.partition(".")[2] for e in one.estimates} == {"p_cy1", "p_dy1", "p_ey1", "p_ky1"}
     assert "p_ky4" not in {e.parameter.partition(".")[2] for e in two.estimates} and len(two.estimates) == 7
-    assert "1 load only: p_dy2, p_ey2, p_ky2 and p_ky4 stay" in one.warnings[0]
+    assert "only 1 load: p_dy2, p_ey2, p_ky2 and p_ky4 are taken" in one.warnings[0]
 
 
 def test_the_other_sign_of_the_slip_angle_gives_the_same_tyre(leaf):
@@ -245,7 +245,7 @@ def test_a_tyre_that_never_slides_leaves_its_peak_open(leaf):
     data = flat_plank(leaf, "tyre_front", 0)
     rows = np.abs(data.slip) < np.radians(3.5)
     found = identify_magic_formula(replace(data, load=data.load[rows], slip=data.slip[rows], force=data.force[rows]),
-                          start_of(leaf, "tyre_front"))
+                                   start_of(leaf, "tyre_front"))
     doubtful = {e.parameter for e in found.estimates if e.status == "doubtful"}
     shape, curvature = (next(e for e in found.estimates if e.parameter == f"tyre_front.{name}")
                         for name in ("p_cy1", "p_ey1"))
@@ -255,9 +255,9 @@ def test_a_tyre_that_never_slides_leaves_its_peak_open(leaf):
 
 
 @pytest.mark.parametrize(("change", "said"), [
-    (lambda d: replace(d, slip=np.degrees(d.slip)), "limit 40 deg: if the column is in degrees"),
-    (lambda d: replace(d, slip=np.radians(d.slip)), "slip angle reaches 0.209 deg only"),
-    (lambda d: replace(d, slip=0.0 * d.slip), "slip angle reaches 0 deg only"),
+    (lambda d: replace(d, slip=np.degrees(d.slip)), "at most 40 deg is possible: if the column is in degrees"),
+    (lambda d: replace(d, slip=np.radians(d.slip)), "slip angle reaches only 0.209 deg"),
+    (lambda d: replace(d, slip=0.0 * d.slip), "slip angle reaches only 0 deg"),
     (lambda d: replace(d, load=d.force, force=d.load), "are load and lateral force exchanged?"),
     (lambda d: replace(d, load=np.abs(d.force) + 1.0, force=d.load), "exchanged?"),
     (lambda d: replace(d, force=d.force / 1000.0), "expected 0.2 to 3 for a tyre"),
