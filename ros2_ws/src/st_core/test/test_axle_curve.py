@@ -77,7 +77,7 @@ def test_curve_has_the_band_of_its_draws_over_the_driven_slip(leaf):
 def test_measured_forces_lie_on_the_tyres_curve(leaf, limit):
     for one in axle_regressions(limit, leaf):
         assert one.usable, one.reasons
-        slip, force = one.samples.binned()
+        slip, force = one.samples.bin_forces()
         assert slip[-1] > 0.04 and len(slip) >= 10
         np.testing.assert_allclose(force, axle_force("nonlinear", leaf, one.axle, slip), rtol=0.02, atol=30.0)
 

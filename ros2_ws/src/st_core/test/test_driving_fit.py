@@ -27,7 +27,8 @@ def test_fit_finds_the_car_with_its_spread_over_runs(fit, leaf):
     assert fit.values == pytest.approx(true, rel=0.03)
     assert (np.abs(fit.values - true) < 4.0 * fit.spread.deviations).all()
     assert not fit.at_bound and fit.spread.basis[0] == "9 runs" and (fit.spread.freedom == 8.0).all()
-    assert fit.residuals.shape == (len(fit.run_of), 2) and fit.n_predictions == sum(u for u, _ in fit.windows.values())
+    assert fit.residuals.shape == (len(fit.run_of), 2)
+    assert fit.prediction_count == sum(used for used, _ in fit.windows.values())
 
 
 @pytest.mark.slow
@@ -42,8 +43,8 @@ def test_spread_is_that_of_fits_without_a_run(logs, leaf, fit):
 def test_predictions_beyond_the_gates_do_not_count(logs, leaf, fit):
     slow = fit_driving(logs, leaf, NAMES, "linear", DrivingFitSettings(minimum_speed=9.0))
     assert [slow.windows[f"run {k}"][0] > 0 for k in range(9)] == [False] * 3 + [True] * 6
-    assert slow.n_predictions < fit.n_predictions
-    with pytest.raises(IdentificationError, match=r"too few samples: 0 of \d+ predictions are faster than 40 m/s"):
+    assert slow.prediction_count < fit.prediction_count
+    with pytest.raises(IdentificationError, match=r"too little driving: 0 of \d+ predictions are faster than 40 m/s"):
         fit_driving(logs, leaf, NAMES, "linear", DrivingFitSettings(minimum_speed=40.0))
 
 

@@ -110,7 +110,7 @@ def test_pitch_from_the_lift_counts_the_tyres_deflection():
     (lambda d: replace(d, pitch=np.radians(d.pitch)), "pitch ranges over 0.26"),
     (lambda d: replace(d, pitch=d.rear_load, rear_load=np.degrees(d.pitch) + 1.0), "two columns exchanged"),
     (lambda d: replace(d, pitch=0.0 * d.pitch), "pitch ranges over 0 deg"),
-    (lambda d: replace(d, rear_load=d.rear_load[::-1]), "it must rise when the front axle is lifted"),
+    (lambda d: replace(d, rear_load=d.rear_load[::-1]), "must rise when the front axle is lifted"),
     (lambda d: replace(d, pitch=-d.pitch), "nose up is positive"),
     (lambda d: replace(d, rear_radius=d.rear_radius * 1000.0), "rear wheel radius"),
     (lambda d: replace(d, front_radius=d.front_radius * np.nan), "no wheel radius"),

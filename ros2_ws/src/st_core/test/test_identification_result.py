@@ -90,7 +90,7 @@ def test_contradictions_with_the_file_are_said_with_numbers(leaf):
 def test_a_scale_that_was_set_before_the_stiffness_changed_is_named(leaf):
     fixed = replace(leaf, sources={**leaf.sources, "tyre_front.lambda_ky": "by hand"})
     found = [outcome(estimate("cornering_stiffness_front", 80000.0))]
-    assert describe_stale_scales(fixed, found)[0].startswith("tyre_front.lambda_ky was set in the vehicle file ")
+    assert describe_stale_scales(fixed, found)[0].startswith("tyre_front.lambda_ky of the vehicle file is outdated")
     assert describe_stale_scales(leaf, found) == ()
 
 

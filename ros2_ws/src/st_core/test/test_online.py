@@ -85,8 +85,8 @@ def test_a_slalom_of_a_car_that_lags_gives_the_true_ratio_at_two_speeds(leaf):
 def test_nothing_counts_before_enough_driving(leaf, road):
     start = track(leaf, road[:300]).estimates()  # 3 s
     assert {one.status for one in start} == {"unestimated"}
-    assert start[0].reason.startswith("3 of 10 s driving")
-    assert track(leaf, []).estimates()[2].reason.startswith("0 of 3 s left bends above 1.5 m/s^2; 0 of 3 s right")
+    assert start[0].reason.startswith("3 of 10 s of driving")
+    assert track(leaf, []).estimates()[2].reason.startswith("0 of 3 s of left bends above 1.5 m/s^2; 0 of 3 s of right")
 
 
 def test_slow_and_hard_driving_is_rejected_and_counted(leaf, road):

@@ -1,1 +1,1 @@
-"""Parameters of the vehicle file from experiments and from driving, each with its uncertainty and a verdict."""
+"""Identification of vehicle parameters from experiments and from driving, with their uncertainty."""

@@ -1,10 +1,10 @@
-"""Lateral force of an axle versus slip angle in the driven range: model with band, and measurement.
+"""Lateral force of an axle versus slip angle in a model, with a band, and its deviation from measured forces.
 
     F(alpha) = (F_model(-alpha) - F_model(alpha)) / 2,   alpha >= 0
 
-F_model is the axle force in the model's equations of motion in steady cornering at equal slip of both axles, without
-forward acceleration: every effect that acts in that state is included, offsets cancel. The slip angle is computed from
-the measured steering, as in a regression, so compliance and roll steer change the curve. The curve ends at the driven
+F_model is the axle force in the model's equations of motion in steady cornering with equal slip of both axles, without
+forward acceleration. It includes every effect that acts in that state; offsets cancel. The slip angle is computed from
+the measured steering, as in the regression, so compliance and roll steer change the curve. The curve ends at the driven
 slip. Checked by: test_axle_curve.py.
 """
 
@@ -19,19 +19,17 @@ from ..models import Model, get_model
 from ..vehicle import VehicleParameters
 from .cornering_stiffness import DRIVEN_QUANTILE, AxleSamples
 
-SPEED = 20.0  # m/s, at which the curve is evaluated: every minimum_slip_speed is lower
+SPEED = 20.0  # m/s, at which the curve is evaluated; above every minimum_slip_speed
 MIN_DRAWS = 20
-SECANT_STEPS = 6  # iterations for the lateral acceleration; its error is below 0.1 % at the bounds of roll steer
+SECANT_STEPS = 6  # of the lateral acceleration; its error is below 0.1 % at the bounds of roll steer
 BAND = (0.05, 0.95)  # quantiles of the draws
 
 
 @dataclass(frozen=True, eq=False)
 class AxleCurve:
-    """Force curve of one axle. slip: (m,) [rad], 0 to the driven slip; force, low, high, file: (m,) [N], opposing the
-    slip; low and high: 90 % band, equal to force without draws; file: of the original model.
-
-    density: (m - 1,) fraction of the driving between two values of slip [1], sum 1 up to the driven slip.
-    """
+    """Force curve of one axle. slip: (m,) from 0 to the driven slip [rad]. force: (m,) opposing it [N]. low, high: (m,)
+    90 % band [N], equal to force without draws. file: (m,) force of the original model [N]. density: (m - 1,) fraction
+    of the driving between two values of slip [1], with sum 1."""
 
     axle: str
     slip: np.ndarray
@@ -43,7 +41,7 @@ class AxleCurve:
 
 
 def axle_forces(model: str | Model, vehicle: VehicleParameters, slip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Forces of the front and the rear axle opposing slip angles >= 0 [rad], (n,) each [N]; equation: see the module.
+    """Forces of the front and the rear axle that oppose slip angles >= 0 [rad], (n,) each [N]; see the module.
 
     Raises StCoreError for a model without tyres.
     """
@@ -73,7 +71,7 @@ def _steady_forces(model: Model, vehicle: VehicleParameters, slip: np.ndarray) -
     zero = np.zeros_like(slip)
 
     def accelerations(a_y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lateral [m/s^2] and yaw [rad/s^2] acceleration in a turn of this a_y, and the road wheel angle [rad]."""
+        """Lateral [m/s^2] and yaw [rad/s^2] acceleration by the model in a turn of this a_y; road wheel angle [rad]."""
         r = a_y / SPEED
         v_y = car.cg_to_rear_axle * r + SPEED * np.tan(slip)
         angle = np.arctan((v_y + car.cg_to_front_axle * r) / SPEED) - slip
@@ -101,9 +99,9 @@ def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven
                also: Iterable[Model] = ()) -> AxleCurve:
     """The force curve of one axle with its band, at 41 slip angles up to the driven slip.
 
-    driven_slip: (n,) slip angles of the axle while driving [rad], either sign. draws: models with other values, from
-    `draw_models`; the band is their central 90 % at each slip, extended to the curves of `also`. original: model of
-    the vehicle file, by default the base model without effects. Raises StCoreError for fewer than two driven slips.
+    driven_slip: (n,) measured slip angles of the axle [rad], either sign. draws: models of `draw_models`; the band is
+    their central 90 % at each slip, extended to the curves of the models `also`. original: model of the vehicle file,
+    by default the base model without effects. Raises StCoreError for fewer than two driven slip angles.
     """
     abs_slip = np.abs(np.asarray(driven_slip, float))
     abs_slip = abs_slip[np.isfinite(abs_slip)]
@@ -126,14 +124,15 @@ def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleP
                 count: int) -> list[AugmentedModel]:
     """Models with values drawn from a normal distribution about those of `model`, within the bounds of each parameter.
 
-    covariance: (p, p) of `model.vector` [SI]; rows of zeros for constants. vehicle: draws outside the limits of a
-    vehicle file are dropped. Raises StCoreError if fewer than MIN_DRAWS are left: the values are hardly determined.
+    covariance: (p, p) of `model.vector` [SI]; rows of zeros for constants. vehicle: car that the values must suit
+    within the limits of a vehicle file. Raises StCoreError if fewer than MIN_DRAWS draws are valid.
     """
     low, high = np.array([p.bounds for _, p in model.free]).T.reshape(2, -1)
     values = np.random.default_rng(0).multivariate_normal(model.vector, covariance, count, method="eigh")
     models = valid_models([model.with_vector(row.tolist()) for row in np.clip(values, low, high)], vehicle)
     if len(models) < MIN_DRAWS:
-        raise StCoreError(f"{len(models)} of {count} drawn parameter sets are valid cars; {MIN_DRAWS} are needed")
+        raise StCoreError(f"{len(models)} of {count} drawn parameter sets are within the limits of a vehicle file, "
+                          f"{MIN_DRAWS} are needed: the values are too uncertain")
     return models
 
 
@@ -154,7 +153,7 @@ def force_error(model: str | Model, vehicle: VehicleParameters, samples: AxleSam
 
         sqrt(mean over bins of (F_model(alpha) - mean F)^2) / max |mean F|
 
-    The bins of `AxleSamples.binned` divide the driven |slip| evenly, so that straights do not outweigh bends.
+    The bins of `AxleSamples.bin_forces` divide the driven |slip| evenly, so that straights do not outweigh bends.
     """
-    slip, force = samples.binned()
+    slip, force = samples.bin_forces()
     return float(np.sqrt(np.mean((axle_force(model, vehicle, samples.axle, slip) - force) ** 2)) / force.max())

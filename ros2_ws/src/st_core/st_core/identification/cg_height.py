@@ -1,18 +1,18 @@
-"""Height of the centre of gravity (CG) from the axle-lift test: front axle lifted, rear load against pitch.
+"""Height of the centre of gravity (CG) from the axle-lift test: rear load versus pitch with the front axle lifted.
 
 The car rests on free-rolling wheels with locked suspension, so each ground force is vertical and passes through the
-centre of its wheel. Moments about the front wheel centres, pitch theta nose up, l the wheelbase, r the height of the
-line between the wheel centres under the CG when the car is level:
+centre of its wheel. Moments about the front wheel centres, with pitch theta (nose up), wheelbase l, and the height r of
+the line between the wheel centres below the CG of the level car:
 
     m_r(theta) l cos(theta) = m (l_f cos(theta) + (h - r) sin(theta))
     m_r(theta) = m_r(0) + m (h - r) / l tan(theta)
     one pitch:   h = r + l (m_r(theta) - m_r(0)) / (m tan(theta))          (ISO 10392)
-    all:         h = r + l b / m,  b the slope of m_r versus tan(theta), with a separate intercept for each lift
+    all:         h = r + l b / m,  b: slope of m_r versus tan(theta), with a separate intercept for each lift
     r = r_front (1 - l_f / l) + r_rear l_f / l
 
-r is computed from the loaded wheel radii of the level car, because h is the height there. The further deflection of the
-rear tyres when lifted does not enter: the force still passes through the wheel centre. It enters the pitch computed
-from the lift of the front wheels: sin(theta + theta_0) = (lift + r_front - r_rear) / l with the radii when lifted.
+r is computed from the loaded wheel radii of the level car, because h is its height. The deflection of the rear tyres
+when lifted does not change h, since the force still passes through the wheel centre, but it changes the pitch computed
+from the lift: sin(theta + theta_0) = (lift + r_front - r_rear) / l with the radii when lifted.
 
     u(h)^2 = (l / m)^2 u(b)^2 + (h - r)^2 (u(m)^2 / m^2 + u(l)^2 / l^2) + u(r)^2
 
@@ -33,17 +33,16 @@ MAX_LEVEL_PITCH = math.radians(0.5)  # rows with a smaller pitch count as level
 MIN_PITCH_RANGE = math.radians(3.0)  # in a smaller range the load changes by less than the resolution of wheel scales
 MAX_PITCH = math.radians(45.0)
 BIN = math.radians(3.0)
-RADIUS_UNCERTAINTY = 0.003  # m, of a wheel radius read off a ruler
-MAX_LOAD_DIFFERENCE = 0.02  # of the mass, between measured and expected rear load of the level car
+RADIUS_UNCERTAINTY = 0.003  # m; standard uncertainty of a wheel radius read from a ruler
+MAX_LOAD_DIFFERENCE = 0.02  # fraction of the mass; between measured and expected rear load of the level car
 
 
 @dataclass(frozen=True)
 class Lift:
-    """Rows of one or several lifts: pitch (n,) nose up [rad] relative to the level car, rear_load (n,) both wheels
-    [kg].
+    """Rows of one or more lifts: pitch (n,) relative to the level car, nose up [rad]; rear_load (n,), both wheels [kg].
 
-    lifts: name of the lift per row. front_radius, rear_radius: (n,) height of the wheel centres above the ground under
-    them [m], NaN where not measured; the level rows need them.
+    lifts: name of the lift of each row. front_radius, rear_radius: (n,) height of the wheel centres above the ground
+    below them [m], NaN where not measured; required for the level rows.
     """
 
     pitch: np.ndarray
@@ -75,7 +74,7 @@ def pitch_from_lift(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.
     rise = (lift + front_radius - rear_radius) / wheelbase
     if not np.isfinite(rise).all() or np.abs(rise).max() >= math.sin(MAX_PITCH):
         raise IdentificationError(f"lift of {np.nanmax(lift):.3f} m on a wheelbase of {wheelbase:.3f} m: every row "
-                                  "needs both wheel radii, and a pitch below 45 deg; are lift and radii in the unit "
+                                  "needs both wheel radii and a pitch below 45 deg; are lift and radii in the units "
                                   "of the header?")
     angle = np.arcsin(rise)
     return angle - angle[0]
@@ -84,52 +83,54 @@ def pitch_from_lift(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.
 def identify_cg_height(data: Lift, car: LiftedCar) -> Identification:
     """Estimate of cg_height [m].
 
-    Raises IdentificationError, with the numbers, for unusable rows: no level row, too little pitch, pitch in the wrong
-    unit, load that falls as the nose rises.
+    Raises IdentificationError for unusable rows: no level row, too little pitch, pitch in the wrong unit, rear load
+    that falls as the nose rises.
     """
     level = _check_rows(data)
     line = fit_line(np.tan(data.pitch), data.rear_load, data.lifts)
     if line.slope <= 0.0:
         raise IdentificationError(f"the rear load changes by {line.slope * math.tan(math.radians(10.0)):+.1f} kg for "
-                                  "10 deg of pitch; it must rise when the front axle is lifted. Was the rear lifted, "
-                                  "or are columns exchanged?")
+                                  "10 deg of pitch, but must rise when the front axle is lifted: was the rear axle "
+                                  "lifted, or are columns exchanged?")
     radius, deflection = _radii(data, car, level)
     arm = car.wheelbase * line.slope / car.mass
     height = radius + arm
     share = car.cg_to_front_axle / car.wheelbase
-    spread = math.hypot(
+    uncertainty = math.hypot(
         car.wheelbase / car.mass * line.uncertainty, arm * car.mass_uncertainty / car.mass,
         arm * car.wheelbase_uncertainty / car.wheelbase, RADIUS_UNCERTAINTY * math.hypot(1.0 - share, share))
     single, usable = _single_heights(data, car, level, radius, line)
     average = float(single[usable].mean())
     # Only the uncertainty of the slope was estimated from a few rows; the other uncertainties are known.
-    freedom = welch_freedom((car.wheelbase / car.mass * line.uncertainty) ** 2, spread**2, line.freedom)
+    degrees_of_freedom = welch_freedom((car.wheelbase / car.mass * line.uncertainty) ** 2, uncertainty**2,
+                                       line.degrees_of_freedom)
+    interval = symmetric_interval(height, uncertainty, degrees_of_freedom)
     used = tuple(dict.fromkeys(data.lifts))
     method = (f"ISO 10392 axle lift, {len(data.pitch)} rows in {len(used)} lift{'s' * (len(used) != 1)} up to "
               f"{math.degrees(data.pitch.max()):.1f} deg, wheel centres at {radius:.3f} m")
     deflection_note = "" if deflection is None else (
-        f" At the steepest pitch the rear tyres deflected by a further {1e3 * deflection:.1f} mm, which is not "
-        "included.")
+        f" At the steepest pitch the rear tyres deflected by a further {1e3 * deflection:.1f} mm, which does not "
+        "change the height of the level car.")
     estimate = Estimate(
-        "cg_height", height, "m", spread, symmetric_interval(height, spread, freedom), method, used,
+        "cg_height", height, "m", uncertainty, interval, method, used,
         f"The CG is {height:.3f} m above the ground, {arm:.3f} m above the wheel centres; the average over the pitch "
         f"angles, the method of the paper, is {average:.3f} m.{deflection_note}")
     edges = np.arange(0.0, data.pitch.max() + BIN, BIN)
     counts = np.histogram(data.pitch, edges)[0]
     coverage = Coverage("pitch", "deg", np.degrees(edges), counts, 1, 2)
     warnings = [*_order_warnings(data), *_load_warnings(data, car, level)]
-    if abs(average - height) > 2.0 * spread:
+    if abs(average - height) > 2.0 * uncertainty:
         warnings.append(f"The average over the pitch angles, {average:.3f} m, differs from the fit, {height:.3f} m, by "
                         "more than twice its uncertainty: it gives small pitch angles the same weight as large ones.")
     figure = {"pitch": data.pitch, "rear_load": data.rear_load, "lifts": data.lifts, "single": single, "usable": usable,
-              "average": average, "slope": line.slope, "levels": line.levels, "radius": radius}
+              "average": average, "slope": line.slope, "intercepts": line.intercepts, "radius": radius}
     return Identification("cg-height", (estimate,), used, (), None, (coverage,), tuple(warnings), figure)
 
 
 def _check_rows(data: Lift) -> np.ndarray:
     """Mask (n,) of the level rows. Raises IdentificationError for unusable rows."""
-    pitch, load = data.pitch, data.rear_load
-    if not (np.isfinite(pitch).all() and np.isfinite(load).all() and (load > 0.0).all()):
+    pitch = data.pitch
+    if not (np.isfinite(pitch).all() and np.isfinite(data.rear_load).all() and (data.rear_load > 0.0).all()):
         raise IdentificationError("every row needs a pitch and a rear load above 0 kg")
     if np.abs(pitch).max(initial=0.0) > MAX_PITCH:
         raise IdentificationError(f"pitch reaches {np.abs(pitch).max():.3g} rad = "
@@ -146,12 +147,12 @@ def _check_rows(data: Lift) -> np.ndarray:
                                   "row and two lifted pitch angles are needed")
     if pitch[~level].max() <= 0.0:
         raise IdentificationError(f"pitch is never positive, down to {math.degrees(pitch.min()):.1f} deg: nose up is "
-                                  "positive, the front axle is lifted")
+                                  "positive, with the front axle lifted")
     return level
 
 
 def _radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float, float | None]:
-    """Height of the line of wheel centres under the CG, and further deflection of the rear tyres when lifted [m]."""
+    """(height of the line of wheel centres below the CG, further deflection of the lifted car's rear tyres) [m]."""
     front, rear = (radius[level & np.isfinite(radius)] for radius in (data.front_radius, data.rear_radius))
     if not len(front) or not len(rear):
         raise IdentificationError("the level rows have no wheel radius: measure the height of the front and rear wheel "
@@ -169,11 +170,11 @@ def _radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float, float 
 
 def _single_heights(data: Lift, car: LiftedCar, level: np.ndarray, radius: float,
                     line: Line) -> tuple[np.ndarray, np.ndarray]:
-    """Height from each single row (n,), and mask of the rows that determine one; the level load is the mean over the
-    level rows of the lift."""
+    """(height from each single row (n,), mask of the rows that determine one). The level load of a lift is the mean of
+    its level rows."""
     groups = np.asarray(data.lifts)
     zero = np.array([data.rear_load[level & (groups == name)].mean() if (level & (groups == name)).any()
-                     else line.levels[name] for name in data.lifts])
+                     else line.intercepts[name] for name in data.lifts])
     usable = data.pitch >= MIN_PITCH_RANGE
     if not usable.any():
         usable = data.pitch == data.pitch.max()
@@ -183,16 +184,15 @@ def _single_heights(data: Lift, car: LiftedCar, level: np.ndarray, radius: float
 
 
 def _order_warnings(data: Lift) -> list[str]:
-    sentences = []
-    groups = np.asarray(data.lifts)
+    sentences, groups = [], np.asarray(data.lifts)
     for name in dict.fromkeys(data.lifts):
         pitch = np.degrees(data.pitch[groups == name])
         back = np.flatnonzero(np.diff(pitch) < -0.05)
         if len(back):
             k = int(back[0])
             sentences.append(f"Lift {name}: pitch does not rise row by row, it falls from {pitch[k]:.1f} to "
-                             f"{pitch[k + 1]:.1f} deg at row {k + 2}. The order does not affect the fit, but on the "
-                             "way down friction retains load: enter such rows as a separate lift.")
+                             f"{pitch[k + 1]:.1f} deg at row {k + 2}. The order does not affect the fit, but friction "
+                             "changes the load on the way down: enter such rows as a separate lift.")
     return sentences
 
 
@@ -201,6 +201,6 @@ def _load_warnings(data: Lift, car: LiftedCar, level: np.ndarray) -> list[str]:
     expected = car.mass * car.cg_to_front_axle / car.wheelbase
     if abs(measured - expected) <= MAX_LOAD_DIFFERENCE * car.mass:
         return []
-    return [f"Level, the rear wheels carry {measured:.1f} kg; mass and CG position of the vehicle file give "
-            f"{expected:.1f} kg. The car was loaded differently: the height is that of the car as lifted, and is only "
-            f"as accurate as its mass, {car.mass:.1f} kg."]
+    return [f"On the level, the rear wheels carry {measured:.1f} kg, but mass and CG position of the vehicle file give "
+            f"{expected:.1f} kg: the car was loaded differently. The height applies to the car as lifted, and only if "
+            f"its mass was {car.mass:.1f} kg."]

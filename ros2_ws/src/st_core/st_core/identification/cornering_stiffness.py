@@ -1,16 +1,17 @@
-"""Measured axle forces and slip angles, and the regression of the axle cornering stiffnesses on them.
+"""Axle cornering stiffnesses by regression of measured axle forces on slip angles.
 
     F_f cos(delta) = (l_r m a_y + I_z r_dot) / L,    F_r = (l_f m a_y - I_z r_dot) / L
 
-from the force and moment balance of the single-track car, a_y at the CG; slip angles from the velocity at each axle.
-The stiffness is the slope of force versus slip. Samples that are slow, near-straight or above |a_y| = 4 m/s^2 are left
-out, and those with |alpha| > 2 deg in the regression of their axle. An intercept absorbs offsets of steering and INS.
-The slope is a secant: a tyre that begins to saturate within the slip range yields less than its stiffness at zero slip,
-and noise of the slip angle attenuates the slope as well. `AxleRegression.model_error` is the standard uncertainty of
-the secant as an estimate of the stiffness at zero slip, from a second regression in the lower half of the slip range
-(`regression.extrapolation_uncertainty`; range a of each secant: mean |alpha|, weighted by alpha^2). Source: Aertssen et
-al., Short-Horizon Position Accuracy of Single-Track Models, section on parameter identification. Checked by:
-test_identification_driving.py, test_axle_curve.py, test_stiffness_model_error.py.
+follow from the force and moment balance of the single-track car, with a_y at the CG, and the slip angles from the
+velocity at each axle. The stiffness is the slope of force versus slip; an intercept absorbs offsets of steering and
+INS. Slow and nearly straight driving, |a_y| above 4 m/s^2 and slip angles above 2 deg are left out.
+
+The slope is a secant: it is below the stiffness at zero slip if the tyre saturates within the slip range, or if the
+slip angle is noisy. `AxleRegression.model_error` is the resulting standard uncertainty of the stiffness at zero slip,
+from a second regression in the lower half of the slip range (`regression.extrapolation_uncertainty`, where the range a
+of each secant is the mean |alpha| weighted by alpha^2). Source: Aertssen et al., Short-Horizon Position Accuracy of
+Single-Track Models, section on parameter identification. Checked by: test_identification_driving.py,
+test_axle_curve.py, test_stiffness_model_error.py.
 """
 
 from collections.abc import Sequence
@@ -38,21 +39,22 @@ METHOD = "regression of axle force on slip angle (paper)"
 MIN_SPEED, MAX_RADIUS, MAX_ACCELERATION = 3.0, 300.0, 4.0  # m/s, m, m/s^2
 MAX_SLIP = np.deg2rad(2.0)
 MIN_AXLE_SAMPLES = 500  # minimum number of samples in a regression
-N_BINS = 12  # of the slip angle
+SLIP_BIN_COUNT = 12
 MAX_RANGE_RATIO = 0.8
-"""Largest ratio of the mean slip in the lower range to that in the full range: above it, extrapolation to zero would
+"""Largest ratio of the mean slip angles in the lower and the full range. Above it, extrapolation to zero slip would
 multiply the difference of the two slopes by more than 5."""
 MAX_RELATIVE_UNCERTAINTY = 0.1
-"""Ratio of the standard uncertainty to the stiffness, above which the stiffness is doubtful."""
-DRIVEN_QUANTILE = 0.995  # quantile of the slip angles up to which driving counts as covered
+"""Ratio of standard uncertainty to stiffness above which the stiffness is doubtful."""
+DRIVEN_QUANTILE = 0.995  # quantile of |slip angle| that is called the driven slip
 
 Slope = tuple[float, Spread, np.ndarray, np.ndarray]
+"""(stiffness C [N/rad], its uncertainty, number of each block, influence of each block on C)."""
 
 
 @dataclass(frozen=True, eq=False)
 class AxleSamples:
-    """Slip angle [rad] and force [N] of an axle, (n,), with the run and the time [s] of each sample; force and slip
-    have opposite signs. used: (n,) whether a sample enters the regression."""
+    """Slip angle [rad] and force [N] of an axle, (n,) each, of opposite sign, with the run and the time [s] of each
+    sample. used: (n,) whether a sample is used in the regression."""
 
     axle: str
     slip: np.ndarray
@@ -61,23 +63,22 @@ class AxleSamples:
     time: np.ndarray
     used: np.ndarray
 
-    def binned(self) -> tuple[np.ndarray, np.ndarray]:
-        """(slip, mean force) per bin of |slip|, (b,) each, force opposing the slip.
+    def bin_forces(self) -> tuple[np.ndarray, np.ndarray]:
+        """(mean slip, mean force opposing it) in each bin of |slip|, (b,) each.
 
-        Both signs are combined after subtracting the slip at zero force, which is due to offsets of steering and INS.
-        Bins with less than 1 % of the samples of a uniform distribution are left out.
+        The slip at zero force, which is due to offsets of steering and INS, is subtracted first. Bins with less than
+        1 % of the samples of a uniform distribution are left out.
         """
         slip = self.slip - self.zero_force_slip()
         size, force = np.abs(slip), -self.force * np.sign(slip)
-        number = np.digitize(size, np.linspace(0.0, float(np.quantile(size, DRIVEN_QUANTILE)), N_BINS + 1)) - 1
-        members = [number == k for k in range(N_BINS)]
-        members = [member for member in members if member.sum() >= max(0.01 * len(size) / N_BINS, 5)]
+        number = np.digitize(size, np.linspace(0.0, float(np.quantile(size, DRIVEN_QUANTILE)), SLIP_BIN_COUNT + 1)) - 1
+        members = [number == k for k in range(SLIP_BIN_COUNT)]
+        members = [member for member in members if member.sum() >= max(0.01 * len(size) / SLIP_BIN_COUNT, 5)]
         return (np.array([size[member].mean() for member in members]),
                 np.array([force[member].mean() for member in members]))
 
     def zero_force_slip(self) -> float:
-        """Slip at zero force [rad], from a line through the samples of the regression; 0 if the force does not oppose
-        the slip."""
+        """Slip at zero force [rad], by linear regression; 0 if the force does not oppose the slip."""
         use = self.used if self.used.sum() >= 10 else np.ones(len(self.slip), bool)
         slope, intercept = np.polyfit(self.slip[use], -self.force[use], 1)
         return float(-intercept / slope) if slope > 0.0 else 0.0
@@ -85,11 +86,11 @@ class AxleSamples:
 
 @dataclass(frozen=True, eq=False)
 class AxleRegression:
-    """Result of the regression of one axle. stiffness, standard_error [N/rad], interval95: NaN where it failed.
+    """Result of the regression of one axle. stiffness, standard_error, interval95 [N/rad]: NaN if it failed.
 
-    samples: all slip and force pairs above the minimum speed. coverage: excitation by signal. reasons: for
-    rejecting the value; empty for a usable value. basis: text, number of samples and blocks. model_error [N/rad]: of
-    the stiffness at zero slip, see the module; NaN if the samples do not determine it.
+    samples: all samples above the minimum speed. coverage: excitation by signal. reasons: why the value is rejected;
+    empty for a usable value. basis: text on the number of samples and blocks. model_error: standard uncertainty of the
+    stiffness at zero slip [N/rad], see the module; NaN if the samples do not determine it.
     """
 
     axle: str
@@ -108,11 +109,11 @@ class AxleRegression:
 
     @property
     def uncertainty(self) -> float:
-        """Standard uncertainty of the stiffness at zero slip [N/rad]; without the model error if that is unknown."""
+        """Standard uncertainty of the stiffness at zero slip [N/rad], including the model error if it is known."""
         return float(np.hypot(self.standard_error, np.nan_to_num(self.model_error)))
 
     def estimate(self, runs: tuple[str, ...]) -> Estimate:
-        """Estimate of the stiffness at zero slip; its interval uses the Student quantile of interval95."""
+        """Estimate of the stiffness at zero slip, with the Student quantile of interval95."""
         half = 0.5 * (self.interval95[1] - self.interval95[0]) * self.uncertainty / max(self.standard_error, 1e-300)
         status: Status = "identified" if self.uncertainty < MAX_RELATIVE_UNCERTAINTY * self.stiffness else "doubtful"
         if self.reasons:
@@ -130,7 +131,7 @@ class AxleRegression:
 
 
 def axle_forces(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Lateral force of (front, rear) axle [N], left +, in the lateral axis of the wheels; see the module."""
+    """Lateral forces of (front, rear) axle [N] along the lateral axis of the wheels, left +; see the module."""
     lateral = vehicle.mass * samples.lateral_acceleration / vehicle.wheelbase
     yaw = vehicle.yaw_inertia * samples.yaw_acceleration / vehicle.wheelbase
     return ((vehicle.cg_to_rear_axle * lateral + yaw) / np.cos(samples.road_wheel_angle),
@@ -138,17 +139,17 @@ def axle_forces(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.nda
 
 
 def slip_angles(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Slip angle of (front, rear) axle [rad], + when the wheels travel to their left (`models.axle_slip_angles`)."""
+    """Slip angles of (front, rear) axle [rad], + when the wheels travel to their left (`models.axle_slip_angles`)."""
     angle = samples.road_wheel_angle
     return axle_slip_angles(samples.velocity_x, samples.velocity_y, samples.yaw_rate, np.sin(angle), np.cos(angle),
                             vehicle)
 
 
 def axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[AxleRegression, AxleRegression]:
-    """Regressions of (front, rear) axle on drives with measured sideslip; a rejected value comes with its reasons.
+    """Regressions of (front, rear) axle on drives with measured sideslip.
 
-    vehicle: mass, inertia, lengths, lever arm, steering are used; its stiffnesses are not. Steering offset and ratio
-    must be correct. Raises IdentificationError for no drive, a repeated name, or a drive that is too short.
+    vehicle: its mass, inertia, lengths, lever arm and steering are used and must be correct; its stiffnesses are not
+    used. Raises IdentificationError for no drive, a repeated name, or a drive that is too short.
     """
     drives, _ = prepare_drives(logs, vehicle)
     return _regressions([run_samples(log, vehicle) for log in drives], vehicle)[0]
@@ -173,7 +174,7 @@ def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tupl
 
 
 def _slope(samples: AxleSamples) -> Slope:
-    """(C, spread, number and influence of each block) of F = -C alpha + intercept, fitted to the used samples."""
+    """Slope C of F = -C alpha + intercept, fitted to the used samples."""
     slip = samples.slip[samples.used]
     group = blocks(samples.run_of[samples.used], samples.time[samples.used])
     found, spread, influence = group.regression(np.stack([-slip, np.ones_like(slip)], axis=1),
@@ -182,8 +183,7 @@ def _slope(samples: AxleSamples) -> Slope:
 
 
 def _model_error(samples: AxleSamples, slope: Slope) -> float:
-    """Standard uncertainty of the secant as an estimate of the stiffness at zero slip [N/rad], see the module; NaN if
-    the samples do not determine it."""
+    """Standard uncertainty of the secant as an estimate of the stiffness at zero slip [N/rad]; NaN if unknown."""
     size = np.abs(samples.slip - samples.zero_force_slip())
     low = replace(samples, used=samples.used & (size <= 0.5 * np.quantile(size[samples.used], DRIVEN_QUANTILE)))
     mean, mean_low = (float(np.average(used, weights=used**2)) if used.any() else np.inf
@@ -196,7 +196,7 @@ def _model_error(samples: AxleSamples, slope: Slope) -> float:
 
 
 def _correlation(front: Slope | None, rear: Slope | None) -> np.ndarray:
-    """Correlation (2, 2) of the stiffnesses, from the influence of common blocks; identity where one is missing."""
+    """Correlation (2, 2) of the stiffnesses, from the influence of common blocks; identity if one is missing."""
     if front is None or rear is None:
         return np.eye(2)
     _, front_rows, rear_rows = np.intersect1d(front[2], rear[2], return_indices=True)
@@ -208,8 +208,8 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[C
                      reasons: Sequence[str]) -> AxleRegression:
     nan, count = float("nan"), int(samples.used.sum())
     reasons = [*reasons, *([] if count >= MIN_AXLE_SAMPLES else [
-        f"too few samples: {count} of the {samples.axle} axle pass (speed, bend, |a_y|, slip angle below "
-        f"{np.rad2deg(MAX_SLIP):g} deg), {MIN_AXLE_SAMPLES} are needed; check offset and lever arm too"])]
+        f"too few samples: {count} of the {samples.axle} axle meet the limits of speed, radius, |a_y| and slip angle "
+        f"({np.rad2deg(MAX_SLIP):g} deg), {MIN_AXLE_SAMPLES} are needed; also check offset and lever arm"])]
     failed = (samples.axle, nan, nan, (nan, nan), samples, covered)
     if slope is None:
         return AxleRegression(*failed, tuple(reasons), f"{count} samples")
@@ -218,21 +218,19 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[C
     basis = f"{count} samples, {spread.basis[0]}"
     interval = spread.interval(0, value)
     if not interval[0] > 0.0:
-        why = (f"the fit failed: the force of the {samples.axle} axle does not follow its slip angle, slope "
-               f"{value:.0f} +/- {error:.0f} N/rad; offset or sign of the steering, misalignment or lever "
-               "arm of the INS may be wrong, or the drive has too little sideslip")
-        return AxleRegression(*failed, (*reasons, why), basis)
+        reason = (f"the fit failed: the force of the {samples.axle} axle does not follow its slip angle, slope "
+                  f"{value:.0f} +/- {error:.0f} N/rad; offset or sign of the steering, misalignment or lever "
+                  "arm of the INS may be wrong, or the drive has too little sideslip")
+        return AxleRegression(*failed, (*reasons, reason), basis)
     return AxleRegression(samples.axle, value, error, interval, samples, covered, tuple(reasons), basis,
                           _model_error(samples, slope))
 
 
 def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
-    """Both stiffnesses by regression, with a covariance from the scatter between runs, or between blocks if there are
-    few runs.
+    """Both stiffnesses by regression, with a covariance from the variation between runs, or blocks of few runs.
 
-    vehicle: as for `axle_regressions`. A slope whose interval contains zero becomes NaN, unidentifiable, with the
-    reason as its verdict.
-    Raises IdentificationError, with the numbers, for too little excitation.
+    vehicle: as for `axle_regressions`. A stiffness whose interval contains zero is NaN and unidentifiable, with the
+    reason as its verdict. Raises IdentificationError for too little excitation.
     """
     logs, notes = prepare_drives(logs, vehicle, "velocity_y")
     runs = [run_samples(log, vehicle) for log in logs]
@@ -251,14 +249,14 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
 
 
 def _select_samples(run: RunSamples) -> tuple[np.ndarray, list[tuple[str, str]]]:
-    """(whether each sample enters (n,), [(run, reason why others do not)])."""
+    """(mask (n,) of the usable samples, [(run, reason why others are left out)])."""
     slow = np.abs(run.velocity_x) < MIN_SPEED
     straight = ~slow & (np.abs(run.yaw_rate) * MAX_RADIUS < np.abs(run.velocity_x))
     hard = ~slow & ~straight & (np.abs(run.lateral_acceleration) > MAX_ACCELERATION)
     reasons = {f"slower than {MIN_SPEED:g} m/s": slow, f"straighter than R = {MAX_RADIUS:g} m": straight,
                f"beyond {MAX_ACCELERATION:g} m/s^2": hard}
-    return ~(slow | straight | hard), [(run.name, f"{int(b.sum())} of {len(run)} samples {why}")
-                                       for why, b in reasons.items() if b.any()]
+    return ~(slow | straight | hard), [(run.name, f"{int(mask.sum())} of {len(run)} samples {reason}")
+                                       for reason, mask in reasons.items() if mask.any()]
 
 
 def _axle_samples(runs: Sequence[RunSamples], masks: Sequence[np.ndarray], vehicle: VehicleParameters,

@@ -1,9 +1,9 @@
 """Fit of vehicle and recording parameters to predictions of several drives at once.
 
-Problem, loss and fit are those of `discovery`: windows of the drives are predicted with the measured inputs,
-errors of yaw rate and lateral velocity at the INS have Student's distribution, and the effects that represent the
-parameters are fitted together, without a prior. Unlike a regression of force on slip, the estimate is not attenuated by
-noise of the slip angle. Checked by: test_driving_fit.py.
+Problem, loss and fit are taken from `discovery`: windows of the drives are predicted with the measured inputs, errors
+of yaw rate and lateral velocity at the INS have Student's distribution, and the effects that represent the parameters
+are fitted together, without a prior. Noise of the slip angle does not attenuate the estimates, unlike those of a
+regression of force on slip. Checked by: test_driving_fit.py.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -38,23 +38,23 @@ from .result import IdentificationError
 
 MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name
 MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
-"""Number of fits, each with the error scale of the previous one, and relative change of that scale at convergence."""
+"""Largest number of fits, each with the error scale of the previous one, and its relative change at convergence."""
 BOUND_TOLERANCE = 1e-3
-"""Distance to a bound, as a fraction of the range between both bounds, below which a value counts as at the bound."""
-MAX_CONDITION = 1e12
+"""Largest distance from a bound of a value at that bound, as a fraction of the range between both bounds."""
+MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
 MIN_CURVATURE_RATIO = 0.2
-"""Minimum ratio of the second derivative of the loss to its Gauss-Newton approximation; 0.7 for the assumed
-distribution of errors."""
+"""Lower limit of the ratio of the second derivative of the loss to its Gauss-Newton approximation, which is 0.7 for the
+assumed distribution of errors."""
 
 Values = Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A quantity [unit, SI] that can be identified from driving, and the effect that represents it in the fit.
+    """A quantity that can be identified from driving, and the effect that represents it in the fit; SI units.
 
-    value: function of the vehicle and the values of the effects, by "effect.parameter". relative: its relative
-    uncertainty decides whether it is identified; else max_uncertainty [SI].
+    value: computes it from the vehicle and the values of the effects, by "effect.parameter". relative: whether it is
+    judged by its relative uncertainty, otherwise by max_uncertainty [unit].
     """
 
     effect: str
@@ -82,23 +82,22 @@ FREE_PARAMETERS: Mapping[str, FreeParameter] = {
     "steering_wheel_offset": FreeParameter(SteeringOffset.name, "rad", _offset, max_uncertainty=0.02),
     "cg_to_ins_x": FreeParameter(SensorLeverArm.name, "m", max_uncertainty=0.1, value=lambda car, values: (
         car.cg_to_ins_x + values[f"{SensorLeverArm.name}.x"])),
-    # Angle by which the reported heading points too far left.
+    # Angle by which the reported heading points too far to the left.
     MISALIGNMENT: FreeParameter(HeadingMisalignment.name, "rad",
                                 lambda car, values: values[f"{HeadingMisalignment.name}.angle"], max_uncertainty=0.005),
     # Delay from the measured angle to the wheels.
     DELAY: FreeParameter(DELAY, "s", lambda car, values: values[f"{DELAY}.time"], max_uncertainty=0.02),
-    # Distance rolled until the force reaches 63 % of its final value after a step of the slip.
+    # Distance rolled until the force reaches 63 % of its final value after a step of the slip angle.
     RELAXATION: FreeParameter(RELAXATION, "m", lambda car, values: values[f"{RELAXATION}.length"], max_uncertainty=0.1),
 }
 
 
 @dataclass(frozen=True)
 class DrivingFitSettings:
-    """horizon [s] of the predictions, 1 or more; interval [s] between their starts. Windows are used if throughout the
-    horizon the speed is at least minimum_speed [m/s] and |v_x r| at most maximum_acceleration [m/s^2]; fewer than
-    min_windows are rejected. channels: measured quantities to compare predictions with; without velocity_y a
-    prediction starts from steady sideslip.
-    """
+    """Settings of a fit. horizon [s] of the predictions, 1 or more; interval [s] between their starts. A window is used
+    if throughout the horizon the speed is at least minimum_speed [m/s] and |v_x r| at most maximum_acceleration
+    [m/s^2]; a fit requires min_windows of them. channels: measured quantities that are compared with predictions;
+    without velocity_y, predictions start from steady sideslip."""
 
     horizon: float = 1.5
     interval: float = 0.5
@@ -112,7 +111,7 @@ SETTINGS = DrivingFitSettings()
 
 
 class _LimitedWindows(Windows):
-    """Windows limited to the speed and acceleration of the settings. used: (n,) whether a window is within them."""
+    """Windows of the drives. used: mask (n,) of those within the speed and acceleration limits of the settings."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings):
         super().__init__(runs, vehicle, DiscoverySettings(
@@ -138,13 +137,13 @@ class _LimitedWindows(Windows):
 
 @dataclass(frozen=True, eq=False)
 class DrivingFit:
-    """names and their values (p,) [SI]; spread: their covariance over blocks of driving. at_bound: names of values
-    at a bound. slopes: (p, q) change of each value [SI] with each parameter of the fit; hessian: (q, q) half the second
-    derivative of the loss in these parameters.
+    """Result of a fit: names and their values (p,) [SI]. spread: their covariance over blocks of driving.
 
-    residuals: (n, c) predicted minus measured, columns as `columns` [SI], with run_of (n,) and time (n,) [s].
-    windows: by run, (used, all). curvature_square, acceleration: means of curvature^2 [1/m^2] and |v_x r| [m/s^2],
-    weighted by (v_x r)^2. peaks: (used,) largest |v_x r| of each window [m/s^2].
+    at_bound: names of values at a bound. slopes: (p, q) change of each value [SI] with each parameter of the fit.
+    hessian: (q, q) half the second derivative of the loss in these parameters. residuals: (n, c) predicted minus
+    measured values of `columns` [SI], with their run_of (n,) and time (n,) [s]. windows: number (used, all) by run.
+    curvature_square, acceleration: means of curvature^2 [1/m^2] and |v_x r| [m/s^2], weighted by (v_x r)^2. peaks:
+    largest |v_x r| of each used window [m/s^2].
     """
 
     names: tuple[str, ...]
@@ -163,28 +162,29 @@ class DrivingFit:
     peaks: np.ndarray
 
     @property
-    def n_predictions(self) -> int:
-        """Predictions used."""
+    def prediction_count(self) -> int:
+        """Number of predictions used."""
         return sum(used for used, _ in self.windows.values())
 
     def change_with(self, name: str) -> dict[str, float]:
-        """Change of each other value [SI] per unit of `name`, if that is changed and all others are refitted."""
+        """Change of each other value [SI] per unit change of `name`, with all others refitted."""
         inverse = np.linalg.inv(self.hessian)
         covariance = self.slopes @ inverse @ self.slopes.T
         k = self.names.index(name)
-        return {n: float(covariance[i, k] / covariance[k, k]) for i, n in enumerate(self.names) if i != k}
+        return {other: float(covariance[i, k] / covariance[k, k]) for i, other in enumerate(self.names) if i != k}
 
 
 def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Sequence[str],
                 base: str | Model = "nonlinear", settings: DrivingFitSettings = SETTINGS) -> DrivingFit:
-    """Values of `names` (of FREE_PARAMETERS, each once) that predict the drives best; all others stay fixed.
+    """Fit the values of `names`, which are in FREE_PARAMETERS and distinct; all others remain fixed.
 
-    logs: as `run_samples.prepare_drives` returns them. base: linear, nonlinear, or either with known effects.
-    Raises IdentificationError for an unknown name, too few windows, and values that the drives do not determine.
+    logs: from `run_samples.prepare_drives`. base: linear, nonlinear, or either with known effects. Raises
+    IdentificationError for an unknown name, too few windows, and values that the drives do not determine.
     """
     for name in names:
         if name not in FREE_PARAMETERS:
-            raise IdentificationError(f"{name}: not identifiable from driving; known are {', '.join(FREE_PARAMETERS)}")
+            known = ", ".join(FREE_PARAMETERS)
+            raise IdentificationError(f"{name}: not identifiable from driving; choose from {known}")
     effects = tuple(dict.fromkeys(FREE_PARAMETERS[name].effect for name in names))
     model = get_model(base)
     library = {*effects, *(model.values if isinstance(model, AugmentedModel) else ())}
@@ -197,8 +197,8 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
     total = sum(used for used, _ in counts.values())
     if total < settings.min_windows:
         raise IdentificationError(
-            f"too few samples: {total} of {len(windows)} predictions are faster than {settings.minimum_speed:g} m/s "
-            f"and below {settings.maximum_acceleration:g} m/s^2 over {settings.horizon:g} s; "
+            f"too little driving: {total} of {len(windows)} predictions are faster than {settings.minimum_speed:g} m/s "
+            f"and below {settings.maximum_acceleration:g} m/s^2 for {settings.horizon:g} s, "
             f"{settings.min_windows} are needed")
     space = Space(model, windows.settings, library=library)
     loss = Loss(Errors(windows, space), space.null)
@@ -208,7 +208,7 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
 
 
 def _fit_with_scale(problem: Problem, effects: tuple[str, ...]) -> np.ndarray:
-    """Vector of the converged fit: error scale and values are estimated in turn."""
+    """Vector of the fit after error scale and values have been estimated in turn until convergence."""
     vector, indices, loss = problem.start.copy(), problem.free_indices(effects), problem.loss
     for _ in range(MAX_ITERATIONS):
         before = loss.scale.copy()
@@ -232,10 +232,10 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     total = hessian.sum(axis=0)
     size = np.sqrt(np.diag(total).clip(1e-300))
     if np.linalg.cond(total / np.outer(size, size)) > MAX_CONDITION:
-        raise IdentificationError(f"{', '.join(names)}: not determined by the data; drive with more variety of speed "
-                                  "and bends, or free fewer parameters")
-    # The Gauss-Newton approximation overestimates the curvature of the loss, so the influence of each block is larger
-    # by that ratio.
+        raise IdentificationError(f"the drives do not determine {', '.join(names)} together: drive more different "
+                                  "speeds and bends, or fit fewer parameters")
+    # The Gauss-Newton approximation overestimates the curvature of the loss by this ratio, which would underestimate
+    # the influence of each block.
     ratio = np.clip((np.diag(problem.loss.curvature(rows, slopes)) / np.diag(total)).mean(), MIN_CURVATURE_RATIO, 1.0)
     influence = group.leave_out(ratio * hessian, gradient)
 

@@ -1,25 +1,25 @@
 """Stiffnesses, steering and yaw inertia from multi-step predictions of several drives at once.
 
-The offset of the steering and the misalignment of the INS are always fitted in addition, since their errors resemble
-those of tyres. Stiffness: with the nonlinear model it is the slope at small slip at the static load, with the tyre
-curve of the vehicle file; with the linear one it is the secant that predicts best in the driven slip range. For a tyre
-with another curve the value depends on the range of slip. The interval includes that: the fit is repeated with the
-windows of low lateral acceleration, and the difference extrapolated to zero slip (`slip_range_uncertainty`).
+Steering offset and INS misalignment are always fitted too, since their errors resemble errors of the tyres.
+Stiffness: the nonlinear model yields the slope at small slip at the static load, given the tyre curve of the vehicle
+file, and the linear model the secant that predicts best in the driven slip range. For a tyre with another curve the
+value depends on the slip range, which the interval includes: the fit is repeated with windows of low lateral
+acceleration, and the difference is extrapolated to zero slip (`slip_range_uncertainty`).
 
 Steering ratio, if no turntables are available:
 
     delta = (delta_h - o) / i:    L kappa + K v^2 kappa = delta
 
-Slow bends determine the ratio, fast ones the understeer, straights the offset. The stiffnesses are therefore fitted
-too, and dead time and relaxation, since a lag would be mistaken for another ratio. An error of 1 % of the wheelbase is
-an error of 1 % of the ratio.
+Slow bends determine the ratio i, fast bends the understeer K, straights the offset o. Stiffnesses are therefore fitted
+too, as well as dead time and relaxation, since a lag would be mistaken for another ratio. An error of 1 % of the
+wheelbase causes an error of 1 % of the ratio.
 
 Yaw inertia, from transients: I_z r_dot = l_f F_f cos(delta) - l_r F_r. In steady bends r_dot is zero and any inertia
-fits. Steering dynamics, wrong time stamps and the relaxation of the tyres delay the response as inertia does; dead time
-of the steering and relaxation length are therefore fitted too. Without relaxation in the fit, the inertia of a car with
-a relaxation length of 0.4 m is estimated 17 % too small. The delay between an angle and its stamp, up to a sampling
-interval T, differs between drives, which one dead time for N drives cannot represent: its uncertainty has a part
-T / sqrt(12 N), which is propagated to the inertia. Checked by: test_identification_driving.py.
+fits. Steering dynamics, wrong time stamps and tyre relaxation delay the response as inertia does, so dead time and
+relaxation length are fitted too; without relaxation, the inertia of a car with a relaxation length of 0.4 m is
+estimated 17 % too small. The delay between an angle and its time stamp, up to one sampling interval T, differs between
+the N drives, which adds T / sqrt(12 N) to the uncertainty of their common dead time, and thereby to that of the
+inertia. Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Mapping, Sequence
@@ -59,37 +59,37 @@ from .run_samples import ACCELERATION_EDGES, SPEED_EDGES, prepare_drives, requir
 STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
 RATIO, OFFSET = "steering_ratio", "steering_wheel_offset"
 NUISANCE = (OFFSET, MISALIGNMENT)
-REQUIRED_COVERAGE = {"speed": (5.0, 1), "lateral acceleration": (2.0, 3)}
+REQUIRED_COVERAGE = {"speed": (5.0, 1), "lateral acceleration": (2.0, 3)}  # see `driving_coverage`
 UNCERTAINTY_GRADES: tuple[tuple[float, str, Status], ...] = (
     (MAX_RELATIVE_UNCERTAINTY, "Determined", "identified"),
     (5.0 * MAX_RELATIVE_UNCERTAINTY, "Poorly determined", "doubtful"),
     (np.inf, "Not identifiable: determined only", "unidentifiable"))
-"""(largest relative standard uncertainty of a stiffness, ratio or inertia; text of the verdict; status)."""
+"""(largest relative standard uncertainty of a stiffness, ratio or inertia; begin of the verdict; status)."""
 INERTIA_NAMES = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE)
 YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, left +
 TRANSIENT_SETTINGS = DrivingFitSettings(interval=0.3)
 SINGLE_TRACK_ERROR = 0.8**2
 """Relative standard uncertainty of a stiffness due to the single-track assumption, divided by (L / R)^2. With Ackermann
-angles, the forces of two wheels cause a yaw moment that a single wheel does not have. On the virtual Leaf without
-noise, the rear stiffness is too small by 4.6 m^2 / R^2: 1.1 % at 20 m, 0.1 % at 60 m. The full error is taken, as for
-full Ackermann angles."""
+angles, the forces of two wheels cause a yaw moment that a single wheel does not have. On the simulated Leaf without
+noise, the rear stiffness is too small by 4.6 m^2 / R^2: 1.1 % at R = 20 m, 0.1 % at 60 m. The whole error is taken as
+the uncertainty."""
 
 
 def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
                       settings: DrivingFitSettings = SETTINGS, *, also: Sequence[str] = (),
                       nuisance: Sequence[str] = NUISANCE) -> Identification:
-    """Both stiffnesses with their uncertainty from the scatter between runs.
+    """Both stiffnesses, with an uncertainty from the variation between runs.
 
     vehicle: all other values, and the start values of the fit. base: linear, nonlinear, or one of these with known
-    effects (`augment`: for example drive force on steered wheels). also: further parameters to fit and report, of
+    effects (`augment`), such as the drive force on steered wheels. also: further parameters to fit and report, from
     `driving_fit.FREE_PARAMETERS` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). nuisance:
-    fitted too, not reported. Raises IdentificationError for too little excitation.
+    parameters that are fitted but not reported. Raises IdentificationError for too little excitation.
     """
     names = tuple(dict.fromkeys((*STIFFNESSES, *also, *nuisance)))
     logs, notices = prepare_drives(logs, vehicle)
-    needs = REQUIRED_COVERAGE | ({"speed": (5.0, 2)} if RATIO in names else {})
-    covered = driving_coverage(logs, needs, settings.minimum_speed)
-    require_coverage(covered, "Drive bends to both sides, at two speeds or more, with a lateral acceleration of 1 to 4 "
+    required = REQUIRED_COVERAGE | ({"speed": (5.0, 2)} if RATIO in names else {})
+    covered = driving_coverage(logs, required, settings.minimum_speed)
+    require_coverage(covered, "Drive bends to both sides, at two or more speeds, with a lateral acceleration of 1 to 4 "
                               "m/s^2.")
     fit = fit_driving(logs, vehicle, names, base, settings)
     method = f"multi-step prediction, {describe_model(base)}"
@@ -109,10 +109,10 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
 
 def slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
                            settings: DrivingFitSettings, fit: DrivingFit) -> dict[str, float]:
-    """Standard uncertainty of the stiffnesses [N/rad] as slopes at zero slip, when the tyre's curve is not the model's:
-    `regression.extrapolation_uncertainty` with a, the mean |v_x r| weighted by its square; lower range: the windows up
-    to the median of the peaks. To first order, the secant of a brush tyre decreases linearly with slip. Empty if the
-    drives do not separate the two ranges.
+    """Standard uncertainty of each stiffness [N/rad] as the slope at zero slip, from a second fit to windows below the
+    median of the peaks (`regression.extrapolation_uncertainty`); empty if the drives do not cover two ranges of slip.
+
+    The range a is the mean |v_x r| weighted by its square: the secant of a brush tyre decreases about linearly with it.
     """
     try:
         low = fit_driving(logs, vehicle, fit.names, base, replace(
@@ -128,7 +128,7 @@ def slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
 
 def driven_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings) -> np.ndarray:
-    """DRIVEN_QUANTILE of the slip angle of (front, rear) axle [rad] at the settings' speeds and accelerations."""
+    """DRIVEN_QUANTILE of |slip angle| of (front, rear) axle [rad], at the speeds and accelerations of the settings."""
     driven = []
     for run in (run_samples(log, vehicle) for log in logs):
         used = ((run.velocity_x >= settings.minimum_speed)
@@ -139,13 +139,13 @@ def driven_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: 
 
 def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                       base: str | Model = "nonlinear") -> Identification:
-    """Ratio and offset with their uncertainty, and the stiffnesses fitted with them.
+    """Steering ratio and offset with their uncertainty, and the stiffnesses fitted with them.
 
-    Raises IdentificationError for too little excitation: at least two speed bins are needed.
+    Raises IdentificationError for too little excitation, such as a single speed.
     """
     result = fit_stiffness(logs, vehicle, base, also=(RATIO, OFFSET), nuisance=(*NUISANCE, DELAY, RELAXATION))
-    order = [e.parameter for e in result.estimates]
-    chosen = [order.index(name) for name in (RATIO, OFFSET, *(n for n in order if n not in (RATIO, OFFSET)))]
+    names = [estimate.parameter for estimate in result.estimates]
+    chosen = sorted(range(len(names)), key=lambda i: (names[i] != RATIO, names[i] != OFFSET))
     correlation = result.correlation[chosen][:, chosen] if result.correlation is not None else None
     return replace(result, experiment="steering", estimates=tuple(result.estimates[i] for i in chosen),
                    correlation=correlation)
@@ -155,7 +155,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                          base: str | Model = "nonlinear") -> Identification:
     """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported too.
 
-    Raises IdentificationError without transients: |r_dot| above 0.3 rad/s^2 is needed for 0.5 s in each direction.
+    Raises IdentificationError without transients: 0.5 s of |r_dot| above 0.3 rad/s^2 in each direction is needed.
     """
     settings = TRANSIENT_SETTINGS
     logs, notices = prepare_drives(logs, vehicle)
@@ -166,7 +166,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                                [run.time for run in runs], 0.5, 5))
     require_coverage(covered, "Steady bends do not excite the yaw inertia: drive steps, lane changes or a sine sweep.")
     fit = fit_driving(logs, vehicle, INERTIA_NAMES, base, settings)
-    # Uncertainty of the dead time [s], and its contribution to that of the inertia; see the module.
+    # Uncertainty of the dead time, propagated to the inertia; see the module.
     sampling = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
     dead_time = sampling / np.sqrt(12.0 * sum(used > 0 for used, _ in fit.windows.values()))
     timing = {DELAY: dead_time, "yaw_inertia": abs(fit.change_with(DELAY)["yaw_inertia"]) * dead_time}
@@ -189,13 +189,13 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 def make_identification(experiment: str, vehicle: VehicleParameters, fit: DrivingFit, method: str,
                         reported: Sequence[str], covered: Sequence[Coverage],
                         systematic: Mapping[str, float] | None = None) -> Identification:
-    """Result of a fit. reported: parameters that become estimates, with their correlation. systematic: standard
-    uncertainties in addition to the scatter between drives, added in quadrature."""
+    """Identification with the results of a fit. reported: parameters that become estimates. systematic: standard
+    uncertainties by parameter, added in quadrature to those from the variation between drives."""
     spread = fit.spread
     share = SINGLE_TRACK_ERROR * vehicle.wheelbase**2 * fit.curvature_square
     extra = [np.hypot((systematic or {}).get(n, 0.0), share * v if n in STIFFNESSES else 0.0)
              for n, v in zip(fit.names, fit.values, strict=True)]
-    # Systematic errors are taken as uncorrelated between parameters: only the variances increase.
+    # Systematic errors are assumed to be uncorrelated: only the variances increase.
     covariance = spread.covariance + np.diag(np.square(extra))
     chosen = [fit.names.index(name) for name in reported]
     uncertainty = np.sqrt(np.diag(covariance))
@@ -210,8 +210,8 @@ def make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivin
     others = [f"{n} = {fit.values[i]:.4g} +/- {uncertainty[i]:.2g} {FREE_PARAMETERS[n].unit} was fitted too."
               for i, n in enumerate(fit.names) if n not in reported]
     if RATIO not in fit.names:
-        others.append(f"{RATIO} {vehicle.steering_ratio:.4g} of the vehicle file is taken as exact: its error changes "
-                      "the front stiffness; st identify steering estimates it from drives at two speeds or more.")
+        others.append(f"{RATIO} {vehicle.steering_ratio:.4g} of the vehicle file is assumed exact: its error changes "
+                      "the front stiffness; st identify steering estimates it from drives at two or more speeds.")
     warnings = (*describe_correlations(fit.names, correlation_of(covariance)), *others)
     figure = {"residuals": fit.residuals, "residual_run": fit.run_of, "residual_time": fit.time, "names": fit.names,
               "covariance": covariance}
@@ -220,12 +220,12 @@ def make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivin
 
 
 def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:
-    """(verdict: uncertainty and number of predictions; status)."""
+    """(verdict, with uncertainty and number of predictions; status)."""
     name, value = fit.names[index], fit.values[index]
-    basis = f"{fit.n_predictions} predictions in {fit.spread.basis[index]}"
+    basis = f"{fit.prediction_count} predictions in {fit.spread.basis[index]}"
     if name in fit.at_bound:
-        return (f"Stopped at its bound {value:.4g}: the data do not determine it, or contradict other values of the "
-                "vehicle file."), "unidentifiable"
+        return (f"The fit stopped at the bound {value:.4g}: the drives do not determine the value, or contradict other "
+                "values of the vehicle file."), "unidentifiable"
     if not FREE_PARAMETERS[name].relative:
         return (f"{value:.4g} +/- {uncertainty:.2g} {FREE_PARAMETERS[name].unit}, from {basis}.",
                 "identified" if uncertainty < FREE_PARAMETERS[name].max_uncertainty else "doubtful")
@@ -235,22 +235,22 @@ def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[st
 
 
 def describe_model(base: str | Model) -> str:
-    """Name of the model of a fit, for texts."""
+    """Text on the model of a fit."""
     if isinstance(base, AugmentedModel):
         return f"{base.base.name} tyres with {', '.join(effect.name for effect in base.effects)}"
     return f"{get_model(base).name} tyres"
 
 
-def driving_coverage(logs: Sequence[DriveLog], needs: Mapping[str, tuple[float, int]],
+def driving_coverage(logs: Sequence[DriveLog], required: Mapping[str, tuple[float, int]],
                      minimum_speed: float) -> tuple[Coverage, ...]:
-    """Coverage of speed and lateral acceleration v_x r of all driving above a minimum speed [m/s].
+    """Coverage of speed and lateral acceleration v_x r by all driving above a minimum speed [m/s].
 
-    needs: {"speed" | "lateral acceleration": (seconds in a filled bin, filled bins needed)}.
+    required: by name, "speed" or "lateral acceleration": (seconds in a filled bin, number of filled bins).
     """
     times = [(log.ins_time_ns - log.ins_time_ns[:1]) * NANOSECOND for log in logs]
     fast = [log.velocity_x >= minimum_speed for log in logs]
     return tuple(signal_coverage(name, unit, edges, [signal(log)[m] for log, m in zip(logs, fast, strict=True)], times,
-                          *needs[name])
+                                 *required[name])
                  for name, unit, edges, signal in (
                      ("speed", "m/s", SPEED_EDGES, lambda log: log.velocity_x),
                      ("lateral acceleration", "m/s^2", ACCELERATION_EDGES, lambda log: log.velocity_x * log.yaw_rate)))

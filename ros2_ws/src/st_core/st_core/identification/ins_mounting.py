@@ -1,20 +1,19 @@
 """Lever arm and misalignment of the INS, from slow driving.
 
-The rear axle of a slow car moves in its heading, apart from a little slip. At the INS, d_x ahead of the CG and turned
-by gamma to the left,
+The rear axle of a slow car moves in the direction of its heading, apart from a small slip. For an INS at a distance d_x
+ahead of the CG and rotated by gamma to the left,
 
     v_y = -gamma v_x + (l_r + d_x) r - s v_x^2 r - e v_x dr/dt,    s = m l_f / (L C_r)
 
-Straights determine gamma, bends d_x, bends at two speeds the slip s. e: sideways motion of an INS above the roll axis
-as the body rolls; yaw inertia and tyre relaxation act like it. The distance d_y of the INS from the centreline makes
-its forward speed differ between left and right bends:
+Straights determine gamma, bends d_x, bends at two speeds the slip s. The term e is the lateral motion of an INS above
+the roll axis as the body rolls; yaw inertia and tyre relaxation have a similar effect. If the INS is a distance d_y to
+the left of the CG, its forward speed differs between left and right bends:
 
     phi + c phi^3 = delta - K v_x r,    phi = atan(L r / (v_x + r d_y))
 
-which needs tight bends to both sides. Ratio, offset and understeer of the steering are fitted as well, and c, the
-deviation of the mean steering angle from the formula in tight bends: if the drive turns more to one side, that would
-bias d_y.
-Checked by: test_identification_driving.py.
+which requires tight bends to both sides. Ratio, offset and understeer K of the steering are also fitted, and c, the
+deviation of the mean steering angle from atan(L r / v_x) in tight bends, which would bias d_y if the drive turns more
+to one side. Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Sequence
@@ -33,12 +32,12 @@ MINIMUM_SPEED, MAXIMUM_SPEED = 1.5, 9.0  # m/s
 MAXIMUM_ACCELERATION = 2.5  # m/s^2, lateral
 CURVATURE_EDGES = np.array([-0.3, -0.05, -0.02, -0.005, 0.005, 0.02, 0.05, 0.3])  # 1/m, left +
 MIN_CURVATURE = 0.03  # 1/m; d_y is not identifiable from wider bends
-MIN_TIGHT_TIME = 5.0  # s of tight bends, to each side
-SAMPLE_INTERVAL = 0.1  # s between the samples in the fit; filtered samples at a shorter interval are redundant
+MIN_TIGHT_TIME = 5.0  # s of tight bends to each side
+SAMPLE_INTERVAL = 0.1  # s; filtered samples at shorter intervals are redundant
 
 
 def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
-    """cg_to_ins_x [m], ins_misalignment [rad, heading reported too far left] and, with tight bends, cg_to_ins_y [m].
+    """cg_to_ins_x [m], ins_misalignment [rad, + if the heading is too far left], and with tight bends cg_to_ins_y [m].
 
     vehicle: its lengths are used, its lever arm is not. Raises IdentificationError for too little excitation.
     """
@@ -46,12 +45,12 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     runs = [run_samples(log, vehicle) for log in logs]
     masks = [(run.velocity_x >= MINIMUM_SPEED) & (run.velocity_x <= MAXIMUM_SPEED)
              & (np.abs(run.velocity_x * run.yaw_rate) <= MAXIMUM_ACCELERATION) for run in runs]
-    kept, times = list(zip(runs, masks, strict=True)), [run.time for run in runs]
-    covered = (signal_coverage("speed", "m/s", SPEED_EDGES[:5], [run.velocity_x[m] for run, m in kept], times, 5.0, 1),
+    pairs, times = list(zip(runs, masks, strict=True)), [run.time for run in runs]
+    covered = (signal_coverage("speed", "m/s", SPEED_EDGES[:5], [run.velocity_x[m] for run, m in pairs], times, 5.0, 1),
                signal_coverage("curvature", "1/m", CURVATURE_EDGES,
-                               [run.yaw_rate[m] / run.velocity_x[m] for run, m in kept], times, 2.0, 3))
+                               [run.yaw_rate[m] / run.velocity_x[m] for run, m in pairs], times, 2.0, 3))
     require_coverage(covered, "Drive slowly (2 to 8 m/s): straight on, and bends to both sides.")
-    columns = [_columns(run, mask, vehicle) for run, mask in kept]
+    columns = [_make_columns(run, mask, vehicle) for run, mask in pairs]
     run_of = np.concatenate([np.full(len(c), i) for i, c in enumerate(columns)])
     time, speed, lateral, rate, rate_dot, angle = np.concatenate(columns).T
     group = blocks(run_of, time)
@@ -62,12 +61,12 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     estimates = [_estimate("cg_to_ins_x", theta[1] - vehicle.cg_to_rear_axle, spread, 1, 1.0, "m", used,
                            f"{theta[1]:.3f} m ahead of the rear axle", 0.1),
                  _estimate(MISALIGNMENT, -theta[0], spread, 0, 1.0, "rad", used,
-                           f"{np.rad2deg(-theta[0]):+.2f} deg, reported heading against the car's axis", 0.005)]
+                           f"{np.rad2deg(-theta[0]):+.2f} deg, reported heading relative to the car's axis", 0.005)]
     correlation = correlation_of(spread.covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
     with_slip = correlation_of(spread.covariance)[1:3, 1:3]
     warnings = [*notes, *describe_correlations(["lever arm", "rear slip"], with_slip),
                 _compare_rear_slip(theta[2], spread.covariance[2, 2], vehicle)]
-    lateral_position = _lateral_position(speed, rate, angle, group, vehicle, used)
+    lateral_position = _estimate_lateral_position(speed, rate, angle, group, vehicle, used)
     if isinstance(lateral_position, str):
         warnings.append(lateral_position)
     else:
@@ -79,12 +78,12 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
               "residual": lateral - regressors @ theta}
     rejected = tuple((run.name, f"{len(run) - int(mask.sum())} of {len(run)} samples outside {MINIMUM_SPEED:g} to "
                       f"{MAXIMUM_SPEED:g} m/s or beyond {MAXIMUM_ACCELERATION:g} m/s^2")
-                     for run, mask in kept if not mask.all())
+                     for run, mask in pairs if not mask.all())
     return Identification("ins", tuple(estimates), used, rejected, correlation, covered,
                           tuple(w for w in warnings if w), figure)
 
 
-def _columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
+def _make_columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
     """(time, v_x, v_y, r, dr/dt, delta) at the INS, every SAMPLE_INTERVAL."""
     where = np.flatnonzero(mask)
     if len(where):
@@ -95,14 +94,15 @@ def _columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters) -> n
                      run.road_wheel_angle[where]], axis=1)
 
 
-def _lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, group: Blocks, vehicle: VehicleParameters,
-                      used: tuple[str, ...]) -> Estimate | str:
+def _estimate_lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, group: Blocks,
+                               vehicle: VehicleParameters, used: tuple[str, ...]) -> Estimate | str:
+    """Estimate of cg_to_ins_y, or a warning if it is not identifiable."""
     curvature = rate / speed
     seconds = [float(np.count_nonzero(side * curvature > MIN_CURVATURE)) * SAMPLE_INTERVAL for side in (1.0, -1.0)]
     if min(seconds) < MIN_TIGHT_TIME:
         left, right = seconds
-        return (f"cg_to_ins_y is not estimated: of bends tighter than R = {1 / MIN_CURVATURE:.0f} m there are "
-                f"{left:.0f} s to the left and {right:.0f} s to the right; {MIN_TIGHT_TIME:g} s each are needed.")
+        return (f"cg_to_ins_y is not estimated: the drives have {left:.0f} s of left and {right:.0f} s of right bends "
+                f"tighter than R = {1 / MIN_CURVATURE:.0f} m, {MIN_TIGHT_TIME:g} s each are needed.")
     d_y = 0.0
     for _ in range(4):  # the equation is nearly linear in d_y
         forward = speed + rate * d_y
@@ -134,5 +134,5 @@ def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters)
     found, uncertainty = -slip, float(np.sqrt(variance))
     if uncertainty > 0.5 * expected or abs(found - expected) < 2.0 * uncertainty:
         return ""
-    return (f"Rear slip per v_x^2 r is {found:.2e} +/- {uncertainty:.1e} s^2/m, the vehicle file's stiffness gives "
-            f"{expected:.2e}: that stiffness, or the load on the rear axle, is wrong.")
+    return (f"The rear slip per v_x^2 r is {found:.2e} +/- {uncertainty:.1e} s^2/m, but the vehicle file gives "
+            f"{expected:.2e} s^2/m: its rear stiffness, or the load on the rear axle, is wrong.")

@@ -1,13 +1,13 @@
-"""Stiffness scale of the Magic Formula from the axle's cornering stiffness.
+"""Stiffness scale of the Magic Formula from the cornering stiffness C of an axle.
 
-    lambda_ky = C / (2 |K|),   K of one tyre at lambda_ky = 1 and its static load: m g l_r / (2 l), m g l_f / (2 l)
+    lambda_ky = C / (2 |K|),   K: stiffness of one tyre with lambda_ky = 1 at its static load
 
     (u(lambda) / lambda)^2 = (u(C) / C)^2 + (u(K) / K)^2 + (d ln K / d ln F_z)^2 (u(F_z) / F_z)^2
 
-K is evaluated at the static load, not at F_z0 (Leaf, front: 0.423; at F_z0 it would be 0.426). u(K) is known when the
-tyre's table is given: errors of p_ky1, p_ky2 and p_ky4 are strongly correlated and nearly cancel in K, so u(K) cannot
-be computed from their separate uncertainties. Source: paper, equation of lambda_Ky. Checked by:
-test_identification_result.py.
+The static load F_z is m g l_r / (2 l) in front and m g l_f / (2 l) in the rear, not F_z0 (Leaf, front: 0.423; at F_z0
+lambda_ky would be 0.426). u(K) requires the tyre's flat-plank table: errors of p_ky1, p_ky2 and p_ky4 are strongly
+correlated and nearly cancel in K, so it cannot be computed from their separate uncertainties. Source: paper, equation
+of lambda_Ky. Checked by: test_identification_result.py.
 """
 
 import math
@@ -22,8 +22,7 @@ from .result import Estimate, Identification, IdentificationError, Status
 
 @dataclass(frozen=True)
 class StiffnessUncertainty:
-    """uncertainty: relative standard uncertainty [1] of K at the static load, from a flat-plank table. name: of the
-    table."""
+    """Relative standard uncertainty [1] of K at the static load, from the flat-plank table `name`."""
 
     uncertainty: float
     name: str
@@ -32,8 +31,8 @@ class StiffnessUncertainty:
 def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, StiffnessUncertainty]) -> Identification:
     """Estimates of tyre_front.lambda_ky and tyre_rear.lambda_ky [1].
 
-    tables: by tyre; without one the uncertainty is that of the axle stiffness only. Raises IdentificationError if the
-    vehicle file has no stiffness with an uncertainty: the scale would then be a conversion, not an identification.
+    tables: by tyre; without a table, K is assumed exact. Raises IdentificationError if an axle stiffness of the vehicle
+    file has no uncertainty: the scale would then be a conversion, not an identification.
     """
     estimates, warnings = [], []
     for tyre in TYRES:
@@ -42,7 +41,7 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, Stiffnes
         known = vehicle.provenance.get(key)
         if known is None or known.uncertainty is None:
             raise IdentificationError(f"{key} of the vehicle file has no uncertainty: identify the stiffness first "
-                                      "and use the resulting vehicle.yaml. (In a file without lambda_ky it is derived "
+                                      "and use the resulting vehicle.yaml. (If a file has no lambda_ky, it is derived "
                                       "from the stiffness.)")
         stiffness = getattr(vehicle, key)
         load = getattr(vehicle, f"static_tyre_load_{axle}")
@@ -51,18 +50,18 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, Stiffnes
         table = tables.get(tyre)
         relative = math.hypot(known.uncertainty / stiffness, table.uncertainty if table else 0.0,
                               _load_sensitivity(load, formula) * _load_uncertainty(vehicle, axle))
-        spread = value * relative
+        uncertainty = value * relative
         cause = ("the difference is due to steering and suspension compliance." if value < 1.0 else "compliance cannot "
-                 "make an axle stiffer than its tyres, so surface, temperature or inflation differ.")
+                 "make an axle stiffer than its tyres, so surface, temperature or inflation pressure differs.")
         verdict = (f"The {axle} axle is {value:.3f} times as stiff as its two tyres on the flat plank at {load:.0f} N: "
                    f"{cause}")
         status: Status = "identified" if value <= 1.0 + 2.0 * relative else "doubtful"
         runs = tuple(filter(None, (known.data, table.name if table else "")))
         method = f"C / (2 K) at the static load {load:.0f} N, C {stiffness:.0f} N/rad"
-        estimates.append(Estimate(f"{tyre}.lambda_ky", value, "1", spread, symmetric_interval(value, spread), method,
-                                  runs, verdict, status))
+        estimates.append(Estimate(f"{tyre}.lambda_ky", value, "1", uncertainty, symmetric_interval(value, uncertainty),
+                                  method, runs, verdict, status))
         if table is None:
-            warnings.append(f"No table of {tyre} was given: its flat-plank stiffness is treated as exact.")
+            warnings.append(f"No table of {tyre} was given: its flat-plank stiffness is assumed exact.")
     figure = {"scale": [e.value for e in estimates],
               "stiffness": [vehicle.cornering_stiffness_front, vehicle.cornering_stiffness_rear]}
     used = tuple(dict.fromkeys(run for e in estimates for run in e.runs))
@@ -80,7 +79,6 @@ def _load_uncertainty(vehicle: VehicleParameters, axle: str) -> float:
     """Relative standard uncertainty of the static load [1], from the uncertainties of mass and CG position in the file.
     """
     distance = vehicle.cg_to_rear_axle if axle == "front" else vehicle.cg_to_front_axle
-    sizes = {"mass": vehicle.mass, "cg_to_front_axle": distance}
-    known = {key: vehicle.provenance[key].uncertainty or 0.0 for key in sizes if key in vehicle.provenance}
-    parts = [spread / sizes[key] for key, spread in known.items()]
-    return math.hypot(*parts)
+    values = {"mass": vehicle.mass, "cg_to_front_axle": distance}
+    return math.hypot(*((vehicle.provenance[key].uncertainty or 0.0) / value for key, value in values.items()
+                        if key in vehicle.provenance))

@@ -2,14 +2,14 @@
 
     m = sum of the four readings,   l_f = l (rear readings) / m
 
-Several weighings of the same car, which is rolled off and on again between them, show the scatter due to friction in
+Several weighings of the same car, which is rolled off and on again in between, show the variation due to friction in
 tyres and suspension. The error of each scale repeats in every weighing and does not average out:
 
     u(m)^2   = s_m^2 / n + 4 u_s^2
     u(l_f)^2 = s_l^2 / n + 2 u_s^2 (l_f^2 + l_r^2) / m^2 + (l_f / l)^2 u(l)^2
 
-s: scatter of the n weighings, u_s: standard uncertainty of one scale. The interval is Student's, its degrees of
-freedom by Welch and Satterthwaite. Source: paper, parameter identification.
+s: standard deviation of the n weighings; u_s: standard uncertainty of one scale; l: wheelbase. Student's t for the
+interval has the degrees of freedom of Welch and Satterthwaite. Source: paper, parameter identification.
 Checked by: test_identification_experiments.py.
 """
 
@@ -22,17 +22,15 @@ from ..regression import correlation_of, symmetric_interval, welch_freedom
 from .result import Estimate, Identification, IdentificationError
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
-SCALE_UNCERTAINTY = 0.5  # kg, of one scale: class III pads of 500 kg in steps of 0.5 kg
-MAX_SIDE_DIFFERENCE = 0.2  # of an axle's load; a car with one person in it stays below 0.12
-MAX_SCATTER = 0.02  # of the mass, between weighings of one car
+SCALE_UNCERTAINTY = 0.5  # kg; standard uncertainty of one scale: class III pads of 500 kg in steps of 0.5 kg
+MAX_SIDE_DIFFERENCE = 0.2  # fraction of the axle load, between left and right; below 0.12 with one person in the car
+MAX_MASS_RANGE = 0.02  # fraction of the mass, between weighings of one loading
 
 
 @dataclass(frozen=True)
 class Weighings:
-    """readings: (n, 4) [kg], columns as WHEELS. names: of the n weighings. loads: (n,) loading of the car, as text.
-
-    scale_uncertainty: standard uncertainty of one scale [kg].
-    """
+    """n weighings with readings (n, 4) [kg], columns as WHEELS. names: (n,) of the weighings. loads: (n,) text on the
+    loading of the car. scale_uncertainty: standard uncertainty of one scale [kg]."""
 
     readings: np.ndarray
     names: tuple[str, ...]
@@ -41,44 +39,45 @@ class Weighings:
 
 
 def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: float = 0.0) -> Identification:
-    """Estimates of mass [kg] and cg_to_front_axle [m], of the most frequent loading (the first one in a tie).
+    """Estimates of mass [kg] and cg_to_front_axle [m] for the most frequent loading (the first one in a tie).
 
-    wheelbase [m] with its standard uncertainty [m]. Weighings with another loading are rejected.
-    Raises IdentificationError, with the numbers, for readings impossible for a car: missing, negative, swapped.
+    wheelbase [m], with its standard uncertainty [m]. Weighings with another loading are rejected.
+    Raises IdentificationError for readings that are missing, or impossible for a car.
     """
     readings = _check_readings(weighings)
     load = max(weighings.loads, key=weighings.loads.count)
     keep = np.array([other == load for other in weighings.loads])
     named = list(zip(weighings.names, weighings.loads, strict=True))
     used = tuple(name for name, other in named if other == load)
-    rejected = tuple((name, f"another loading: {other or 'none noted'}") for name, other in named if other != load)
+    rejected = tuple((name, f"another loading: {other or 'not noted'}") for name, other in named if other != load)
     chosen = readings[keep]
     all_masses = readings.sum(axis=1)
     all_distances = wheelbase * readings[:, 2:].sum(axis=1) / all_masses
     masses, distances = all_masses[keep], all_distances[keep]
     n, mass, front = len(chosen), float(masses.mean()), float(distances.mean())
-    if np.ptp(masses) > MAX_SCATTER * mass:
-        raise IdentificationError(f"the weighings of one loading differ by {np.ptp(masses):.1f} kg of {mass:.1f} kg: "
-                                  "not the same car; weigh again, or note its loading")
-    scatter = np.cov(masses, distances) / n if n > 1 else np.zeros((2, 2))
-    covariance = scatter + _scale_covariance(weighings.scale_uncertainty, mass, front, wheelbase, wheelbase_uncertainty)
-    spreads = np.sqrt(np.diag(covariance)).tolist()
-    intervals = [symmetric_interval(value, spreads[i], welch_freedom(scatter[i, i], covariance[i, i], n - 1))
+    if np.ptp(masses) > MAX_MASS_RANGE * mass:
+        raise IdentificationError(f"the weighings of one loading differ by {np.ptp(masses):.1f} kg of {mass:.1f} kg, "
+                                  "too much for the same car: weigh again, or note the loading")
+    variation = np.cov(masses, distances) / n if n > 1 else np.zeros((2, 2))
+    covariance = variation + _scale_covariance(
+        weighings.scale_uncertainty, mass, front, wheelbase, wheelbase_uncertainty)
+    uncertainties = np.sqrt(np.diag(covariance)).tolist()
+    intervals = [symmetric_interval(value, uncertainties[i], welch_freedom(variation[i, i], covariance[i, i], n - 1))
                  for i, value in enumerate((mass, front))]
     method = (f"four wheel scales, {n} weighing{'s' * (n != 1)}, {weighings.scale_uncertainty:g} kg per scale"
               + (f", {load}" if load else ""))
     left = float(chosen[:, [0, 2]].sum() / chosen.sum())
     estimates = (
-        Estimate("mass", mass, "kg", spreads[0], intervals[0], method, used,
+        Estimate("mass", mass, "kg", uncertainties[0], intervals[0], method, used,
                  f"The car weighs {mass:.1f} kg{f' with {load}' if load else ''}."),
-        Estimate("cg_to_front_axle", front, "m", spreads[1], intervals[1], method, used,
+        Estimate("cg_to_front_axle", front, "m", uncertainties[1], intervals[1], method, used,
                  f"{100 * (1 - front / wheelbase):.1f} % of the load is on the front axle and {100 * left:.1f} % on "
                  f"the left wheels, so the CG is {front:.3f} m behind the front axle."),
     )
     warnings = _side_warnings(chosen.mean(axis=0))
     if n == 1:
-        warnings.append("One weighing: the interval contains only the uncertainty of the scales. Roll the car off and "
-                        "on and weigh again, at least three times.")
+        warnings.append("With one weighing, the interval contains only the uncertainty of the scales. Roll the car off "
+                        "and on, and weigh it at least three times.")
     if rejected:
         warnings.append(f"{len(rejected)} of {len(readings)} weighings have another loading and were left out.")
     figure = {"readings": readings, "kept": keep, "names": weighings.names, "masses": all_masses,
@@ -87,8 +86,8 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
 
 
 def describe_swapped_axles(found: Identification, wheelbase: float, expected: float) -> str:
-    """A sentence if front and rear readings look exchanged: the distance of the CG [m] agrees with that in the file
-    only if measured from the rear axle."""
+    """A sentence if front and rear readings seem to be exchanged, else "". expected: cg_to_front_axle of the vehicle
+    file [m]."""
     front = found["cg_to_front_axle"].value
     if abs(front - expected) > 0.05 * wheelbase and abs(wheelbase - front - expected) < 0.02 * wheelbase:
         return (f"cg_to_front_axle is estimated as {front:.3f} m, the vehicle file has {expected:.3f} m; with front "
@@ -118,17 +117,18 @@ def _check_readings(weighings: Weighings) -> np.ndarray:
     return readings
 
 
-def _scale_covariance(scale: float, mass: float, front: float, wheelbase: float, wheelbase_spread: float) -> np.ndarray:
-    """Covariance of (mass, l_f) due to the errors of the four scales and of the wheelbase."""
+def _scale_covariance(scale: float, mass: float, front: float, wheelbase: float,
+                      wheelbase_uncertainty: float) -> np.ndarray:
+    """Covariance of (mass, l_f) due to errors of the four scales and of the wheelbase."""
     # d l_f / d reading: -l_f / m in front, (l - l_f) / m in the rear.
     gradient = np.stack([np.ones(4), np.array([-front, -front, wheelbase - front, wheelbase - front]) / mass])
     covariance = scale**2 * gradient @ gradient.T
-    covariance[1, 1] += (front / wheelbase * wheelbase_spread) ** 2
+    covariance[1, 1] += (front / wheelbase * wheelbase_uncertainty) ** 2
     return covariance
 
 
 def _side_warnings(mean: np.ndarray) -> list[str]:
     cross = (mean[0] + mean[3]) / mean.sum()
     return [] if abs(cross - 0.5) <= 0.02 else [
-        f"The diagonal front left + rear right carries {100 * cross:.1f} %: the car is twisted between its wheels, or "
-        "the floor under the scales is uneven; mass and longitudinal CG position remain valid."]
+        f"The front left and rear right wheels together carry {100 * cross:.1f} %: the suspension is twisted, or the "
+        "floor under the scales is uneven; mass and longitudinal CG position remain valid."]

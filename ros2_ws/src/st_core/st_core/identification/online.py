@@ -1,12 +1,12 @@
 """Online identification of steering offset, steering ratio and stiffness scale, by `driving_fit` on recent driving.
 
-Samples of INS and steering are kept while the car moves, the last BUFFER seconds of them. After every FIT_INTERVAL of
-usable driving both stiffnesses, ratio, offset, INS misalignment, dead time of the steering and relaxation of the tyres
-are fitted together, so that delay and transients do not bias the ratio. The deviation adds two parts in quadrature:
-the variation between blocks of driving, as a normal deviation with the same 95 % interval, and SYSTEMATIC, the error of
-the single-track model. A value is estimated when there is enough excitation (`_missing_driving`) and its deviation is
-below MAX_DEVIATIONS; invalid if it is implausible for the car or the residual of the model is too large. Valid for
-|a_y| <= 4 m/s^2 on dry, level roads. Nothing is applied to the vehicle. Checked by: test_online.py.
+The last BUFFER seconds of INS and steering samples of a moving car are stored. After every FIT_INTERVAL of usable
+driving, both stiffnesses, ratio, offset, INS misalignment, dead time of the steering and relaxation of the tyres are
+fitted together, so that delay and transients do not bias the ratio. The standard deviation adds two parts in
+quadrature: the variation between blocks of driving, as a normal distribution with the same 95 % interval, and
+SYSTEMATIC, the error of the single-track model. A value is estimated once there is enough excitation
+(`_missing_driving`) and its deviation is below MAX_DEVIATIONS. It is invalid if it is implausible for the car or if the
+residual of the model is too large. Valid for |a_y| <= 4 m/s^2 on dry, level roads. Checked by: test_online.py.
 """
 
 import math
@@ -32,26 +32,26 @@ STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
 FITTED = ("steering_wheel_offset", "steering_ratio", *STIFFNESSES, MISALIGNMENT, DELAY, RELAXATION)
 
 SETTINGS = DrivingFitSettings(interval=1.0, min_windows=20)
-BUFFER, SPACING_NS = 400.0, 19_000_000  # s of driving stored; ns, minimum between stored samples: 20 ms with jitter
+BUFFER, SPACING_NS = 400.0, 19_000_000  # s of driving stored; ns between stored samples: 20 ms minus jitter
 FIT_INTERVAL = 15.0  # s of usable driving
-MIN_SPEED = 2.0  # m/s, of stored samples
-MAX_GAP = 0.1  # s; a longer pause between samples is not driving time
+MIN_SPEED = 2.0  # m/s; slower samples are not stored
+MAX_GAP = 0.1  # s; longer intervals between samples do not count as driving time
 SYSTEMATIC = (math.radians(0.05), 0.005, 0.03)
-"""Largest errors on the simulated Leaf in bends and slaloms: of offset [rad], ratio and scale (relative)."""
-UNKNOWN_DEVIATIONS = (math.radians(30.0), 0.2, 0.5)  # deviations without a fit; ratio and scale relative
-MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # of an estimated value; ratio and scale relative
+"""Largest errors on the simulated Leaf in bends and slaloms: offset [rad], ratio (relative), scale (relative)."""
+UNKNOWN_DEVIATIONS = (math.radians(30.0), 0.2, 0.5)  # standard deviations without a fit, units as SYSTEMATIC
+MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # largest deviations of estimated values, units as SYSTEMATIC
 MAX_OFFSET = math.radians(45.0)
-PLAUSIBLE_RANGES = ((0.6, 1.6), (0.3, 3.0))  # steering ratio divided by that of the vehicle file; stiffness scale
-MAX_UNEXPLAINED = 0.2  # residual to RMS yaw rate; 0.02 to 0.04 on the simulated Leaf, 0.1 with a noisy INS
-MIN_YAW_RATE = 0.02  # rad/s, minimum RMS yaw rate that the residual is divided by, for straights
-SPEED_BINS = (5.0, 7.0, 10.0, 14.0, 20.0)  # m/s
-MIN_BEND_ANGLE = 0.02  # rad, |l r / v| of a bend
-MIN_LOADED_ACCELERATION = 1.5  # m/s^2, |v r| that loads the tyres
+PLAUSIBLE_RANGES = ((0.6, 1.6), (0.3, 3.0))  # ratio of the steering ratio to the vehicle file's; stiffness scale
+MAX_UNEXPLAINED = 0.2  # ratio of residual to RMS yaw rate; 0.02 to 0.04 on the simulated Leaf, 0.1 with a noisy INS
+MIN_YAW_RATE = 0.02  # rad/s; smallest divisor of the residual, for straights
+SPEED_BINS = (5.0, 7.0, 10.0, 14.0, 20.0)  # m/s; lower edges
+MIN_BEND_ANGLE = 0.02  # rad; minimum |l r / v| in a bend
+MIN_LOADED_ACCELERATION = 1.5  # m/s^2; minimum |v r| with a significant load on the tyres
 
 
 @dataclass(frozen=True)
-class Tracked:
-    """Current estimate of one parameter. deviation: one standard deviation. reason: why it is not estimated."""
+class OnlineEstimate:
+    """Current estimate of one parameter. deviation: standard deviation. reason: why it is not estimated, or invalid."""
 
     parameter: str
     value: float
@@ -63,8 +63,8 @@ class Tracked:
 
 @dataclass
 class DrivingTime:
-    """Duration of the driving used so far [s], by kind; loaded: bends above MIN_LOADED_ACCELERATION. rejected: by
-    reason."""
+    """Duration of the driving so far [s]: used, and its parts by direction, load (above MIN_LOADED_ACCELERATION) and
+    speed bin; rejected, by reason."""
 
     used: float = 0.0
     straight: float = 0.0
@@ -78,8 +78,8 @@ class DrivingTime:
 
 @dataclass(frozen=True)
 class OnlineFit:
-    """Result of one fit: values and deviations (3,) in the order of NAMES. unexplained: ratio of the RMS residual to
-    the RMS yaw rate. at_bound: names at a bound. problem: reason for a missing fit, else empty."""
+    """Result of one fit: values and standard deviations (3,) in the order of NAMES. unexplained: RMS residual divided
+    by RMS yaw rate. at_bound: names of values at a bound. problem: why the fit failed, or empty."""
 
     values: tuple[float, ...]
     deviations: tuple[float, ...]
@@ -89,14 +89,14 @@ class OnlineFit:
 
 
 def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
-    """One fit to a drive; never raises for its content. May run in another thread."""
+    """Fit a snapshot of recent driving; never raises for its content. May run in another thread."""
     try:
         logs, _ = prepare_drives([log], vehicle)
         fit = fit_driving(logs, vehicle, FITTED, "nonlinear", SETTINGS)
     except (StCoreError, np.linalg.LinAlgError) as error:
-        return _missing_fit(vehicle, str(error))
+        return _failed_fit(vehicle, str(error))
     files = [getattr(vehicle, name) for name in STIFFNESSES]
-    # Offset, ratio, and stiffness divided by that of the vehicle file, mean of both axles.
+    # Offset, ratio, and the mean over both axles of the stiffness divided by the vehicle file's.
     rows = np.zeros((3, len(FITTED)))
     rows[0, 0] = rows[1, 1] = 1.0
     rows[2, 2:4] = 0.5 / np.array(files)
@@ -111,7 +111,7 @@ def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
     return OnlineFit(tuple(values.tolist()), tuple(deviations.tolist()), residual / rate, fit.at_bound)
 
 
-def _missing_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
+def _failed_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
     ratio = vehicle.steering_ratio
     return OnlineFit((vehicle.steering_wheel_offset, ratio, 1.0),
                      (UNKNOWN_DEVIATIONS[0], UNKNOWN_DEVIATIONS[1] * ratio, UNKNOWN_DEVIATIONS[2]), problem=problem)
@@ -131,10 +131,10 @@ class OnlineIdentifier:
         self._ins: deque[InsSample] = deque(maxlen=capacity)
         self._steering: deque[tuple[int, float]] = deque(maxlen=capacity)
         self._newest_ns, self._fitted_at = 0, 0.0
-        self._fit = _missing_fit(vehicle, "no fit yet")
+        self._fit = _failed_fit(vehicle, "no fit yet")
 
     def add_ins(self, sample: InsSample) -> bool:
-        """Add a sample at the INS point; False if it is not finite or not newer. Time going back by 1 s resets all."""
+        """Add a sample at the INS point; False if it is not finite or not newer. A step back by over 1 s resets all."""
         if not all(map(math.isfinite, sample[1:7])):
             return False
         step = (sample.time_ns - self._newest_ns) * NANOSECOND
@@ -143,7 +143,7 @@ class OnlineIdentifier:
                 self.reset(self.vehicle)
             return False
         self._newest_ns = sample.time_ns
-        self._count(sample, step if step <= MAX_GAP else 0.0)
+        self._add_driving_time(sample, step if step <= MAX_GAP else 0.0)
         if sample.velocity_x > MIN_SPEED and (not self._ins or sample.time_ns - self._ins[-1].time_ns >= SPACING_NS):
             self._ins.append(sample)
         return True
@@ -162,7 +162,7 @@ class OnlineIdentifier:
         return self.driving_time.used - self._fitted_at >= FIT_INTERVAL and len(self._steering) > 1
 
     def snapshot(self) -> tuple[DriveLog, VehicleParameters]:
-        """Stored driving, for `fit_recent`; the next fit is due FIT_INTERVAL later."""
+        """The stored driving, for `fit_recent`. The next fit is due after FIT_INTERVAL of further driving."""
         self._fitted_at = self.driving_time.used
         columns = np.array([sample[1:7] for sample in self._ins]).T
         times = np.array([sample.time_ns for sample in self._ins], np.int64)
@@ -176,7 +176,7 @@ class OnlineIdentifier:
         """Store the result of a fit to a snapshot."""
         self._fit = fit
 
-    def estimates(self) -> tuple[Tracked, ...]:
+    def estimates(self) -> tuple[OnlineEstimate, ...]:
         """Current estimate of each parameter, or the reason why it is not estimated."""
         missing, implausible = self._missing_driving(), self._implausible_values()
         estimates = []
@@ -188,10 +188,10 @@ class OnlineIdentifier:
             status: Status = "unestimated" if reason else "estimated"
             if not missing[name] and implausible.get(name):
                 status, reason = "invalid", implausible[name]
-            estimates.append(Tracked(name, value, UNITS[k], deviation, status, reason))
+            estimates.append(OnlineEstimate(name, value, UNITS[k], deviation, status, reason))
         return tuple(estimates)
 
-    def _count(self, sample: InsSample, time: float) -> None:
+    def _add_driving_time(self, sample: InsSample, time: float) -> None:
         speed, rate, driven = sample.velocity_x, sample.yaw_rate, self.driving_time
         rejected = "too slow" if speed < SETTINGS.minimum_speed else (
             "a_y" if abs(speed * rate) > SETTINGS.maximum_acceleration else "")
@@ -208,20 +208,20 @@ class OnlineIdentifier:
         driven.speeds[sum(speed >= edge for edge in SPEED_BINS[1:])] += time
 
     def _missing_driving(self) -> Mapping[str, str]:
-        """Text of the missing driving, by parameter; "" if there is enough."""
+        """Text on the driving that is still missing, by parameter; "" if there is enough."""
         driven = self.driving_time
         bends = min(driven.left, driven.right)
         filled = sum(time >= 5.0 for time in driven.speeds)
         needs = {
             "steering_wheel_offset": [(driven.used, 10.0, "driving"), (max(driven.straight, bends), 5.0, "straights")],
-            # At a single speed, ratio and front stiffness are not separable.
+            # Ratio and front stiffness are not separable at a single speed.
             "steering_ratio": [(driven.left, 5.0, "left bends"), (driven.right, 5.0, "right bends"),
                                (filled, 2, "speeds, 5 s each")],
             "stiffness_scale": [(driven.loaded_left, 3.0, "left bends above 1.5 m/s^2"),
                                 (driven.loaded_right, 3.0, "right bends above 1.5 m/s^2"),
                                 (filled, 2, "speeds, 5 s each")],
         }
-        return {name: "; ".join(f"{have:.0f} of {needed:g}{'' if isinstance(needed, int) else ' s'} {what}"
+        return {name: "; ".join(f"{have:.0f} of {needed:g}{'' if isinstance(needed, int) else ' s of'} {what}"
                                 for have, needed, what in rows if have < needed) for name, rows in needs.items()}
 
     def _implausible_values(self) -> Mapping[str, str]:
@@ -229,10 +229,10 @@ class OnlineIdentifier:
         fit, (offset, ratio, scale) = self._fit, self._fit.values
         if fit.unexplained > MAX_UNEXPLAINED:
             return dict.fromkeys(NAMES, f"the residual is {100 * fit.unexplained:.0f} % of the yaw rate: "
-                                        "road, load or a sensor differ from the assumptions of the model")
+                                        "road, load or a sensor differs from the assumptions of the model")
         reasons = {}
         if abs(offset) > MAX_OFFSET:
-            reasons[NAMES[0]] = f"{math.degrees(offset):.0f} deg is beyond 45 deg"
+            reasons[NAMES[0]] = f"{math.degrees(offset):.0f} deg is outside -45 to 45 deg"
         relative = ratio / self.vehicle.steering_ratio
         for name, value, (low, high) in zip(NAMES[1:], (relative, scale), PLAUSIBLE_RANGES, strict=True):
             if not low < value < high:

@@ -1,4 +1,4 @@
-"""Result of an identification: values with uncertainty, data and status; applied to a vehicle by `apply_to_vehicle`."""
+"""Results of identification: values with uncertainty and status, and their application to a vehicle file."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,20 +16,20 @@ if TYPE_CHECKING:  # `checks` imports this module
 
 Status = Literal["identified", "doubtful", "unidentifiable"]
 
-NORMAL_QUANTILE = 1.959963984540054  # two-sided probability of 5 %
+NORMAL_QUANTILE = 1.959963984540054  # of the standard normal distribution, two-sided 5 %
 
 
 class IdentificationError(StCoreError):
-    """Data from which a parameter cannot be identified; one line: what is wrong, the numbers, what to do."""
+    """Data do not permit an identification. The message is one line: what is wrong, the numbers, what to do."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter, named as in the vehicle file ("mass", "tyre_front.p_ky1"); SI units, as in VehicleParameters.
+    """Estimate of a parameter, named as in the vehicle file ("mass", "tyre_front.p_ky1"), in SI units.
 
-    standard_uncertainty: one standard deviation of the value. interval95: lower and upper end, not always symmetric.
-    An unidentifiable parameter may have an infinite uncertainty and interval. method: short text. runs: data used.
-    verdict: whole sentences for the user.
+    standard_uncertainty: one standard deviation. interval95: lower and upper end of the 95 % interval, which may be
+    asymmetric. An unidentifiable parameter may have an infinite uncertainty and interval. method: short text. runs:
+    names of the data. verdict: sentences for the user.
     """
 
     parameter: str
@@ -45,7 +45,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Coverage of the range of one signal: counts (n,) in bins between edges (n + 1,).
+    """Coverage of the range of a signal: number of samples, counts (n,), in bins between edges (n + 1,).
 
     needed: minimum number of samples in a filled bin. bins_needed: minimum number of filled bins.
     """
@@ -72,14 +72,14 @@ class Coverage:
 
 @dataclass(frozen=True)
 class Identification:
-    """Outcome of one experiment.
+    """Result of one experiment.
 
-    An estimate with zero inside its 95 % interval is doubtful, or unidentifiable if only positive values are possible;
-    parameters of the Magic Formula are exempt, because zero is a valid value of them.
+    An estimate with zero inside its 95 % interval is doubtful, or unidentifiable if only positive values are possible.
+    Parameters of the Magic Formula are exempt, because zero is a valid value for them.
 
-    experiment: name of the experiment in `st identify`. used: names of the data. rejected: (data, reason). correlation:
-    matrix of the estimates, in their order, or None. coverage: excitation by signal. warnings: sentences. figure:
-    arrays, numbers and texts for its figure. findings: of the checks, by drive, used or rejected.
+    experiment: its name in `st identify`. used: names of the data. rejected: (data, reason). correlation: matrix of the
+    estimates, in their order, or None. coverage: excitation by signal. warnings: sentences. figure: content of the
+    figure. findings: findings of the checks, by drive, used or rejected.
     """
 
     experiment: str
@@ -101,7 +101,7 @@ class Identification:
     def document(self) -> dict[str, dict[str, Any]]:
         """Body of identification.json: {parameter: {value, unit, standard_uncertainty, interval95, method, runs, ...}}.
 
-        A number that is not finite (an unidentifiable parameter) becomes None: JSON has no infinity.
+        A number that is not finite becomes None, because JSON has no infinity.
         """
         return {e.parameter: {
             "value": _finite_or_none(e.value), "unit": e.unit,
@@ -114,7 +114,7 @@ NOT_ZERO = " Not distinguishable from zero."
 
 
 def _with_status(estimate: Estimate) -> Estimate:
-    """The estimate with the status that follows from zero inside its interval; see `Identification`."""
+    """The estimate with the status that zero inside its interval implies; see `Identification`."""
     low, high = estimate.interval95
     if not low <= 0.0 <= high or estimate.status == "unidentifiable" or "." in estimate.parameter:
         return estimate
@@ -127,24 +127,24 @@ def _with_status(estimate: Estimate) -> Estimate:
 
 
 def describe_contradiction(estimate: Estimate, value: float, standard_uncertainty: float, origin: str) -> str:
-    """A sentence if a value of another experiment differs significantly (two-sided, 5 %), else "".
+    """A sentence if a value of another origin differs significantly (two-sided, 5 %), else "".
 
-        z = (x_1 - x_2) / sqrt(u_1^2 + u_2^2),    reported when |z| > 1.96
+        z = (x_1 - x_2) / sqrt(u_1^2 + u_2^2),    reported if |z| > 1.96
     """
-    spread = math.hypot(estimate.standard_uncertainty, standard_uncertainty)
-    gap = estimate.value - value
-    if not math.isfinite(spread) or abs(gap) <= NORMAL_QUANTILE * spread:
+    uncertainty = math.hypot(estimate.standard_uncertainty, standard_uncertainty)
+    difference = estimate.value - value
+    if not math.isfinite(uncertainty) or abs(difference) <= NORMAL_QUANTILE * uncertainty:
         return ""
-    times = f"{abs(gap) / spread:.1f} times" if spread > 0.0 else "without"
+    ratio = f"is {abs(difference) / uncertainty:.1f} times the" if uncertainty > 0.0 else "has no"
     return (f"{estimate.parameter} {estimate.value:.5g} contradicts {value:.5g} {estimate.unit} of {origin}: the "
-            f"difference {gap:+.3g} is {times} the combined uncertainty.")
+            f"difference {difference:+.3g} {ratio} combined uncertainty.")
 
 
 def describe_correlations(names: Sequence[str], correlation: np.ndarray, limit: float = 0.95) -> tuple[str, ...]:
     """A sentence for each pair of parameters with a correlation above a limit, which the data hardly separate."""
-    return tuple(f"{names[i]} and {names[j]} are correlated by {correlation[i, j]:+.3f}: the data determine a "
-                 "combination of the two better than each." for i in range(len(names)) for j in range(i + 1, len(names))
-                 if abs(correlation[i, j]) > limit)
+    return tuple(f"The correlation of {names[i]} and {names[j]} is {correlation[i, j]:+.3f}: the data determine a "
+                 "combination of the two better than each of them."
+                 for i in range(len(names)) for j in range(i + 1, len(names)) if abs(correlation[i, j]) > limit)
 
 
 def _finite_or_none(number: float) -> float | None:
@@ -152,7 +152,7 @@ def _finite_or_none(number: float) -> float | None:
 
 
 def apply_to_vehicle(vehicle: VehicleParameters, found: Iterable[Identification], date: str) -> VehicleParameters:
-    """The vehicle with every identified or doubtful value of a parameter it has; unidentifiable ones are unchanged.
+    """The vehicle with every identified or doubtful value of its parameters.
 
     date: YYYY-MM-DD, for the provenance. A lambda_ky that was derived from the stiffness is derived again.
     Raises ConfigurationError, naming the key and the limit, for a value outside the limits of a vehicle file.
@@ -168,14 +168,14 @@ def apply_to_vehicle(vehicle: VehicleParameters, found: Iterable[Identification]
             values[key] = estimate.value
             note = ", doubtful" if estimate.status == "doubtful" else ""
             sources[key] = f"st identify {identification.experiment}{note}"
-            spread = estimate.standard_uncertainty if math.isfinite(estimate.standard_uncertainty) else None
-            provenance[key] = Provenance(spread, estimate.method, ", ".join(estimate.runs), date)
+            provenance[key] = Provenance(_finite_or_none(estimate.standard_uncertainty), estimate.method,
+                                         ", ".join(estimate.runs), date)
     changed = vehicle.with_values(values)
     return replace(changed, sources={**changed.sources, **sources}, provenance={**vehicle.provenance, **provenance})
 
 
 def describe_stale_scales(vehicle: VehicleParameters, found: Iterable[Identification]) -> tuple[str, ...]:
-    """A sentence for each tyre with a lambda_ky set in the file although a value it depends on has changed."""
+    """A sentence for each tyre whose lambda_ky is set in the vehicle file and depends on a value that has changed."""
     changed = {estimate.parameter for identification in found for estimate in identification.estimates
                if estimate.status != "unidentifiable"}
     sentences = []
@@ -184,15 +184,15 @@ def describe_stale_scales(vehicle: VehicleParameters, found: Iterable[Identifica
         base = (tyre.replace("tyre", "cornering_stiffness"), "mass", "cg_to_front_axle")
         causes = sorted(key for key in changed if key in base or key.startswith(f"{tyre}."))
         if fixed and causes:
-            sentences.append(f"{tyre}.lambda_ky was set in the vehicle file before {', '.join(causes)} changed: run "
+            sentences.append(f"{tyre}.lambda_ky of the vehicle file is outdated, as {', '.join(causes)} changed: run "
                              "`st identify lambda` on the new file.")
     return tuple(sentences)
 
 
 def compare_with_file(vehicle: VehicleParameters, estimate: Estimate) -> str:
-    """A sentence if the value differs significantly from that of the vehicle file, else ""."""
-    before = vehicle.provenance.get(estimate.parameter)
-    if before is None or before.uncertainty is None or estimate.status == "unidentifiable":
+    """A sentence if the value differs significantly from the vehicle file, else ""."""
+    known = vehicle.provenance.get(estimate.parameter)
+    if known is None or known.uncertainty is None or estimate.status == "unidentifiable":
         return ""
-    origin = f"the vehicle file ({before.method or vehicle.sources[estimate.parameter]}, {before.date or 'no date'})"
-    return describe_contradiction(estimate, value_of(vehicle, estimate.parameter), before.uncertainty, origin)
+    origin = f"the vehicle file ({known.method or vehicle.sources[estimate.parameter]}, {known.date or 'no date'})"
+    return describe_contradiction(estimate, value_of(vehicle, estimate.parameter), known.uncertainty, origin)

@@ -1,4 +1,4 @@
-"""Samples of a drive for regressions: at the CG, on the INS clock, all signals through the same filter."""
+"""Preparation of drives for identification: filtered samples at the CG, bias of the yaw rate, coverage of signals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,22 +14,22 @@ from ..vehicle import VehicleParameters
 from .result import Coverage, IdentificationError
 
 FILTER_SETTLING_TIME = 0.2
-"""Settling time of the filter, discarded at both ends of each gap-free section [s]."""
+"""Settling time of the filter [s], discarded at both ends of each gap-free section."""
 MAXIMUM_GAP = 0.1
-"""Longest gap between samples that is interpolated [s]."""
+"""Longest interval between samples that is interpolated [s]."""
 MIN_COMMON_TIME, MIN_SAMPLES = 5.0, 50
-"""Minimum overlap of INS and steering [s], and minimum number of INS samples, of a usable drive."""
+"""Minimum overlap of INS and steering [s], and minimum number of INS samples, in a usable drive."""
 MIN_REPORTED_BIAS = 5.0e-4
-"""rad/s, 0.03 deg/s: above the drift of a faultless INS; equivalent to 0.1 deg at the steering wheel at 15 m/s."""
+"""Smallest reported bias [rad/s]: above the drift of a faultless INS; acts like 0.1 deg of steering wheel at 15 m/s."""
 SPEED_EDGES = np.array([0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 20.0, 30.0, 60.0])  # m/s
 ACCELERATION_EDGES = np.array([-8.0, -4.0, -3.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0, 3.0, 4.0, 8.0])  # m/s^2, left +
 
 
 @dataclass(frozen=True, eq=False)
 class RunSamples:
-    """Samples of one drive, (n,) each, at the CG in body axes; none is NaN.
+    """Samples of one drive, (n,) each, at the CG in body axes, without NaN.
 
-    time [s] since the first INS sample. velocity_x, velocity_y [m/s], yaw_rate [rad/s], yaw_acceleration [rad/s^2],
+    time [s since the first INS sample]. velocity_x, velocity_y [m/s], yaw_rate [rad/s], yaw_acceleration [rad/s^2],
     lateral_acceleration (v_y_dot + v_x r) [m/s^2], left +. road_wheel_angle [rad]: computed with the ratio and offset
     of the vehicle file. steering_wheel_angle [rad]: as measured. yaw [rad]: not filtered.
     """
@@ -52,11 +52,10 @@ class RunSamples:
 def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) -> RunSamples:
     """Samples of a drive at the INS sample times at which all signals are available.
 
-    Velocity, yaw rate and steering pass the same first-order Butterworth filter, forward and backward, with cutoff
-    `cutoff` [Hz], see `timeseries.filtered_derivative`; derivatives are central differences of the filtered signals.
-    The filter is zero-phase and attenuates both sides of each equation equally. The lateral acceleration is
-    v_y_dot + v_x r, without gravity, transformed to the CG (`types.ins_to_cg_acceleration`). Raises IdentificationError
-    for a drive without common measurements.
+    Velocity, yaw rate and steering pass the same zero-phase filter, which attenuates both sides of each equation
+    equally: first-order Butterworth with `cutoff` [Hz], forward and backward (`timeseries.filtered_derivative`).
+    Derivatives are central differences of the filtered signals. The lateral acceleration is v_y_dot + v_x r, without
+    gravity, transformed to the CG. Raises IdentificationError for a drive without common measurements.
     """
     def smooth(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return filtered_derivative(time_ns, values, cutoff, MAXIMUM_GAP, "zero_phase")
@@ -81,10 +80,10 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                    *needed: str) -> tuple[list[DriveLog], tuple[str, ...]]:
     """(drives prepared for an estimator, warnings).
 
-    The road wheel angle is computed with this vehicle's steering ratio and offset if the steering wheel angle was
-    recorded. The mean difference of yaw rate and rate of change of yaw is removed from each drive: a gyro bias would
-    appear as an offset of the steering. needed: channels that each drive must have. Raises IdentificationError for no
-    drive, two with the same name, and one that is too short or lacks a channel.
+    If the steering wheel angle was recorded, the road wheel angle is computed with this vehicle's ratio and offset. The
+    yaw rate bias of each drive is removed, since it would appear as an offset of the steering. needed: channels that
+    each drive must have. Raises IdentificationError for no drive, two drives of one name, and a drive that is too short
+    or lacks a channel.
     """
     names = [log.name for log in logs]
     if not names:
@@ -112,7 +111,7 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
 
 def yaw_rate_bias(log: DriveLog) -> float:
-    """Mean of yaw rate minus rate of change of yaw outside gaps [rad/s]."""
+    """Mean difference between yaw rate and rate of change of yaw, outside gaps [rad/s]."""
     spacing = np.diff(log.ins_time_ns) * NANOSECOND
     known = spacing <= MAXIMUM_GAP
     difference = (0.5 * (log.yaw_rate[1:] + log.yaw_rate[:-1]) * spacing - np.diff(log.yaw))[known]
@@ -121,15 +120,15 @@ def yaw_rate_bias(log: DriveLog) -> float:
 
 def signal_coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence[np.ndarray],
                     times: Sequence[np.ndarray], seconds_needed: float, bins_needed: int) -> Coverage:
-    """Coverage of one signal in all drives. values: (n,) of each drive; times: of all its samples [s];
-    seconds_needed: in a filled bin."""
+    """Coverage of a signal by all drives. values: (n,) of each drive. times: times of all samples of each drive [s].
+    seconds_needed: minimum time in a filled bin."""
     interval = float(np.median(np.concatenate([np.diff(time) for time in times])))
     return Coverage(signal, unit, edges, np.histogram(np.concatenate(values), edges)[0],
                     max(1, round(seconds_needed / interval)), bins_needed)
 
 
 def require_coverage(coverages: Sequence[Coverage], advice: str) -> None:
-    """Raises IdentificationError, with the numbers, for too little excitation. advice: the required driving."""
+    """Raises IdentificationError for too little excitation. advice: sentence on the required driving."""
     insufficient = [coverage.describe() for coverage in coverages if not coverage.sufficient]
     if insufficient:
         raise IdentificationError(f"too little excitation: {'; '.join(insufficient)}. {advice}")

@@ -1,12 +1,12 @@
 """Offset of the steering wheel sensor from straight driving, by two methods.
 
-Method of the paper: the offset with which the simulated yaw rate is closest to the measured one. Direct method: the
+Method of the paper: the offset with which the predicted yaw rate agrees best with the measured one. Direct method: the
 mean reading while the car drives straight, corrected for the remaining curvature kappa,
 
     o = mean(delta_h) - i L kappa (1 + K v_x^2),    kappa = change of heading / distance
 
-in windows of nearly constant steering. The first uses the gyro, the second the heading; a crowned road, side wind or
-worn tyres shift both results. Checked by: test_identification_driving.py.
+in windows of nearly constant steering. The first method uses the gyroscope, the second the heading. A crowned road,
+crosswind or worn tyres bias both results. Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,7 +33,7 @@ CUTOFF = 1.0  # Hz, low-pass on the measured yaw rate, forward and backward
 
 
 def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
-    """Offset by both methods [rad at the steering wheel, left +]; parameters PAPER and DIRECT.
+    """Offset at the steering wheel by both methods [rad], left +, as parameters PAPER and DIRECT.
 
     vehicle: its offset is the start value of the fit. Raises IdentificationError for too little straight driving.
     """
@@ -43,16 +43,16 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     values = np.concatenate([w[:, 1] for w in windows])
     if len(values) < MIN_WINDOWS:
         raise IdentificationError(
-            f"too few samples: {len(values)} windows of {WINDOW:g} s are straighter than R = {MIN_RADIUS:g} m, with "
-            f"constant steering and faster than {SETTINGS.minimum_speed:g} m/s; {MIN_WINDOWS} are needed")
-    # The yaw rate is smoothed with all its samples. With only those at the points of the horizon, road noise would
-    # cause an error of 0.02 deg at the steering wheel after four minutes.
+            f"too little straight driving: {len(values)} windows of {WINDOW:g} s are straighter than R = {MIN_RADIUS:g} "
+            f"m and faster than {SETTINGS.minimum_speed:g} m/s, with constant steering; {MIN_WINDOWS} are needed")
+    # Without smoothing, only the samples at the points of the horizon would be used, and road noise would cause an
+    # error of 0.02 deg at the steering wheel after four minutes.
     smooth = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, 0.1, "zero_phase")[0])
               for log in logs]
     fit = fit_driving(smooth, vehicle, (PAPER,), "linear", SETTINGS)
     predicted = {name: count for name, (count, _) in fit.windows.items()}
-    paper = _estimate(PAPER, fit.values[0], fit.spread, "simulated against measured yaw rate (paper)", predicted,
-                      f"{fit.n_predictions} predictions on straights")
+    paper = _estimate(PAPER, fit.values[0], fit.spread, "predicted versus measured yaw rate (paper)", predicted,
+                      f"{fit.prediction_count} predictions on straights")
 
     run_of = np.concatenate([np.full(len(w), i) for i, w in enumerate(windows)])
     times = np.concatenate([w[:, 0] for w in windows])

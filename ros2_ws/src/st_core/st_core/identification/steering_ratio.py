@@ -1,12 +1,12 @@
-"""Steering ratio from turntables: angles of both front wheels versus steering-wheel angle.
+"""Steering ratio from turntables, which measure the angles of both front wheels versus the steering-wheel angle.
 
     delta = (left + right) / 2,    delta_k = a_j + delta_h,k / i + e_k,    i = 1 / b,    u(i) = i^2 u(b)
 
-b is one slope for all sweeps, a_j an intercept per sweep: the car does not drive straight where the turntables read
-zero, so the steering-wheel offset cannot be identified. A cubic fitted to the residuals is the nonlinearity of the
-steering, if it is significant (F test, 1 %).
+All sweeps have a common slope b, and each sweep its own intercept a_j. The steering-wheel offset cannot be identified,
+because the zero of the turntables is not the direction of straight driving. A cubic fitted to the residuals describes
+the nonlinearity of the steering, if it is significant (F test, 1 %).
 
-`fit_line`, with x_j, y_j the means of group j:
+`fit_line`, with the means x_j, y_j of group j of J, and n points:
 
     y_jk = a_j + b x_jk + e_jk,    b = sum (x - x_j)(y - y_j) / sum (x - x_j)^2 over all groups,
     u(b)^2 = s^2 / sum (x - x_j)^2,    s^2 = sum e^2 / (n - J - 1)
@@ -28,54 +28,52 @@ from .result import Coverage, Estimate, Identification, IdentificationError
 
 @dataclass(frozen=True)
 class Line:
-    """slope b with its standard uncertainty, levels: intercepts a_j by group, residuals (n,), scatter s, freedom
-    n - J - 1."""
+    """Fitted slope b with its standard uncertainty, intercepts a_j by group, residuals (n,), and degrees of freedom."""
 
     slope: float
     uncertainty: float
-    levels: dict[str, float]
+    intercepts: dict[str, float]
     residuals: np.ndarray
-    scatter: float
-    freedom: int
+    degrees_of_freedom: int
 
 
 def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
-    """Least squares fit of slope and intercepts. groups: a name per point. Raises IdentificationError for a constant x.
-    """
+    """Least-squares fit of a line. groups: name of the group by point. Raises IdentificationError for a constant x."""
     members = {str(name): np.asarray(groups) == name for name in dict.fromkeys(groups)}
     centred_x, centred_y = (_subtract_means(v, members.values()) for v in (x, y))
-    spread = float(centred_x @ centred_x)
-    freedom = len(x) - len(members) - 1
-    if freedom < 1 or spread <= 1e-12 * float(x @ x):
-        raise IdentificationError(f"{len(x)} rows in {len(members)} series do not determine a slope: {freedom} degrees "
-                                  "of freedom are left; more rows, at different settings, are needed")
-    slope = float(centred_x @ centred_y) / spread
+    square_sum = float(centred_x @ centred_x)
+    degrees_of_freedom = len(x) - len(members) - 1
+    if degrees_of_freedom < 1 or square_sum <= 1e-12 * float(x @ x):
+        raise IdentificationError(f"{len(x)} rows in {len(members)} series do not determine a slope: more rows at "
+                                  "different settings are needed")
+    slope = float(centred_x @ centred_y) / square_sum
     residuals = centred_y - slope * centred_x
-    scatter = float(np.sqrt(residuals @ residuals / freedom))
-    levels = {name: float(y[member].mean() - slope * x[member].mean()) for name, member in members.items()}
-    return Line(slope, scatter / float(np.sqrt(spread)), levels, residuals, scatter, freedom)
+    uncertainty = float(np.sqrt(residuals @ residuals / degrees_of_freedom / square_sum))
+    intercepts = {name: float(y[member].mean() - slope * x[member].mean()) for name, member in members.items()}
+    return Line(slope, uncertainty, intercepts, residuals, degrees_of_freedom)
 
 
-def cubic_nonlinearity(x: np.ndarray, line: Line, names: Sequence[str]) -> tuple[tuple[float, float], bool]:
-    """(linear, cubic) coefficient of the residuals of a line through groups `names`, and whether it is significant:
+def fit_cubic(x: np.ndarray, line: Line, names: Sequence[str]) -> tuple[tuple[float, float], bool]:
+    """((c_1, c_3) of a cubic fitted to the residuals of a line, whether it is significant). names: group by point.
 
-        e = c_1 x + c_3 x^3,    F = (sum e^2 - sum e_c^2) / 1 / (sum e_c^2 / (freedom - 1))
+        e = c_1 x + c_3 x^3 + e_c,    F = (sum e^2 - sum e_c^2) / (sum e_c^2 / (n - J - 2))
     """
     groups = np.asarray(names)
-    basis = _subtract_means(np.stack([x, x**3], axis=1), [groups == name for name in line.levels])
+    basis = _subtract_means(np.stack([x, x**3], axis=1), [groups == name for name in line.intercepts])
     residual = line.residuals
     coefficients, *_ = np.linalg.lstsq(basis, residual, rcond=None)
     unexplained = residual - basis @ coefficients
-    before, after, freedom = float(residual @ residual), float(unexplained @ unexplained), line.freedom - 1
-    if freedom < 1 or before <= 1e-20:
+    linear, cubic = float(residual @ residual), float(unexplained @ unexplained)
+    degrees_of_freedom = line.degrees_of_freedom - 1
+    if degrees_of_freedom < 1 or linear <= 1e-20:
         return (0.0, 0.0), False
-    ratio = (before - after) / max(after / freedom, 1e-20)
-    significant = bool(fisher.sf(ratio, 1, freedom) < 0.01)
+    ratio = (linear - cubic) / max(cubic / degrees_of_freedom, 1e-20)
+    significant = bool(fisher.sf(ratio, 1, degrees_of_freedom) < 0.01)
     return (float(coefficients[0]), float(coefficients[1])), significant
 
 
 def _subtract_means(values: np.ndarray, members: Iterable[np.ndarray]) -> np.ndarray:
-    """Values (n, ...) minus the mean of their group."""
+    """Values (n, ...) minus the means of their groups, given as masks."""
     result = np.array(values, float)
     for member in members:
         result[member] -= result[member].mean(axis=0)
@@ -91,7 +89,7 @@ BIN = math.radians(90.0)
 
 @dataclass(frozen=True)
 class Turntable:
-    """Angles (n,) [rad], left +: of the steering wheel and of both front wheels. sweeps: name per row."""
+    """Angles (n,) of the steering wheel and of both front wheels [rad], left +. sweeps: name of the sweep per row."""
 
     steering: np.ndarray
     left: np.ndarray
@@ -100,10 +98,9 @@ class Turntable:
 
 
 def identify_steering_ratio(data: Turntable) -> Identification:
-    """Estimate of steering_ratio [1], from the best straight line in the tested range.
+    """Estimate of steering_ratio [1], by a straight line in the tested range.
 
-    Raises IdentificationError, with the numbers, for too few rows, too small a range, a wrong unit or sign, exchanged
-    columns.
+    Raises IdentificationError for too few rows, a small range, a wrong unit or sign, and exchanged columns.
     """
     _check_rows(data)
     mean = 0.5 * (data.left + data.right)
@@ -113,11 +110,10 @@ def identify_steering_ratio(data: Turntable) -> Identification:
     if not (limits.minimum <= ratio <= limits.maximum):
         hint = ("steering wheel and road wheels have opposite signs: left is positive in every column"
                 if ratio < 0.0 else "are steering-wheel and road-wheel columns exchanged, or their units?")
-        raise IdentificationError(f"the steering wheel turns {ratio:.3g} times as far as the road wheels, limit "
+        raise IdentificationError(f"the steering wheel turns {ratio:.3g} times as far as the road wheels, expected "
                                   f"{limits.minimum:g} to {limits.maximum:g}: {hint}")
-    spread = ratio**2 * line.uncertainty
-    low, high = symmetric_interval(line.slope, line.uncertainty, line.freedom)
-    cubic, significant = cubic_nonlinearity(data.steering, line, data.sweeps)
+    low, high = symmetric_interval(line.slope, line.uncertainty, line.degrees_of_freedom)
+    cubic, significant = fit_cubic(data.steering, line, data.sweeps)
     used = tuple(dict.fromkeys(data.sweeps))
     span = math.degrees(data.steering.min()), math.degrees(data.steering.max())
     method = (f"turntables, {len(mean)} rows in {len(used)} sweep{'s' * (len(used) != 1)}, {span[0]:.0f} to "
@@ -128,12 +124,13 @@ def identify_steering_ratio(data: Turntable) -> Identification:
     centre = 1.0 / (line.slope + cubic[0]) if significant else ratio
     if significant:
         verdict += f" The ratio is not constant: {centre:.2f} about the centre of the range."
-    estimate = Estimate("steering_ratio", ratio, "1", spread, (1.0 / high, 1.0 / low), method, used, verdict)
+    estimate = Estimate("steering_ratio", ratio, "1", ratio**2 * line.uncertainty, (1.0 / high, 1.0 / low), method,
+                        used, verdict)
     edges = BIN * np.arange(math.floor(data.steering.min() / BIN), math.ceil(data.steering.max() / BIN) + 1)
     counts = np.histogram(data.steering, edges)[0]
     coverage = Coverage("steering-wheel angle", "deg", np.degrees(edges), counts, 1, 2)
     figure = {"steering": data.steering, "left": data.left, "right": data.right, "mean": mean, "sweeps": data.sweeps,
-              "slope": line.slope, "levels": line.levels, "residuals": line.residuals, "cubic": cubic,
+              "slope": line.slope, "intercepts": line.intercepts, "residuals": line.residuals, "cubic": cubic,
               "significant": significant}
     return Identification("steering-ratio", (estimate,), used, (), None, (coverage,), tuple(_warnings(data, line)),
                           figure)
@@ -143,7 +140,7 @@ def _check_rows(data: Turntable) -> None:
     columns = {"steering wheel": (data.steering, MAX_STEERING_ANGLE), "left wheel": (data.left, MAX_WHEEL_ANGLE),
                "right wheel": (data.right, MAX_WHEEL_ANGLE)}
     if len(data.steering) < MIN_ROWS:
-        raise IdentificationError(f"{len(data.steering)} rows, at least {MIN_ROWS} are needed")
+        raise IdentificationError(f"the table has {len(data.steering)} rows, at least {MIN_ROWS} are needed")
     for name, (angle, largest) in columns.items():
         if not np.isfinite(angle).all():
             raise IdentificationError(f"the {name} angle is missing in row {int(np.argmin(np.isfinite(angle))) + 1}")
@@ -156,7 +153,7 @@ def _check_rows(data: Turntable) -> None:
                                       "vary")
     if np.ptp(data.steering) < MIN_RANGE:
         raise IdentificationError(f"the steering wheel ranges over {math.degrees(np.ptp(data.steering)):.3g} deg, at "
-                                  "least 90 are needed; if the column is in radians, name it steering_wheel_rad")
+                                  "least 90 deg are needed; if the column is in radians, name it steering_wheel_rad")
 
 
 def _warnings(data: Turntable, line: Line) -> list[str]:
@@ -168,8 +165,8 @@ def _warnings(data: Turntable, line: Line) -> list[str]:
         sentences.append(f"The outer wheel turns further than the inner one by {math.degrees(-inner.mean()):.1f} deg "
                          "on average: left and right columns may be exchanged. Their mean, and with it the ratio, "
                          "is not affected.")
-    if len(line.levels) > 1:
-        play = math.degrees(max(line.levels.values()) - min(line.levels.values()))
-        sentences.append(f"The sweeps differ by up to {play:.2f} deg at the road wheel: play, friction, or turntables "
-                         "that were zeroed in between.")
+    if len(line.intercepts) > 1:
+        difference = math.degrees(max(line.intercepts.values()) - min(line.intercepts.values()))
+        sentences.append(f"The sweeps differ by up to {difference:.2f} deg at the road wheel: due to play, friction or "
+                         "turntables that were zeroed in between.")
     return sentences

@@ -105,7 +105,7 @@ def draw_ratio(found: Identification, output: FigureOutput) -> PageFigure:
                   label="right wheel")
         left.plot(steering, np.degrees(data["mean"]), "o", color=TEXT, ms=3.5, label="mean")
         ends = np.array([steering.min(), steering.max()])
-        level = float(np.degrees(np.mean(list(data["levels"].values()))))
+        level = float(np.degrees(np.mean(list(data["intercepts"].values()))))
         left.plot(ends, level + data["slope"] * ends, color=MODEL_COLOUR["augmented"],
                   label=f"steering wheel / {estimate.value:.2f}")
         left.set(xlabel="steering wheel angle, deg (left +)", ylabel="wheel angle, deg (left +)")
@@ -179,7 +179,7 @@ def draw_height(found: Identification, output: FigureOutput) -> PageFigure:
     with style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
         grid = np.linspace(0.0, data["pitch"].max(), 60)
-        for k, (name, level) in enumerate(data["levels"].items()):
+        for k, (name, level) in enumerate(data["intercepts"].items()):
             row = lifts == name
             marker = "os^Dv<>P"[k % 8]
             left.plot(pitch[row], data["rear_load"][row], marker, color=TEXT, ms=4.5, mfc="none", label=name)

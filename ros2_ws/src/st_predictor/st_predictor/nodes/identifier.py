@@ -7,7 +7,7 @@ from pathlib import Path
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from st_core.identification.online import NAMES, OnlineFit, OnlineIdentifier, Tracked, fit_recent
+from st_core.identification.online import NAMES, OnlineEstimate, OnlineFit, OnlineIdentifier, fit_recent
 from st_msgs.msg import Steering, TrackedParameter, TrackedParameters
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
@@ -107,7 +107,7 @@ class IdentifierNode(Node):
             self._resets += 1
             self.get_logger().info(f"{self._file} has changed: all estimates are reset")
 
-    def _file_value(self, estimate: Tracked) -> float:
+    def _file_value(self, estimate: OnlineEstimate) -> float:
         return float(getattr(self._vehicle, estimate.parameter, 1.0))
 
     def _checks(self) -> list[Check]:
