@@ -17,7 +17,7 @@ from st_core.identification.steering_offset import identify_steering_offset
 from st_core.log import DriveLog
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.log_signals import LogSignals
-from st_core.regression import blocks
+from st_core.regression import make_blocks
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import config, project_root
 from st_recordings.runs import find_runs, read
@@ -97,7 +97,7 @@ def judged(logs: list[DriveLog], car: VehicleParameters, misalignment: float) ->
 
 
 def _rms(values, run_of, time) -> str:
-    group = blocks(run_of, time)
+    group = make_blocks(run_of, time)
     totals = group.sums(np.stack([np.ones_like(values), values**2], axis=1))
     weights = np.random.default_rng(0).multinomial(len(group), np.full(len(group), 1.0 / len(group)), size=500)
     drawn = np.sqrt((weights @ totals[:, 1]) / (weights @ totals[:, 0]))

@@ -15,7 +15,7 @@ from st_core.batch import LogBatch
 from st_core.log_signals import LogSignals
 from st_core.models import MODELS as KNOWN
 from st_core.prediction import predict
-from st_core.start_grid import plan
+from st_core.start_grid import plan_blocks
 from st_core.types import InputSequence, VehicleState
 
 LAST = np.array([STEPS])
@@ -47,7 +47,7 @@ def _model(name: str, car, log, folder: Path) -> dict:
     model = KNOWN[name]
     p, signals = model.parameters(car), LogSignals(log, 0.1, 5.0)
     times = starts(log)[:COUNT]
-    block, = plan(times, 25_000_000 * np.arange(2 * STEPS + 1), numba_lanes.LANES)
+    block, = plan_blocks(times, 25_000_000 * np.arange(2 * STEPS + 1), numba_lanes.LANES)
     angle = signals.road_wheel_angle_at(block.times_ns)
     acceleration, = signals.ins_at(block.times_ns, "velocity_x_dot")
     # Beyond both ends of the drive the inputs are held, so that no kernel receives NaN.

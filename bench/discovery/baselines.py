@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
-from st_core.augmented import AugmentedModel, augment, neutral
+from st_core.augmented import AugmentedModel, augment, set_effects_to_null
 from st_core.batch import LogBatch
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
@@ -65,7 +65,7 @@ def _values(x: np.ndarray) -> dict[str, dict[str, float]]:
 
 @cache
 def _linear() -> AugmentedModel:
-    return neutral(augment("linear", tuple(LEARNT)))
+    return set_effects_to_null(augment("linear", tuple(LEARNT)))
 
 
 def _batch(log: DriveLog) -> tuple[LogBatch, np.ndarray]:

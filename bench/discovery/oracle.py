@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from st_core.augmented import AugmentedModel, augment, neutral
+from st_core.augmented import AugmentedModel, augment, set_effects_to_null
 from st_core.discovery.settings import DiscoverySettings
 from st_core.discovery.windows import Windows
 from st_core.effects import Parameter, applicable, get_effect
@@ -36,7 +36,7 @@ Values = Mapping[str, Mapping[str, float]]
 @cache
 def everything() -> AugmentedModel:
     """Every effect of the library at null: one set of compiled functions for all fits."""
-    return neutral(augment(BASE, [n for n in applicable(BASE) if not get_effect(n).signals]))
+    return set_effects_to_null(augment(BASE, [n for n in applicable(BASE) if not get_effect(n).signals]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -63,13 +63,13 @@ def next_point(course: Course, last: NearPoint, state: VehicleState) -> NearPoin
 
     The nearest point may belong to another lap with another continuation.
     """
-    return min(course.near(state.x, state.y, state.yaw), default=None,
-               key=lambda point: (point.number != last.number, abs(point.row - last.row)))
+    return min(course.find_near(state.x, state.y, state.yaw), default=None,
+               key=lambda point: (point.pass_index != last.pass_index, abs(point.row - last.row)))
 
 
 def reference(course: Course, point: NearPoint, state: VehicleState, steps: int, step: float) -> Reference | None:
     """The road at the end of each step [s] for a car at its speed; None close to the end of the road."""
-    points = course.passes[point.number].points[point.row:]
+    points = course.passes[point.pass_index].points[point.row:]
     x, y, yaw = points[0, :3]
     along = np.arange(len(points)) * SPACING
     ahead = [float(np.cos(yaw) * (state.x - x) + np.sin(yaw) * (state.y - y))]

@@ -12,7 +12,7 @@ from math import cos, isfinite
 from pathlib import Path
 
 import numpy as np
-from st_core.alignment import unexplained_step
+from st_core.measurement_history import unexplained_step
 
 from .file_decoder import UNKNOWN_TIME, decode_file
 from .ncom import PACKET_SIZE, NcomError, Packet, decode

@@ -59,12 +59,12 @@ class AugmentedModel(Model):
         return _compose(self.base, self.effects, {**self.values, **_check_all_values(changed, merged)})
 
     @property
-    def has_memory(self) -> bool:
+    def has_steering_memory(self) -> bool:
         """Whether `steering` changes a recording."""
         return any(effect.steering for effect in self.active)
 
     @property
-    def has_sensors(self) -> bool:
+    def has_sensor_effects(self) -> bool:
         """Whether `observe` and `correct` change readings."""
         return any(effect.observe for effect in self.active)
 
@@ -231,6 +231,6 @@ def fold(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Va
     return vehicle
 
 
-def neutral(model: AugmentedModel) -> AugmentedModel:
+def set_effects_to_null(model: AugmentedModel) -> AugmentedModel:
     """The model with all its effects at null."""
     return model.with_values({e.name: {p.name: p.null for p in e.parameters} for e in model.effects})

@@ -20,8 +20,8 @@ from .log_signals import Acceleration, LogSignals, share_memory
 from .models import Model, get_model
 from .planned_inputs import SLIP_FREE
 from .prediction import step_count
-from .readings import correct_log, has_memory, reading_errors, wheel_angles_ahead
-from .start_grid import Block, plan
+from .readings import correct_log, has_steering_memory, reading_errors, wheel_angles_ahead
+from .start_grid import Block, plan_blocks
 from .timeseries import NANOSECOND, half_step_grid
 from .types import STATE_NAMES
 from .vehicle import VehicleParameters
@@ -135,7 +135,7 @@ class LogBatch:
         count = self._count_substeps(model, vehicle)
         car, p = model.effective_vehicle(vehicle), model.parameters(vehicle)
         recording = self.recording(model)
-        separate = not isinstance(self._inputs, str) or (self._inputs == "held" and has_memory(model))
+        separate = not isinstance(self._inputs, str) or (self._inputs == "held" and has_steering_memory(model))
         signals = recording.signals
         result = np.full((len(self.points), len(STATE_NAMES), len(self._unique)), np.nan)
         for block in self._blocks(count, separate):
@@ -172,7 +172,7 @@ class LogBatch:
         # Held inputs are needed only at the start, unless earlier steering still acts on the wheels.
         throughout = self._inputs == "measured" or separate
         instants = half_step_grid(0, self.steps * count, self.step / count) if throughout else np.zeros(1, np.int64)
-        return plan(self._unique, instants, self._backend.LANES, share=not separate)
+        return plan_blocks(self._unique, instants, self._backend.LANES, share=not separate)
 
     def recording(self, model: Model) -> Recording:
         """The drive with the sensor and steering corrections of the model applied."""
@@ -187,16 +187,16 @@ class LogBatch:
         else:
             known = self._recorded.sampled.get(key)
             if known is None or not share_memory(signals.log, self.signals.log, "steering_time_ns", "road_wheel_angle"):
-                angle = block.laid_out(signals.road_wheel_angle_at(times_ns))
+                angle = block.arrange(signals.road_wheel_angle_at(times_ns))
             else:
                 angle = known[0]
             if known is None or signals.velocity_x_dot is not self.signals.velocity_x_dot:
-                acceleration = block.laid_out(signals.ins_at(times_ns, "velocity_x_dot")[0])
+                acceleration = block.arrange(signals.ins_at(times_ns, "velocity_x_dot")[0])
             else:
                 acceleration = known[1]
         if block.shared:
             recording.sampled[key] = angle, acceleration
-        others = [block.laid_out(signals.sample(*self.extra_signals[name], times_ns)) for name in model.signals]
+        others = [block.arrange(signals.sample(*self.extra_signals[name], times_ns)) for name in model.signals]
         return [angle, acceleration, *others]
 
     def _sample_separately(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
@@ -211,13 +211,13 @@ class LogBatch:
             if path and model.axles is None:
                 angle = path[0]
         angle, acceleration = (np.broadcast_to(v, times.shape) for v in (angle, acceleration))
-        if has_memory(model):
+        if has_steering_memory(model):
             angle = np.array([wheel_angles_ahead(model, raw.steering_time_ns, raw.road_wheel_angle, *column,
                                                  signals.maximum_gap)
                               for column in zip(times.T, angle.T, strict=True)]).T
         others = [np.broadcast_to(signals.sample(*self.extra_signals[name], times[0]), times.shape)
                   for name in model.signals]
-        return [block.laid_out(v) for v in (angle, acceleration, *others)]
+        return [block.arrange(v) for v in (angle, acceleration, *others)]
 
     def _table(self, block: Block, values: list[np.ndarray], model: Model, p: Any) -> np.ndarray:
         """w at all instants of a block."""

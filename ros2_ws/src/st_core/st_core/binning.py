@@ -1,4 +1,4 @@
-"""Starts of predictions binned by driving conditions: speed, lateral acceleration, steering rate, direction."""
+"""Prediction starts, binned by driving condition: speed, lateral acceleration, steering rate, direction of the turn."""
 
 import math
 from dataclasses import dataclass
@@ -9,41 +9,43 @@ import numpy as np
 from .log_evaluation import LogEvaluation
 
 # Lower edges of the bins, chosen around the scenarios of the paper: 4 and 16 m/s; 1.5, 4 and 6 m/s^2.
-SPEED = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 20.0, 25.0)  # m/s
-LATERAL_ACCELERATION = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)  # m/s^2, magnitude
-STEERING_RATE = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)  # rad/s at the road wheel, root mean square
-STRAIGHT = math.radians(5.0)  # largest change of heading within the horizon that counts as straight
+SPEED_EDGES = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 20.0, 25.0)  # m/s
+LATERAL_ACCELERATION_EDGES = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)  # m/s^2, magnitude
+STEERING_RATE_EDGES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)  # rad/s at the road wheel, root mean square
+MAX_STRAIGHT_TURN = math.radians(5.0)  # largest change of heading within the horizon that counts as straight
 
 
 @dataclass(frozen=True, eq=False)
 class Bin:
     """Starts within a range of one quantity.
 
-    label: for tables, with the unit. low, high: edges in SI, None if open. select: (n,) mask of the starts.
+    label: for tables, with the unit. low, high: edges in SI, None if open. mask: (n,), True for the starts in the bin.
     """
 
     quantity: str
     label: str
     low: float | None
     high: float | None
-    select: np.ndarray
+    mask: np.ndarray
 
 
-def bins(evaluation: LogEvaluation) -> list[Bin]:
+def bin_starts(evaluation: LogEvaluation) -> list[Bin]:
     """All bins that are not empty; a start under unknown conditions (NaN) is in no bin."""
     conditions, turn = evaluation.conditions, evaluation.conditions["heading_change"]
-    candidates = [
-        *_bins_of("speed", "m/s", conditions["speed"], SPEED),
-        *_bins_of("lateral acceleration", "m/s²", np.abs(conditions["lateral_acceleration"]), LATERAL_ACCELERATION),
-        *_bins_of("steering rate", "rad/s", conditions["steering_rate"], STEERING_RATE),
-        Bin("direction", "left", STRAIGHT, None, turn >= STRAIGHT),
-        Bin("direction", "straight", -STRAIGHT, STRAIGHT, np.abs(turn) < STRAIGHT),
-        Bin("direction", "right", None, -STRAIGHT, turn <= -STRAIGHT),
+    lateral_acceleration = np.abs(conditions["lateral_acceleration"])
+    bins = [
+        *_bin_by_edges("speed", "m/s", conditions["speed"], SPEED_EDGES),
+        *_bin_by_edges("lateral acceleration", "m/s²", lateral_acceleration, LATERAL_ACCELERATION_EDGES),
+        *_bin_by_edges("steering rate", "rad/s", conditions["steering_rate"], STEERING_RATE_EDGES),
+        Bin("direction", "left", MAX_STRAIGHT_TURN, None, turn >= MAX_STRAIGHT_TURN),
+        Bin("direction", "straight", -MAX_STRAIGHT_TURN, MAX_STRAIGHT_TURN, np.abs(turn) < MAX_STRAIGHT_TURN),
+        Bin("direction", "right", None, -MAX_STRAIGHT_TURN, turn <= -MAX_STRAIGHT_TURN),
     ]
-    return [candidate for candidate in candidates if candidate.select.any()]
+    return [one for one in bins if one.mask.any()]
 
 
-def _bins_of(quantity: str, unit: str, values: np.ndarray, lower: tuple[float, ...]) -> list[Bin]:
-    inner = [Bin(quantity, f"{low:g} to {high:g} {unit}", low, high, (values >= low) & (values < high))
-             for low, high in pairwise(lower)]
-    return [*inner, Bin(quantity, f"above {lower[-1]:g} {unit}", lower[-1], None, values >= lower[-1])]
+def _bin_by_edges(quantity: str, unit: str, values: np.ndarray, edges: tuple[float, ...]) -> list[Bin]:
+    """Bins between consecutive edges, and one from the last edge on."""
+    bounded = [Bin(quantity, f"{low:g} to {high:g} {unit}", low, high, (values >= low) & (values < high))
+               for low, high in pairwise(edges)]
+    return [*bounded, Bin(quantity, f"above {edges[-1]:g} {unit}", edges[-1], None, values >= edges[-1])]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from .regression import robust_deviation, white_noise
-from .timeseries import smoothed_deviation
+from .timeseries import moving_average_noise_ratio
 from .types import body_to_map, map_to_body, wrap_angle
 
 SMOOTHING_NS = 100_000_000  # width of the centred mean of the smoothed channels
@@ -44,7 +44,7 @@ class Channel:
         for field in ("signals", "columns"):
             object.__setattr__(self, field, getattr(self, field) or (self.name,))
 
-    def is_in(self, log: Any) -> bool:
+    def is_measured_in(self, log: Any) -> bool:
         """Whether a DriveLog contains the channel. At standstill throughout, 0 is a valid lateral velocity."""
         if self.name == "velocity_y" and not log.sideslip_measured:
             return False
@@ -64,7 +64,7 @@ class Channel:
             return self.noise(log, *motion)
         values = getattr(log, self.name)
         known = np.isfinite(values)
-        averaged = smoothed_deviation(log.ins_time_ns[known], SMOOTHING_NS) if self.smoothed else 1.0
+        averaged = moving_average_noise_ratio(log.ins_time_ns[known], SMOOTHING_NS) if self.smoothed else 1.0
         return (averaged * white_noise(values),)
 
 

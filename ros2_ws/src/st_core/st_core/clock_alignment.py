@@ -24,7 +24,7 @@ from .clock_types import (
     describe_step,
     refused_alignment,
 )
-from .regression import ROBUST
+from .regression import SIGMA_PER_MAD
 
 CUTOFFS = (0.5, 4.0)  # Hz; the first while the drift is unknown, the second for the result
 STAMP_GRID = 50e-6  # s; resolution of the stamps of loggers, a lower limit of the uncertainty
@@ -260,7 +260,7 @@ def _robust_line(time: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.n
     for _ in range(20):
         solution = np.linalg.lstsq(design * weight[:, None], offset * weight, rcond=None)[0]
         residual = offset - design @ solution
-        scale = max(ROBUST * float(np.median(np.abs(residual))), 1e-5)
+        scale = max(SIGMA_PER_MAD * float(np.median(np.abs(residual))), 1e-5)
         weight = (1 + (residual / (2 * scale)) ** 2) ** -0.25
     weighted = design * weight[:, None]
     prior = np.diag([0.0, (scale / (DRIFT_PRIOR_PPM * 1e-6)) ** 2])

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .augmented import AugmentedModel, augment, neutral
+from .augmented import AugmentedModel, augment, set_effects_to_null
 from .backends import get_backend, has_numba
 from .effects import Effect, Measured
 from .errors import StCoreError
 from .models import MODELS, Model
 from .prediction import predict
-from .stability import growth, lateral_modes
+from .stability import growth_factor, lateral_modes
 from .types import InputSequence, VehicleState
 from .vehicle import VehicleParameters
 
@@ -63,7 +63,7 @@ def _check_docstring(effect: type[Effect], vehicle: VehicleParameters) -> str:
 
 def _check_null(effect: type[Effect], vehicle: VehicleParameters) -> str:
     for base, active in _models(effect):
-        model = neutral(active)
+        model = set_effects_to_null(active)
         change = float(np.abs(_predict_floats(model, vehicle) - _predict_floats(base, vehicle)).max())
         if np.isnan(change) or change > 0.0:
             return f"at null the path of {base.name} changes by {change:.3g}; it must be equal to the last bit"
@@ -143,8 +143,8 @@ def describe_instability(base: Model, model: Model, vehicle: VehicleParameters, 
             before, after = (float(lateral_modes(m, vehicle, speed).real.max()) for m in (base, model))
             if not after <= max(before, 0.0) + GROWTH_RATE:
                 return f"a lateral mode grows by {after:.2g} per second at {speed:.3g} m/s; without it {before:.2g}"
-        factor = growth(model, vehicle, speed, STEP)
-        if factor > max(1.0, growth(base, vehicle, speed, STEP)):
+        factor = growth_factor(model, vehicle, speed, STEP)
+        if factor > max(1.0, growth_factor(base, vehicle, speed, STEP)):
             return f"too fast for steps of {1e3 * STEP:g} ms at {speed:.3g} m/s, factor {factor:.2g} per step"
     return ""
 

@@ -1,8 +1,8 @@
 """Known course: speed and curvature along the path, from recordings of earlier drives at the same place.
 
 A course is a set of passes: paths of recordings, split at pauses and sampled every SPACING metres. Laps, opposite
-directions and branches are not merged: a mean over slow and fast laps would fit neither. `Course.near` finds all that
-pass a place in a direction, and `course_tracker` weights them. Checked by: test_course.py.
+directions and branches are not merged: a mean of slow and fast laps would fit neither. `Course.find_near` finds the
+passes near a position in a direction, and `course_tracker` weights them. Checked by: test_course.py.
 """
 
 import hashlib
@@ -23,20 +23,20 @@ from .types import wrap_angle
 from .yaml_text import check_keys, load
 
 SPACING = 1.0
-"""m along the path; the sharpest right-angle turn of a car (radius 5 m) then has 8 points."""
+"""m between points along the path; a right-angle turn of the smallest radius of a car, 5 m, then has 8 points."""
 SMOOTHING = 3.0
 """Length of the moving average of curvature and direction [m]: about one wheelbase, as the curvature of a path hardly
 changes over shorter distances."""
 MAX_DISTANCE = 4.0
 """m, largest distance of a pass from the car: one lane and its neighbour."""
 MAX_HEADING_DIFFERENCE = 0.5
-"""rad, between the directions of car and pass; more is the opposite direction or a crossing."""
+"""rad, between the directions of car and pass; a larger one means the opposite direction or a crossing."""
 PAUSE_SPEED = 0.5
 """m/s; slower parts are left out, as curvature is undefined at standstill."""
 MAX_GAP = 0.1
 """s between samples of a pass."""
 MIN_LENGTH = 20.0
-"""m, length of a pass; a shorter one ends within the horizon."""
+"""m, of a pass; a shorter one ends within the horizon."""
 MAX_ORIGIN_DISTANCE = 5000.0
 """m, between map origins; at a larger distance the axes differ by more than 1 mrad at latitude 50."""
 SCHEMA = 1
@@ -58,16 +58,16 @@ class Pass:
 
 
 class NearPoint(NamedTuple):
-    """Point of a pass near the car. number: index of the pass; row: of the point in it. distance: from the car [m]."""
+    """Point of a pass near the car. pass_index: in `Course.passes`; row: in its points. distance: from the car [m]."""
 
-    number: int
+    pass_index: int
     row: int
     distance: float
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Passes at one place. origin: (latitude, longitude) of the map frame [deg] where the recordings state it."""
+    """Passes at one place. origin: (latitude, longitude) of the map frame [deg]; None if not recorded."""
 
     passes: tuple[Pass, ...]
     origin: tuple[float, float] | None = None
@@ -82,8 +82,8 @@ class Course:
     def _tree(self) -> cKDTree:
         return cKDTree(np.concatenate([pass_.points[:, :2] for pass_ in self.passes]))
 
-    def near(self, x: float, y: float, direction: float) -> list[NearPoint]:
-        """Points of passes within MAX_DISTANCE in the direction of the car, one for each lap, the nearest first.
+    def find_near(self, x: float, y: float, direction: float) -> list[NearPoint]:
+        """Points within MAX_DISTANCE of passes in the direction of the car, one for each lap, the nearest first.
 
         x, y: INS point in the map frame [m]. direction: course angle from east, counter-clockwise + [rad].
         """
@@ -92,25 +92,25 @@ class Course:
         found = np.array(sorted(self._tree.query_ball_point((x, y), MAX_DISTANCE)), int)
         if not len(found):
             return []
-        number, row = (index[found] for index in self._indices)
-        points = np.stack([self.passes[n].points[k] for n, k in zip(number.tolist(), row.tolist(), strict=True)])
+        index, row = (indices[found] for indices in self._indices)
+        points = np.stack([self.passes[n].points[k] for n, k in zip(index.tolist(), row.tolist(), strict=True)])
         same = np.abs(wrap_angle(points[:, 2] - direction)) < MAX_HEADING_DIFFERENCE
-        number, row, points = number[same], row[same], points[same]
+        index, row, points = index[same], row[same], points[same]
         distance = np.hypot(points[:, 0] - x, points[:, 1] - y)
         # Points of one lap are consecutive; another lap of the same pass begins with a jump of the row.
-        begins = np.flatnonzero((np.diff(number, prepend=-1) != 0) | (np.diff(row, prepend=-9) > 1))
-        nearest = [NearPoint(int(number[part[0]]), int(row[part[k]]), float(distance[part[k]]))
-                   for part in np.split(np.arange(len(number)), begins)[1:] for k in [int(distance[part].argmin())]]
+        begins = np.flatnonzero((np.diff(index, prepend=-1) != 0) | (np.diff(row, prepend=-9) > 1))
+        nearest = [NearPoint(int(index[k]), int(row[k]), float(distance[k]))
+                   for lap in np.split(np.arange(len(index)), begins)[1:] for k in [lap[distance[lap].argmin()]]]
         return sorted(nearest, key=lambda point: point.distance)
 
-    def without(self, digests: Sequence[str]) -> "Course":
-        """The course without passes of the recordings with these sha256, so that no run is predicted from itself."""
+    def exclude(self, digests: Sequence[str]) -> "Course":
+        """The course without the passes of recordings with these sha256, to predict no run from itself."""
         return Course(tuple(p for p in self.passes if not set(p.digests) & set(digests)), self.origin)
 
-    def moved(self, east: float, north: float) -> "Course":
-        """The course in a parallel map frame in which its origin is at (east, north) [m].
+    def shift(self, east: float, north: float) -> "Course":
+        """The course in a parallel map frame, in which the old origin is at (east, north) [m].
 
-        Raises StCoreError, one line, beyond MAX_ORIGIN_DISTANCE.
+        Raises StCoreError, one line, for a distance beyond MAX_ORIGIN_DISTANCE.
         """
         if not (distance := math.hypot(east, north)) <= MAX_ORIGIN_DISTANCE:  # NaN too
             raise StCoreError(f"the course was recorded elsewhere: the map origins are {distance / 1000.0:.1f} km "
@@ -135,7 +135,7 @@ class Course:
 
     @classmethod
     def from_yaml(cls, text: str, origin: str = "course") -> "Course":
-        """The course from the text of a file. origin: name in errors. Raises ConfigurationError, one line."""
+        """The course from the text of a file. origin: file name in errors. Raises ConfigurationError, one line."""
         try:
             return cls._read(text)
         except ConfigurationError as error:
@@ -176,8 +176,8 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def passes_of(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
-    """The passes of one drive, which is split at pauses, gaps in time and jumps of position.
+def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
+    """The passes of one drive: its parts between pauses, gaps in time and jumps of position.
 
     Raises StCoreError, one line, for a drive without MIN_LENGTH metres of driving.
     """
@@ -189,15 +189,15 @@ def passes_of(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
     breaks = slow | (spacing > MAX_GAP) | (np.abs(displacement - travelled) > 0.5 + 0.5 * travelled)
     edges = np.flatnonzero(np.diff(np.concatenate([[True], breaks, [True]]).astype(int)))
     found = [Pass(log.name, tuple(digests), points) for first, last in edges.reshape(-1, 2)
-             if (points := _resampled(log, slice(int(first), int(last) + 1))) is not None]
+             if (points := _resample(log, slice(int(first), int(last) + 1))) is not None]
     if not found:
         raise StCoreError(f"{log.name}: no {MIN_LENGTH:g} m of continuous driving faster than {PAUSE_SPEED:g} m/s; "
                           "leave it out of the course")
     return found
 
 
-def _resampled(log: DriveLog, rows: slice) -> np.ndarray | None:
-    """Points (n, 5) of a Pass from rows of a drive; None for less than MIN_LENGTH."""
+def _resample(log: DriveLog, rows: slice) -> np.ndarray | None:
+    """Points (n, 5) of a Pass from the samples of a drive in these rows; None if they are shorter than MIN_LENGTH."""
     x, y, speed = log.x[rows], log.y[rows], log.velocity_x[rows]
     seconds = (log.ins_time_ns[rows] - log.ins_time_ns[rows][:1]) * 1e-9
     distance = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(seconds))])

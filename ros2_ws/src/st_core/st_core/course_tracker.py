@@ -132,7 +132,7 @@ class CourseTracker:
             return CourseForecast(None, reason="course: the motion of the car is unknown or too slow")
         elapsed = self._advance(ego)
         self._score(ego, elapsed)
-        near = self.course.near(ego.x, ego.y, ego.direction)
+        near = self.course.find_near(ego.x, ego.y, ego.direction)
         candidates = [found for point in near if (found := self._candidate(point, ego)) is not None]
         if not candidates:
             return CourseForecast(None, reason="course: it ends within the horizon" if near else
@@ -177,7 +177,7 @@ class CourseTracker:
 
     def _candidate(self, point: NearPoint, ego: EgoMotion) -> tuple[float, np.ndarray, np.ndarray] | None:
         """(d^2, speed and curvature every SPACING m ahead); None where the pass ends within the horizon."""
-        points = self.course.passes[point.number].points
+        points = self.course.passes[point.pass_index].points
         ahead = points[point.row:]
         speed = ahead[:, 4] * (ego.velocity_x / ahead[0, 4])
         arrival = np.cumsum(SPACING / speed)

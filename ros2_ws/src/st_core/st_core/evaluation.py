@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from .alignment import DERIVATIVE, YAW, MeasurementHistory
+from .measurement_history import DERIVATIVE, YAW, MeasurementHistory
 from .model_view import ModelView
 from .models import MODELS, Model, get_model
 from .prediction import PredictionSettings, Runner, predict

@@ -1,6 +1,7 @@
-"""Interpolation of a recorded drive at any instant between two samples that are close enough together.
+"""Interpolation of the signals of a recorded drive at any instants; values in gaps are unknown.
 
-The vectorised counterpart of `alignment.MeasurementHistory`, with identical results. Checked by: test_batch.py.
+The vectorised counterpart of `measurement_history.MeasurementHistory`, with identical results.
+Checked by: test_batch.py.
 """
 
 from copy import copy
@@ -16,7 +17,7 @@ Acceleration = Literal["causal", "zero_phase"]
 
 
 def share_memory(log: DriveLog, other: DriveLog, *names: str) -> bool:
-    """Whether two drives share the memory of these arrays; the array objects themselves are views of each log."""
+    """Whether these arrays of two drives are the same memory; each drive has its own views of it."""
     pairs = [(getattr(log, name), getattr(other, name)) for name in names]
     return all(a.size == b.size and a.ctypes.data == b.ctypes.data for a, b in pairs)
 

@@ -98,7 +98,7 @@ class Manoeuvre:
         times, speeds = self._speeds
         return np.interp(np.asarray(time) % self.period, times, speeds)
 
-    def forward(self, time: np.ndarray | float) -> np.ndarray:
+    def acceleration_at(self, time: np.ndarray | float) -> np.ndarray:
         """Target forward acceleration [m/s^2]; time [s] >= 0."""
         times, speeds = self._speeds
         slopes = np.diff(speeds) / np.diff(times)

@@ -25,7 +25,7 @@ from .augmented import AugmentedModel, augment
 from .effects import get_effect
 from .errors import ConfigurationError
 from .vehicle import VEHICLE_QUANTITIES, VehicleParameters
-from .yaml_text import check_keys, load, number, quoted
+from .yaml_text import check_keys, load, number, quote
 
 Interval = tuple[float, float] | None
 MAX_LISTED_DIFFERENCES = 3  # between two cars, in a message
@@ -105,7 +105,7 @@ class ModelFile:
         """A model file that `from_yaml` reads back to an equal ModelFile."""
         lines = [f"base: {self.base}"]
         if self.vehicle_hash or self.vehicle_name:
-            lines += ["vehicle:", f"  name: {quoted(self.vehicle_name)}", f"  hash: {quoted(self.vehicle_hash)}"]
+            lines += ["vehicle:", f"  name: {quote(self.vehicle_name)}", f"  hash: {quote(self.vehicle_hash)}"]
         if self.vehicle:
             lines += ["  parameters:", *(f"    {line}" for line in self.vehicle.to_yaml().splitlines())]
         lines.append("effects:" if self.effects else "effects: {}")
@@ -113,10 +113,10 @@ class ModelFile:
             units = {p.name: p.unit for p in get_effect(name).parameters}
             lines += [f"  {name}:", *(f"    {key}: {_entry(part, units[key])}" for key, part in parts.items())]
         p = self.provenance
-        lines += ["provenance:", f"  date: {quoted(p.date)}", f"  version: {quoted(p.version)}"]
+        lines += ["provenance:", f"  date: {quote(p.date)}", f"  version: {quote(p.version)}"]
         lines += ["  data:" if p.data else "  data: {}"]
-        lines += [f"    {quoted(name)}: {quoted(digest)}" for name, digest in p.data.items()]
-        lines += [f"  note: {quoted(p.note)}", f"hash: {quoted(self.hash)}"]
+        lines += [f"    {quote(name)}: {quote(digest)}" for name, digest in p.data.items()]
+        lines += [f"  note: {quote(p.note)}", f"hash: {quote(self.hash)}"]
         return HEADER + "\n".join(lines) + "\n"
 
     @classmethod
@@ -151,8 +151,8 @@ def _entry(estimate: Estimate, unit: str) -> str:
     interval = "null"
     if estimate.interval is not None:
         interval = f"[{', '.join(number(limit) for limit in estimate.interval)}]"
-    return (f"{{value: {number(estimate.value)}, unit: {quoted(unit)}, interval: {interval}, "
-            f"source: {quoted(estimate.source)}{', effective: true' if estimate.effective else ''}}}")
+    return (f"{{value: {number(estimate.value)}, unit: {quote(unit)}, interval: {interval}, "
+            f"source: {quote(estimate.source)}{', effective: true' if estimate.effective else ''}}}")
 
 
 def _effect(name: str, entry: Any) -> dict[str, Estimate]:

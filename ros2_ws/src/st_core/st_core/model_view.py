@@ -8,20 +8,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .alignment import DERIVATIVE, MeasurementHistory
 from .augmented import AugmentedModel
 from .effects import Measured
 from .errors import ConfigurationError, StCoreError
 from .log import OPTIONAL_INS_SIGNALS
+from .measurement_history import DERIVATIVE, MeasurementHistory
 from .models import Model
 from .readings import (
     MEMORY,
     MEMORY_NS,
     correct_sample,
     correct_steering,
-    has_memory,
+    has_steering_memory,
     missing_reading,
-    readings,
+    predict_readings,
     required_lookahead_ns,
     wheel_angles_ahead,
 )
@@ -47,15 +47,15 @@ class ModelView:
         self.car = model.effective_vehicle(vehicle)
         self._vehicle = vehicle
         self.plain = not isinstance(model, AugmentedModel)
-        self.has_memory = has_memory(model)
-        self.corrects_samples = isinstance(model, AugmentedModel) and model.has_sensors
+        self.has_steering_memory = has_steering_memory(model)
+        self.corrects_samples = isinstance(model, AugmentedModel) and model.has_sensor_effects
         self._history = shared.for_corrected_samples() if self.corrects_samples else shared
         self.ahead_ns = required_lookahead_ns(model)
 
     @staticmethod
     def span(models: Sequence[Model], span: float) -> float:
         """Length of the history [s] that effects with memory need for a time span [s]."""
-        return span + MEMORY if any(has_memory(model) for model in models) else span
+        return span + MEMORY if any(has_steering_memory(model) for model in models) else span
 
     def add_ins(self, sample: InsSample) -> None:
         """Correct an INS sample and add it to the history of a model with `corrects_samples`."""
@@ -75,7 +75,7 @@ class ModelView:
         if sample is None or now is None:
             raise StCoreError(f"model {self.model.name}: state or inputs not known at {time_ns} ns")
         state = ins_to_cg(sample, self.car.cg_to_ins_x, self.car.cg_to_ins_y)
-        if not self.has_memory:
+        if not self.has_steering_memory:
             return state, now
         series, grid = self._history.steering, half_step_grid(time_ns, steps, step)
         angle = wheel_angles_ahead(self.model, series.times, series.rows[:, 0], grid,
@@ -85,7 +85,7 @@ class ModelView:
     def measured(self, times_ns: np.ndarray) -> InputSequence:
         """Measured inputs at increasing times [ns]; NaN where not known."""
         acceleration = self._history.ins.sample(times_ns)[:, DERIVATIVE]
-        if not self.has_memory:
+        if not self.has_steering_memory:
             return InputSequence(self._history.steering.sample(times_ns)[:, 0], acceleration)
         series = self._history.steering
         gap_ns = series.maximum_gap_ns
@@ -97,4 +97,4 @@ class ModelView:
     def readings_along(self, trajectory: Trajectory) -> Measured:
         """INS readings along a trajectory of the model, without accelerations."""
         t = trajectory
-        return readings(self.model, self._vehicle, (t.x, t.y, t.velocity_x, t.velocity_y, t.yaw, t.yaw_rate))
+        return predict_readings(self.model, self._vehicle, (t.x, t.y, t.velocity_x, t.velocity_y, t.yaw, t.yaw_rate))

@@ -10,8 +10,8 @@ from typing import Any, Literal
 import numpy as np
 
 from . import integrate
-from .alignment import FrozenAngle, FrozenSteeringDetector, MeasurementHistory
 from .errors import ConfigurationError, StCoreError
+from .measurement_history import FrozenAngle, FrozenSteeringDetector, MeasurementHistory
 from .model_view import ModelView
 from .models import Model, get_model
 from .planned_inputs import PlannedInputs, model_inputs, plan_problem, wheel_sequence
@@ -260,7 +260,7 @@ class Predictor:
                 return f"{name}: {series.describe_unknown(common)} at the newest common instant{old}"
         return "INS and steering: no common instant"
 
-    def planned(self, plan: PlannedInputs, start: Start) -> InputSequence | str:
+    def plan_inputs(self, plan: PlannedInputs, start: Start) -> InputSequence | str:
         """The inputs of a plan in the horizon, for `run`; or the reason, in one line, why it cannot be used."""
         settings = self.settings
         problem = plan_problem(plan, start.time_ns, start.state, start.inputs, settings.horizon, self.vehicle)
@@ -269,7 +269,7 @@ class Predictor:
     def run(self, start: Start, model: str, ahead: InputSequence | None = None) -> Trajectory:
         """The trajectory of one model from a start, at the CG of that model (`car`).
 
-        ahead: inputs on the half-step grid of the horizon, from a plan (`planned`) or a course; None: held inputs.
+        ahead: inputs on the half-step grid of the horizon, from a plan (`plan_inputs`) or a course; None: held inputs.
         """
         if model not in self._views:
             raise ConfigurationError(f"model {model!r} is not configured; there are {', '.join(self._views)}")

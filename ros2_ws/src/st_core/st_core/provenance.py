@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from .errors import ConfigurationError
-from .yaml_text import number, quoted
+from .yaml_text import number, quote
 
 TEXTS = ("method", "data", "date")
 KEYS = ("uncertainty", *TEXTS)
@@ -24,7 +24,7 @@ class Provenance:
     def entries(self) -> str:
         """The entries for a vehicle file, each preceded by a comma."""
         parts = [] if self.uncertainty is None else [f"uncertainty: {number(self.uncertainty)}"]
-        parts += [f"{key}: {quoted(getattr(self, key))}" for key in TEXTS if getattr(self, key)]
+        parts += [f"{key}: {quote(getattr(self, key))}" for key in TEXTS if getattr(self, key)]
         return "".join(f", {part}" for part in parts)
 
 

@@ -24,7 +24,7 @@ MEMORY_NS = round(MEMORY / NANOSECOND)
 
 def correct_sample(model: Model, sample: InsSample) -> InsSample:
     """The sample of a faultless INS; NaN where that needs an acceleration, see `missing_reading`."""
-    if not isinstance(model, AugmentedModel) or not model.has_sensors:
+    if not isinstance(model, AugmentedModel) or not model.has_sensor_effects:
         return sample
     true = model.correct(Measured(*sample[1:], acceleration_x=np.nan, acceleration_y=np.nan))
     return InsSample(sample.time_ns, *true[:6])
@@ -50,7 +50,7 @@ def correct_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
 
     maximum_gap [s]: after a longer one memory is reset.
     """
-    if not isinstance(model, AugmentedModel) or not model.has_memory or not len(time_ns):
+    if not isinstance(model, AugmentedModel) or not model.has_steering_memory or not len(time_ns):
         return time_ns, angle
     seconds = (time_ns - time_ns[0]) * NANOSECOND
     begins = np.diff(time_ns, prepend=time_ns[0]) > round(maximum_gap / NANOSECOND)
@@ -60,9 +60,9 @@ def correct_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
     return time_ns + np.round((later - seconds) / NANOSECOND).astype(np.int64), angle
 
 
-def has_memory(model: Model) -> bool:
+def has_steering_memory(model: Model) -> bool:
     """Whether the angle of the wheels depends on earlier steering."""
-    return isinstance(model, AugmentedModel) and model.has_memory
+    return isinstance(model, AugmentedModel) and model.has_steering_memory
 
 
 def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, ahead: np.ndarray,
@@ -72,7 +72,7 @@ def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, gri
     time_ns [ns], angle [rad]: as recorded; later samples are not used. With delay, play or lag the wheels follow the
     steering of the previous MEMORY seconds, too. After the end the last angle is kept. maximum_gap [s].
     """
-    if not has_memory(model):
+    if not has_steering_memory(model):
         return ahead
     before = slice(*np.searchsorted(time_ns, (grid_ns[0] - MEMORY_NS, grid_ns[0])).tolist())
     gap_ns, spacing = round(maximum_gap / NANOSECOND), int(grid_ns[1] - grid_ns[0])
@@ -88,7 +88,7 @@ def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, gri
 
 def required_lookahead_ns(model: Model) -> int:
     """Time ahead for which the steering must be known to give the angle of the wheels [ns]; > 0 for late stamps."""
-    if not isinstance(model, AugmentedModel) or not model.has_memory:
+    if not isinstance(model, AugmentedModel) or not model.has_steering_memory:
         return 0
     time, _ = model.steering(np.zeros(1), np.zeros(1), np.ones(1, bool))
     return max(0, round(-float(time[0]) / NANOSECOND))
@@ -103,7 +103,7 @@ def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveL
     if not isinstance(model, AugmentedModel):
         return log
     parts: dict[str, Any] = {}
-    if model.has_sensors:
+    if model.has_sensor_effects:
         names = Measured._fields[:-1]
         missing = missing_reading(model, [name for name in names if getattr(log, name) is None])
         if missing:
@@ -112,20 +112,20 @@ def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveL
         true = model.correct(Measured(*(zeros if getattr(log, n) is None else getattr(log, n)
                                         for n in Measured._fields)))
         parts |= {name: getattr(true, name) for name in names if getattr(log, name) is not None}
-    if model.has_memory:
+    if model.has_steering_memory:
         time_ns, angle = correct_steering(model, log.steering_time_ns, log.road_wheel_angle, maximum_gap)
         parts |= {"steering_time_ns": time_ns, "road_wheel_angle": angle, "steering_wheel_angle": None}
     return replace(log, **parts) if parts else log
 
 
-def readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
+def predict_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
              p: Any = None) -> Measured:
-    """Readings of the INS in the given states: `faultless_readings` with the sensor effects."""
-    true = faultless_readings(model, vehicle, states, w, p)
+    """Readings of the INS in the given states: `predict_faultless_readings` with the sensor effects."""
+    true = predict_faultless_readings(model, vehicle, states, w, p)
     return model.observe(true) if isinstance(model, AugmentedModel) else true
 
 
-def faultless_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
+def predict_faultless_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
                        p: Any = None) -> Measured:
     """Readings of a faultless INS in the given states, at the INS point.
 
@@ -157,7 +157,7 @@ def reading_errors(model: Model, vehicle: VehicleParameters, states: np.ndarray,
     """Errors (n, k, 3) of states (n, k, 6): longitudinal, lateral [m] and yaw [rad], predicted minus measured INS
     readings. x, y [m], yaw [rad]: as measured, (n, k) each. Axes and signs as `types.pose_errors`."""
     with np.errstate(all="ignore"):
-        predicted = readings(model, vehicle, tuple(np.moveaxis(states, -1, 0)))
+        predicted = predict_readings(model, vehicle, tuple(np.moveaxis(states, -1, 0)))
         # Stacked as the backends lay trajectories out, point after point: twice as fast as start after start.
         errors = pose_errors(predicted.x, predicted.y, predicted.yaw, x, y, yaw)
         return np.stack([e.T for e in errors]).transpose(2, 1, 0)

@@ -1,18 +1,18 @@
-"""Statistics of regressions: covariance from blocks of driving, intervals, pooling of runs, robust scale, ridge.
+"""Statistics for regressions: covariance from blocks of driving, confidence intervals, pooling of runs.
 
 Neighbouring samples share slow errors of INS and road, so treating them as independent would underestimate the
 uncertainty considerably. With the influence psi_c of block c on the estimate, and k blocks,
 
     covariance = k / (k - 1) sum_c psi_c psi_c^T * sqrt(f f^T)
-    least squares:  psi_c = (k - 1) / k (A - A_c)^-1 g_c,   A_c = J_c^T J_c, g_c = J_c^T e_c: shift by leaving c out
+    least squares:  psi_c = (k - 1) / k (A - A_c)^-1 g_c,   A_c = J_c^T J_c,   g_c = J_c^T e_c
 
-which is the limit of a bootstrap of the blocks; `bootstrap` draws one for strongly nonlinear estimators. Blocks of one
-run share even slower errors: with the correlation rho of psi between adjacent blocks, pooled over the runs, the
-variance increases by the factor
+Here psi_c is the change of the estimate when block c is left out. The covariance is the limit of a bootstrap of the
+blocks; `Blocks.bootstrap` draws one for strongly nonlinear estimators. Blocks of one run share even slower errors: with
+the correlation rho of psi between adjacent blocks, pooled over the runs, the variance increases by the factor
 
     f = sum_ij rho^|i - j| / k,    i, j: blocks of the same run, k: all blocks
 
-and Student's t is that of k / f blocks. The rho of k values about their own mean is biased by -(1 + 3 rho) / k
+and Student's t has k / f - 1 degrees of freedom. The rho of k values about their own mean is biased by -(1 + 3 rho) / k
 (Marriott and Pope, 1954), which is corrected. Source: Cameron and Miller, A practitioner's guide to cluster-robust
 inference, 2015 (the jackknife CR3). Checked by: test_blocks.py.
 """
@@ -30,26 +30,29 @@ BLOCK_LENGTH = 10.0
 """Length of a block with fewer runs [s]."""
 WEIGHT_INCREMENT = 1e-4
 """Step of the weight of a block, for difference quotients of an estimator."""
-ROBUST = 1.4826
-"""Ratio of standard deviation and median magnitude of a normal distribution."""
+SIGMA_PER_MAD = 1.4826
+"""Ratio of the standard deviation to the median absolute deviation (MAD) of a normal distribution."""
 
 
-def symmetric_interval(value: float, standard_uncertainty: float, freedom: float = math.inf) -> tuple[float, float]:
-    """95 % interval value -/+ t u with Student's t for `freedom` degrees of freedom (infinite: t = 1.96)."""
+def symmetric_interval(value: float, standard_uncertainty: float,
+                       degrees_of_freedom: float = math.inf) -> tuple[float, float]:
+    """95 % confidence interval value -/+ t u, with Student's t (1.96 for infinitely many degrees of freedom)."""
     from scipy.stats import t as student  # takes half a second, and the nodes do not need it
 
-    half = float(student.ppf(0.975, freedom)) * standard_uncertainty
+    half = float(student.ppf(0.975, degrees_of_freedom)) * standard_uncertainty
     return value - half, value + half
 
 
-def welch_freedom(scatter: float, total: float, freedom: float) -> float:
-    """Degrees of freedom of a variance `total` of which `scatter` was estimated with `freedom`, the rest known (Welch
-    and Satterthwaite, JCGM 100:2008, G.4): freedom (total / scatter)^2."""
-    return freedom * (total / scatter) ** 2 if scatter > 0.0 else math.inf
+def effective_degrees_of_freedom(estimated: float, total: float, degrees_of_freedom: float) -> float:
+    """Degrees of freedom of a variance `total`, the sum of a known and an estimated variance.
+
+    degrees_of_freedom: of the estimated variance. Source: Welch and Satterthwaite, JCGM 100:2008, G.4.
+    """
+    return degrees_of_freedom * (total / estimated) ** 2 if estimated > 0.0 else math.inf
 
 
-def correlation_of(covariance: np.ndarray) -> np.ndarray:
-    """Correlation matrix (n, n) of a covariance (n, n); a parameter without variance is correlated with none."""
+def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
+    """Correlation matrix (n, n) of a covariance matrix (n, n); 0 for a parameter without variance."""
     deviations = np.sqrt(np.diag(covariance))
     scale = np.where(deviations > 0.0, deviations, 1.0)
     matrix = covariance / np.outer(scale, scale)
@@ -57,14 +60,14 @@ def correlation_of(covariance: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def ridge(h: np.ndarray) -> np.ndarray:
-    """h (n, n) plus a millionth of its mean diagonal on the diagonal; solvable where a parameter has no effect."""
+def add_ridge(h: np.ndarray) -> np.ndarray:
+    """h (n, n) with a millionth of its mean diagonal added to the diagonal: solvable if a parameter has no effect."""
     return h + (1e-6 * np.trace(h) / max(len(h), 1) + 1e-9) * np.eye(len(h))
 
 
 def robust_deviation(values: np.ndarray) -> float:
-    """1.4826 median |v - median v| [unit of the values]."""
-    return ROBUST * float(np.median(np.abs(values - np.median(values))))
+    """Standard deviation estimated from the median absolute deviation, 1.4826 median |v - median v|."""
+    return SIGMA_PER_MAD * float(np.median(np.abs(values - np.median(values))))
 
 
 def white_noise(values: np.ndarray) -> float:
@@ -72,33 +75,33 @@ def white_noise(values: np.ndarray) -> float:
 
     Third differences remove the motion of the car: sigma = 1.4826 median |d^3 u| / sqrt(20).
     """
-    return ROBUST * float(np.nanmedian(np.abs(np.diff(values, 3)))) / math.sqrt(20.0)
+    return SIGMA_PER_MAD * float(np.nanmedian(np.abs(np.diff(values, 3)))) / math.sqrt(20.0)
 
 
 def extrapolation_uncertainty(full: tuple[float, float, float], low: tuple[float, float, float]) -> float:
-    """Standard uncertainty [unit of C] of a secant slope C as an estimate of the slope at zero of a curve.
+    """Standard uncertainty [unit of C] of the secant slope C of a curve as an estimate of its slope at zero.
 
-    full, low: (C, its variance, mean range a) of the secant and of one in a lower range, a_low < a.
+    full, low: (C, its variance, mean range a) of this secant and of a secant in a lower range, a_low < a.
 
         C(a) = C_0 - s a,    u = sqrt(max((C_low - C)^2 - (u_low^2 - u^2), 0)) a / (a - a_low) / sqrt(3)
 
     u_low^2 - u^2: variance of the difference if the curve is a line (Hausman, Specification tests in econometrics,
-    1978). The sqrt(3) is that of a rectangular distribution (GUM 4.3.7). Checked by: test_stiffness_model_error.py.
+    1978). sqrt(3): rectangular distribution (GUM 4.3.7). Checked by: test_stiffness_model_error.py.
     """
-    variance = max(low[1] - full[1], 0.0)
-    size = math.sqrt(max((low[0] - full[0]) ** 2 - variance, 0.0))
-    return size * full[2] / (full[2] - low[2]) / math.sqrt(3.0)
+    (slope, variance, mean_range), (slope_low, variance_low, mean_range_low) = full, low
+    difference = math.sqrt(max((slope_low - slope) ** 2 - max(variance_low - variance, 0.0), 0.0))
+    return difference * mean_range / (mean_range - mean_range_low) / math.sqrt(3.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Uncertainty of estimates: covariance (p, p) and degrees of freedom (p,) for Student's t.
+    """Uncertainty of p estimates: covariance (p, p) and degrees of freedom (p,) for Student's t.
 
-    basis: (p,) text, number of runs or blocks.
+    basis: (p,) descriptions of the data, such as "8 runs".
     """
 
     covariance: np.ndarray
-    freedom: np.ndarray
+    degrees_of_freedom: np.ndarray
     basis: tuple[str, ...]
 
     @property
@@ -106,17 +109,17 @@ class Spread:
         return np.sqrt(np.diag(self.covariance))
 
     def interval(self, index: int, value: float, deviation: float | None = None) -> tuple[float, float]:
-        """95 % interval about a value. deviation: standard uncertainty to use in place of the covariance."""
+        """95 % confidence interval of a value. deviation: its standard uncertainty, if not that of the covariance."""
         uncertainty = self.deviations[index] if deviation is None else deviation
-        return symmetric_interval(float(value), float(uncertainty), float(self.freedom[index]))
+        return symmetric_interval(float(value), float(uncertainty), float(self.degrees_of_freedom[index]))
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
     """Partition of samples into blocks.
 
-    block_of: (n,) block index of each sample. run, block: (k,) run, and number within the run, of each block,
-    ascending. name: description, like "8 runs".
+    block_of: (n,) block index of each sample. run, block: (k,) run of each block and its number within the run,
+    ascending. name: description, such as "8 runs".
     """
 
     block_of: np.ndarray
@@ -135,29 +138,30 @@ class Blocks:
         return result
 
     def spread(self, influence: np.ndarray) -> Spread:
-        """Uncertainty of estimates from the influence (k, p) of each block; see the module."""
+        """Uncertainty of p estimates from the influence (k, p) of each block; see the module."""
         centred = influence - influence.mean(axis=0)
-        return self._widened(centred.T @ centred, centred)
+        return self._inflate(centred.T @ centred, centred)
 
     def bootstrap(self, estimator: Callable[[np.ndarray], np.ndarray], draws: int, seed: int) -> Spread:
-        """Uncertainty by draws of blocks with replacement. estimator: from weights (m, k) to estimates (m, p)."""
+        """Uncertainty from draws of blocks with replacement. estimator: function of weights (m, k), gives (m, p)."""
         count = len(self)
         weights = np.random.default_rng(seed).multinomial(count, np.full(count, 1.0 / count), size=draws).astype(float)
         change = estimator(1.0 + WEIGHT_INCREMENT * np.eye(count)) - estimator(np.ones((1, count)))
         influence = change / WEIGHT_INCREMENT
-        return self._widened(np.atleast_2d(np.cov(estimator(weights), rowvar=False)),
+        return self._inflate(np.atleast_2d(np.cov(estimator(weights), rowvar=False)),
                              influence - influence.mean(axis=0))
 
-    def _widened(self, covariance: np.ndarray, centred: np.ndarray) -> Spread:
-        count, factor = len(self), self._inflation(centred)
+    def _inflate(self, covariance: np.ndarray, centred: np.ndarray) -> Spread:
+        """Uncertainty with the covariance increased for the correlation between blocks."""
+        count, factor = len(self), self._inflation_factors(centred)
         covariance = covariance * count / max(count - 1, 1) * np.sqrt(np.outer(factor, factor))
         effective = count / factor
-        basis = tuple(self.name + (f" ({number:.0f} independent ones)" if number < 0.8 * count else "")
+        basis = tuple(self.name + (f" ({number:.0f} independent)" if number < 0.8 * count else "")
                       for number in effective)
         return Spread(covariance, np.maximum(effective - 1.0, 1.0), basis)
 
     def regression(self, regressors: np.ndarray, response: np.ndarray) -> tuple[np.ndarray, Spread, np.ndarray]:
-        """Least squares of response (n,) on regressors (n, p): coefficients (p,), their spread, influence (k, p)."""
+        """Least squares of response (n,) on regressors (n, p): coefficients (p,), uncertainty, influence (k, p)."""
         coefficients = np.linalg.lstsq(regressors, response, rcond=None)[0]
         residuals = response - regressors @ coefficients
         influence = self.leave_out(self.sums(regressors[:, :, None] * regressors[:, None, :]),
@@ -170,8 +174,8 @@ class Blocks:
         others = (1.0 + 1e-6) * squares.sum(axis=0) - squares
         return np.linalg.solve(others, gradient[:, :, None])[:, :, 0] * (len(self) - 1) / len(self)
 
-    def _inflation(self, centred: np.ndarray) -> np.ndarray:
-        """f (p,) of the module for each estimate."""
+    def _inflation_factors(self, centred: np.ndarray) -> np.ndarray:
+        """Factor f of each estimate (p,), see the module."""
         neighbours = np.flatnonzero((np.diff(self.run) == 0) & (np.diff(self.block) == 1))
         power = np.square(centred).mean(axis=0)
         if not len(neighbours):
@@ -183,8 +187,8 @@ class Blocks:
         return np.power(rho[:, None], distance).sum(axis=1) / len(self)
 
 
-def blocks(run_of: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarray) -> Blocks:
-    """Whole runs as blocks from MIN_RUNS on, else parts of runs of BLOCK_LENGTH.
+def make_blocks(run_of: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarray) -> Blocks:
+    """Whole runs as blocks if there are at least MIN_RUNS, else parts of runs, BLOCK_LENGTH long.
 
     run_of: (n,) number of the run of each sample. time: (n,) since the start of that run [s].
     """
@@ -200,23 +204,22 @@ def blocks(run_of: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarra
 
 
 class Pooled(NamedTuple):
-    """Pooled mean and its standard deviation. between: variance between the values. excess: Cochran's Q [1]."""
+    """Pooled mean and its standard deviation. between: variance between runs. cochran_q: test of homogeneity [1]."""
 
     mean: float
     deviation: float
     between: float
-    excess: float
+    cochran_q: float
 
 
 def random_effects(values: np.ndarray, variances: np.ndarray) -> Pooled:
-    """Pooled estimate of values (n,), n >= 1, with variances (n,) > 0.
+    """Pooled estimate of the values of several runs (n,), n >= 1, with variances (n,) > 0, by a random effects model.
 
     Source: DerSimonian and Laird, Meta-analysis in clinical trials, Controlled Clinical Trials 7 (1986). Checked by:
     test_discovery_evidence.py.
     """
     w = 1.0 / variances
-    excess = float(w @ np.square(values - w @ values / w.sum()))
-    surplus = max(excess - max(len(values) - 1, 1), 0.0)
-    between = surplus / max(float(w.sum() - np.square(w).sum() / w.sum()), 1e-300)
+    cochran_q = float(w @ np.square(values - w @ values / w.sum()))
+    between = max(cochran_q - max(len(values) - 1, 1), 0.0) / max(float(w.sum() - np.square(w).sum() / w.sum()), 1e-300)
     w = 1.0 / (variances + between)
-    return Pooled(float(w @ values / w.sum()), float(w.sum() ** -0.5), between, excess)
+    return Pooled(float(w @ values / w.sum()), float(w.sum() ** -0.5), between, cochran_q)

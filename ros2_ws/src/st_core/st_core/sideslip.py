@@ -16,7 +16,7 @@ import numpy as np
 
 from .handling import rear_slip_coefficient
 from .log import DriveLog
-from .timeseries import NANOSECOND, smoothed
+from .timeseries import NANOSECOND, moving_average
 from .types import wrap_angle
 from .vehicle import VehicleParameters
 
@@ -44,7 +44,7 @@ def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
     fast = log.velocity_x > MIN_SPEED
     if not fast.any():
         return log
-    steady = replace(log, yaw_rate=smoothed(log.ins_time_ns, log.yaw_rate, RATE_WIDTH_NS))
+    steady = replace(log, yaw_rate=moving_average(log.ins_time_ns, log.yaw_rate, RATE_WIDTH_NS))
     angle = np.arctan2(steady_velocity_y(steady, vehicle), np.maximum(log.velocity_x, MIN_SPEED))
     angle = np.interp(log.ins_time_ns, log.ins_time_ns[fast], angle[fast])
     if np.std(angle) < MAX_COURSE_ERROR or not _is_course(log, steady.yaw_rate, fast):
@@ -58,7 +58,7 @@ def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
 def derived_yaw_rate(time_ns: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     """Derivative of unwrapped yaw [rad/s], averaged over RATE_WIDTH_NS: differences between samples are mostly noise.
     """
-    return smoothed(time_ns, np.gradient(yaw, (time_ns - time_ns[0]) * NANOSECOND), RATE_WIDTH_NS)
+    return moving_average(time_ns, np.gradient(yaw, (time_ns - time_ns[0]) * NANOSECOND), RATE_WIDTH_NS)
 
 
 def has_derived_yaw_rate(log: DriveLog) -> bool:

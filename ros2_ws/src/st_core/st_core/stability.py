@@ -48,7 +48,7 @@ def lateral_modes(model: str | Model, vehicle: VehicleParameters, speed: float) 
     return np.linalg.eigvals(np.array(jacobian).T)
 
 
-def growth(model: str | Model, vehicle: VehicleParameters, speed: float, step: float) -> float:
+def growth_factor(model: str | Model, vehicle: VehicleParameters, speed: float, step: float) -> float:
     """Largest growth factor per step [1] of a physically damped mode under Runge-Kutta; <= 1: stable.
 
         |1 + z + z^2/2 + z^3/6 + z^4/24|,  z = step * eigenvalue, real part of the eigenvalue < 0
@@ -64,7 +64,7 @@ def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: fl
     With minimum_slip_speed set low, RK4 at 50 ms needs 2.66 m/s for the Leaf and 3.98 m/s for the Genesis.
     """
     speeds = np.geomspace(SEARCH_START_SPEED, 0.05, 200)
-    unstable = [growth(model, vehicle, v, step) > 1.0 for v in speeds]
+    unstable = [growth_factor(model, vehicle, v, step) > 1.0 for v in speeds]
     if not any(unstable):
         return 0.0
     first = unstable.index(True)
@@ -73,19 +73,19 @@ def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: fl
     low, high = speeds[first], speeds[first - 1]
     while high - low > 1.0e-6:
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if growth(model, vehicle, middle, step) > 1.0 else (low, middle)
+        low, high = (middle, high) if growth_factor(model, vehicle, middle, step) > 1.0 else (low, middle)
     return float(high)
 
 
-def stable(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> bool:
+def are_stable(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> bool:
     """Whether a step [s] is stable for all models at all speeds [m/s]."""
-    return all(growth(model, vehicle, v, step) <= 1.0 for v in speeds for model in models)
+    return all(growth_factor(model, vehicle, v, step) <= 1.0 for v in speeds for model in models)
 
 
 def substeps_needed(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> int:
     """Number of equal sub-steps of a step [s] for stability at all speeds [m/s]; at most MAX_SUBSTEPS."""
     speeds = list(speeds)
-    return next((count for count in range(1, MAX_SUBSTEPS) if stable([model], vehicle, speeds, step / count)),
+    return next((count for count in range(1, MAX_SUBSTEPS) if are_stable([model], vehicle, speeds, step / count)),
                 MAX_SUBSTEPS)
 
 
@@ -100,7 +100,7 @@ def slip_speed_needed(models: Sequence[str | Model], vehicle: VehicleParameters,
     speeds, models = sorted(speeds), [get_model(model) for model in models]
 
     def is_stable(tenths: int) -> bool:
-        return stable(models, replace(vehicle, minimum_slip_speed=tenths / 10.0), speeds, step)
+        return are_stable(models, replace(vehicle, minimum_slip_speed=tenths / 10.0), speeds, step)
 
     first = math.ceil(10.0 * vehicle.minimum_slip_speed)
     tried = np.unique(np.geomspace(first, 10.0 * HIGHEST_SLIP_SPEED, 80).astype(int)).tolist()
@@ -117,7 +117,7 @@ def warn_if_too_long(model: str | Model, vehicle: VehicleParameters, speeds: Ite
     key = (model.name, vehicle.name, step)
     if key in _warned:
         return
-    factors = {float(v): growth(model, vehicle, v, step) for v in speeds}
+    factors = {float(v): growth_factor(model, vehicle, v, step) for v in speeds}
     worst = max(factors, key=factors.__getitem__, default=None)
     if worst is None or factors[worst] <= 1.0:
         return

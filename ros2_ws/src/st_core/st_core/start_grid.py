@@ -42,7 +42,7 @@ class Block:
         """Whether starts share instants."""
         return self.spacing > 0
 
-    def laid_out(self, values: np.ndarray) -> np.ndarray:
+    def arrange(self, values: np.ndarray) -> np.ndarray:
         """(m,) values at times_ns in the order that `offsets` refers to."""
         return (values.reshape(-1, self.spacing).T if self.shared else values).ravel()
 
@@ -54,7 +54,7 @@ class Block:
         return result
 
 
-def plan(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, share: bool = True) -> Iterator[Block]:
+def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, share: bool = True) -> Iterator[Block]:
     """Blocks that cover all starts. starts_ns: increasing. instants_ns: after each start, increasing from 0.
 
     share: False where the value at an instant depends on the start.

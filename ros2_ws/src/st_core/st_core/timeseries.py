@@ -286,15 +286,15 @@ def _filter_causally(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
     return filtered, derivative
 
 
-def smoothed(time_ns: np.ndarray, values: np.ndarray, width_ns: int) -> np.ndarray:
+def moving_average(time_ns: np.ndarray, values: np.ndarray, width_ns: int) -> np.ndarray:
     """Centred mean over `width_ns` about each sample, of fewer samples at the ends."""
     total = np.concatenate(([0.0], np.cumsum(values)))
     low, high = _averaging_windows(time_ns, width_ns)
     return (total[high] - total[low]) / (high - low)
 
 
-def smoothed_deviation(time_ns: np.ndarray, width_ns: int) -> float:
-    """Ratio of the standard deviations of white noise after and before `smoothed`: sqrt(mean(1 / sample count))."""
+def moving_average_noise_ratio(time_ns: np.ndarray, width_ns: int) -> float:
+    """Factor by which `moving_average` reduces the standard deviation of white noise: sqrt(mean(1 / sample count))."""
     low, high = _averaging_windows(time_ns, width_ns)
     return float(np.sqrt(np.mean(1.0 / (high - low)))) if len(time_ns) else 1.0
 

@@ -13,7 +13,7 @@ from .provenance import KEYS as PROVENANCE_KEYS
 from .provenance import Provenance, read_provenance
 from .types import Number
 from .tyres import GRAVITY, MagicFormula, stiffness_scale
-from .yaml_text import check_keys, load, number, quoted
+from .yaml_text import check_keys, load, number, quote
 
 
 @dataclass(frozen=True)
@@ -278,7 +278,7 @@ class VehicleParameters:
         rederived = self.with_derived_scales()
         derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED
                    and getattr(self, tyre) == getattr(rederived, tyre)]
-        lines = [f"name: {quoted(self.name)}"]
+        lines = [f"name: {quote(self.name)}"]
         lines += [self._line(key, getattr(self, key), quantity, "") for key, quantity in VEHICLE_QUANTITIES.items()]
         for tyre in TYRES:
             lines.append(f"{tyre}:")
@@ -288,7 +288,7 @@ class VehicleParameters:
 
     def _line(self, key: str, value: float, quantity: Quantity, prefix: str) -> str:
         source = self.sources.get(prefix + key, "default" if not quantity.required else "not stated")
-        return (f"{key}: {{value: {number(value)}, unit: {quoted(quantity.si_unit)}, source: {quoted(source)}"
+        return (f"{key}: {{value: {number(value)}, unit: {quote(quantity.si_unit)}, source: {quote(source)}"
                 f"{self.provenance.get(prefix + key, Provenance()).entries()}}}")
 
     @cached_property

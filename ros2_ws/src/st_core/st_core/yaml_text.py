@@ -98,13 +98,13 @@ def check_keys(prefix: str, section: Mapping[Any, Any], known: list[str], requir
     for key in section:
         if key not in known:
             raise ConfigurationError(
-                f"{prefix}{key}: unknown key{nearest(str(key), known)}; known are {', '.join(known)}")
+                f"{prefix}{key}: unknown key{suggest_key(str(key), known)}; known are {', '.join(known)}")
     for key in required:
         if key not in section:
             raise ConfigurationError(f"{prefix}{key}: missing; add it")
 
 
-def nearest(key: str, known: Iterable[str]) -> str:
+def suggest_key(key: str, known: Iterable[str]) -> str:
     """", did you mean ...?" with the most similar known key, "" if none is similar."""
     matches = difflib.get_close_matches(key, known, n=1)
     return f", did you mean {matches[0]}?" if matches else ""
@@ -116,6 +116,6 @@ def number(value: float) -> str:
     return text if "e" not in text or "." in text else text.replace("e", ".0e")
 
 
-def quoted(text: str) -> str:
+def quote(text: str) -> str:
     """A text in double quotes."""
     return json.dumps(text, ensure_ascii=False)

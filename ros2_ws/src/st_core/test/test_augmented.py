@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from st_core.augmented import AugmentedModel, augment, neutral
+from st_core.augmented import AugmentedModel, augment, set_effects_to_null
 from st_core.composition import AugmentedParameters
 from st_core.effects import EFFECTS, applicable
 from st_core.errors import ConfigurationError
@@ -88,7 +88,7 @@ def test_free_parameters_as_a_vector():
 
 def test_new_values_make_no_new_functions(leaf):
     model = augment("nonlinear", ["friction", "tyre_relaxation", "steering_offset"])
-    for other in (model.with_vector(0.9 * model.vector), neutral(model),
+    for other in (model.with_vector(0.9 * model.vector), set_effects_to_null(model),
                   augment("nonlinear", ["steering_offset", "tyre_relaxation", "friction"])):
         assert other.rhs is model.rhs and other.inputs is model.inputs and other.start is model.start
         p, q = model.parameters(leaf), other.parameters(leaf)
@@ -116,21 +116,23 @@ def test_parameters_hold_floats_and_travel_between_processes(car):
 
 @pytest.mark.parametrize("base", [pytest.param(m, marks=[] if m == "kinematic" else pytest.mark.slow) for m in MODELS])
 def test_one_set_of_functions_serves_every_choice_of_effects(leaf, base):
-    everything = neutral(augment(base, applicable(base)))
+    everything = set_effects_to_null(augment(base, applicable(base)))
     plain = predict(base, leaf, STATE, HELD)
     np.testing.assert_array_equal(predict(everything, leaf, STATE, HELD).states, plain.states)
-    assert not everything.has_memory and not everything.has_sensors and everything.effective_vehicle(leaf) is leaf
+    assert not everything.has_steering_memory and not everything.has_sensor_effects
+    assert everything.effective_vehicle(leaf) is leaf
     for name in applicable(base):
         alone = augment(base, [name])
         chosen = everything.with_values({name: alone.values[name]})
         assert chosen.rhs is everything.rhs
-        assert (chosen.has_memory, chosen.has_sensors) == (alone.has_memory, alone.has_sensors)
+        assert chosen.has_steering_memory == alone.has_steering_memory
+        assert chosen.has_sensor_effects == alone.has_sensor_effects
         np.testing.assert_allclose(predict(chosen, leaf, STATE, HELD).states, predict(alone, leaf, STATE, HELD).states,
                                    rtol=1e-13, atol=1e-13)
 
 
 def test_without_costly_effects_at_null_the_same_is_predicted(leaf):
-    everything = neutral(augment("nonlinear", applicable("nonlinear")))
+    everything = set_effects_to_null(augment("nonlinear", applicable("nonlinear")))
     chosen = everything.with_values({"mass": {"factor": 1.1}, "steering_compliance": {"compliance": 1e-6}})
     lean = chosen.lean()
     left_out = {e.name for e in chosen.effects} - {e.name for e in lean.effects}
@@ -140,7 +142,7 @@ def test_without_costly_effects_at_null_the_same_is_predicted(leaf):
 
 
 def test_a_linear_car_does_without_tyres_that_saturate_at_null(leaf):
-    everything = neutral(augment("linear", applicable("linear"))).with_values({"mass": {"factor": 1.1}})
+    everything = set_effects_to_null(augment("linear", applicable("linear"))).with_values({"mass": {"factor": 1.1}})
     lean = everything.lean()
     assert {e.name for e in everything.effects} - {e.name for e in lean.effects} >= {"tyre_saturation"}
     states = [predict(model, leaf, STATE, HELD).states for model in (lean, everything)]

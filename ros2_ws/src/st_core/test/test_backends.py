@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from st_core import backends, ops
-from st_core.augmented import augment, neutral
+from st_core.augmented import augment, set_effects_to_null
 from st_core.backends import numpy_batch
 from st_core.effects import EFFECTS, applicable
 from st_core.errors import ConfigurationError
@@ -129,7 +129,7 @@ def test_all_effects_at_once_agree_and_are_neutral_at_null(leaf, backend, base):
     model, drawn = augment(base, applicable(base)), cases(16, seed=3)
     p = model.parameters(leaf)
     assert_same(run(backend, model, p, *drawn)[0], on_floats(model, p, *drawn))
-    nothing = neutral(model)
+    nothing = set_effects_to_null(model)
     plain = run(backend, MODELS[base], MODELS[base].parameters(leaf), *drawn)[0]
     assert_same(run(backend, nothing, nothing.parameters(leaf), *drawn)[0], plain)
 

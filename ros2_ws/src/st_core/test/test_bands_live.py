@@ -5,7 +5,6 @@ from itertools import count
 
 import numpy as np
 import pytest
-from st_core.alignment import MeasurementHistory
 from st_core.bands import (
     Bands,
     CalibrationDomain,
@@ -23,6 +22,7 @@ from st_core.bands.live import ALTERNATIVE_RATIO, HORIZONS, Coverage
 from st_core.evaluation import make_score
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
+from st_core.measurement_history import MeasurementHistory
 from st_core.models import get_model
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters

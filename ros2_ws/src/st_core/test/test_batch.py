@@ -20,7 +20,7 @@ from st_core.models import MODELS
 from st_core.prediction import PredictionSettings, predict
 from st_core.readings import correct_log
 from st_core.stability import StepTooLongWarning
-from st_core.start_grid import plan
+from st_core.start_grid import plan_blocks
 from st_core.types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 
 T0, MS = 1_700_000_000_000_000_000, 1_000_000
@@ -226,20 +226,20 @@ def test_an_empty_log_knows_nothing(leaf):
 
 def test_starts_that_share_a_grid_share_its_instants():
     instants = 25 * MS * np.arange(201)
-    block, = plan(regular(0, 1000), instants, 1)
+    block, = plan_blocks(regular(0, 1000), instants, 1)
     assert block.shared and block.spacing == 4 and len(block.times_ns) == 4 * (1000 + 50)
-    block, = plan(np.delete(regular(0, 1000), slice(100, 140)), instants, 1)
+    block, = plan_blocks(np.delete(regular(0, 1000), slice(100, 140)), instants, 1)
     assert block.shared and block.count == 1000 and len(block.selected) == 960
-    blocks = list(plan(regular(0, 1000) + np.arange(1000), instants, 1))
+    blocks = list(plan_blocks(regular(0, 1000) + np.arange(1000), instants, 1))
     assert not any(b.shared for b in blocks) and sum(b.count for b in blocks) == 1000
     assert max(b.times_ns.size for b in blocks) <= start_grid.SEPARATE_BLOCK
     hours_apart = np.concatenate([regular(0, 1000), regular(10**7 + 3, 1000)])
-    block, = plan(hours_apart, instants, 48)
+    block, = plan_blocks(hours_apart, instants, 48)
     assert block.shared and block.count == 1000 + 50 + 1000
     faster = np.concatenate([regular(0, 1000), regular(10**7 + 3, 1000)[::2]])
-    assert [b.shared for b in plan(faster, instants, 48)] == [True, True]
-    assert list(plan(np.empty(0, np.int64), instants, 1)) == []
-    for b in [*plan(hours_apart, instants, 48), *plan(faster, instants, 48), *plan(regular(0, 20_000), instants, 48)]:
+    assert [b.shared for b in plan_blocks(faster, instants, 48)] == [True, True]
+    assert list(plan_blocks(np.empty(0, np.int64), instants, 1)) == []
+    for b in [b for starts in (hours_apart, faster, regular(0, 20_000)) for b in plan_blocks(starts, instants, 48)]:
         known = b.times_ns.reshape(-1, b.spacing).T.ravel()
         for k in (0, 1, 77, 200):
             np.testing.assert_array_equal(known[b.offsets[k] + b.selected], b.starts_ns[b.selected] + instants[k])

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from st_core.regression import blocks
+from st_core.regression import make_blocks
 
 
 def test_blocks_are_runs_or_blocks_of_few_runs():
     run_of, time = np.repeat(np.arange(9), 30), np.tile(np.arange(30.0), 9)
-    assert blocks(run_of, time).name == "9 runs"
-    group = blocks(run_of[:60], time[:60])
+    assert make_blocks(run_of, time).name == "9 runs"
+    group = make_blocks(run_of[:60], time[:60])
     assert group.name == "6 blocks of 10 s from 2 runs" and np.array_equal(np.bincount(group.block_of), [10] * 6)
 
 
@@ -41,16 +41,16 @@ def test_an_error_that_outlasts_a_block_makes_intervals_wider(wander, seconds):
 
 
 def _interval_of_mean(values, run_of, time):
-    mean, spread, _ = blocks(run_of, time).regression(np.ones((len(values), 1)), values)
+    mean, spread, _ = make_blocks(run_of, time).regression(np.ones((len(values), 1)), values)
     return spread.interval(0, mean[0])
 
 
 def test_bootstrap_of_a_mean_agrees_with_its_influence():
     values, run_of = np.random.default_rng(3).standard_normal(120) + np.repeat(np.arange(12.0), 10), np.repeat(
         np.arange(12), 10)
-    group = blocks(run_of, np.zeros(120))
+    group = make_blocks(run_of, np.zeros(120))
     totals = group.sums(np.stack([np.ones(120), values], axis=1))
     drawn = group.bootstrap(lambda w: (w @ totals[:, 1:]) / (w @ totals[:, :1]), 4000, 0)
     _, direct, _ = group.regression(np.ones((120, 1)), values)
     assert drawn.deviations == pytest.approx(direct.deviations, rel=0.04)
-    assert drawn.freedom == pytest.approx(direct.freedom)
+    assert drawn.degrees_of_freedom == pytest.approx(direct.degrees_of_freedom)

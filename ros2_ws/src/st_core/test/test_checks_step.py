@@ -12,7 +12,7 @@ from st_core.augmented import augment
 from st_core.checks.finding import Severity
 from st_core.checks.trial import step_too_long
 from st_core.log import DriveLog
-from st_core.stability import StepTooLongWarning, slip_speed_needed, stable
+from st_core.stability import StepTooLongWarning, are_stable, slip_speed_needed
 
 STEP = 0.05
 MODELS = ("linear", "nonlinear")
@@ -76,7 +76,7 @@ def test_the_speed_where_steps_become_stable_is_not_the_floor_that_makes_them_so
     """What was findings before: 6.1 m/s for this car, with which it went on warning."""
     stiff = replace(leaf, yaw_inertia=0.35 * leaf.yaw_inertia)
     lowest = stability.lowest_stable_speed("linear", stiff, STEP)
-    assert not stable(["linear"], replace(stiff, minimum_slip_speed=lowest + 0.08), [0.5, 35.0], STEP)
+    assert not are_stable(["linear"], replace(stiff, minimum_slip_speed=lowest + 0.08), [0.5, 35.0], STEP)
     needed = slip_speed_needed(["linear"], stiff, [0.5, 35.0], STEP)
     assert needed > lowest + 0.1 and round(10 * needed, 9) == round(10 * needed)
 

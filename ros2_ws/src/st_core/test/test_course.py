@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from st_core.course import Course, Pass, passes_of
+from st_core.course import Course, Pass, split_into_passes
 from st_core.course_tracker import CourseTracker, EgoMotion, course_inputs
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log import DriveLog
@@ -33,7 +33,7 @@ def lap(seconds=60.0, pace=1.0, shift=0.0, reverse=False, name="lap", origin=0.0
 
 
 def build(*logs: DriveLog) -> Course:
-    return Course(tuple(one for log in logs for one in passes_of(log, [log.name])))
+    return Course(tuple(one for log in logs for one in split_into_passes(log, [log.name])))
 
 
 def errors(leaf, log: DriveLog, course: Course) -> tuple[float, float]:
@@ -112,7 +112,7 @@ def test_a_file_is_read_back_and_a_run_is_never_predicted_from_itself():
     for one, other in zip(again.passes, course.passes, strict=True):
         assert (one.recording, one.digests) == (other.recording, other.digests)
         np.testing.assert_allclose(one.points, other.points, atol=0.006)
-    assert [one.recording for one in again.without(["a"]).passes] == ["b"]
+    assert [one.recording for one in again.exclude(["a"]).passes] == ["b"]
 
 
 @pytest.mark.parametrize(("change", "words"), [
@@ -134,16 +134,16 @@ def test_pauses_gaps_and_jumps_split_a_drive_and_a_parked_car_has_no_pass():
     log = lap(60.0)
     keep = np.ones(len(log.x), bool)
     keep[2000:2100] = False
-    assert len(passes_of(log.with_ins(keep), ["x"])) == 2
+    assert len(split_into_passes(log.with_ins(keep), ["x"])) == 2
     parked = DriveLog("parked", log.ins_time_ns, 0 * log.x, 0 * log.y, 0 * log.yaw, 0 * log.x, 0 * log.x, 0 * log.x,
                       log.steering_time_ns, log.road_wheel_angle)
     with pytest.raises(StCoreError, match="parked: no 20 m of continuous driving"):
-        passes_of(parked, ["x"])
+        split_into_passes(parked, ["x"])
 
 
 def test_a_pass_without_neighbours_is_found_once_a_lap():
     course = build(lap(250.0))
     x, y, direction = course.passes[0].points[100, :3]
-    visits = course.near(x, y, direction)
-    assert [visit.number for visit in visits] == [0, 0, 0] and np.ptp([visit.row for visit in visits]) > 2000
+    visits = course.find_near(x, y, direction)
+    assert [visit.pass_index for visit in visits] == [0, 0, 0] and np.ptp([visit.row for visit in visits]) > 2000
     assert isinstance(course.passes[0], Pass)

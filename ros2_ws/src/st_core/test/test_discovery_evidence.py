@@ -26,7 +26,7 @@ from st_core.discovery.evidence import (
 )
 from st_core.discovery.partitions import CONDITIONS, TIMES, conditions, partitions, places, runs, sites
 from st_core.discovery.windows import Windows, noise_floor
-from st_core.timeseries import smoothed
+from st_core.timeseries import moving_average
 
 FEW = ("steering_offset", "mass", "yaw_inertia", "road_bank", "yaw_rate_bias")
 
@@ -313,7 +313,7 @@ def test_noise_is_found_without_a_car(leaf):
     floor = noise_floor(Windows(logs, leaf, DiscoverySettings()))
     assert floor["velocity_y"] == pytest.approx(NOISE["velocity_y"], rel=0.1)
     white = np.random.default_rng(0).standard_normal((100, len(logs[0].x)))
-    averaged = np.std([smoothed(logs[0].ins_time_ns, each, SMOOTHING_NS) for each in white])
+    averaged = np.std([moving_average(logs[0].ins_time_ns, each, SMOOTHING_NS) for each in white])
     for name in ("yaw_rate", "acceleration_y"):
         assert floor[name] == pytest.approx(NOISE[name] * averaged, rel=0.1)
     ends = np.sqrt(2.0) * NOISE["x"]  # of the way: start and end

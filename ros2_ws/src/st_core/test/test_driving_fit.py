@@ -26,7 +26,7 @@ def test_fit_finds_the_car_with_its_spread_over_runs(fit, leaf):
     true = np.array([getattr(leaf, name) for name in NAMES])
     assert fit.values == pytest.approx(true, rel=0.03)
     assert (np.abs(fit.values - true) < 4.0 * fit.spread.deviations).all()
-    assert not fit.at_bound and fit.spread.basis[0] == "9 runs" and (fit.spread.freedom == 8.0).all()
+    assert not fit.at_bound and fit.spread.basis[0] == "9 runs" and (fit.spread.degrees_of_freedom == 8.0).all()
     assert fit.residuals.shape == (len(fit.run_of), 2)
     assert fit.prediction_count == sum(used for used, _ in fit.windows.values())
 

@@ -8,13 +8,13 @@ import pytest
 from batched import predict_batch
 from effect_values import values_of
 from st_core import effects
-from st_core.augmented import augment, neutral
+from st_core.augmented import augment, set_effects_to_null
 from st_core.effects import ANY, EFFECTS, Measured, applicable
 from st_core.errors import ConfigurationError
 from st_core.log import DriveLog
 from st_core.models import MODELS
 from st_core.prediction import predict
-from st_core.readings import correct_log, readings
+from st_core.readings import correct_log, predict_readings
 from st_core.timeseries import NANOSECOND
 from st_core.types import ControlInput, InputSequence, VehicleState
 
@@ -92,7 +92,7 @@ def test_bounds_are_accepted_and_nothing_beyond(name):
 
 @EVERY
 def test_null_changes_nothing_to_the_last_bit(car, base, name):
-    model = neutral(augment(base, [name]))
+    model = set_effects_to_null(augment(base, [name]))
     for inputs in (ControlInput(0.1, -0.7), varied_inputs(100)):
         plain = predict(base, car, STATE, inputs)
         np.testing.assert_array_equal(predict(model, car, STATE, inputs).states, plain.states)
@@ -104,8 +104,8 @@ def test_null_changes_nothing_to_the_last_bit(car, base, name):
     state = STATE.as_tuple()
     p, p_base = model.parameters(car), MODELS[base].parameters(car)
     w, w_base = model.inputs(0.1, -0.7, p), MODELS[base].inputs(0.1, -0.7, p_base)
-    shown = readings(model, car, model.start_state(state, w, p), w, p)
-    assert shown == readings(MODELS[base], car, state, w_base, p_base)
+    shown = predict_readings(model, car, model.start_state(state, w, p), w, p)
+    assert shown == predict_readings(MODELS[base], car, state, w_base, p_base)
 
 
 @EVERY
@@ -209,7 +209,7 @@ def test_correct_undoes_observe(leaf, base, name):
     state = STATE.as_tuple()
     p = model.parameters(leaf)
     w = model.inputs(0.1, -0.7, p)
-    shown = readings(model, leaf, model.start_state(state, w, p), w, p)
+    shown = predict_readings(model, leaf, model.start_state(state, w, p), w, p)
     true = model.correct(shown)
     np.testing.assert_allclose(model.observe(true), shown, rtol=1e-14, atol=1e-15)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from effect_values import values_of
-from st_core.augmented import augment, neutral
+from st_core.augmented import augment, set_effects_to_null
 from st_core.batch import LogBatch
 from st_core.effects import EFFECTS, applicable
 from st_core.log import DriveLog
@@ -50,7 +50,7 @@ def batch(request) -> LogBatch:
 
 @pytest.mark.parametrize("base", MODELS)
 def test_whole_logs_in_one_set_of_functions(leaf, batch, base):
-    everything = neutral(augment(base, applicable(base)))
+    everything = set_effects_to_null(augment(base, applicable(base)))
     for name in applicable(base):
         effect = EFFECTS[name]
         if not (effect.vehicle or effect.steering or effect.observe):

@@ -12,7 +12,7 @@ from st_core.evaluation import Evaluator
 from st_core.log import DriveLog
 from st_core.models import MODELS
 from st_core.prediction import Predictor
-from st_core.readings import correct_log, correct_sample, missing_reading, readings
+from st_core.readings import correct_log, correct_sample, missing_reading, predict_readings
 from st_core.types import InsSample, VehicleState, body_to_map, ins_to_cg_acceleration, map_to_body
 from steady_circle import cg_to_ins
 
@@ -70,15 +70,15 @@ def test_readings_at_the_ins_are_those_of_a_rigid_body(leaf, base):
     model = MODELS[base]
     p = model.parameters(leaf)
     w = model.inputs(0.1, -0.5, p)
-    shown = readings(model, leaf, STATE, w, p)
+    shown = predict_readings(model, leaf, STATE, w, p)
     sample = cg_to_ins(VehicleState(*STATE), 0, leaf.cg_to_ins_x, leaf.cg_to_ins_y)
     assert shown[:6] == pytest.approx(sample[1:])
     derivative = model.rhs(STATE, w, p)
-    assert shown.yaw_acceleration == derivative[5] and readings(model, leaf, STATE).yaw_acceleration == 0.0
+    assert shown.yaw_acceleration == derivative[5] and predict_readings(model, leaf, STATE).yaw_acceleration == 0.0
     at_cg = ins_to_cg_acceleration(shown.acceleration_x, shown.acceleration_y, 0.25, derivative[5],
                                           leaf.cg_to_ins_x, leaf.cg_to_ins_y)
     assert at_cg == pytest.approx((-0.5 - 0.3 * 0.25, derivative[3] + 12.0 * 0.25))
-    assert math.isnan(readings(model, leaf, STATE).acceleration_y)
+    assert math.isnan(predict_readings(model, leaf, STATE).acceleration_y)
 
 
 def test_kinematic_model_feels_the_curve_it_drives(leaf):
@@ -91,7 +91,7 @@ def test_kinematic_model_feels_the_curve_it_drives(leaf):
 
 def test_lever_arm_moves_the_point_that_is_measured(leaf):
     model = augment("linear", {"sensor_lever_arm": {"x": 0.3, "y": -0.2}})
-    here, there = readings(MODELS["linear"], leaf, STATE), readings(model, leaf, STATE)
+    here, there = predict_readings(MODELS["linear"], leaf, STATE), predict_readings(model, leaf, STATE)
     forward, left = map_to_body(there.x - here.x, there.y - here.y, 0.7)
     assert (forward, left) == pytest.approx((0.3, -0.2))
     assert there.velocity_y - here.velocity_y == pytest.approx(0.3 * 0.25)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from st_core.alignment import FrozenSteeringDetector
+from st_core.measurement_history import FrozenSteeringDetector
 from st_core.models import get_model
 from st_core.prediction import predict
 from st_core.types import InputSequence, InsSample, VehicleState

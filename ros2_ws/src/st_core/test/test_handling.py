@@ -9,7 +9,7 @@ from scipy.optimize import fsolve
 from st_core import handling
 from st_core.models import MODELS
 from st_core.prediction import predict
-from st_core.stability import growth
+from st_core.stability import growth_factor
 from st_core.types import ControlInput, VehicleState
 
 
@@ -67,14 +67,14 @@ def test_oversteering_car_is_unstable_past_its_critical_speed(leaf):
 
 
 def test_steps_of_fifty_milliseconds_are_stable_at_every_speed(car):
-    assert max(growth("linear", car, speed, 0.05) for speed in np.linspace(0.0, 40.0, 161)) <= 1.0
+    assert max(growth_factor("linear", car, speed, 0.05) for speed in np.linspace(0.0, 40.0, 161)) <= 1.0
 
 
 def test_growth_tells_where_the_step_is_too_long(car):
     # Without the floor of the slip speed; measured: 2.65 m/s for the Leaf, 3.97 m/s for the Genesis.
     limit = {"Nissan Leaf ZE0": 2.65, "Hyundai Genesis": 3.97}[car.name]
     bare = replace(car, minimum_slip_speed=0.1)
-    assert growth("linear", bare, limit - 0.05, 0.05) > 1.0 > growth("linear", bare, limit + 0.05, 0.05)
+    assert growth_factor("linear", bare, limit - 0.05, 0.05) > 1.0 > growth_factor("linear", bare, limit + 0.05, 0.05)
     unstable = predict("linear", bare, VehicleState(0.0, 0.0, limit - 0.2, 1e-6, 0.0, 0.0), ControlInput(0.0, 0.0))
     stable = predict("linear", bare, VehicleState(0.0, 0.0, limit + 0.2, 1e-6, 0.0, 0.0), ControlInput(0.0, 0.0))
     assert np.abs(unstable.velocity_y[-1]) > 1e-6 > np.abs(stable.velocity_y[-1])

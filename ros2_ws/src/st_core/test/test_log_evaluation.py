@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from drives import T0, wavy_drive
-from st_core.binning import bins
+from st_core.binning import bin_starts
 from st_core.errors import ConfigurationError
 from st_core.evaluation import ErrorStatistics, Evaluator, Statistic
 from st_core.log import DriveLog
@@ -161,7 +161,7 @@ def test_nothing_to_evaluate_is_an_empty_result(leaf):
         assert not result.errors["linear", "hindsight"].n_starts
         assert np.isnan(result.errors["linear", "hindsight"].statistics("lateral")).all()
         assert np.isnan(result.errors["linear", "hindsight"].profile_rmse).all()
-        assert bins(result) == []
+        assert bin_starts(result) == []
     assert not len(regular_starts(apart, 0.1))
 
 
@@ -169,12 +169,12 @@ def test_bins_hold_every_complete_start_once_per_quantity(leaf):
     result = evaluate_log(["kinematic"], leaf, wavy_drive(), EvaluationSettings(SHORT))
     complete = result.errors["kinematic", "hindsight"].complete
     by_quantity: dict[str, np.ndarray] = {}
-    for found in bins(result):
-        by_quantity[found.quantity] = by_quantity.get(found.quantity, 0) + found.select.astype(int)
+    for found in bin_starts(result):
+        by_quantity[found.quantity] = by_quantity.get(found.quantity, 0) + found.mask.astype(int)
     assert set(by_quantity) == {"speed", "lateral acceleration", "steering rate", "direction"}
     for count in by_quantity.values():
         assert count.tolist() == complete.astype(int).tolist()
-    assert {b.label for b in bins(result) if b.quantity == "direction"} == {"left", "straight", "right"}
+    assert {b.label for b in bin_starts(result) if b.quantity == "direction"} == {"left", "straight", "right"}
 
 
 def test_signals_are_not_known_across_a_gap(leaf):

@@ -32,7 +32,7 @@ def test_every_one_of_the_catalogue(m):
     np.testing.assert_allclose(m.curvature(t + m.period), m.curvature(t), atol=0.003)
     assert m.speed_at(m.period - 1e-9) == pytest.approx(m.speed)
     # Speed and acceleration belong together.
-    gained = m.speed + np.cumsum(m.forward(t)) * DT
+    gained = m.speed + np.cumsum(m.acceleration_at(t)) * DT
     np.testing.assert_allclose(gained, m.speed_at(t + DT), atol=0.05)
     # Long enough for predictions of five seconds, short enough to be driven three times.
     assert 20.0 <= m.duration <= 70.0 and m.duration == m.repetitions * m.period
@@ -83,7 +83,8 @@ def test_braking_ends_at_its_speed_and_power_at_the_first_one():
     m = manoeuvres.brake_in_turn(11.0, 4.0, cruise=2.0, braking=4.0, down_to=3.0, acceleration=2.0, driving=6.0)
     assert m.period == 10.0
     np.testing.assert_allclose(m.speed_at(np.array([0.0, 2.0, 3.0, 4.0, 5.0, 8.0, 9.9])), [11, 11, 7, 3, 5, 11, 11])
-    np.testing.assert_allclose(m.forward(np.array([1.0, 2.1, 3.9, 4.1, 7.9, 8.1])), [0, -4, -4, 2, 2, 0], atol=1e-9)
+    np.testing.assert_allclose(m.acceleration_at(np.array([1.0, 2.1, 3.9, 4.1, 7.9, 8.1])), [0, -4, -4, 2, 2, 0],
+                               atol=1e-9)
     short = manoeuvres.brake_in_turn(11.0, 4.0, 2.0, 4.0, 5.4, 2.5, 1.6)
     assert short.speed_at(short.period - 1e-9) == pytest.approx(9.4)
 

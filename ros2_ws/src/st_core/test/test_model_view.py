@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from batched import predict_log
 from st_core import integrate
-from st_core.alignment import MeasurementHistory
 from st_core.augmented import augment
 from st_core.effects import applicable
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.evaluation import Evaluator
 from st_core.log import DriveLog
+from st_core.measurement_history import MeasurementHistory
 from st_core.model_view import ModelView
 from st_core.models import MODELS
 from st_core.prediction import PredictionSettings, Predictor, Start, predict
-from st_core.readings import readings
+from st_core.readings import predict_readings
 from st_core.timeseries import NANOSECOND
 from st_core.types import ControlInput, InputSequence, InsSample, VehicleState
 
@@ -50,7 +50,7 @@ class Drive:
         w = [model.inputs(float(a), BRAKING, p) for a in angle]
         start = model.start_state((5.0, -3.0, 13.0, 0.0, 0.4, 0.1), w[0], p)
         states = np.array(integrate.rk4(model.rhs, start, w, p, PERIOD * NANOSECOND))
-        shown = readings(model, vehicle, tuple(states.T))
+        shown = predict_readings(model, vehicle, tuple(states.T))
         self.samples = [InsSample(int(t), *(float(c[i]) for c in shown[:6])) for i, t in enumerate(self.time_ns)]
         self.angles = steering_wheel((self.time_ns - BEGIN) * NANOSECOND)
 

@@ -54,7 +54,7 @@ def test_live_scores_of_a_plan_are_those_of_its_trajectory(leaf):
     assert isinstance(start, Start)
     path = PlannedInputs.from_path(START, START - 10**8 + np.arange(0, 20) * 10**8, np.full(20, start.state.velocity_x),
                                    np.full(20, start.state.yaw_rate / start.state.velocity_x), leaf)
-    ahead = predictor.planned(path, start)
+    ahead = predictor.plan_inputs(path, start)
     assert isinstance(ahead, InputSequence)
     issued = predictor.run(start, "linear", ahead)
     expected = predict("linear", leaf, start.state, ahead, SHORT.horizon, SHORT.step)

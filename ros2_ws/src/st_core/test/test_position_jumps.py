@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from st_core.alignment import MeasurementHistory
 from st_core.augmented import augment
 from st_core.evaluation import Evaluator
+from st_core.measurement_history import MeasurementHistory
 from st_core.prediction import PredictionSettings, Predictor, Skip, Start
 from st_core.types import InsSample
 

@@ -39,7 +39,7 @@ def course(heading: DriveLog) -> DriveLog:
 
 def test_heading_and_lateral_velocity_are_those_of_the_car(heading: DriveLog, course: DriveLog) -> None:
     found = with_steady_sideslip(course, CAR)
-    assert not found.sideslip_measured and not CHANNELS["velocity_y"].is_in(found)
+    assert not found.sideslip_measured and not CHANNELS["velocity_y"].is_measured_in(found)
     assert np.std(course.yaw - heading.yaw) > 0.008
     assert np.std(found.yaw - heading.yaw) < 0.003
     assert np.std(found.velocity_y - steady_velocity_y(heading, CAR)) < 0.05

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from st_core.course import SPACING, Course, Pass, passes_of
+from st_core.course import SPACING, Course, Pass, split_into_passes
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import OutputError
@@ -30,11 +30,11 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
         try:
             with console.status(escape(source.name)):
                 run = read(source, vehicle, reading)
-                found: Sequence[Pass] = passes_of(run.log, list(run.provenance["files"].values()))
+                found: Sequence[Pass] = split_into_passes(run.log, list(run.provenance["files"].values()))
                 if "origin" in run.provenance:
                     latitude, longitude = map(math.degrees, run.provenance["origin"][:2])
                     origin = origin or (latitude, longitude)
-                    found = Course(tuple(found)).moved(*origin_offset(origin, latitude, longitude)).passes
+                    found = Course(tuple(found)).shift(*origin_offset(origin, latitude, longitude)).passes
         except (RunError, StCoreError) as error:
             failed += 1
             line(f"[red]{escape(source.name)}: {escape(' '.join(str(error).split()))}[/red]", console)

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 
 import numpy as np
-from st_core.alignment import MeasurementHistory
 from st_core.checks import Finding, check
 from st_core.log import INS_SIGNALS, DriveLog
+from st_core.measurement_history import MeasurementHistory
 from st_core.timeseries import NANOSECOND, TimeSeries
 from st_core.vehicle import VehicleParameters
 

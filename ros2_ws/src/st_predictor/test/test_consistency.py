@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from st_core.alignment import MeasurementHistory
+from st_core.measurement_history import MeasurementHistory
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters
 from st_predictor.consistency import CPU_SHARE, MIN_DRIVING, PERIOD, WINDOW, Consistency, Verdict

@@ -13,7 +13,7 @@ pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 import rclpy
 from sensor_msgs.msg import NavSatFix
-from st_core.course import Course, passes_of
+from st_core.course import Course, split_into_passes
 from st_core.log import DriveLog
 from st_core.prediction import Predictor, Start
 from st_core.types import InsSample
@@ -42,7 +42,7 @@ def course(road: np.ndarray) -> Course:
     time_ns = np.round(time * 1e9).astype(np.int64)
     angle = np.array([*map(CAR.road_wheel_angle, steering)])
     log = DriveLog("earlier", time_ns, x, y, yaw, v_x, v_y, rate, time_ns, angle)
-    return Course(tuple(passes_of(log, ["digest"])), HERE)
+    return Course(tuple(split_into_passes(log, ["digest"])), HERE)
 
 
 @pytest.fixture
@@ -89,7 +89,7 @@ def test_the_course_takes_most_of_the_error_of_held_inputs(node, course: Course,
 
 
 def test_a_course_from_another_origin_of_the_map_is_moved(node, course: Course, road: np.ndarray) -> None:
-    elsewhere = replace(course.moved(300.0, -200.0), origin=(HERE[0] + 200.0 / 111_250.0, HERE[1] - 300.0 / 69_480.0))
+    elsewhere = replace(course.shift(300.0, -200.0), origin=(HERE[0] + 200.0 / 111_250.0, HERE[1] - 300.0 / 69_480.0))
     used, errors = drive(given(node, elsewhere, HERE), road)
     assert np.mean(used) > 0.9 and np.mean([e[1] for e in errors[50:]]) < 0.45 * np.mean([e[0] for e in errors[50:]])
 
@@ -111,7 +111,7 @@ def test_a_course_that_does_not_fit_leaves_inputs_held(node, course: Course, roa
         backwards = course.passes[0].points[::-1] * (1, 1, 1, -1, 1) + (0, 0, np.pi, 0, 0)
         course = Course((replace(course.passes[0], points=backwards),), HERE)
     else:
-        course = course.moved(500.0, 500.0)
+        course = course.shift(500.0, 500.0)
     one = given(node, course, at)
     used, _ = drive(one, road)
     assert not any(used) and not one.used

@@ -41,7 +41,7 @@ def enable(kernel, fingerprint: str) -> Path | None:
     return None
 
 
-def compiled(kernel, signature) -> None:
+def compile_or_load(kernel, signature) -> None:
     """Compile a kernel or load it from the cache; a damaged or unwritable folder only costs time."""
     try:
         kernel.compile(signature)

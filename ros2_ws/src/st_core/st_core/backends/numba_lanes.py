@@ -97,7 +97,7 @@ def _compile(model: Model, shape, fields: int, states: int):
         pass  # not cached: compiled in every process
     try:
         with _interleaved():
-            numba_cache.compiled(kernel, SIGNATURE)
+            numba_cache.compile_or_load(kernel, SIGNATURE)
     except NumbaError as error:
         reason = " ".join(str(error).split())
         logging.getLogger(__name__).warning("model %s runs in numpy; numba cannot compile it: %.300s", model.name,

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..binning import LATERAL_ACCELERATION, SPEED
+from ..binning import LATERAL_ACCELERATION_EDGES, SPEED_EDGES
 from ..log_signals import LogSignals
 from ..timeseries import NANOSECOND
 
@@ -62,7 +62,8 @@ def conditions_at(signals: LogSignals, starts_ns: np.ndarray) -> np.ndarray:
 
 MIN_STARTS = 10  # starts of a run in a cell of speed and lateral acceleration for it to count: one second of driving
 MIN_RUNS = 2  # runs with MIN_STARTS in a cell, because one run does not show the variation between runs
-CELL_EDGES = {CONDITIONS.index("speed"): SPEED, CONDITIONS.index("lateral_acceleration"): LATERAL_ACCELERATION}
+CELL_EDGES = {CONDITIONS.index("speed"): SPEED_EDGES,
+              CONDITIONS.index("lateral_acceleration"): LATERAL_ACCELERATION_EDGES}
 """Edges by column of the conditions."""
 
 

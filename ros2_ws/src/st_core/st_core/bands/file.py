@@ -25,7 +25,7 @@ from ..errors import ConfigurationError
 from ..log_evaluation import MODES, EvaluationSettings
 from ..prediction import configuration_hash
 from ..vehicle import VehicleParameters
-from ..yaml_text import check_keys, load, number, quoted
+from ..yaml_text import check_keys, load, number, quote
 from .calibration import Band
 from .conditions import CalibrationDomain
 from .samples import ModelMode
@@ -183,7 +183,7 @@ def _flow(value: Any) -> str:
     if isinstance(value, float):
         return number(value)
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{quoted(str(k))}: {_flow(v)}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(f"{quote(str(k))}: {_flow(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list):
         return "[" + ", ".join(map(_flow, value)) + "]"
     return json.dumps(value, ensure_ascii=False)

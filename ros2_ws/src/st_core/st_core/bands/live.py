@@ -24,9 +24,9 @@ from itertools import product
 
 import numpy as np
 
-from ..alignment import DERIVATIVE, VELOCITY_X, YAW_RATE, MeasurementHistory
 from ..evaluation import Score
 from ..log_evaluation import MODES
+from ..measurement_history import DERIVATIVE, VELOCITY_X, YAW_RATE, MeasurementHistory
 from ..timeseries import NANOSECOND
 from .adaptive import AdaptiveBand
 from .calibration import LEVELS

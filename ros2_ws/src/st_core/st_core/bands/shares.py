@@ -24,7 +24,7 @@ from ..log import INS_SIGNALS
 from ..log_evaluation import EvaluationSettings, regular_starts, usable_starts
 from ..log_signals import LogSignals
 from ..models import Model
-from ..readings import readings
+from ..readings import predict_readings
 from ..regression import white_noise
 from ..types import map_to_body, wrap_angle
 from ..vehicle import VehicleParameters, value_of
@@ -56,7 +56,7 @@ def squared_contributions(model: Model, vehicle: VehicleParameters, signals: Log
     def path(drive: LogSignals, changed: Model, car: VehicleParameters) -> np.ndarray:
         states = batch(drive).predict(changed, car).states
         with np.errstate(all="ignore"):
-            r = readings(changed, car, tuple(np.moveaxis(states, -1, 0)))
+            r = predict_readings(changed, car, tuple(np.moveaxis(states, -1, 0)))
             return np.stack([r.x, r.y, r.yaw])
 
     measured = batch(signals)

@@ -75,7 +75,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         motion, steps = check_position_steps(motion)  # held positions always step
         findings += steps
     speed, wheel_measured, sideslip_measured = (
-        motion.velocity_x, log.steering_wheel_angle is not None, CHANNELS["velocity_y"].is_in(log))
+        motion.velocity_x, log.steering_wheel_angle is not None, CHANNELS["velocity_y"].is_measured_in(log))
     rate, (motion, fine, estimates, panels) = _check_sensors_at_true_rate(motion, time_unit, _removed_factors(gross))
     findings += rate + position.with_sign_alternative(_merge_gross_and_fine(gross, fine, estimates), recorded, motion)
     if vehicle is not None:
@@ -107,7 +107,7 @@ def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: 
     if has_derived_yaw_rate(log):
         compared = ("yaw_rate_scale", "yaw_rate_bias", "yaw_rate_lag")
         findings = [f for f in findings if f.severity is Severity.ERROR or f.name not in compared]
-    return findings if CHANNELS["velocity_y"].is_in(log) else [_without_sideslip(f, motion) for f in findings]
+    return findings if CHANNELS["velocity_y"].is_measured_in(log) else [_without_sideslip(f, motion) for f in findings]
 
 
 def _without_sideslip(finding: Finding, motion: Motion) -> Finding:

@@ -114,7 +114,8 @@ class Regression:
 
         spread = self._blocks.bootstrap(estimator, DRAWS, SEED)
         estimates = {}
-        for name, deviation, freedom in zip(names, spread.deviations.tolist(), spread.freedom.tolist(), strict=True):
+        for name, deviation, freedom in zip(names, spread.deviations.tolist(), spread.degrees_of_freedom.tolist(),
+                                            strict=True):
             interval = symmetric_interval(theta[name], deviation, max(freedom, MIN_DEGREES_OF_FREEDOM))
             estimates[name] = Estimate(theta[name], deviation, interval)
         return estimates

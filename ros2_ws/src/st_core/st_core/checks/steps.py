@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.stats import binomtest
 
-from ..regression import ROBUST
+from ..regression import SIGMA_PER_MAD
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
 from .motion import MAX_GAP, MOVING, Motion, integral, stretches
 from .sampling import resolution
@@ -66,11 +66,11 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     age = along - np.median(along[known])
     spacing = float(np.median(np.diff(motion.time)))
     small = np.abs(age[known]) < 0.15 * spacing
-    spread = ROBUST * float(np.median(np.abs(age[known][small]))) if small.any() else np.inf
+    spread = SIGMA_PER_MAD * float(np.median(np.abs(age[known][small]))) if small.any() else np.inf
     speed = motion.speed[1:]
     across = np.sqrt(np.maximum(np.abs(errors) ** 2 - np.where(known, along * speed, 0.0) ** 2, 0.0))
     # At low speed, noise of the position is an age of many milliseconds. It is as large across the track as along it.
-    noise = ROBUST * float(np.median(across[known]))
+    noise = SIGMA_PER_MAD * float(np.median(across[known]))
     large = (known & (np.abs(age) > max(OUTLIER_SIGMAS * spread, 0.15 * spacing))
              & (np.abs(age) * speed > OUTLIER_SIGMAS * noise))
     # Stale samples cause steps along the track only, jumps in any direction.
@@ -78,7 +78,7 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
             np.abs(errors[large])):
         return none, []
     delay = float(np.median(np.abs(age[large])))
-    similar = ROBUST * float(np.median(np.abs(np.abs(age[large]) - delay))) < MAX_AGE_SPREAD * delay
+    similar = SIGMA_PER_MAD * float(np.median(np.abs(np.abs(age[large]) - delay))) < MAX_AGE_SPREAD * delay
     back, forward = known & (age < -0.5 * delay), known & (age > 0.5 * delay)
     balanced = MIN_STEP_BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / MIN_STEP_BALANCE
     if not similar or not balanced or delay > 1.2 * spacing or float(np.median(np.abs(errors[large]))) < 3.0 * rounding:
@@ -99,7 +99,7 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
 
 def _check_jumps(motion: Motion, errors: np.ndarray, stale: np.ndarray, rounding: float) -> list[Finding]:
     size = np.abs(errors - np.median(errors.real) - 1j * np.median(errors.imag))
-    scale = ROBUST * float(np.median(size))
+    scale = SIGMA_PER_MAD * float(np.median(size))
     within = (np.diff(motion.time) <= MAX_GAP) & ~stale
     large = within & (size > max(OUTLIER_SIGMAS * scale, MIN_JUMP, 2.0 * rounding))
     count = int(large.sum())

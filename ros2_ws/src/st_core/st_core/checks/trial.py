@@ -24,7 +24,7 @@ from ..errors import StCoreError
 from ..log import DriveLog
 from ..log_evaluation import EvaluationSettings, evaluate_log, regular_starts
 from ..models import Model, get_model
-from ..stability import MAX_SUBSTEPS, growth, slip_speed_needed, stable
+from ..stability import MAX_SUBSTEPS, are_stable, growth_factor, slip_speed_needed
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
@@ -162,7 +162,7 @@ def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log
     if not len(speed):
         return None
     speeds = np.linspace(speed.min(), speed.max(), SPEED_COUNT)
-    factors = {model.name: np.array([growth(model, vehicle, v, step) for v in speeds]) for model in chosen}
+    factors = {model.name: np.array([growth_factor(model, vehicle, v, step) for v in speeds]) for model in chosen}
     unstable_models = [name for name, factor in factors.items() if factor.max() > 1.0]
     if not unstable_models:
         return None
@@ -184,7 +184,7 @@ def _step_advice(models: Sequence[Model], vehicle: VehicleParameters, speeds: Se
         if any(isinstance(model, AugmentedModel) for model in models):
             line += "  # then rerun st discover: a model file is valid for its own vehicle file only"
         return needed, "m/s", Advice("vehicle", line, {"minimum_slip_speed": needed})
-    shorter = next((step / parts for parts in STEP_DIVISORS if stable(models, vehicle, speeds, step / parts)), None)
+    shorter = next((step / parts for parts in STEP_DIVISORS if are_stable(models, vehicle, speeds, step / parts)), None)
     if shorter is not None:
         return shorter, "s", Advice("option", f"--step {shorter:.9g}", {"step": shorter})
     return None, "s", Advice("look", f"no step down to {1e3 * step / MAX_SUBSTEPS:.2g} ms is short enough: check "

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..regression import ROBUST
+from ..regression import SIGMA_PER_MAD
 from .finding import LIMITS, Advice, Finding, Severity
 from .motion import (
     MIN_DISTANCE,
@@ -238,7 +238,7 @@ def _without_wraps(motion: Motion, yaw: np.ndarray) -> np.ndarray:
     step = np.diff(yaw)
     expected = np.diff(integral(motion.time, motion.yaw_rate))
     error = np.abs(step - expected)
-    wrapped = error > max(8.0 * ROBUST * float(np.median(error)), MIN_WRAP_STEP)
+    wrapped = error > max(8.0 * SIGMA_PER_MAD * float(np.median(error)), MIN_WRAP_STEP)
     return np.concatenate((yaw[:1], yaw[0] + np.cumsum(np.where(wrapped, expected, step))))
 
 

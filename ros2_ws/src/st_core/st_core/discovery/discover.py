@@ -277,7 +277,7 @@ class _Analysis:
     def _channels(self, settings: DiscoverySettings) -> DiscoverySettings:
         """The settings, with only the channels that are measured in all runs; warns about the others."""
         logs = [*self.runs, *self.reference]
-        left_out = [c for c in settings.channels if not all(CHANNELS[c].is_in(log) for log in logs)]
+        left_out = [c for c in settings.channels if not all(CHANNELS[c].is_measured_in(log) for log in logs)]
         if left_out:
             self.warnings.append(f"{', '.join(left_out)}: not measured in every run, left out; effects that need "
                                  f"{'it' if len(left_out) == 1 else 'them'} are not searched")

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..regression import ridge
+from ..regression import add_ridge
 from .loss import Loss, Quadratic, rho
 from .space import GAIN, Quantities, prior_deviations
 
@@ -239,7 +239,7 @@ class Problem:
         def best_step(h: np.ndarray, g: np.ndarray) -> np.ndarray:
             if not len(indices):
                 return np.zeros(0)
-            return bounded(ridge(h + prior), g - prior_gradient, *limits)
+            return bounded(add_ridge(h + prior), g - prior_gradient, *limits)
         return best_step
 
     def cost(self, names: Iterable[str], vector: np.ndarray, indices: np.ndarray) -> float:

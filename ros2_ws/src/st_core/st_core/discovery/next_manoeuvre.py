@@ -13,7 +13,7 @@ from ..log import OPTIONAL_INS_SIGNALS, DriveLog
 from ..manoeuvres import CATALOGUE, Manoeuvre
 from ..models import Model
 from ..prediction import predict
-from ..readings import correct_steering, faultless_readings
+from ..readings import correct_steering, predict_faultless_readings
 from ..types import InputSequence, VehicleState
 from ..vehicle import VehicleParameters
 from .evidence import inverse
@@ -44,13 +44,13 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
     since_start = np.maximum(times, 0.0)
     angle = manoeuvre.steering(since_start, vehicle.wheelbase, understeer)
     angle = angle * np.clip(2.0 + times / LEAD_TIME * 2.0, 0.0, 1.0)
-    forward = np.where(times < 0.0, 0.0, manoeuvre.forward(since_start))
+    forward = np.where(times < 0.0, 0.0, manoeuvre.acceleration_at(since_start))
     start = VehicleState(0.0, 0.0, manoeuvre.speed, 0.0, 0.0, 0.0)
     times_ns = np.round((times + LEAD_TIME) * 1e9).astype(np.int64)
     wheels = np.interp(times_ns, *correct_steering(model, times_ns, angle, 0.1))
     path = predict(model, vehicle, start, InputSequence(wheels, forward), (lead + steps) * PERIOD, PERIOD)
     states = tuple(path.states[lead:].T)
-    true = faultless_readings(model, vehicle, states)
+    true = predict_faultless_readings(model, vehicle, states)
     a_y = np.gradient(true.velocity_y, PERIOD) + true.velocity_x * true.yaw_rate
     recorded = slice(2 * lead, None, 2)
     specific_force = added_acceleration(model, vehicle, states, wheels[recorded], forward[recorded])

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..augmented import AugmentedModel, augment, neutral
+from ..augmented import AugmentedModel, augment, set_effects_to_null
 from ..effects import EFFECTS, applicable, get_effect
 from ..errors import ConfigurationError
 from ..models import Model, get_model
@@ -55,7 +55,7 @@ class Space:
         usable = [n for n in known if n not in self.without_signal]
         self.hypotheses = _chosen(usable, settings, known)
         values = {n: dict(v) for n, v in base.values.items()} if isinstance(base, AugmentedModel) else {}
-        self.model = neutral(augment(kind, [*usable, *not_searched])).with_values(values)
+        self.model = set_effects_to_null(augment(kind, [*usable, *not_searched])).with_values(values)
         self.null = np.append(self.model.vector, 0.0)
         self.free = tuple(FreeParameter(e, p.name, p.unit, float(null), typical_size(e, p.unit), p.bounds,
                                         1.0 if p.initial > p.null else -1.0, p.theory)

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from ..binning import LATERAL_ACCELERATION, SPEED, STEERING_RATE
+from ..binning import LATERAL_ACCELERATION_EDGES, SPEED_EDGES, STEERING_RATE_EDGES
 
 STEERING_ANGLE = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)  # rad at the road wheels, magnitude
 FORWARD_ACCELERATION = (-math.inf, -2.0, -0.7, 0.7, 2.0)  # m/s^2
@@ -117,10 +117,10 @@ def membership(samples: Samples) -> tuple[tuple[Range, ...], np.ndarray]:
     lateral = c["lateral_acceleration"]
     ranges, columns = [Range(EVERYWHERE, EVERYWHERE)], [np.ones(len(lateral), bool)]
     for quantity, unit, values, edges in (
-            ("speed", "m/s", c["speed"], SPEED),
-            ("lateral acceleration", "m/s²", np.abs(lateral), LATERAL_ACCELERATION),
+            ("speed", "m/s", c["speed"], SPEED_EDGES),
+            ("lateral acceleration", "m/s²", np.abs(lateral), LATERAL_ACCELERATION_EDGES),
             ("steering angle", "rad", np.abs(c["steering_angle"]), STEERING_ANGLE),
-            ("steering rate", "rad/s", c["steering_rate"], STEERING_RATE),
+            ("steering rate", "rad/s", c["steering_rate"], STEERING_RATE_EDGES),
             ("forward acceleration", "m/s²", c["forward_acceleration"], FORWARD_ACCELERATION)):
         for low, high in zip(edges, (*edges[1:], math.inf), strict=True):
             ranges.append(Range(quantity, range_text(quantity, unit, low, high), low, high))

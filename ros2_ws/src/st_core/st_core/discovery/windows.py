@@ -23,10 +23,10 @@ from ..errors import StCoreError
 from ..log import INS_SIGNALS, DriveLog
 from ..log_signals import LogSignals, share_memory
 from ..models import Model
-from ..readings import faultless_readings
+from ..readings import predict_faultless_readings
 from ..sideslip import steady_velocity_y
 from ..start_grid import Block
-from ..timeseries import NANOSECOND, Neighbours, smoothed
+from ..timeseries import NANOSECOND, Neighbours, moving_average
 from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings
 
@@ -119,7 +119,7 @@ def score_points(settings: DiscoverySettings) -> np.ndarray:
 
 def prepared(log: DriveLog, vehicle: VehicleParameters, settings: DiscoverySettings) -> DriveLog:
     """The drive that initial states are taken from: yaw rate smoothed, sideslip of steady cornering if not measured."""
-    log = replace(log, yaw_rate=smoothed(log.ins_time_ns, log.yaw_rate, 50_000_000))
+    log = replace(log, yaw_rate=moving_average(log.ins_time_ns, log.yaw_rate, 50_000_000))
     return log if "velocity_y" in settings.channels else replace(log, velocity_y=steady_velocity_y(log, vehicle))
 
 
@@ -174,7 +174,9 @@ class Windows:
             values = getattr(log, name)
             known = np.isfinite(values)
             time_ns, values = log.ins_time_ns[known], values[known]
-            result[name] = signals.sample(time_ns, smoothed(time_ns, values, SMOOTHING_NS) if smooth else values, times)
+            if smooth:
+                values = moving_average(time_ns, values, SMOOTHING_NS)
+            result[name] = signals.sample(time_ns, values, times)
         return result
 
     @cached_property
@@ -221,7 +223,7 @@ class Windows:
         measurements. The gain applies to the true specific force, before the sensor errors."""
         states = self._batch.predict(model, self.vehicle).states
         with np.errstate(all="ignore"):
-            readings = faultless_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
+            readings = predict_faultless_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
             before, true, after = (Measured(*(value[:, i] for value in readings)) for i in self._around)
             centripetal = [e.velocity_x * e.yaw_rate for e in (before, true, after)]
             a_y = (after.velocity_y - before.velocity_y) / (2 * STEP) + (

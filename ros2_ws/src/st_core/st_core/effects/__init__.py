@@ -9,7 +9,7 @@ from importlib.machinery import FileFinder
 from types import ModuleType
 
 from ..errors import ConfigurationError
-from ..yaml_text import nearest
+from ..yaml_text import suggest_key
 from ._base import (
     ANY,
     COMBINATIONS,
@@ -105,7 +105,7 @@ def _check_others(names: Iterable[str], known: Iterable[str], folder: str) -> No
             for other in getattr(EFFECTS[name], key):
                 if other not in known:
                     raise ConfigurationError(f"{folder}: effect {name}: {key}: unknown effect {other}"
-                                             f"{nearest(other, known)}")
+                                             f"{suggest_key(other, known)}")
 
 
 def _import(module: str, file: str) -> None:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from ..channels import CHANNELS
 from ..errors import ConfigurationError
-from ..yaml_text import nearest
+from ..yaml_text import suggest_key
 
 BASE_MODELS = ("kinematic", "linear", "nonlinear")
 DYNAMIC = frozenset(("linear", "nonlinear"))
@@ -241,7 +241,7 @@ def _wrong_attributes(effect: type[Effect]) -> Iterator[str]:
         if key.startswith("_"):
             continue
         if key not in vars(Effect) and key not in Effect.__annotations__:
-            known = nearest(key, [*vars(Effect), *Effect.__annotations__])
+            known = suggest_key(key, [*vars(Effect), *Effect.__annotations__])
             yield f"unknown attribute {key}{known or ': remove it, or see the new names in CHANGELOG.md'}"
         if key in HOOKS and not (isinstance(value, staticmethod) and isinstance(value.__func__, FunctionType)):
             yield f"{key} must be a @staticmethod"
@@ -300,7 +300,7 @@ def get_effect(name: str) -> type[Effect]:
         return UNLISTED[name]
     if name not in EFFECTS:
         known = ", ".join(sorted(EFFECTS))
-        raise ConfigurationError(f"unknown effect {name!r}{nearest(name, EFFECTS)}; if it is your own, give the "
+        raise ConfigurationError(f"unknown effect {name!r}{suggest_key(name, EFFECTS)}; if it is your own, give the "
                                  f"folder of its file with --effects; known are {known}")
     return EFFECTS[name]
 

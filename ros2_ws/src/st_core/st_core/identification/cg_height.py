@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..regression import symmetric_interval, welch_freedom
+from ..regression import effective_degrees_of_freedom, symmetric_interval
 from .result import Coverage, Estimate, Identification, IdentificationError
 from .steering_ratio import Line, fit_line
 
@@ -102,8 +102,8 @@ def identify_cg_height(data: Lift, car: LiftedCar) -> Identification:
     single, usable = _single_heights(data, car, level, radius, line)
     average = float(single[usable].mean())
     # Only the uncertainty of the slope was estimated from a few rows; the other uncertainties are known.
-    degrees_of_freedom = welch_freedom((car.wheelbase / car.mass * line.uncertainty) ** 2, uncertainty**2,
-                                       line.degrees_of_freedom)
+    degrees_of_freedom = effective_degrees_of_freedom((car.wheelbase / car.mass * line.uncertainty) ** 2,
+                                                      uncertainty**2, line.degrees_of_freedom)
     interval = symmetric_interval(height, uncertainty, degrees_of_freedom)
     used = tuple(dict.fromkeys(data.lifts))
     method = (f"ISO 10392 axle lift, {len(data.pitch)} rows in {len(used)} lift{'s' * (len(used) != 1)} up to "

@@ -21,7 +21,7 @@ import numpy as np
 
 from ..log import DriveLog
 from ..models._base import axle_slip_angles
-from ..regression import Spread, blocks, extrapolation_uncertainty
+from ..regression import Spread, extrapolation_uncertainty, make_blocks
 from ..vehicle import VehicleParameters
 from .result import Coverage, Estimate, Identification, IdentificationError, Status, describe_correlations
 from .run_samples import (
@@ -176,7 +176,7 @@ def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tupl
 def _slope(samples: AxleSamples) -> Slope:
     """Slope C of F = -C alpha + intercept, fitted to the used samples."""
     slip = samples.slip[samples.used]
-    group = blocks(samples.run_of[samples.used], samples.time[samples.used])
+    group = make_blocks(samples.run_of[samples.used], samples.time[samples.used])
     found, spread, influence = group.regression(np.stack([-slip, np.ones_like(slip)], axis=1),
                                                 samples.force[samples.used])
     return float(found[0]), spread, (group.run.astype(np.int64) << 32) + group.block, influence[:, 0]

@@ -31,7 +31,7 @@ from ..effects.yaw_inertia import YawInertia
 from ..errors import StCoreError
 from ..log import DriveLog
 from ..models import Model, get_model
-from ..regression import Spread, blocks
+from ..regression import Spread, make_blocks
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .result import IdentificationError
@@ -115,7 +115,8 @@ class _LimitedWindows(Windows):
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings):
         super().__init__(runs, vehicle, DiscoverySettings(
-            channels=tuple(name for name in settings.channels if all(CHANNELS[name].is_in(run) for run in runs)),
+            channels=tuple(name for name in settings.channels
+                           if all(CHANNELS[name].is_measured_in(run) for run in runs)),
             horizon=settings.horizon, windows=20_000, interval=settings.interval))
         self._batch._substeps = 2  # steps of 50 ms are unstable for some cars at 5 m/s
         grid = np.round(np.arange(0.0, self.time[-1] + 0.5 * STEP, STEP) / NANOSECOND).astype(np.int64)
@@ -227,7 +228,7 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     slopes = problem.loss.sensitivities(vector, indices)
     quadratic = problem.loss.quadratic(rows, slopes)
     used = np.flatnonzero(windows.used)
-    group = blocks(windows.run[used], windows.seconds[used])
+    group = make_blocks(windows.run[used], windows.seconds[used])
     hessian, gradient = group.sums(quadratic.hessian[used]), group.sums(quadratic.gradient[used])
     total = hessian.sum(axis=0)
     size = np.sqrt(np.diag(total).clip(1e-300))

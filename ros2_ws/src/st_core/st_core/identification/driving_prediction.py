@@ -31,7 +31,7 @@ from ..augmented import AugmentedModel
 from ..handling import objections
 from ..log import DriveLog
 from ..models import Model, get_model
-from ..regression import correlation_of, extrapolation_uncertainty
+from ..regression import correlation_matrix, extrapolation_uncertainty
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .cornering_stiffness import DRIVEN_QUANTILE, MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, slip_angles
@@ -212,11 +212,11 @@ def make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivin
     if RATIO not in fit.names:
         others.append(f"{RATIO} {vehicle.steering_ratio:.4g} of the vehicle file is assumed exact: its error changes "
                       "the front stiffness; st identify steering estimates it from drives at two or more speeds.")
-    warnings = (*describe_correlations(fit.names, correlation_of(covariance)), *others)
+    warnings = (*describe_correlations(fit.names, correlation_matrix(covariance)), *others)
     figure = {"residuals": fit.residuals, "residual_run": fit.run_of, "residual_time": fit.time, "names": fit.names,
               "covariance": covariance}
     return Identification(experiment, estimates, runs, tuple(rejected),
-                          correlation_of(covariance[np.ix_(chosen, chosen)]), tuple(covered), warnings, figure)
+                          correlation_matrix(covariance[np.ix_(chosen, chosen)]), tuple(covered), warnings, figure)
 
 
 def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:

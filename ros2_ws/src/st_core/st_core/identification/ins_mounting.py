@@ -22,7 +22,7 @@ import numpy as np
 
 from ..handling import rear_slip_coefficient
 from ..log import DriveLog
-from ..regression import Blocks, Spread, blocks, correlation_of
+from ..regression import Blocks, Spread, correlation_matrix, make_blocks
 from ..vehicle import VehicleParameters
 from .driving_fit import MISALIGNMENT
 from .result import Estimate, Identification, Status, describe_correlations
@@ -53,7 +53,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     columns = [_make_columns(run, mask, vehicle) for run, mask in pairs]
     run_of = np.concatenate([np.full(len(c), i) for i, c in enumerate(columns)])
     time, speed, lateral, rate, rate_dot, angle = np.concatenate(columns).T
-    group = blocks(run_of, time)
+    group = make_blocks(run_of, time)
     used = tuple(run.name for run, c in zip(runs, columns, strict=True) if len(c))
 
     regressors = np.stack([speed, rate, speed**2 * rate, speed * rate_dot], axis=1)
@@ -62,8 +62,8 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
                            f"{theta[1]:.3f} m ahead of the rear axle", 0.1),
                  _estimate(MISALIGNMENT, -theta[0], spread, 0, 1.0, "rad", used,
                            f"{np.rad2deg(-theta[0]):+.2f} deg, reported heading relative to the car's axis", 0.005)]
-    correlation = correlation_of(spread.covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
-    with_slip = correlation_of(spread.covariance)[1:3, 1:3]
+    correlation = correlation_matrix(spread.covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
+    with_slip = correlation_matrix(spread.covariance)[1:3, 1:3]
     warnings = [*notes, *describe_correlations(["lever arm", "rear slip"], with_slip),
                 _compare_rear_slip(theta[2], spread.covariance[2, 2], vehicle)]
     lateral_position = _estimate_lateral_position(speed, rate, angle, group, vehicle, used)

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from ..regression import correlation_of
+from ..regression import correlation_matrix
 from ..tyres import MagicFormula, magic_formula_stiffness, tyre_force
 from ..vehicle import TYRE_QUANTITIES
 from .bounded_fit import CurveFit, Residuals, fit_curve, profile_interval
@@ -215,7 +215,7 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
             uncertainty = (interval.high - interval.low) / math.sqrt(12.0)
         estimates.append(Estimate(key, value, "1", uncertainty, (interval.low, interval.high), method, (data.name,),
                                   " ".join(verdict), status))
-    correlation = correlation_of(fit.covariance)[:-1, :-1]
+    correlation = correlation_matrix(fit.covariance)[:-1, :-1]
     grid = np.linspace(data.slip.min(), data.slip.max(), 121)
     figure = {"tyre": data.tyre, "load": data.load, "slip": data.slip, "force": data.force, "levels": levels,
               "level": level, "residuals": fit.residuals, "grid": grid, "names": found.names[:-1],

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..regression import correlation_of, symmetric_interval, welch_freedom
+from ..regression import correlation_matrix, effective_degrees_of_freedom, symmetric_interval
 from .result import Estimate, Identification, IdentificationError
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
@@ -62,8 +62,9 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
     covariance = variation + _scale_covariance(
         weighings.scale_uncertainty, mass, front, wheelbase, wheelbase_uncertainty)
     uncertainties = np.sqrt(np.diag(covariance)).tolist()
-    intervals = [symmetric_interval(value, uncertainties[i], welch_freedom(variation[i, i], covariance[i, i], n - 1))
-                 for i, value in enumerate((mass, front))]
+    degrees_of_freedom = [effective_degrees_of_freedom(variation[i, i], covariance[i, i], n - 1) for i in (0, 1)]
+    intervals = [symmetric_interval(*row)
+                 for row in zip((mass, front), uncertainties, degrees_of_freedom, strict=True)]
     method = (f"four wheel scales, {n} weighing{'s' * (n != 1)}, {weighings.scale_uncertainty:g} kg per scale"
               + (f", {load}" if load else ""))
     left = float(chosen[:, [0, 2]].sum() / chosen.sum())
@@ -82,7 +83,8 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
         warnings.append(f"{len(rejected)} of {len(readings)} weighings have another loading and were left out.")
     figure = {"readings": readings, "kept": keep, "names": weighings.names, "masses": all_masses,
               "distances": all_distances}
-    return Identification("scales", estimates, used, rejected, correlation_of(covariance), (), tuple(warnings), figure)
+    correlation = correlation_matrix(covariance)
+    return Identification("scales", estimates, used, rejected, correlation, (), tuple(warnings), figure)
 
 
 def describe_swapped_axles(found: Identification, wheelbase: float, expected: float) -> str:

@@ -92,7 +92,7 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
         raise IdentificationError(f"drives {', '.join(names)}: duplicate name; give each drive once")
     for log in logs:
         for name in needed:
-            if not CHANNELS[name].is_in(log):
+            if not CHANNELS[name].is_measured_in(log):
                 raise IdentificationError(f"{log.name}: {name} is not measured, and this identification needs it: "
                                           "record it with a dual-antenna INS, or leave the drive out")
     prepared = [log if log.steering_wheel_angle is None else log.with_steering(vehicle) for log in logs]

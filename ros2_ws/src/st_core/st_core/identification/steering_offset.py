@@ -16,7 +16,7 @@ import numpy as np
 
 from ..handling import stability_factor
 from ..log import DriveLog
-from ..regression import Spread, blocks
+from ..regression import Spread, make_blocks
 from ..timeseries import filtered_derivative
 from ..vehicle import VehicleParameters
 from .driving_fit import DrivingFitSettings, fit_driving
@@ -56,7 +56,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
 
     run_of = np.concatenate([np.full(len(w), i) for i, w in enumerate(windows)])
     times = np.concatenate([w[:, 0] for w in windows])
-    _, spread, _ = blocks(run_of, times).regression(np.ones((len(values), 1)), values)
+    _, spread, _ = make_blocks(run_of, times).regression(np.ones((len(values), 1)), values)
     used = {run.name: len(w) for run, w in zip(runs, windows, strict=True)}
     direct = _estimate(DIRECT, float(values.mean()), spread, "mean reading on steady straights", used,
                        f"{len(values)} windows of {WINDOW:g} s")

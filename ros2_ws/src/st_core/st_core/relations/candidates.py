@@ -16,7 +16,7 @@ from ..effects._relation import (
     TimedRelationEffect,
     spline,
 )
-from ..timeseries import NANOSECOND, smoothed
+from ..timeseries import NANOSECOND, moving_average
 from ..vehicle import VehicleParameters
 
 ODD, NEITHER = -1.0, 0.0
@@ -154,11 +154,11 @@ def driven_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str,
         found = {"slip_front": (velocity_y + vehicle.cg_to_front_axle * rate) / speed - angle,
                  "slip_rear": (velocity_y - vehicle.cg_to_rear_axle * rate) / speed, "steering": angle,
                  "acceleration_y": speed * rate,
-                 "acceleration_x": np.gradient(smoothed(stamps, speed, SMOOTHING_NS), time * NANOSECOND),
+                 "acceleration_x": np.gradient(moving_average(stamps, speed, SMOOTHING_NS), time * NANOSECOND),
                  "speed": speed, "yaw_rate": rate, "north": np.sin(log.yaw), "east": np.cos(log.yaw),
                  "position_x": log.x, "position_y": log.y, "run_time": run_time(windows, stamps)}
         for name, (source, kind, tau) in MEMORY.items():
-            lagging = smoothed(stamps, found[source], round(2.0 * tau / NANOSECOND))
+            lagging = moving_average(stamps, found[source], round(2.0 * tau / NANOSECOND))
             found[name] = np.gradient(lagging, time * NANOSECOND) if kind == "rate" else lagging
     return {name: values[moving] for name, values in found.items()}
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ..discovery.loss import Quadratic
-from ..regression import ridge
+from ..regression import add_ridge
 from .candidates import NEITHER, Candidate
 from .relation_fit import RelationFit, RelationFits
 
@@ -153,7 +153,7 @@ def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadr
             continue
 
         def numbers(known: np.ndarray, count: int = count, function: ShapeFunction = function) -> np.ndarray:
-            h, g = ridge(profile.hessian[known].sum(axis=0)), profile.gradient[known].sum(axis=0)
+            h, g = add_ridge(profile.hessian[known].sum(axis=0)), profile.gradient[known].sum(axis=0)
             root, target = np.linalg.cholesky(h), coefficients + np.linalg.solve(h, g)
             return _least_squares(lambda x: (to_splines @ function(at, x) - target) @ root, count, at, value)
 
@@ -238,7 +238,7 @@ def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape
             constant = np.concatenate([np.zeros(len(scale) - count), (to_splines @ np.ones(POINTS)) / scale[-count:]])
             basis = np.column_stack([basis, constant])
         h, g = fit.q.hessian[known].sum(axis=0), fit.q.gradient[known].sum(axis=0)
-        step = np.linalg.solve(ridge(basis.T @ h @ basis), basis.T @ (g - h @ fixed))
+        step = np.linalg.solve(add_ridge(basis.T @ h @ basis), basis.T @ (g - h @ fixed))
         vector = fit.vector.copy()
         vector[fit.indices] += (fixed + basis @ step) * scale
         return loss.space.inside(vector), float(step[-1]) if with_offset else 0.0

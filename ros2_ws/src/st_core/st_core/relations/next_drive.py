@@ -10,7 +10,7 @@ from ..discovery.next_manoeuvre import MIN_SEPARATION, REPETITIONS, simulated
 from ..discovery.windows import Windows
 from ..effects._relation import SPLINES
 from ..manoeuvres import Manoeuvre
-from ..regression import ridge
+from ..regression import add_ridge
 from .candidates import ODD, Candidate, driven_quantities
 from .relation_fit import RIDGE, RelationFit, RelationFits
 
@@ -126,7 +126,7 @@ def _strength(h: np.ndarray, fit: RelationFit, other: RelationFit, design_effect
     n_others = len(fit.indices) - SPLINES
     penalty = np.zeros((len(h) - 1, len(h) - 1))
     penalty[n_others:, n_others:] = other.penalty[-SPLINES:, -SPLINES:]
-    unexplained = float(h[-1, -1] - h[-1, :-1] @ np.linalg.solve(ridge(h[:-1, :-1] + penalty), h[:-1, -1]))
+    unexplained = float(h[-1, -1] - h[-1, :-1] @ np.linalg.solve(add_ridge(h[:-1, :-1] + penalty), h[:-1, -1]))
     return float(np.sqrt(max(2.0 * unexplained / design_effect, 0.0)))
 
 

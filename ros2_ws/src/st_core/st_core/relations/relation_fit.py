@@ -15,7 +15,7 @@ from ..discovery.windows import Windows
 from ..effects import get_effect
 from ..effects._relation import SPLINES, RelationEffect
 from ..log import DriveLog
-from ..regression import ridge
+from ..regression import add_ridge
 from ..vehicle import VehicleParameters
 from .candidates import Candidate, run_time
 
@@ -136,7 +136,7 @@ class RelationFits:
                        distance: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """({fold: step to the values fitted without it}, (b,) loss of each block there). distance: (a,) of the vector
         from the start [parameter scales]."""
-        h, g = ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ distance
+        h, g = add_ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ distance
         steps, held_out = {}, np.zeros(self.blocks)
         common = np.linalg.solve(h, g)
         for k in np.unique(self.fold):
@@ -149,7 +149,7 @@ class RelationFits:
 
     def predicted_held_out(self, q: Quadratic, penalty: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """(b,) held-out loss of each block at the optimum of the quadratic."""
-        step = np.linalg.solve(ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ distance)
+        step = np.linalg.solve(add_ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ distance)
         cost = q.cost - 2.0 * q.gradient @ step + np.einsum("i,bij,j->b", step, q.hessian, step)
         optimum = Quadratic(cost, q.gradient - q.hessian @ step, q.hessian)
         return self.left_out_steps(optimum, penalty, distance + step)[1]
@@ -178,7 +178,7 @@ class RelationFits:
         q = self.quadratic(loss, fit.rows, np.concatenate([car, fit.sensitivities]))
         whole = q.hessian.sum(axis=0)
         others = whole[:-SPLINES, :-SPLINES]
-        projection = np.concatenate([-np.linalg.solve(ridge(others), whole[:-SPLINES, -SPLINES:]), np.eye(SPLINES)])
+        projection = np.concatenate([-np.linalg.solve(add_ridge(others), whole[:-SPLINES, -SPLINES:]), np.eye(SPLINES)])
         hessian = np.einsum("ik,bij,jl->bkl", projection, q.hessian, projection)
         return Quadratic(q.cost, q.gradient @ projection, hessian)
 
@@ -202,7 +202,7 @@ class RelationFits:
             if not iteration:
                 penalty = self.penalty(candidate, h, smooth)
             distance = ((vector - self.start) / scale)[indices]
-            step = np.linalg.solve(ridge(h) + penalty, g - penalty @ distance)
+            step = np.linalg.solve(add_ridge(h) + penalty, g - penalty @ distance)
             cost = loss.total(vector) + distance @ penalty @ distance
             gained = 0.0
             for share in STEP_SHARES:

@@ -12,7 +12,7 @@ from ..discovery.settings import Limits
 from ..effects import get_effect
 from ..effects._relation import MAX_HEIGHT, SPLINES
 from ..models import get_model
-from ..regression import ridge
+from ..regression import add_ridge
 from ..vehicle import VehicleParameters
 from .candidates import Candidate, candidates
 from .relation_fit import SMOOTHING, RelationFit, RelationFits
@@ -96,7 +96,7 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
     losses = {smooth: fits.predicted_held_out(q, penalty, distance) for smooth, penalty in penalties.items()}
     smooth = min(losses, key=lambda share: float(losses[share].sum()))
     h = q_all.hessian.sum(axis=0)
-    cross = np.linalg.solve(ridge(h[:-SPLINES, :-SPLINES]), h[:-SPLINES, -SPLINES:])
+    cross = np.linalg.solve(add_ridge(h[:-SPLINES, :-SPLINES]), h[:-SPLINES, -SPLINES:])
     gradient = q_all.gradient[:, -SPLINES:] - q_all.gradient[:, :-SPLINES] @ cross
     information = h[-SPLINES:, -SPLINES:] - h[-SPLINES:, :-SPLINES] @ cross
     inverse = np.linalg.pinv(information + penalties[smooth][-SPLINES:, -SPLINES:])
@@ -240,7 +240,8 @@ def run_shares(fits: RelationFits, fit: RelationFit) -> RunShares:
     """`RunShares` from the quadratic approximation, everything else refitted in each run."""
     h = fit.q.hessian.sum(axis=0)
     others, coefficients = h[:-SPLINES, :-SPLINES], fit.coefficients
-    direction = np.concatenate([-np.linalg.solve(ridge(others), h[:-SPLINES, -SPLINES:] @ coefficients), coefficients])
+    direction = np.concatenate([-np.linalg.solve(add_ridge(others), h[:-SPLINES, -SPLINES:] @ coefficients),
+                                coefficients])
     g, hh = fit.q.gradient @ direction, np.einsum("i,bij,j->b", direction, fit.q.hessian, direction)
     run = fits.problem.run_of_block
     informative = [k for k in np.unique(run) if hh[run == k].sum() > MIN_INFORMATION * hh.sum()]

@@ -5,15 +5,15 @@ from typing import Any
 
 import numpy as np
 from st_core.bands import CONDITIONS, RELIABILITY, AdaptiveBand, Band, Bands, conditions_at, to_predicted_frame
-from st_core.binning import LATERAL_ACCELERATION, SPEED, STEERING_RATE
+from st_core.binning import LATERAL_ACCELERATION_EDGES, SPEED_EDGES, STEERING_RATE_EDGES
 from st_core.log_evaluation import AXES, Block
 from st_core.log_signals import LogSignals
 
 Sums = dict[str, Any]
 MIN_STARTS = 200  # in a cell; with fewer, the standard error of a 90 % coverage is above 2 percentage points
 LEVELS = (0.5, 0.9)  # coverage levels in reports
-EDGES = {"speed": (SPEED, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION, "m/s²"),
-         "steering_activity": (STEERING_RATE, "rad/s")}
+EDGES = {"speed": (SPEED_EDGES, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION_EDGES, "m/s²"),
+         "steering_activity": (STEERING_RATE_EDGES, "rad/s")}
 _PROBABILITIES = np.concatenate([0.5 - 0.5 * np.array(RELIABILITY)[::-1], [0.5], 0.5 + 0.5 * np.array(RELIABILITY)])
 
 

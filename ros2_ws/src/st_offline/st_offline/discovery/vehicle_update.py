@@ -22,7 +22,7 @@ from st_core.prediction import PredictionSettings
 from st_core.provenance import Provenance
 from st_core.stability import slip_speed_needed
 from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleParameters, quantity, value_of
-from st_core.yaml_text import number, quoted
+from st_core.yaml_text import number, quote
 from st_recordings.car_skeleton import STABILITY_SPEEDS
 
 from .drives import Request
@@ -295,7 +295,7 @@ def _entry(change: Sequence[float], source: str, about: Provenance) -> Callable[
         interval = f", 95 % interval {ends[0]} to {ends[1]}" if ends else ""
         spread = (change[3] - change[2]) / (2 * 1.96) if ends else 0.0
         known = replace(about, uncertainty=float(f"{spread / factor:.3g}") if spread > 0.0 else None)
-        return (f"{{value: {after}, unit: {quoted(unit)}, source: {quoted(f'{source}{interval}; before {before}')}"
+        return (f"{{value: {after}, unit: {quote(unit)}, source: {quote(f'{source}{interval}; before {before}')}"
                 f"{known.entries()}}}")
     return entry
 

@@ -16,7 +16,7 @@ from st_core.bands import CONDITIONS, ErrorSamples, NotFiniteError, calibrate, e
 from st_core.bands.calibration import MIN_RUNS
 from st_core.bands.file import times
 from st_core.batch import LogBatch
-from st_core.binning import SPEED
+from st_core.binning import SPEED_EDGES
 from st_core.compiled import compile_models
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log_evaluation import EvaluationSettings, regular_starts, usable_starts
@@ -128,7 +128,7 @@ def model_accuracy(runs: Sequence[ErrorSamples], model: str, settings: Evaluatio
                               axis=0).tolist())
     highest = [np.maximum.accumulate(one, axis=1)[:, at] for one in across]
     within = {}
-    for low, high in zip(SPEED, (*SPEED[1:], math.inf), strict=True):
+    for low, high in zip(SPEED_EDGES, (*SPEED_EDGES[1:], math.inf), strict=True):
         speed = [run.conditions[:, CONDITIONS.index("speed")] for run in runs]
         parts = [one[(v >= low) & (v < high)] for one, v in zip(highest, speed, strict=True)]
         if sum(map(len, parts)) >= MIN_STARTS:
@@ -261,7 +261,7 @@ def rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy]) -> list[
 
 def choice_rows(chosen: Mapping[float, tuple[Key | None, ...]]) -> list[dict[str, str]]:
     """One row for each speed, one column for each second ahead."""
-    high = {low: f"{low:g} to {above:g} m/s" for low, above in itertools.pairwise(SPEED)}
+    high = {low: f"{low:g} to {above:g} m/s" for low, above in itertools.pairwise(SPEED_EDGES)}
     return [{"speed": high.get(low, f"above {low:g} m/s")}
             | {f"{k + 1} s": "none" if key is None else f"{key[0]}, {key[1]:g} s"
                                            for k, key in enumerate(keys)} for low, keys in chosen.items()]

@@ -13,7 +13,7 @@ from st_core.log_evaluation import LogEvaluation, evaluate_blocks
 from st_core.log_signals import LogSignals
 from st_core.models import Model, get_model
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
-from st_core.readings import readings
+from st_core.readings import predict_readings
 from st_core.vehicle import VehicleParameters
 
 from .background import in_background
@@ -97,7 +97,7 @@ def segments(drawing: Drawing) -> PageFigure | None:
         _measured_path(axes, drawing, start_ns, length)
         for model in drawing.models:
             states = tuple(block.trajectories[model.name, "hindsight"][column].T)
-            predicted = readings(model, drawing.vehicle, states)
+            predicted = predict_readings(model, drawing.vehicle, states)
             axes.plot(predicted.x, predicted.y, **drawing.line(model.name))
         axes.set_title(f"$t_0$ = {evaluation.time[row]:.1f} s, {evaluation.conditions['speed'][row]:.1f} m/s",
                        fontsize=9)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 from rich.text import Text
-from st_core.binning import bins
+from st_core.binning import bin_starts
 from st_core.log_evaluation import ALL, AXES, LogEvaluation, ModelErrors
 from st_core.palette import MODEL_COLOUR
 
@@ -54,7 +54,7 @@ def by_second(evaluation: LogEvaluation) -> dict[str, dict[str, dict[str, Entry]
 def by_bin(evaluation: LogEvaluation) -> list[Entry]:
     """One entry for each bin with a start; see st_core.binning."""
     return [{"quantity": b.quantity, "label": b.label, "low": b.low, "high": b.high,
-             "models": by_model(evaluation, b.select)} for b in bins(evaluation)]
+             "models": by_model(evaluation, b.mask)} for b in bin_starts(evaluation)]
 
 
 def by_manoeuvre(evaluation: LogEvaluation, parts: Sequence[DrivePart]) -> list[Entry]:

@@ -252,11 +252,11 @@ def inputs_ahead(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters
     if plan is not None:
         found["plan"] = recorded_plan(*plan, prediction.steps, prediction.step, prediction.maximum_gap)
     if course is not None:
-        others = course.without(list(run.provenance["files"].values()))
+        others = course.exclude(list(run.provenance["files"].values()))
         if course.origin is not None and "origin" in run.provenance:
             latitude, longitude = map(math.degrees, run.provenance["origin"][:2])
             try:
-                others = others.moved(*origin_offset((latitude, longitude), *course.origin))
+                others = others.shift(*origin_offset((latitude, longitude), *course.origin))
             except StCoreError as error:
                 raise RunError(Path(run.log.name), f"--course: {error}",
                                "leave the option out, or give a course of this location") from None

@@ -21,7 +21,7 @@ from st_core.identification.result import (
 )
 from st_core.provenance import Provenance
 from st_core.vehicle import VehicleParameters, quantity, value_of
-from st_core.yaml_text import number, quoted
+from st_core.yaml_text import number, quote
 from st_recordings.paths import json_text, new_folder
 from st_recordings.results import collect_versions
 from st_recordings.runs import find_runs
@@ -147,8 +147,8 @@ def vehicle_text(file: Path, car: VehicleParameters, found: Sequence[Identificat
     def entry(key: str, unit: str, factor: float) -> str:
         source = car.provenance.get(key, Provenance())
         source = replace(source, uncertainty=None if source.uncertainty is None else source.uncertainty / factor)
-        return (f"{{value: {number(value_of(car, key) / factor)}, unit: {quoted(unit)}, "
-                f"source: {quoted(car.sources[key])}{source.entries()}}}")
+        return (f"{{value: {number(value_of(car, key) / factor)}, unit: {quote(unit)}, "
+                f"source: {quote(car.sources[key])}{source.entries()}}}")
 
     try:
         text = file.read_text(encoding="utf-8")

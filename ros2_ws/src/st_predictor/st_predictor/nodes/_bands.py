@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 
 import numpy as np
-from st_core.alignment import MeasurementHistory
 from st_core.bands import AdaptiveBands, Coverages, LiveBands, conditions_now
 from st_core.bands.live import HalfWidths
 from st_core.evaluation import Evaluator, Mode
 from st_core.log_evaluation import MODES, PLANNED_MODES, EvaluationSettings
+from st_core.measurement_history import MeasurementHistory
 from st_core.models import Model
 from st_core.prediction import PredictionSettings, Runner, Start
 from st_core.types import InsSample, Trajectory

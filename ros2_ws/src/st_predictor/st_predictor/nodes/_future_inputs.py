@@ -47,7 +47,7 @@ class PlanInput:
         """(inputs in the horizon, stamp of the plan [ns]) for a start; None without a usable plan."""
         if self._plan is None:
             return None
-        inputs = self._plan if isinstance(self._plan, str) else core.planned(self._plan, start)
+        inputs = self._plan if isinstance(self._plan, str) else core.plan_inputs(self._plan, start)
         if isinstance(inputs, str):
             self.problem = inputs
             self._counts["refused"] += 1
@@ -93,7 +93,7 @@ class CourseInput:
             return
         try:
             offset = origin_offset((message.latitude, message.longitude), *self._course.origin)
-            self._tracker.course, self._origin_problem = _with_search_tree(self._course.moved(*offset)), ""
+            self._tracker.course, self._origin_problem = _with_search_tree(self._course.shift(*offset)), ""
         except StCoreError as error:
             self._origin_problem = str(error)
         self._tracker.restart()
@@ -132,5 +132,5 @@ class CourseInput:
 
 def _with_search_tree(course: Course) -> Course:
     """The course after a first lookup, which builds its search tree, so that no tick has to wait for it."""
-    course.near(*course.passes[0].points[0, :3].tolist())
+    course.find_near(*course.passes[0].points[0, :3].tolist())
     return course

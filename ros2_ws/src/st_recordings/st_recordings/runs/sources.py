@@ -53,7 +53,7 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
         if not path.exists():
             folder = path.absolute().parent
             others = [other.name for other in folder.iterdir()] if folder.is_dir() else []
-            advice = f"looked for in {folder}{yaml_text.nearest(path.name, others)}"
+            advice = f"looked for in {folder}{yaml_text.suggest_key(path.name, others)}"
             runs.append(_make_unusable(path, "the file or folder does not exist", advice))
         elif path.is_dir() and find_reader(path) is None:
             found = _search_folder(path)

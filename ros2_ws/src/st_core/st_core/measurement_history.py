@@ -13,7 +13,7 @@ Frozen steering angle: the sensor repeats one value while the yaw motion changes
 
 low-pass filtered, is nearly constant at any speed if the steering angle is. The bounds are wide because bank, wind,
 braking and tyres at their limit change it as well.
-Checked by: test_alignment.py, test_position_jumps.py, test_frozen_steering.py.
+Checked by: test_measurement_history.py, test_position_jumps.py, test_frozen_steering.py.
 """
 
 import math

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from st_core.alignment import DERIVATIVE, FILTERED, MeasurementHistory
+from st_core.measurement_history import DERIVATIVE, FILTERED, MeasurementHistory
 from st_core.timeseries import filtered_derivative
 from st_core.types import InsSample
 
