@@ -63,8 +63,7 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
         weighings.scale_uncertainty, mass, front, wheelbase, wheelbase_uncertainty)
     uncertainties = np.sqrt(np.diag(covariance)).tolist()
     degrees_of_freedom = [effective_degrees_of_freedom(variation[i, i], covariance[i, i], n - 1) for i in (0, 1)]
-    intervals = [symmetric_interval(*row)
-                 for row in zip((mass, front), uncertainties, degrees_of_freedom, strict=True)]
+    intervals = list(map(symmetric_interval, (mass, front), uncertainties, degrees_of_freedom))
     method = (f"four wheel scales, {n} weighing{'s' * (n != 1)}, {weighings.scale_uncertainty:g} kg per scale"
               + (f", {load}" if load else ""))
     left = float(chosen[:, [0, 2]].sum() / chosen.sum())
