@@ -118,6 +118,7 @@ def test_what_is_written_says_what_it_is(tmp_path, registry):
     one = proposal("rear_steer", "acceleration_y", -1.0)
     said = RelationSearch(one, "it takes away 10 %", {"rear_steer over acceleration_y": (0.1, 0.001)})
     files = write_files(said, CAR, ["lap"], "2026-01-01T00:00:00", {"lap": "0" * 64}, tmp_path)
+    load_folder(str(files["effects"].parent))
     text = files["effects"].read_text()
     assert text.startswith('"""PROPOSAL') and "m/s^2" in text and "y = 2 u" in text and "lap" in text
     file = ModelFile.from_yaml(files["proposed.yaml"].read_text())
@@ -141,6 +142,7 @@ def test_the_next_answer_brings_the_effects_it_needs(tmp_path, registry):
     second.mkdir()
     one = proposal("yaw_moment", "acceleration_x", NEITHER)
     write_files(RelationSearch(one, "", {}), CAR, ["lap"], "2026-01-01T00:00:00", {}, first)
+    load_folder(str(first / "effects"))
     found = ModelFile.from_yaml((first / "proposed.yaml").read_text()).model()
     after = replace(proposal("yaw_moment", "speed", NEITHER), model=found)
     write_files(RelationSearch(after, "", {}), CAR, ["lap"], "2026-01-01T00:00:00", {}, second)

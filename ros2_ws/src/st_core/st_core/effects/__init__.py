@@ -36,7 +36,7 @@ for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
 
 __all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS", "SLOTS", "TOTAL_DELAY", "Effect",
            "Instant", "Measured", "Parameter", "applicable", "confounded_effects", "get_effect", "load_file",
-           "load_folder", "register", "source_file"]
+           "load_folder", "register", "source_file", "unload_folder"]
 
 
 def load_folder(path: str) -> tuple[str, ...]:
@@ -66,6 +66,15 @@ def load_file(folder: str, name: str) -> tuple[type[Effect], ...]:
     return registered()
 
 
+def unload_folder(path: str) -> None:
+    """Remove the effects of a folder from EFFECTS, so that a later search does not include them."""
+    _, package = _package(path)
+    for name in [m for m in sys.modules if m == package or m.startswith(package + ".")]:
+        del sys.modules[name]
+    for name in [n for n, effect in EFFECTS.items() if effect.__module__.startswith(package + ".")]:
+        del EFFECTS[name]
+
+
 def _modules(finder: FileFinder) -> list[str]:
     found = pkgutil.iter_importer_modules(finder)  # type: ignore[attr-defined]  # public, but not in the stubs
     return sorted(name for name, _ in found if not name.startswith("_"))
@@ -90,10 +99,7 @@ def _load(finder: FileFinder, package: str, names: Sequence[str]) -> None:
             _import(f"{package}.{name}", f"{finder.path}/{name}.py")
         _check_others(set(EFFECTS) - known, {*EFFECTS, *_modules(finder)}, finder.path)
     except ConfigurationError:
-        for name in set(EFFECTS) - known:
-            del EFFECTS[name]
-        for name in [m for m in sys.modules if m == package or m.startswith(package + ".")]:
-            del sys.modules[name]
+        unload_folder(finder.path)
         raise
 
 

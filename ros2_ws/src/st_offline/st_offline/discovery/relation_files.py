@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from st_core.discovery.next_manoeuvre import REPETITIONS
-from st_core.effects import Effect, load_file, source_file
+from st_core.effects import Effect, load_file, source_file, unload_folder
 from st_core.model_file import Estimate, ModelFile, ModelProvenance
 from st_core.relations import Candidate, Relation, RelationSearch
 from st_core.relations.candidates import ALL_TERMS, MEMORY, QUANTITIES
@@ -198,7 +198,6 @@ def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequenc
     effects.mkdir()
     file = effects / f"{name_of(relation)}.py"
     file.write_text(effect_file(relation, runs, created), encoding="utf-8")
-    load_file(str(effects.absolute()), name_of(relation))
     for user_folder in {Path(source_file(e)).parent for e in relation.model.effects} - {LIBRARY}:
         for module in user_folder.glob("*.py"):
             if not (effects / module.name).exists():
@@ -211,7 +210,11 @@ def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequenc
     share = {"share": Estimate(1.0, None, "st discover --propose")}
     model = ModelFile(plain.base, {**active, name_of(relation): share}, plain.vehicle, plain.vehicle_name,
                       plain.vehicle_hash, about)
-    (folder / "proposed.yaml").write_text(model.to_yaml(), encoding="utf-8")
+    load_file(str(effects.absolute()), name_of(relation))
+    try:
+        (folder / "proposed.yaml").write_text(model.to_yaml(), encoding="utf-8")
+    finally:
+        unload_folder(str(effects.absolute()))  # a later search of this process does not include it
     return {"effects": file, "proposed.yaml": folder / "proposed.yaml"}
 
 
