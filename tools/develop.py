@@ -22,10 +22,10 @@ def test(
     # Failed, broken and skipped tests are listed with their reasons.
     pytest = [sys.executable, "-m", "pytest", "-rfEs", "-q"]
     fast_only = "not slow and " if fast else ""
-    # Timing tests run alone, one after another, after all others.
+    # Timing tests mostly wait: two at a time leave half of two cores idle. They run after all others.
     parts = [
         [*pytest, "-n", "auto", "--dist", "loadfile", "-m", f"{fast_only}not timing"],
-        [*pytest, "-m", f"{fast_only}timing"],
+        [*pytest, "-n", "2", "--dist", "loadfile", "-m", f"{fast_only}timing"],
     ]
     if context.args:
         parts = [[*pytest, *(["-m", "not slow"] if fast else []), *context.args]]
