@@ -141,7 +141,7 @@ def test_course_and_speed_over_ground_of_a_gnss(tmp_path: Path, monkeypatch, cou
     np.testing.assert_allclose(drive.log.velocity_y, expected, atol=1e-9)
     np.testing.assert_allclose(drive.log.yaw_rate, 1.0, atol=1e-6)  # of yaw, not of its own column
     texts = [text.partition(": ")[2] for text in drive.warnings]
-    assert texts == [*(["no column is known as velocity_y: the sideslip is not measured"] if course_is_yaw else []),
+    assert texts == [*(["no column is known as velocity_y, so the sideslip is not measured"] if course_is_yaw else []),
                      "no column is known as yaw_rate; the derivative of yaw is used"]
 
 
@@ -198,8 +198,8 @@ def test_the_hand_wheel_alone(tmp_path: Path) -> None:
 def test_a_steering_angle_of_neither_wheel_is_asked_for(tmp_path: Path) -> None:
     file = write(tmp_path / "d.csv", {**PLAIN, "road_wheel_angle": "steering_angle_rad"})
     assert has_drive_columns(file)
-    with pytest.raises(RunError, match=r"column steering_angle_rad may be of the steering wheel or of the road wheels; "
-                       r".* in a run\.yaml, as columns: \{steering_wheel_angle: steering_angle_rad\} or"):
+    with pytest.raises(RunError, match=r"column steering_angle_rad may be the angle of the steering wheel or of the "
+                       r"road wheels; .* in a run\.yaml, as columns: \{steering_wheel_angle: steering_angle_rad\} or"):
         read_csv(file, LEAF)
     assert_whole(read_csv(file, layout=Layout({"road_wheel_angle": "steering_angle_rad"})).log)
 
@@ -212,7 +212,7 @@ def test_exchanged_axes_are_exchanged_back_whatever_their_columns_are_called(tmp
 
 def test_a_unit_of_what_is_not_there_is_refused(tmp_path: Path) -> None:
     file = write(tmp_path / "d.csv", {c: n for c, n in PLAIN.items() if c != "yaw"} | {"compass_heading": "heading"})
-    with pytest.raises(RunError, match=r"units: yaw: d\.csv has no column for it; it has one for t, .*compass_heading"):
+    with pytest.raises(RunError, match=r"yaw: d\.csv has no column for this .* it has columns for t, .*compass_heading"):
         read_csv(file, layout=Layout(units={"yaw": "deg"}))
 
 
@@ -232,7 +232,7 @@ def test_a_hole_in_an_ins_channel_costs_ins_samples_only(tmp_path: Path, channel
     assert len(drive.auxiliary.stamps["INS"]) == N
     (warning,) = drive.warnings
     assert warning.endswith(f"d.csv: {channel} (column {PLAIN[channel]}): {len(BAD)} of {N} rows (12 %) have no "
-                            "number; these samples of the INS were left out")
+                            "number; these INS samples were left out")
 
 
 @pytest.mark.parametrize("wheel", [False, True])
@@ -266,7 +266,7 @@ def test_a_channel_that_is_mostly_bad_is_said(tmp_path: Path) -> None:
                   {(k, column): "n/a" for k in range(40) for column in (2, 7, 10)})
     drive = read_csv(file, LEAF)
     said = "\n".join(drive.warnings)
-    assert "y (column y): 40 of 60 rows (67 %) have no number, more than half; these samples of the INS were" in said
+    assert "y (column y): 40 of 60 rows (67 %) have no number, more than half; these INS samples were" in said
     assert "acceleration_x (column ax): 40 of 60 rows (67 %) have no number, more than half; it is not used" in said
     assert "steering_wheel_angle (column swa) has no number in more than half of the rows; the road wheel" in said
     assert drive.log.acceleration_x is None and drive.log.steering_wheel_angle is None

@@ -61,9 +61,9 @@ def test_rows_that_cannot_be_used_are_left_out_and_counted(tmp_path: Path) -> No
     log, warnings = drive.log, drive.warnings
     assert len(log.ins_time_ns) == 98
     assert [w.split(": ", 1)[1] for w in warnings] == [
-        "the last row is truncated; it was left out",
+        "the last row is truncated and was left out",
         "1 of 100 rows (1 %) are not later than all before; they were left out",
-        "velocity_x (column vx): 1 of 100 rows (1 %) have no number; these samples of the INS were left out",
+        "velocity_x (column vx): 1 of 100 rows (1 %) have no number; these INS samples were left out",
     ]
 
 
@@ -80,9 +80,9 @@ def test_semicolons_and_other_column_orders(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        ([""], "no column of the header is known as t, x"),
+        ([""], "no column is known as t, x"),
         (["t,x,y,yaw", "0,0,0,0"],
-         "no column of the header is known as velocity_x, .*; it has t, x, y, yaw; .*columns: {velocity_x: NAME"),
+         "no column is known as velocity_x, .*; its columns are t, x, y, yaw; .*columns: {velocity_x: NAME"),
         ([HEADER], "it contains fewer than two usable rows"),
         ([HEADER, *rows(3), *["1,2,3"] * 7, *rows(3)], "a row cannot be read"),
         ([HEADER, *rows(1), *["a,b,c,d,e,f,g,h,i,j"] * 3], "it contains fewer than two usable rows"),
@@ -125,7 +125,7 @@ def test_a_clock_of_tenths_of_a_second_is_not_one_of_days(tmp_path: Path) -> Non
 
 def test_hours_and_minutes_are_not_minutes_and_seconds(tmp_path: Path) -> None:
     lines = [f"04.05.2026 10:{k // 60:02d}," + line.split(",", 1)[1] for k, line in enumerate(rows(180))]
-    with pytest.raises(RunError, match=r"no time in column t can be read, the first is '04\.05\.2026 10:00'; export"):
+    with pytest.raises(RunError, match=r"no time in column t can be read; the first is '04\.05\.2026 10:00'; export"):
         read_csv(write(tmp_path, [HEADER, *lines]))
 
 

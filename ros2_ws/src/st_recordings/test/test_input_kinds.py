@@ -124,7 +124,7 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
     ("day_first.csv", lambda log: stamped(log, lambda s: f"25/04/2026 {clock(43200 + s)}"), "utf-8", ""),
     ("month_first.csv", lambda log: stamped(log, lambda s: f"04/25/2026 {clock(43200 + s)}"), "utf-8", ""),
     ("which_first.csv", lambda log: stamped(log, lambda s: f"05/04/2026 {clock(43200 + s)}"), "utf-8",
-     "the day/month order of its dates is ambiguous"),
+     "the order of day and month in its dates is ambiguous"),
     ("colon.csv", lambda log: stamped(log, lambda s: clock(43200 + s)[:12].replace(".", ":")), "utf-8", ""),
     ("clock.csv", lambda log: stamped(log, lambda s: clock(43190 + s).replace(":", "")), "utf-8",
      "times of column t were read as HHMMSS"),
@@ -214,16 +214,17 @@ def test_a_table_in_parts_is_one_run(tmp_path: Path, drive, kind: str) -> None:
     (lambda log: csv(rows(log)[::-1]), r"1 of \d+ rows .* have a time later than all rows before them; sort its rows"),
     (lambda log: stamped(log, lambda s: "04 Mxy 2026 " + clock(s)), r"the first is '04 Mxy 2026 .*export seconds"),
     (lambda log: geographic(log).replace(",5", ",520"),
-     r"latitude \(column latitude\) is about 520\d[.\d]* deg; export"),
+     r"latitude \(column latitude\) is about 520\d[.\d]* deg, which is impossible; export"),
     (lambda log: re.sub(r"(,-\d\.\d*)", r"\1W", geographic(log)),
-     r"column longitude has no number, but '-1\.5\d*W'; export"),
-    (lambda log: csv(rows(log), csv(rows(log)[:1]).splitlines()[1]), "its first line has numbers instead of the names"),
+     r"column longitude has no numbers, but text such as '-1\.5\d*W'; export"),
+    (lambda log: csv(rows(log), csv(rows(log)[:1]).splitlines()[1]),
+     "its first line contains numbers instead of the names"),
     (lambda log: csv(rows(log), ",".join(NAMES).replace("yaw,", "yaw [?],")), r"column yaw \[\?\] is not used: '\?'"),
-    (lambda log: stamped(log, lambda s: f"{s * 1e9:.0f}"), r"are not in s; .*units: \{t: ns\}"),
+    (lambda log: stamped(log, lambda s: f"{s * 1e9:.0f}"), r"cannot be in s; .*units: \{t: ns\}"),
     (lambda log: csv(rows(log), ",".join(NAMES).replace(",x,", ",a/pos_x,b/pos_x,")[:-21]), "is known as x"),
     (lambda log: "timestamp,arbitration_id,dlc,data\n0.1,0x2,8,AAAA\n", "this is a CAN log as a table; export it as"),
-    (lambda log: geographic(log).replace("latitude,longitude", "longitude,latitude"), "are interchanged: only"),
-    (lambda log: in_radians(geographic(log)), r"are in radians: read as degrees, they give 1/\d\d of the driven"),
+    (lambda log: geographic(log).replace("latitude,longitude", "longitude,latitude"), "are interchanged: they agree"),
+    (lambda log: in_radians(geographic(log)), r"are in radians: if read as degrees, they give 1/\d\d of the driven"),
     (doubtful_thousands, r"1,234 may be a number with a decimal mark or with a thousands separator"),
     (lambda log: csv(rows(log), ",".join(NAMES) + "\ns,m,m,Grad,m/s,m/s,deg/s,deg"), "unit row: 'Grad' of column yaw"),
 ])
@@ -253,7 +254,7 @@ def test_whole_seconds_for_many_rows_are_named(tmp_path: Path, drive) -> None:
     file = tmp_path / "whole.csv"
     file.write_text(stamped(drive[1], lambda s: clock(43200 + s)[:8]))
     run = read(find_runs([file])[0], CAR)
-    assert any("has whole seconds only, each in many rows; export fractions" in warning for warning in run.warnings)
+    assert any("has only whole seconds, each in many rows; export fractions" in warning for warning in run.warnings)
 
 
 def test_a_clock_set_back_half_way_costs_half_and_is_reported_with_its_share(tmp_path: Path, drive) -> None:
@@ -363,7 +364,7 @@ def test_the_course_of_a_standing_car_is_not_used(tmp_path: Path, drive, standin
     file = tmp_path / "drive.vbo"
     file.write_text(head.replace("heading Steer", "heading Steer _heading") + mark + "\n".join(lines) + "\n")
     run = read(find_runs([file])[0], CAR, WHEEL)
-    assert any(re.search(r"slower than 1 m/s, where the course is noise", w) for w in run.warnings)
+    assert any(re.search(r"slower than 1 m/s; the course is noise there", w) for w in run.warnings)
     assert np.abs(run.log.yaw_rate[:550]).max() < 1e-9 and np.ptp(run.log.yaw[:550]) < 1e-9
     assert not [one for one in check(run.log, CAR, run.auxiliary).findings if "yaw" in one.channels]
 

@@ -75,7 +75,7 @@ def test_a_drive_of_a_folder_that_lacks_a_column_is_reported(tmp_path: Path) -> 
     touch(tmp_path, "way.csv", content="x,y,yaw,speed\n0,0,0,1\n1,0,0,1\n")
     runs = by_name(find_runs([tmp_path]))
     assert set(runs) == {"whole", "lacks"}
-    with pytest.raises(RunError, match=r"lacks\.csv: no column of the header is known as velocity_x"):
+    with pytest.raises(RunError, match=r"lacks\.csv: no column is known as velocity_x"):
         read(runs["lacks"])
 
 
@@ -150,7 +150,7 @@ def test_one_run_yaml_for_each_drive_of_a_folder(tmp_path: Path) -> None:
         assert "yaw_rte is not known" in str(runs["c.run.yaml"].problem)
         assert [name for name, run in runs.items() if run.can] == ["a", "d"]
         assert all(runs[name].settings["layout"].columns["x"] == "Rechts" for name in "ade")
-        with pytest.raises(RunError, match="no column of the header is known as road_wheel_angle"):
+        with pytest.raises(RunError, match="no column is known as road_wheel_angle"):
             read(runs["e"], leaf)
 
 
@@ -289,7 +289,7 @@ def test_warnings_that_differ_in_file_and_numbers_only_are_logged_once_with_thei
     lines = [record.getMessage() for record in caplog.records]
     assert len(lines) == errors.MAX_SIMILAR_WARNINGS + 2
     assert lines[0] == "warning: grouped/0.csv: 0 of 3000 rows are not used"
-    assert "37 more like" in lines[-1] and "grouped/3.csv" in lines[-1] and "and 27 more" in lines[-1]
+    assert "37 more warnings such as" in lines[-1] and "grouped/3.csv" in lines[-1] and "and 27 more" in lines[-1]
 
 
 def test_errors_that_differ_in_their_file_only_are_stated_once_with_all_files():

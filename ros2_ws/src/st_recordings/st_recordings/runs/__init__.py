@@ -1,4 +1,4 @@
-"""One reader for every recording: `find_runs` groups files into runs, `read` turns one into a DriveLog.
+"""Reads recordings of every kind: `find_runs` groups files into runs, and `read` converts a run to a DriveLog.
 
     for source in find_runs(paths):
         try:

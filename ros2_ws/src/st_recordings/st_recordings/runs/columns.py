@@ -1,4 +1,4 @@
-"""Finds the channels among the columns of a table by their usual names, and their units."""
+"""Finds the columns of channels, and their units, by the names that are usual in tables."""
 
 import math
 import re
@@ -46,20 +46,17 @@ _UNIT_OF = {kind: {normalise(text): unit for unit, (_, others) in units.items() 
 
 
 def find_unit(kind: str, text: str) -> str | None:
-    """The unit of a kind of quantity that a text denotes; None for any other text."""
+    """Finds the unit that a text denotes for a kind of quantity; None if it denotes none."""
     return _UNIT_OF[kind].get(normalise(text))
 
 
 @dataclass(frozen=True)
 class Channel:
-    """A channel. kind: kind of quantity, a key of UNITS. meaning: description for users. names: possible names of its
+    """A channel of a drive and the possible names of its column."""
 
-    column, preferred ones first, compared by letters and digits only, ignoring case.
-    """
-
-    kind: str
-    meaning: str
-    names: tuple[str, ...]
+    kind: str  # kind of quantity, a key of UNITS
+    meaning: str  # description for users
+    names: tuple[str, ...]  # preferred ones first; compared by letters and digits only, ignoring case
 
 
 def _words(text: str) -> tuple[str, ...]:
@@ -76,20 +73,20 @@ COLUMNS: Mapping[str, Channel] = {
     "y": Channel("length", "position of the INS point, north or along the map's y", _words(
         "y pos_y position_y y_pos y_position py north northing n_pos y_north y_enu y_map local_y utm_y utm_n "
         "utm_northing pos_local_y car_ty pose_y pose_position_y pose_pose_position_y")),
-    "latitude": Channel("latitude or longitude", "north +; with the longitude, read if x and y are missing", _words(
+    "latitude": Channel("latitude or longitude", "north +; read with longitude if x and y are missing", _words(
         "latitude lat gps_latitude gps_lat latitude_deg pos_lat")),
-    "longitude": Channel("latitude or longitude", "east +; origin of the map is the first row", _words(
+    "longitude": Channel("latitude or longitude", "east +; the first row is the origin of the map", _words(
         "longitude long lon lng gps_longitude gps_long gps_lon pos_lon")),
     "yaw": Channel("angle", "from east (the map's x), counter-clockwise", _words(
         "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta phi gierwinkel")),
     "compass_heading": Channel("angle", "clockwise from north; read if yaw is missing: yaw = 90° - heading", _words(
         "compass_heading heading heading_angle angle_heading heading_ned heading_north heading_true true_heading "
         "compass azimuth yaw_ned")),
-    "course": Channel("angle", "direction of motion over ground, clockwise from north; gives yaw or velocity_y where "
-                      "that is missing", _words(
+    "course": Channel("angle", "direction of motion over ground, clockwise from north; replaces missing yaw or "
+                      "velocity_y", _words(
         "course course_over_ground course_angle gps_course course_gps gps_heading cog track track_angle "
         "heading_of_motion bearing angle_track kurs_ueber_grund")),
-    **{f"orientation_{axis}": Channel("ratio", "quaternion of body in map axes, read if yaw is missing", _words(
+    **{f"orientation_{axis}": Channel("ratio", "quaternion from body to map axes, read if yaw is missing", _words(
         f"orientation_{axis} q{axis} quat_{axis} pose_orientation_{axis} pose_pose_orientation_{axis}"))
        for axis in "xyzw"},
     "velocity_x": Channel("speed", "forward, body axes, at the INS point", _words(
@@ -102,9 +99,9 @@ COLUMNS: Mapping[str, Channel] = {
         "velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity lateral_vel v_lat vel_lat "
         "lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y "
         "linear_velocity_y quergeschwindigkeit")),
-    "velocity_east": Channel("speed", "with the velocity to the north and yaw, read if velocity_y is missing", _words(
+    "velocity_east": Channel("speed", "read with velocity_north and yaw if velocity_y is missing", _words(
         "velocity_east vel_east v_east east_velocity velocity_e vel_e ve")),
-    "velocity_north": Channel("speed", "as before", _words(
+    "velocity_north": Channel("speed", "as velocity_east", _words(
         "velocity_north vel_north v_north north_velocity velocity_n vel_n vn")),
     "yaw_rate": Channel("angular rate", "left turn +; if missing, the derivative of yaw", _words(
         "yaw_rate yaw_rate_iso yaw_velocity yaw_vel yaw_speed yaw_dot psi_dot psi_p d_psi r wz omega_z omega "
@@ -123,34 +120,34 @@ COLUMNS: Mapping[str, Channel] = {
         "road_wheel_angle delta delta_f delta_front df rwa front_wheel_angle front_steering_angle front_steer_angle "
         "steering_angle_front steer_angle_front road_steering_angle steering_angle_road wheel_angle tire_angle "
         "tyre_angle ackermann_angle radlenkwinkel")),
-    "steering_wheel_angle": Channel("angle", "of the steering wheel, left +, offset not removed", _words(
+    "steering_wheel_angle": Channel("angle", "steering wheel, left +, offset not removed", _words(
         "steering_wheel_angle steering_wheel steering_wheel_position steering_wheel_pos steer_wheel_angle "
         "steering_wheel_angle_iso hand_wheel_angle hand_wheel handwheel_position swa delta_h delta_hand delta_sw "
         "dm_steer_ang steer_whl_ang lenkradwinkel")),
     "wheel_speed_front_left": Channel("speed", "rolling speed of a wheel; for checks", _words(
         "wheel_speed_front_left wheel_speed_fl ws_fl v_fl front_left_wheel_speed")),
-    "wheel_speed_front_right": Channel("speed", "as before", _words(
+    "wheel_speed_front_right": Channel("speed", "rolling speed", _words(
         "wheel_speed_front_right wheel_speed_fr ws_fr v_fr front_right_wheel_speed")),
-    "wheel_speed_rear_left": Channel("speed", "as before", _words(
+    "wheel_speed_rear_left": Channel("speed", "rolling speed", _words(
         "wheel_speed_rear_left wheel_speed_rl ws_rl v_rl rear_left_wheel_speed")),
-    "wheel_speed_rear_right": Channel("speed", "as before", _words(
+    "wheel_speed_rear_right": Channel("speed", "rolling speed", _words(
         "wheel_speed_rear_right wheel_speed_rr ws_rr v_rr rear_right_wheel_speed")),
-    "vehicle_speed": Channel("speed", "the car's own speed signal, or of all wheels; for checks", _words(
+    "vehicle_speed": Channel("speed", "speed signal of the car; for checks", _words(
         "vehicle_speed car_speed can_speed speed_can abs_speed odometer_speed wheel_speed wheel_speeds")),
 }
 """All known columns; docs/csv_columns.md is generated from this table (test_csv_columns.py)."""
 
 AMBIGUOUS = {normalise(name) for name in
              _words("steering_angle steering steer steer_angle steered_angle steering_position steering_pos")}
-"""Names that some files use for the steering wheel and others for the road wheels."""
+"""Names that mean the steering wheel in some files and the road wheels in others."""
 
 MAX_NAME_LENGTH = 200
-"""Characters of a column name; a longer text is not the name of a channel."""
+"""Characters; a longer text is not the name of a column."""
 PATH_RANK = 1000
-"""Added to the rank of a name that ends a path, such as /ins/odometry/twist/twist/linear/x from PlotJuggler."""
+"""Added to the rank of a name at the end of a path, such as /ins/odometry/twist/twist/linear/x from PlotJuggler."""
 _OTHER_QUANTITY = re.compile(r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command|plan|pred|std|cov|var|err|max|min|"
                              r"engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
-"""Words in a path that show that its end is not the measured quantity of this car."""
+"""Words in a path which show that it does not lead to a measured quantity of this car."""
 
 _CHANNEL_OF = {normalise(name): (channel, rank) for channel, about in COLUMNS.items()
                for rank, name in enumerate(about.names)}
@@ -158,25 +155,22 @@ _CHANNEL_OF = {normalise(name): (channel, rank) for channel, about in COLUMNS.it
 
 @dataclass(frozen=True)
 class Layout:
-    """Columns as named in a run.yaml or by an option. columns: channel -> column name. units: channel -> unit.
+    """Columns that a run.yaml or an option names."""
 
-    source: the file or option that error messages name.
-    """
-
-    columns: Mapping[str, str] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
-    source: Path | str | None = field(default=None, repr=False)
+    columns: Mapping[str, str] = field(default_factory=dict)  # channel -> column name
+    units: Mapping[str, str] = field(default_factory=dict)  # channel -> unit
+    source: Path | str | None = field(default=None, repr=False)  # the run.yaml or option, for error messages
 
 
 @dataclass(frozen=True)
 class ColumnSource:
-    """The column of a channel: its number, name and unit. stated: whether header or run.yaml state the unit."""
+    """The column of a channel and its unit."""
 
     column: int
     name: str
-    kind: str
+    kind: str  # a key of UNITS
     unit: str
-    stated: bool
+    stated: bool  # whether the file or the layout states the unit
 
     @property
     def factor(self) -> float:
@@ -184,9 +178,9 @@ class ColumnSource:
 
 
 def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, ColumnSource]:
-    """The channels that a header names. Raises RunError if a column that the layout names is missing."""
+    """Finds the channels in a header. Raises RunError if a column that the layout names is missing."""
     found: dict[str, tuple[int, ColumnSource]] = {}
-    ambiguous: set[str] = set()  # channels found in two topics, of which either may be meant
+    ambiguous: set[str] = set()  # channels of which two topics have an equally ranked column
     for number, name in enumerate(names):
         if meaning := _identify_channel(name):
             channel, rank, unit = meaning
@@ -198,13 +192,13 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
     found = {channel: best for channel, best in found.items() if channel not in ambiguous}
     sources = {channel: source for channel, (_, source) in found.items()}
     for channel, named in layout.columns.items():
-        if named not in names and named in found:  # a channel, not a column: {x: y, y: x} exchanges the axes
+        if named not in names and named in found:  # a channel instead of a column: {x: y, y: x} interchanges the axes
             column: int | None = found[named][1].column
         else:
             column = _find_column(names, named)
         if column is None:
             raise RunError(layout.source or file, f"columns: {channel}: {file.name} has no column {named[:60]!r}",
-                           f"it has {', '.join(names)[:300]}")
+                           f"its columns are {', '.join(names)[:300]}")
         stated = (find_unit(COLUMNS[channel].kind, unit) for text in (names[column], named)
                   for base, unit in _split_name_and_unit(text) if unit and base)
         sources[channel] = _make_source(column, names[column], channel, next(filter(None, stated), None))
@@ -216,7 +210,8 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
 
 
 def find_stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
-    """Column numbers of the two parts of a ROS stamp: header.stamp.sec and header.stamp.nanosec, or secs and nsecs."""
+    """Finds the columns of a ROS stamp: (number of header.stamp.sec or secs, number of nanosec or nsecs); None if there
+    is no such pair."""
     plain = [normalise(name) for name in names]
     for number, name in enumerate(plain):
         stem = re.fullmatch(r"(.*?)n(?:ano)?secs?", name)
@@ -227,7 +222,8 @@ def find_stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
 
 
 def _find_column(names: Sequence[str], named: str) -> int | None:
-    """Column number of a name: exact match, else ignoring case, else also punctuation, else also the unit."""
+    """Finds the number of a column by its name: an exact match, or else one that ignores case, then also punctuation,
+    then also the unit. Returns None without a match."""
     for form in (str, str.lower, normalise, lambda name: normalise(_split_name_and_unit(name)[0][0])):
         for number, name in enumerate(names):
             if form(name) == form(named):
@@ -236,17 +232,17 @@ def _find_column(names: Sequence[str], named: str) -> int | None:
 
 
 def apply_units(file: Path, sources: dict[str, ColumnSource], layout: Layout) -> dict[str, ColumnSource]:
-    """Sources with the units in the layout. Raises RunError if a channel with a unit has no column."""
+    """Sets the units of the layout in the sources. Raises RunError if a channel with a unit has no column."""
     for channel, unit in layout.units.items():
         if channel not in sources:
-            raise RunError(layout.source or file, f"units: {channel}: {file.name} has no column for it",
-                           f"it has one for {', '.join(sources)}")
+            raise RunError(layout.source or file, f"units: {channel}: {file.name} has no column for this channel",
+                           f"it has columns for {', '.join(sources)}")
         sources[channel] = replace(sources[channel], unit=unit, stated=True)
     return sources
 
 
 def find_ambiguous_steering(names: Sequence[str]) -> str | None:
-    """The first column that may be the steering wheel or the road wheel angle; None if there is none."""
+    """Finds the first column that may be the steering wheel or the road wheel angle; None if there is none."""
     return next((name for name in names if any(normalise(base) in AMBIGUOUS for base, _ in _split_name_and_unit(name))),
                 None)
 
@@ -257,7 +253,7 @@ def _make_source(number: int, name: str, channel: str, unit: str | None) -> Colu
 
 
 def _identify_channel(name: str) -> tuple[str, int, str | None] | None:
-    """(channel, rank among its names, stated unit) of a column name; None for other columns."""
+    """(channel, rank of the name among those of the channel, stated unit) of a column; None if it is no channel."""
     # "%time" and "field.x" from `rostopic echo -p`, "vx\\CCP:1" from ETAS, "Speed (m/s) *gps" from RaceChrono
     name = re.sub(r"\\.*$| \*\w+$", "", name.lstrip("%# ").removeprefix("field."))
     for base, unit in _split_name_and_unit(name):
@@ -266,7 +262,7 @@ def _identify_channel(name: str) -> tuple[str, int, str | None] | None:
             known = find_unit(COLUMNS[channel].kind, unit)
             if known or not unit:
                 return channel, rank, known
-    end = re.match(r"[^\W\d][^/.(\[]*[/.](..+)|/(..+)", name[:MAX_NAME_LENGTH])  # but not a number such as 0.123
+    end = re.match(r"[^\W\d][^/.(\[]*[/.](..+)|/(..+)", name[:MAX_NAME_LENGTH])  # end of a path, not of 0.123
     rest = end[1] or end[2] if end else ""
     if len(normalise(re.split(r"[(\[]", rest)[0])) > 1 and not _OTHER_QUANTITY.search(name) and (
             meaning := _identify_channel(rest)) and meaning[0] != "t":
@@ -275,21 +271,22 @@ def _identify_channel(name: str) -> tuple[str, int, str | None] | None:
 
 
 def describe_unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSource]) -> dict[str, str]:
-    """Channel -> message, for the channels whose column is not used because its unit is not known."""
-    sentences = {}
+    """Channel -> message, for each channel whose column is not used because its unit is unknown."""
+    messages = {}
     for name in names:
         base, unit = _split_name_and_unit(name)[0]
         channel, _ = _CHANNEL_OF.get(normalise(base), ("", 0))
         if unit and channel and channel not in sources and not _identify_channel(name):
             kind = COLUMNS[channel].kind
-            sentences[channel] = (f"column {name} is not used: {unit!r} is not a unit of {kind} (known are "
-                                  f"{', '.join(UNITS[kind])})")
-    return sentences
+            messages[channel] = (f"column {name} is not used: {unit!r} is not a unit of {kind} (known units are "
+                                 f"{', '.join(UNITS[kind])})")
+    return messages
 
 
 def _split_name_and_unit(name: str) -> list[tuple[str, str]]:
-    """Ways to split a column's name into name and unit, the whole name first: yaw_rate_deg_s -> yaw_rate, deg_s."""
-    if len(name) > MAX_NAME_LENGTH:  # not a header; splitting it would take quadratic time
+    """All ways to split the name of a column into a name and a unit, the whole name first. One way to split
+    yaw_rate_deg_s is yaw_rate, deg_s."""
+    if len(name) > MAX_NAME_LENGTH:  # splitting takes quadratic time
         return [(name, "")]
     bracketed = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]\s*", name)
     if bracketed:

@@ -1,4 +1,4 @@
-"""Reads drives from tables with the columns of columns.py, and INS logs of speed and yaw rate for clock alignment."""
+"""Converts tables of channels (columns.py) to drives, or to INS logs for a run whose steering is in a CAN log."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,39 +21,38 @@ from .run_types import LoadedRun, ReadSettings, RunSource, SteeringField, make_d
 MOTION_SIGNALS = ("velocity_x", "yaw_rate")
 ROAD_WHEEL, STEERING_WHEEL, COMPASS, COURSE = "road_wheel_angle", "steering_wheel_angle", "compass_heading", "course"
 COLUMN_ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.run.yaml with the lines "
-                 "`{kind}: {name}`{can} and `columns: {{{channel}: NAME, ...}}` (of many drives: `each: '*.{kind}'`)")
-STEERING_ADVICE = ("name its column, --steering-field NAME --steering-is wheel (or road), with --steering-sign -1 if "
-                   "right is positive; or give the CAN log that has the steering as well")
+                 "`{kind}: {name}`{can} and `columns: {{{channel}: NAME, ...}}` (for many drives: `each: '*.{kind}'`)")
+STEERING_ADVICE = ("name its column by --steering-field NAME --steering-is wheel (or road), with --steering-sign -1 if "
+                   "right is positive; or also give the CAN log that contains the steering angle")
 COMPUTED_FROM = {"time": "t", "x": "longitude", "y": "latitude", "yaw": COMPASS}
-"""Channel -> the channel from which it is computed if it has no column."""
+"""Channel -> channel from which it is computed if the table has no column for it."""
 QUATERNION_CHANNELS = [f"orientation_{axis}" for axis in "xyzw"]
 MIN_COURSE_SPEED = 1.0
-"""m/s; at this speed a velocity noise of 0.05 m/s changes the course by 3 degrees."""
+"""Lowest speed [m/s] at which the course is used; there, velocity noise of 0.05 m/s changes it by 3 degrees."""
 MIN_DISTANCE_SAMPLES = 20
-"""Least number of samples for comparing the driven distance with the integrated speed."""
+"""Minimum number of samples for comparing the distance between positions with the integrated speed."""
 MAX_HELD_SHARE = 0.3
-"""Fraction of rows of a moving car with an unchanged position, above which positions are assumed to have a lower rate
+"""If the position is unchanged in a larger fraction of the rows in which the car moves, positions have a lower rate
 than the rows."""
 MIN_INTERVAL_RATIO = 1.5
-"""A channel has a lower rate than another if its median sample interval is longer by more than this ratio."""
+"""A channel has a lower rate than another if the ratio of their median sample intervals is larger."""
 MIN_LOST_INTERVAL = 2.5
 """Rows are missing between two rows if their time difference exceeds this multiple of the median."""
-MAX_LATE_SHARE = 0.1
+MAX_AFTER_GAP_SHARE = 0.1
 """If a larger fraction of new positions follows missing rows, the time stamps jitter and no row is missing."""
 MAX_ROUNDED_STEP = 1.01
 """Position steps within this ratio of the rounding unit are due to rounding."""
 MIN_REGULAR_SHARE = 0.9
-"""Blanks of a channel are due to its lower rate if more than this fraction of the distances between its samples [rows]
-are multiples of the median distance."""
+"""Fraction of regular intervals between the samples of a channel, above which its blanks are due to a lower rate."""
 
 
 def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layout | None = None) -> LoadedRun:
-    """The drive in a CSV file, as `build_drive`. Raises RunError."""
+    """Reads the drive in a CSV file (`build_drive`). Raises RunError."""
     return build_drive(read_table(file, layout or Layout()), vehicle)
 
 
 def add_steering_column(layout: Layout, steering: SteeringField | None) -> Layout:
-    """The layout with the steering column named by an option; unchanged if the option names a topic."""
+    """Adds the steering column that an option names to the layout; an option that names a topic changes nothing."""
     if steering is None or steering.topic:
         return layout
     channel = ROAD_WHEEL if steering.quantity == "road" else STEERING_WHEEL
@@ -64,12 +63,15 @@ def add_steering_column(layout: Layout, steering: SteeringField | None) -> Layou
 
 def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: float = 1.0,
                 steering: SteeringField | None = None) -> LoadedRun:
-    """The drive in a table. Raises RunError.
+    """Builds the drive of a table. Raises RunError.
 
     A row without a number in an INS channel is left out of the INS samples but not of the steering samples, and vice
-    versa; a missing acceleration becomes NaN. vehicle: needed for a file that has only the steering wheel angle.
-    yaw_scale: correction factor of yaw, applied before unwrapping. steering: its sign is applied. Provenance: columns
-    (channel -> column and unit), and the origin of the map for a table with latitude and longitude.
+    versa; a missing acceleration becomes NaN.
+
+    Args:
+        vehicle: required for a table that has only the steering wheel angle.
+        yaw_scale: correction factor of yaw, applied before unwrapping.
+        steering: gives the sign of the steering column that the layout of the table names.
     """
     file = table.file
     _require_columns(table, (*INS_SIGNALS, ROAD_WHEEL))
@@ -86,7 +88,7 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
             reason = f": {worst} has no number in {missing[worst]} of {len(table.time_ns) + table.rows_without_time}"
             if column := next((name for name in (worst, COMPUTED_FROM.get(worst, "")) if name in table.texts), ""):
                 raise RunError(file, f"it contains fewer than two usable rows: column {table.sources[column].name} has "
-                               f"no number, but {table.texts[column]!r}", "export it as plain numbers")
+                               f"no numbers, but text such as {table.texts[column]!r}", "export it as plain numbers")
         elif len(table.used) > 1:
             later = format_share(int(table.used.sum()), len(table.used), "rows")
             raise RunError(file, f"it contains fewer than two usable rows: only {later} have a time later than all "
@@ -109,8 +111,10 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
 
 
 def build_ins_log(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
-    """The INS part of a table, for a run whose steering is in a CAN log. Channels that are not needed may be NaN.
-    Raises RunError."""
+    """Builds the INS log of a table, for a run whose steering is in a CAN log. Raises RunError.
+
+    needed: channels that every sample has; in other channels, missing numbers are NaN.
+    """
     _require_columns(table, needed, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)
     columns, origin = _derive_channels(table, notes)
@@ -128,7 +132,7 @@ def build_ins_log(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
 
 
 def read_motion(source: RunSource, settings: ReadSettings) -> InsLog:
-    """An INS log with at least time, forward velocity and yaw rate. Raises RunError."""
+    """Reads an INS log with at least time, forward velocity and yaw rate. Raises RunError."""
     layout = source.settings.get("layout") or Layout()
     return build_ins_log(join_tables([read_table(file, layout) for file in source.files]), MOTION_SIGNALS)
 
@@ -139,7 +143,7 @@ def has_drive_columns(file: Path) -> bool:
 
 
 def lacks_steering(file: Path) -> bool:
-    """Whether the header names all columns of an INS and none of a steering angle."""
+    """Whether the header names every INS channel but no steering angle."""
     return _missing_in_header(file) == [ROAD_WHEEL]
 
 
@@ -149,7 +153,7 @@ def _missing_in_header(file: Path) -> list[str]:
 
 
 def looks_like_a_drive(file: Path) -> bool:
-    """Whether the header names at least a position and all but one of the INS channels."""
+    """Whether the header names a position and all or all but one of the INS channels."""
     names = read_header(file)
     missing = _missing_channels(find_columns(file, names, Layout()), names, INS_SIGNALS, completed=False)
     return len(missing) <= 1 and not {"x", "y"} & set(missing)
@@ -157,7 +161,10 @@ def looks_like_a_drive(file: Path) -> bool:
 
 def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iterable[str],
                       completed: bool = True) -> list[str]:
-    """The needed channels that no column gives, directly or derived. completed: count those `_complete_motion` adds."""
+    """The needed channels that neither a column gives nor can be derived from other columns.
+
+    completed: whether channels that `_complete_motion` derives count as given.
+    """
     found = set(sources)
     if found & {COMPASS, COURSE} or found.issuperset(QUATERNION_CHANNELS):
         found.add("yaw")
@@ -173,25 +180,25 @@ def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iter
 
 
 def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
-    """Raises RunError for missing columns. can: suggested run.yaml line with the CAN logs that belong to the table."""
+    """Raises RunError for missing columns. can: line of a run.yaml for CAN logs, as part of the advice."""
     missing = _missing_channels(table.sources, table.names, ("t", *needed))
     if missing and _is_mostly_numbers(table.names):
-        raise RunError(table.file, "its first line has numbers instead of the names of columns",
-                       "add a header line with the names of docs/csv_columns.md")
+        raise RunError(table.file, "its first line contains numbers instead of the names of columns",
+                       "add a header line with names from docs/csv_columns.md")
     unclear = describe_unknown_units(table.names, table.sources)
     candidates = [*missing, *([STEERING_WHEEL] if ROAD_WHEEL in missing else [])]
     if text := next((unclear[name] for name in candidates if name in unclear), ""):
-        raise RunError(table.file, text, "export another unit; or name the column in a run.yaml under `columns:`, and "
-                       "convert it with `correct:`")
+        raise RunError(table.file, text, "export it in another unit; or name the column in a run.yaml under "
+                       "`columns:`, and convert it with `correct:`")
     if missing:
         texts = [f"{name} (or {STEERING_WHEEL})" if name == ROAD_WHEEL else name for name in missing]
-        raise RunError(table.file, f"no column of the header is known as {', '.join(texts)}; it has "
+        raise RunError(table.file, f"no column is known as {', '.join(texts)}; its columns are "
                        f"{', '.join(table.names)[:200]}", STEERING_ADVICE if missing == [ROAD_WHEEL] else
                        COLUMN_ADVICE.format(stem=table.file.stem, name=table.file.name, can=can, channel=missing[0],
                                             kind="vbo" if table.file.suffix.lower() == ".vbo" else "csv"))
     doubtful = (find_ambiguous_steering(table.names) or "")[:60]
     if ROAD_WHEEL in needed and ROAD_WHEEL not in table.sources and STEERING_WHEEL not in table.sources:
-        raise RunError(table.file, f"column {doubtful} may be of the steering wheel or of the road wheels",
+        raise RunError(table.file, f"column {doubtful} may be the angle of the steering wheel or of the road wheels",
                        f"declare it: --steering-field '{doubtful}' --steering-is wheel (or road); or in a run.yaml, as "
                        f"columns: {{{STEERING_WHEEL}: {doubtful}}} or {{{ROAD_WHEEL}: {doubtful}}}")
 
@@ -201,9 +208,11 @@ def _is_mostly_numbers(names: Sequence[str]) -> bool:
 
 
 def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray], tuple[float, float, float] | None]:
-    """(columns with derived channels, origin of the map).
+    """(columns with derived channels, origin of the map: latitude, longitude [rad] and altitude [m]).
+
     Derives missing channels: yaw from compass heading, quaternion or course; velocities from east and north velocity or
-    from the course; yaw rate from yaw; x and y from latitude and longitude. Interpolates positions at every row."""
+    from the course; yaw rate from yaw; x and y from latitude and longitude. Interpolates channels of lower rate.
+    """
     columns, origin = dict(table.columns), None
     _interpolate_lower_rates(table, columns, notes)
     if "yaw" not in columns and COMPASS in columns:
@@ -222,13 +231,13 @@ def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarr
         latitude, longitude = columns["latitude"], columns["longitude"]
         for name, limit in (("latitude", 90), ("longitude", 360)):
             if np.isfinite(columns[name]).any() and (median := np.degrees(np.nanmedian(np.abs(columns[name])))) > limit:
-                raise RunError(table.file, f"{name} (column {table.sources[name].name}) is about {median:.6g} deg",
-                               "export decimal degrees, not degrees and minutes as 5206.123; or declare the unit in a "
-                               f"run.yaml, as units: {{{name}: 1e-7 deg}}")
+                raise RunError(table.file, f"{name} (column {table.sources[name].name}) is about {median:.6g} deg, "
+                               "which is impossible", "export decimal degrees, not degrees and minutes such as "
+                               f"5206.123; or declare the unit in a run.yaml, as units: {{{name}: 1e-7 deg}}")
         has_fix = (latitude != 0.0) | (longitude != 0.0)  # loggers write zeros before the first fix
         if not has_fix.all():
             without = format_share(int((~has_fix).sum()), len(has_fix), "rows")
-            notes.append(f"{table.file}: {without} have latitude and longitude 0: no fix")
+            notes.append(f"{table.file}: {without} have latitude and longitude 0, which means no fix")
         latitude, longitude = (np.where(has_fix, values, np.nan) for values in (latitude, longitude))
         found = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.used)
         origin = (float(latitude[found[0]]), float(longitude[found[0]]), 0.0) if len(found) else None
@@ -241,9 +250,11 @@ def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarr
 
 def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: np.ndarray,
                     longitude: np.ndarray) -> None:
-    """Raises RunError if latitude and longitude are in radians without a stated unit, or exchanged.
-    They are exchanged if only exchanged values agree with the integrated speed and the heading. Distances are compared
-    over steps of one second, in which receiver noise is small."""
+    """Raises RunError if latitude and longitude are in radians without a stated unit, or interchanged.
+
+    They are interchanged if they agree with the integrated speed and the heading only the other way round. Distances
+    are compared over steps of one second, which are long compared with the noise of the receiver.
+    """
     if "velocity_x" not in columns:
         return
     rows = np.flatnonzero(table.used & np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(
@@ -254,40 +265,40 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
     step = max(round(1.0 / float(np.median(np.diff(time)))), 1)
     speed = np.abs(columns["velocity_x"][rows])
     driven = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time)))[::step]
-    if driven[-1] < time[-1] - time[0]:  # slower than 1 m/s: noise of a standing receiver
+    if driven[-1] < time[-1] - time[0]:  # below 1 m/s on average, receiver noise dominates
         return
     moving = np.diff(driven) > 0.5 * np.median(np.diff(driven))
     turned = [np.pi / 2 - columns[name] for name in (COMPASS, COURSE) if name in columns]
     heading = next((angle[rows[::step]][:-1] for angle in ([columns["yaw"]] if "yaw" in columns else turned)), None)
 
-    def compared(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+    def compare(latitude: np.ndarray, longitude: np.ndarray) -> tuple[float, float]:
         """Medians over steps: (ratio of position distance to driven distance, angle of course to heading [rad])."""
-        first, at = (float(one[rows[0]]), float(other[rows[0]]), 0.0), rows[::step]
-        east, north, _ = (np.diff(v) for v in to_enu(first, one[at], other[at], np.zeros(len(at))))
+        origin, at = (float(latitude[rows[0]]), float(longitude[rows[0]]), 0.0), rows[::step]
+        east, north, _ = (np.diff(v) for v in to_enu(origin, latitude[at], longitude[at], np.zeros(len(at))))
         ratio = np.median((np.hypot(east, north) / np.maximum(np.diff(driven), 1e-9))[moving])
         if heading is None:
             return float(ratio), np.nan
         return float(ratio), float(np.nanmedian(np.abs(np.angle((east + 1j * north) * np.exp(-1j * heading)))[moving]))
 
     names = [table.sources[name].name for name in ("latitude", "longitude")]
-    ratio, angle = compared(latitude, longitude)
+    ratio, angle = compare(latitude, longitude)
     if not table.sources["latitude"].stated and 0.8 < ratio * 180.0 / np.pi < 3.0:
-        raise RunError(table.file, f"{names[0]} and {names[1]} are in radians: read as degrees, they give 1/"
+        raise RunError(table.file, f"{names[0]} and {names[1]} are in radians: if read as degrees, they give 1/"
                        f"{1.0 / ratio:.0f} of the driven distance",
-                       "declare it in a run.yaml, as units: {latitude: rad, longitude: rad}")
+                       "declare the unit in a run.yaml, as units: {latitude: rad, longitude: rad}")
     if abs(ratio - 1.0) > 0.05 and angle > 0.3 and np.abs(longitude[rows]).max() < np.pi / 2:
-        ratio, angle = compared(longitude, latitude)
+        ratio, angle = compare(longitude, latitude)
         if abs(ratio - 1.0) < 0.02 and angle < 0.1:
-            raise RunError(table.file, f"{names[0]} and {names[1]} are interchanged: only the other way round they "
-                           f"agree with the driven distance and the heading", f"exchange them in a run.yaml, as "
+            raise RunError(table.file, f"{names[0]} and {names[1]} are interchanged: they agree with the driven "
+                           "distance and the heading only the other way round", "interchange them in a run.yaml, as "
                            f"columns: {{latitude: '{names[1]}', longitude: '{names[0]}'}}")
 
 
 def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Interpolates INS channels with a lower rate or other stamps at the rows of the channel with the highest rate.
+    """Interpolates INS channels with a lower rate or separate stamps at the rows of the channel with the highest rate.
 
-    Loggers write such tables with blank cells. Missing numbers of the channel with the highest rate, and gaps in other
-    channels, are not filled.
+    Loggers leave the other cells of such channels blank. Missing numbers in the channel with the highest rate, and gaps
+    in the other channels, are not filled.
     """
     names = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, COMPASS, COURSE, "velocity_east", "velocity_north")
              if name in columns]
@@ -316,13 +327,13 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
         columns[name][rows] = interpolated
         changed.append(f"{name} {format_share(len(samples), int(table.used.sum()), 'rows')}")
     if changed:
-        notes.append(f"{table.file}: channels with a lower rate or separate stamps: {', '.join(changed)}; the other "
-                     "rows were interpolated")
+        notes.append(f"{table.file}: channels with a lower rate or separate stamps: {', '.join(changed)}; their values "
+                     "in the other rows were interpolated")
 
 
 def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], notes: list[str]) -> np.ndarray:
-    """Course over ground [rad], interpolated where the car is slower than MIN_COURSE_SPEED, since it is noise there;
-    constant if the car is never faster."""
+    """Course over ground [rad], interpolated where the car is slower than MIN_COURSE_SPEED; constant if it is never
+    faster."""
     course = columns[COURSE]
     if "velocity_x" in columns:
         speed = np.abs(columns["velocity_x"])
@@ -336,7 +347,7 @@ def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], n
         return course
     moving = np.flatnonzero(known & ~slow) if (known & ~slow).any() else np.flatnonzero(known)[:1]
     notes.append(f"{table.file}: {format_share(int(slow.sum()), int(table.used.sum()), 'rows')} are slower than "
-                 f"{MIN_COURSE_SPEED:g} m/s, where the course is noise and not used")
+                 f"{MIN_COURSE_SPEED:g} m/s; the course is noise there and was interpolated")
     course = course.copy()
     course[slow] = np.interp(table.time_ns[slow] - table.time_ns[0], table.time_ns[moving] - table.time_ns[0],
                              np.unwrap(course[moving]))
@@ -344,23 +355,23 @@ def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], n
 
 
 def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Adds missing channels: velocity_y, from the course or 0, and the yaw rate as derivative of yaw."""
+    """Adds missing channels: velocity_y from the course, or else 0, and the yaw rate as the derivative of yaw."""
     if not columns.keys() >= {"velocity_x", "yaw"}:
         return
     if "velocity_y" not in columns:
         course = np.pi / 2 - columns[COURSE] if COURSE in columns else columns["yaw"]
-        slip = wrap_angle(course - columns["yaw"])
+        sideslip = wrap_angle(course - columns["yaw"])
         speed = columns["velocity_x"]
-        columns["velocity_x"], columns["velocity_y"] = speed * np.cos(slip), speed * np.sin(slip)
-        if not np.nan_to_num(slip).any():
-            notes.append(f"{table.file}: no column is known as velocity_y: the sideslip is not measured")
+        columns["velocity_x"], columns["velocity_y"] = speed * np.cos(sideslip), speed * np.sin(sideslip)
+        if not np.nan_to_num(sideslip).any():
+            notes.append(f"{table.file}: no column is known as velocity_y, so the sideslip is not measured")
     if "yaw_rate" not in columns:
         columns["yaw_rate"] = differentiate_yaw(table, columns["yaw"])
         notes.append(f"{table.file}: no column is known as yaw_rate; the derivative of yaw is used")
 
 
 def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Interpolates positions that have a lower rate than the rows and are repeated until the next one."""
+    """Interpolates positions that have a lower rate than the rows and are held until the next one."""
     if not columns.keys() >= {"x", "y", "velocity_x"}:
         return
     rows = np.flatnonzero(table.used & all_finite(columns, ("x", "y", "velocity_x")))
@@ -379,9 +390,9 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
     if is_rounded or (moving & ~new).sum() <= MAX_HELD_SHARE * max(moving.sum(), 1):
         return
     fresh = np.concatenate(([True], new))
-    # The first new position after lost rows may have changed in one of them, so its time is unknown.
+    # The first new position after missing rows may have been measured at one of them, so its time is unknown.
     after_gap = np.concatenate(([False], np.diff(seconds) > MIN_LOST_INTERVAL * np.median(np.diff(seconds))))
-    if (fresh & after_gap).sum() <= MAX_LATE_SHARE * fresh.sum() and (fresh & ~after_gap).sum() > 2:
+    if (fresh & after_gap).sum() <= MAX_AFTER_GAP_SHARE * fresh.sum() and (fresh & ~after_gap).sum() > 2:
         fresh &= ~after_gap
     for name in ("x", "y"):
         values = columns[name].copy()
@@ -396,7 +407,7 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
 
 
 def _has_steps_of_one_digit(values: np.ndarray) -> bool:
-    """Whether a position [unit of the file] mostly changes by one unit of its last decimal, and is thus rounded."""
+    """Whether a position [unit of the file] mostly changes by one unit of its last decimal, because it is rounded."""
     size = np.abs(np.diff(values))
     size = size[size > 0]
     if not len(size):
@@ -407,7 +418,8 @@ def _has_steps_of_one_digit(values: np.ndarray) -> bool:
 
 def _choose_steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,
                      steering: SteeringField | None, notes: list[str]) -> tuple[str, ...]:
-    """Steering channels to use; computes the road wheel angle if the table has only the steering wheel angle."""
+    """Chooses the steering channels to read; computes the road wheel angle if there is only the steering wheel angle.
+    Raises RunError if this needs a vehicle file."""
     if steering is not None and not steering.topic:
         named, other = (ROAD_WHEEL, STEERING_WHEEL) if steering.quantity == "road" else (STEERING_WHEEL, ROAD_WHEEL)
         columns[named] = steering.sign * columns[named]
@@ -430,7 +442,7 @@ def _choose_steering(table: Table, columns: dict[str, np.ndarray], vehicle: Vehi
 
 def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[str, ...],
                    notes: list[str]) -> dict[str, int]:
-    """Channel -> rows without a usable number; adds a note on each. Rows whose time is not used are not counted."""
+    """Channel -> number of used rows in which it has no number; adds a note on each such channel."""
     channels = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering) if name in columns]
     lost = {"time": table.rows_without_time,
             **{name: _count_lost_samples(columns[name][table.used]) for name in channels}}
@@ -444,7 +456,7 @@ def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tu
         elif name in OPTIONAL_INS_SIGNALS:
             consequence = "it is not used" if half else "it is unknown there"
         else:
-            consequence = f"these samples of the {'steering' if name in steering else 'INS'} were left out"
+            consequence = f"these {'steering' if name in steering else 'INS'} samples were left out"
         column = f" (column {source.name})" if source else ""
         notes.append(f"{table.file}: {name}{column}: {format_share(count, total, 'rows')} have no number"
                      f"{', more than half' if half else ''}; {consequence}")
@@ -454,7 +466,7 @@ def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tu
 
 
 def _count_lost_samples(column: np.ndarray) -> int:
-    """Number of rows without a number, not counting the regular blanks of a channel of lower rate than the rows."""
+    """Number of rows without a number, except the regular blanks of a channel with a lower rate than the rows."""
     known_rows = np.flatnonzero(np.isfinite(column))
     steps = np.diff(known_rows)
     step = int(np.median(steps)) if len(known_rows) >= 3 else 1

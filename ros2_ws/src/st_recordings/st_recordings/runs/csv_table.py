@@ -1,4 +1,4 @@
-"""Reads a CSV file with any delimiter, decimal mark, encoding or missing-value marker: header, units, numeric rows."""
+"""Reads the channels of a CSV file with any delimiter, decimal mark, encoding or missing-value marker, in SI units."""
 
 import csv
 import io
@@ -27,15 +27,15 @@ from .columns import (
 from .errors import RunError, check_readable, format_share, shorten
 from .ins_log import LATEST_TIME, select_usable_rows
 
-MAX_UNIT_ROWS = 5  # rows below the header that contain no number: units, sources, types
-MAX_HEADER_LINES = 60  # loggers write some lines of metadata before the header
+MAX_UNIT_ROWS = 5  # largest number of rows without numbers (units, sources, types) below the header
+MAX_HEADER_LINES = 60  # the header is sought in these first lines, because loggers write metadata before it
 MISSING = frozenset(("", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "none", "inf", "-inf", "+inf", "nil"))
 _GROUPED = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for mark in ",."}
 _GROUPED_CELL = re.compile(r"(?:^|[;\t])\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+\s*(?=[;\t\r\n]|$)", re.MULTILINE)
-_GROUPED_POINTS = re.compile(r"\.(?<=\d.)\d{3}\.\d{3}(?!\d)")  # 1.234.567; a fixed first character is quick
+_GROUPED_POINTS = re.compile(r"\.(?<=\d.)\d{3}\.\d{3}(?!\d)")  # 1.234.567; fast because it starts with a literal
 _NUMERIC = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
 # 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12.5 PM. Spreadsheets
-# write minutes and seconds as 11:12.5. 05/04/2026 may be in April or May.
+# write minutes and seconds as 11:12.5. A date such as 05/04/2026 is not interpreted, since it is in April or in May.
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
                     r"(?:0 days )?(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
                     r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
@@ -44,33 +44,28 @@ _NAMED_MONTH = re.compile(r"(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4})(?!\d)"
 _WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-].*)")  # 0.02 sec, 12 km/h
 _FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # 1.5D-03
 DAY, HOUR = 86400.0, 3600.0  # s
-MAX_RADIANS = 6.4  # a first heading of larger magnitude is in degrees
-MAX_YAW_RATE = 3.0  # rad/s; faster ones are in deg/s
+MAX_RADIANS = 6.4  # if the first heading has a larger magnitude, the column is in degrees
+MAX_YAW_RATE = 3.0  # rad/s; a column with larger values is in deg/s
 ROLLOVER_STEP = 60.0  # s, longest gap between two rows across midnight or across the end of a GPS week
-_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # (day number of 1970-01-01, its program)
-_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
+_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # (day number of 1970-01-01, program that counts so)
+_PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
 _THOUSANDS_SPACES = re.compile(r"[\u00a0\u202f\u2009'](?<=\d.)(?=\d{3}(?!\d))")
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of channels. names: names of all columns. sources: column and unit by channel.
-
-    columns: values in SI by channel, NaN for a missing number. time_ns: times of all rows that have one, in the order
-    of the file; rows_without_time: number of rows left out for lack of a time. used: (n,) whether the time of a row is
-    later than all before (ins_log.usable_rows). warnings name the file. texts: first cell of channels without numbers.
-    """
+    """The channels of a table, in the order of the file, without the rows that have no time."""
 
     file: Path
-    names: tuple[str, ...]
-    sources: Mapping[str, ColumnSource]
-    columns: Mapping[str, np.ndarray]
-    time_ns: np.ndarray
+    names: tuple[str, ...]  # of all columns
+    sources: Mapping[str, ColumnSource]  # by channel
+    columns: Mapping[str, np.ndarray]  # SI values by channel, (n,) each; NaN where a number is missing
+    time_ns: np.ndarray  # (n,)
     rows_without_time: int
-    used: np.ndarray
-    warnings: tuple[str, ...]
-    texts: Mapping[str, str] = field(default_factory=dict)
+    used: np.ndarray  # (n,) whether ins_log.select_usable_rows selects the row
+    warnings: tuple[str, ...]  # each names the file
+    texts: Mapping[str, str] = field(default_factory=dict)  # first cell of each channel that has no numbers
 
     @property
     def absolute(self) -> bool:
@@ -79,9 +74,9 @@ class Table:
 
 
 def read_text(file: Path, size: int = -1) -> str:
-    """Text of a UTF-8, UTF-16 (some spreadsheets) or Windows-1252 file, with \\n at the ends of lines.
+    """Reads a UTF-8, UTF-16 (some spreadsheets) or Windows-1252 file; its lines end with \\n.
 
-    size: bytes to read, -1 for all. Raises RunError for a binary file.
+    size: number of bytes to read, -1 for all. Raises RunError for a binary file.
     """
     return _decode(file, size).replace("\r\n", "\n").replace("\r", "\n")
 
@@ -104,7 +99,7 @@ def _decode(file: Path, size: int) -> str:
 
 
 def read_header(file: Path) -> list[str]:
-    """Names of the columns; empty for a binary file."""
+    """Reads the names of the columns; empty for a file that cannot be read as text."""
     try:
         lines = read_text(file, 1 << 16).splitlines()
         return _split_header(lines[_find_header_line(lines)])[0] if lines else []
@@ -113,14 +108,14 @@ def read_header(file: Path) -> list[str]:
 
 
 def read_table(file: Path, layout: Layout) -> Table:
-    """The table in a CSV file. Raises RunError for a binary file, unreadable times, or rows unlike the header."""
+    """Reads a CSV file. Raises RunError for a binary file, unreadable times, or rows that do not fit the header."""
     check_readable(file)
     text = read_text(file)
     warnings: list[str] = []
     skipped = _find_header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
     *above, header, body = (text + "\n").split("\n", skipped + 1)
     if skipped > 1 or (skipped and not _SEPARATOR.match(above[0])):
-        warnings.append(f"{file}: the header is in line {skipped + 1}; the {skipped} before it were skipped")
+        warnings.append(f"{file}: the header is in line {skipped + 1}; the {skipped} lines before it were skipped")
     names, delimiter = _split_header(header)
     if delimiter == " ":
         body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
@@ -128,9 +123,9 @@ def read_table(file: Path, layout: Layout) -> Table:
 
 
 def join_tables(tables: Sequence[Table]) -> Table:
-    """Joins the parts of a recording in order of their first times, keeping the channels that all parts have.
+    """Joins the parts of a recording in the order of their first times, with the channels that all parts have.
 
-    Raises RunError for parts that overlap in time, since each then has its own clock.
+    Raises RunError for parts that overlap in time, because their clocks then differ.
     """
     parts = sorted((table for table in tables if table.used.any()), key=lambda part: part.time_ns[part.used][0])
     if len(parts) < 2:
@@ -144,16 +139,20 @@ def join_tables(tables: Sequence[Table]) -> Table:
                if all(channel in part.columns for part in parts)}
     lost = sorted({*first.columns} - {*columns})
     notes = [note for part in parts for note in part.warnings]
-    notes += [f"{first.file}: {', '.join(lost)}: not in all parts, and not used"] if lost else []
-    return Table(first.file, first.names, {c: p for c, p in first.sources.items() if c in columns or c == "t"}, columns,
+    notes += [f"{first.file}: {', '.join(lost)}: not used, because not all parts have it"] if lost else []
+    sources = {channel: source for channel, source in first.sources.items() if channel in columns or channel == "t"}
+    return Table(first.file, first.names, sources, columns,
                  np.concatenate([part.time_ns for part in parts]), sum(part.rows_without_time for part in parts),
                  np.concatenate([part.used for part in parts]), tuple(notes))
 
 
 def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout: Layout, warnings: list[str],
                 sources: dict[str, ColumnSource] | None = None, above: Sequence[str] = ()) -> Table:
-    """Parses rows of text into a table. sources: column of each channel, by default found from the names.
-    above: lines before the header, which may give the units. Raises RunError."""
+    """Parses rows of text into a table. Raises RunError.
+
+    sources: column of each channel; by default they are found by the names. above: lines before the header, which may
+    give the units.
+    """
     body = body.replace("\u2212", "-")
     if "D+" in body or "D-" in body or "d+" in body or "d-" in body:  # the substitution is slow
         body = _FORTRAN.sub("E", body)
@@ -193,7 +192,7 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
 
 
 def _add_nanoseconds(rows: np.ndarray, names: list[str], column: int) -> np.ndarray:
-    """Times of a column, plus the nanosecond column of a ROS stamp if the first contains whole seconds only."""
+    """Times in a column, plus the nanoseconds in the second column of a ROS stamp if the first has whole seconds."""
     stamps, pair = rows[:, column], find_stamp_columns(names)
     if pair is None or pair[0] != column or np.nan_to_num(stamps % 1.0).any():
         return stamps
@@ -203,7 +202,7 @@ def _add_nanoseconds(rows: np.ndarray, names: list[str], column: int) -> np.ndar
 
 def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layout: Layout,
                   warnings: list[str]) -> dict[str, ColumnSource]:
-    """The channels that a header names; a first column of times without a name, the index of a data frame, is time."""
+    """Finds the channels in a header. A first column of times without a name is time: the index of a data frame."""
     plain = {normalise(name) for name in names}
     sources = find_columns(file, names, layout)
     if (plain & {"id", "canid", "arbitrationid"} and plain & {"dlc", "len", "length"}
@@ -218,11 +217,13 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
 
 def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[str, np.ndarray], time_ns: np.ndarray,
                   warnings: list[str]) -> dict[str, ColumnSource]:
-    """Detects compass headings and courses in degrees, converts their columns, and returns the updated sources.
-    If no unit is stated, values from -180 to 360 are degrees if they wrap by 360 or the first exceeds 2 pi, unless
-    their change agrees with the yaw rate in rad/s."""
+    """Converts angles in degrees whose header states no unit, and returns the updated sources.
+
+    Compass heading, course and yaw are in degrees if they lie between -180 and 360, and either wrap by 360 or begin
+    above 2 pi, unless their change agrees with the yaw rate in rad/s.
+    """
     degree = UNITS["angle"]["deg"][0]
-    # A derived yaw rate would hide that yaw is in degrees.
+    # With a yaw rate column, a yaw in degrees contradicts it and is reported; a derived yaw rate would hide the error.
     for channel in ("compass_heading", "course", *(() if "yaw_rate" in sources else ("yaw",))):
         source = sources.get(channel)
         if source is None or source.stated or source.unit != "rad":
@@ -245,44 +246,45 @@ def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[st
 
 def _select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_time: str | None,
                          warnings: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(whether each row has a time, those times [ns], whether each of them is used). Raises RunError if none has."""
+    """(whether each row has a time, these times [ns], whether each is used). Raises RunError without readable times."""
     has_time = np.abs(seconds) <= LATEST_TIME
     if first_time is not None and len(seconds) and not np.isfinite(seconds).any():
-        raise RunError(file, f"no time in column {source.name} can be read, the first is {first_time!r}",
-                       "export seconds, or date and time with seconds, as 2026-05-04 10:11:12.3")
+        raise RunError(file, f"no time in column {source.name} can be read; the first is {first_time!r}",
+                       "export seconds, or date and time with seconds such as 2026-05-04 10:11:12.3")
     known = np.abs(seconds[np.isfinite(seconds)])
     if len(known) and has_time.sum() < 0.5 * len(known):
         unit = _guess_time_unit(seconds)
-        raise RunError(file, f"times like {known.max():.3g} in column {source.name} are not in {source.unit}",
+        raise RunError(file, f"times such as {known.max():.3g} in column {source.name} cannot be in {source.unit}",
                        f"declare their unit in a run.yaml, as units: {{t: {unit}}}" if unit else "export seconds")
-    # Seconds since 1970 as a float have a resolution of microseconds.
+    # A float of seconds since 1970 resolves microseconds only.
     time_ns = np.round(seconds[has_time] * 1e6).astype(np.int64) * 1000
     usable, notes = select_usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
     used = np.zeros(len(time_ns), dtype=bool)
     used[usable] = True
     warnings += [f"{file}: {note}" for note in notes]
     if 2 * used.sum() < len(used) and not (time_ns % 10**9).any():
-        warnings.append(f"{file}: column {source.name} has whole seconds only, each in many rows; export fractions of "
+        warnings.append(f"{file}: column {source.name} has only whole seconds, each in many rows; export fractions of "
                         "a second")
     if not source.stated and used.sum() > 2 and (step := float(np.median(np.diff(time_ns[used])) * 1e-9)) > 1.0:
-        warnings.append(f"{file}: its times are {step:g} s apart; if they are not seconds, declare their unit in a "
+        warnings.append(f"{file}: its times are {step:g} s apart; if they are not in seconds, declare their unit in a "
                         f"run.yaml, as units: {{t: {_guess_time_unit(seconds) or 'ms'}}}")
     return has_time, time_ns, used
 
 
 def _guess_time_unit(times: np.ndarray) -> str:
-    """The time unit that gives plausible times and a typical step between 0.5 ms and 0.5 s; empty if there is none."""
+    """The unit with which the times are plausible and their median step is 0.5 ms to 0.5 s; empty if there is none."""
     times = times[np.isfinite(times)]
     step = np.abs(np.diff(times))
-    usual, largest = float(np.median(step[step > 0.0])) if step.any() else 0.0, float(np.abs(times).max())
+    median_step = float(np.median(step[step > 0.0])) if step.any() else 0.0
+    largest = float(np.abs(times).max())
     factors = {unit: UNITS["time"][unit][0] for unit in ("ms", "us", "ns")}
     return next((unit for unit, factor in factors.items()
-                 if 5e-4 <= usual * factor < 0.5 and largest * factor <= LATEST_TIME), "")
+                 if 5e-4 <= median_step * factor < 0.5 and largest * factor <= LATEST_TIME), "")
 
 
 def _find_header_line(lines: list[str], layout: Layout | None = None) -> int:
-    """Index of the first line that names the most channels. If no line names two channels, index of the first line
-    with the most frequent number of cells."""
+    """Index of the line that names the most channels. If no line names two channels, index of the first line with the
+    most frequent number of cells."""
     counts, widths = [], []
     for line in lines[:MAX_HEADER_LINES]:
         names, _ = _split_header(line)
@@ -294,8 +296,8 @@ def _find_header_line(lines: list[str], layout: Layout | None = None) -> int:
 
 
 def _split_header(header: str) -> tuple[list[str], str]:
-    """(names, delimiter)."""
-    delimiter = max(";\t|,", key=re.sub('"[^"]*"', "", header).count)  # the first of equally frequent ones
+    """(names of the columns, delimiter)."""
+    delimiter = max(";\t|,", key=re.sub('"[^"]*"', "", header).count)  # the order decides between equal counts
     if delimiter not in header and len(header.split()) > 2:
         names = header.split()
         return names[names[0] in ("#", "%", "//"):], " "  # "# t x y" of numpy.savetxt
@@ -310,8 +312,8 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
                     layout: Layout) -> tuple[dict[str, ColumnSource], str]:
     """(sources with units from a row above or below the names, the body from its first row of data).
 
-    If several rows below the names contain no number, one gives the units; the others are types or sources. A row of
-    missing-value markers is not a row of units. Raises RunError for a cell that is not a unit of its channel.
+    The first row below the names whose cells are all units of their channels gives the units; other rows without
+    numbers are types or sources. Raises RunError if there are such rows but none of them gives the units.
     """
     def texts(line: str) -> dict[str, str]:
         cells = [cell.strip(' \r"') for cell in line.split(delimiter)]
@@ -337,19 +339,19 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
         kind = COLUMNS[channel].kind
         raise RunError(
             file, f"unit row: {units[channel][:40]!r} of column {sources[channel].name} is not a unit of {kind}",
-            f"known are {', '.join(UNITS[kind])}; or set it in a run.yaml, as units: {{{channel}: ...}}")
+            f"known units are {', '.join(UNITS[kind])}; or set it in a run.yaml, as units: {{{channel}: ...}}")
     return _apply_units(sources, units or {}, layout), "\n".join(lines)
 
 
 def _apply_units(sources: dict[str, ColumnSource], texts: Mapping[str, str], layout: Layout) -> dict[str, ColumnSource]:
-    """The sources with the units that `texts` gives by channel; units in the layout have priority."""
+    """Sets the units that `texts` gives by channel, except those that the layout gives."""
     return {**sources, **{channel: replace(sources[channel], unit=unit, stated=True) for channel, text in texts.items()
                           if channel not in layout.units and (unit := find_unit(COLUMNS[channel].kind, text))}}
 
 
 def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter: str,
                          layout: Layout) -> tuple[dict[str, ColumnSource], str]:
-    """(sources with the units written after the numbers in their cells, the body without these units)."""
+    """(sources with the units that follow the numbers in their cells, the body without these units)."""
     first = _split_first_row(body, delimiter)
     found = {channel: text for channel, source in sources.items() if source.column < len(first)
              and (text := _split_unit(channel, first[source.column]))}
@@ -378,7 +380,8 @@ def _split_first_row(body: str, delimiter: str) -> list[str]:
 def times_to_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], tuple[float, float] | None]) -> str:
     """Converts the times of the rows to seconds; a time of day continues past midnight.
 
-    clock: reads a cell as (seconds, period after which they restart, 0 for never); None for an invalid cell.
+    clock: converts a cell to (seconds, period [s] after which they restart at zero, or 0 if they never do); None for an
+    invalid cell.
     """
     rows = [line.split(delimiter) for line in body.split("\n")]
     offset, before = 0.0, 0.0
@@ -398,14 +401,14 @@ def times_to_seconds(body: str, delimiter: str, column: int, clock: Callable[[st
 
 
 def _order_dates(file: Path, body: str, warnings: list[str]) -> str:
-    """The body with dates like 25/04/2026 as 2026-04-25, if any date determines which number is the day."""
+    """Converts dates such as 25/04/2026 to 2026-04-25 if at least one date shows which number is the day."""
     pairs = {(int(a), int(b)) for a, b, _ in _SLASHED.findall(body) if int(a) <= 31 and int(b) <= 31}
     day_first, month_first = any(a > 12 for a, _ in pairs), any(b > 12 for _, b in pairs)
     if day_first != month_first:
         return _SLASHED.sub(r"\3-\2-\1" if day_first else r"\3-\1-\2", body)
     if pairs:
-        warnings.append(f"{file}: the day/month order of its dates is ambiguous; only the time of day is used; export "
-                        "dates as 2026-04-25")
+        warnings.append(f"{file}: the order of day and month in its dates is ambiguous, so only the time of day is "
+                        "used; export dates such as 2026-04-25")
     return body
 
 
@@ -414,8 +417,10 @@ def _replace_month_name(date: re.Match[str]) -> str:
 
 
 def _parse_stamp(text: str) -> tuple[float, float] | None:
-    """(seconds, period after which they restart) of a date and time: since 1970 (period 0), midnight or the full hour.
-    A text without time zone is read as UTC."""
+    """Parses a time: (seconds since 1970, midnight or the full hour, period [s] after which they restart or 0).
+
+    A text without time zone is UTC. Returns None for a text that is not a time.
+    """
     match = _STAMP.fullmatch(text)
     if match is None:
         return None
@@ -437,7 +442,7 @@ def _parse_stamp(text: str) -> tuple[float, float] | None:
 
 
 def _convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list[str]) -> np.ndarray:
-    """Times [s], from the stated unit or an inferred format: HHMMSS, or ms, us, ns or days since 1970."""
+    """Converts times to seconds, by the stated unit or an inferred format: HHMMSS, days, or ms, us or ns since 1970."""
     finite = times[np.isfinite(times)]
     median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
     steps = steps[steps > 0.0]  # a coarse clock repeats its times
@@ -453,7 +458,7 @@ def _convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, war
     elif len(steps) and np.median(steps) < 2e-5:  # faster than any logger
         meanings = [(origin, DAY, f"days of {tool} (UTC)") for origin, tool in _DAY_COUNTS]
     for origin, factor, meaning in meanings if not source.stated else ():
-        if _EPOCH[0] <= (median - origin) * factor <= _EPOCH[1]:
+        if _PLAUSIBLE_EPOCH[0] <= (median - origin) * factor <= _PLAUSIBLE_EPOCH[1]:
             warnings.append(f"{file}: times of column {source.name} were read as {meaning}")
             return (times - origin) * factor
     seconds = times * source.factor
@@ -466,7 +471,7 @@ def _convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, war
 
 
 def _is_hhmmss(times: np.ndarray) -> bool:
-    """Whether numbers are HHMMSS.ss: minutes and seconds below 60, and steps 40 larger at full minutes."""
+    """Whether numbers are HHMMSS.ss: minutes and seconds below 60, and a step to a full minute that is larger by 40."""
     if len(times) < 3 or times.min() < 0.0 or times.max() >= 240000.0 or (times % 100 >= 60.0).any() or (
             times // 100 % 100 >= 60).any():
         return False
@@ -476,10 +481,10 @@ def _is_hhmmss(times: np.ndarray) -> bool:
 
 
 def _use_decimal_points(file: Path, body: str, delimiter: str) -> str:
-    """Converts all numbers to decimal points without thousands separators.
+    """Writes all numbers with decimal points and without thousands separators.
 
-    The whole file decides whether comma or point is the decimal mark. Raises RunError if a cell remains ambiguous:
-    1,234 may be 1.234 or 1234.
+    Cells of the whole file determine whether comma or point is the decimal mark. Raises RunError if a cell remains
+    ambiguous: 1,234 may be 1.234 or 1234.
     """
     body = _THOUSANDS_SPACES.sub("", body)
     quoted = delimiter == "," and '"' in body
@@ -491,18 +496,18 @@ def _use_decimal_points(file: Path, body: str, delimiter: str) -> str:
     cells = {cell.strip(' \r"') for row in table for cell in row}
     commas = {cell for cell in cells if "," in cell}
     points = {cell for cell in cells if "." in cell}
-    # The decimal mark is the last of two different marks in a cell, ...
+    # The decimal mark is the last of the two marks in 1.234,5, ...
     marks = {"," if cell.rfind(",") > cell.rfind(".") else "." for cell in commas & points}
     for mark, cells_with_mark, other in ((",", commas, "."), (".", points, ",")):
         single = {cell for cell in cells_with_mark if other not in cell}
         if any(cell.count(mark) == 1 and not _GROUPED[mark].fullmatch(cell) and
                np.isfinite(_parse_number(cell.replace(",", "."))) for cell in single):
-            marks.add(mark)  # ... the mark of 12,5, ...
+            marks.add(mark)  # ... the only mark in 12,5, ...
         elif any(cell.count(mark) > 1 for cell in single if _GROUPED[mark].fullmatch(cell)):
-            marks.add(other)  # ... and the mark that is not in 1,234,567
+            marks.add(other)  # ... and not the mark in 1,234,567.
     doubtful = sorted(cell for cell in commas | points if any(form.fullmatch(cell) for form in _GROUPED.values()))
     if doubtful and (len(marks) > 1 or not marks):
-        why = "the file has decimal commas and decimal points" if marks else "no other cell decides it"
+        why = "the file has decimal commas and decimal points" if marks else "no other cell shows which"
         raise RunError(file, f"{doubtful[0]} may be a number with a decimal mark or with a thousands separator: {why}",
                        "export it without thousands separators")
     if len(marks) > 1:  # every cell has at most one mark, and it is decimal
@@ -522,7 +527,8 @@ def _split_cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[
 
 
 def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
-    """The numbers in the rows, (n, width), NaN for missing ones. Rows of another width are left out."""
+    """Parses the rows to (n, width), NaN for missing numbers. Rows with another number of cells are left out; raises
+    RunError if these are half of the rows or more."""
     lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}') and not _is_comment(line, delimiter)]
     try:
         return _parse_rows(lines, delimiter, width)
@@ -534,7 +540,7 @@ def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: 
     if complete and 2 * lost < len(lines):
         try:
             rows = _parse_rows(complete, delimiter, width)
-            what = "the last row is truncated; it was left out" if lost == 1 and widths[-1] != width else (
+            what = "the last row is truncated and was left out" if lost == 1 and widths[-1] != width else (
                 f"{format_share(lost, len(lines), 'rows')} do not have as many cells as the header; they were left out")
             warnings.append(f"{file}: {what}")
             return rows
@@ -549,7 +555,7 @@ def _parse_rows(lines: list[str], delimiter: str, width: int) -> np.ndarray:
         return np.zeros((0, width))
     try:
         rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None)
-    except ValueError:  # a cell is empty or text: convert cell by cell, which takes three times longer
+    except ValueError:  # A cell is empty or text. Converting cell by cell takes three times as long.
         rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, quotechar='"', converters=_parse_number, comments=None)
     if rows.shape[1] == width + 1 and all(line.rstrip().endswith(delimiter) for line in lines):
         rows = rows[:, :width]  # every row ends with a delimiter
@@ -571,12 +577,12 @@ def _parse_number(text: str) -> float:
 
 
 def all_finite(columns: Mapping[str, np.ndarray], names: Iterable[str]) -> np.ndarray:
-    """Whether each row has a number in all of the named channels."""
+    """Whether each row has a number in every named channel."""
     return np.isfinite(np.stack([columns[name] for name in names])).all(axis=0)
 
 
 def differentiate_yaw(table: Table, angle: np.ndarray) -> np.ndarray:
-    """Yaw rate [rad/s] from a yaw angle, at used rows with an angle; NaN elsewhere, or if fewer than 3 have it."""
+    """Yaw rate [rad/s] from a yaw angle [rad] at the used rows; NaN at others, and if fewer than 3 have an angle."""
     rate = np.full(len(angle), np.nan)
     rows = np.flatnonzero(table.used & np.isfinite(angle))
     if len(rows) > 2:

@@ -1,4 +1,4 @@
-"""Errors and warnings about recordings: one sentence for the user that names the file and what to do."""
+"""Errors and warnings about recordings, each one sentence that names the file and says what to do."""
 
 import logging
 import re
@@ -13,13 +13,13 @@ COMPRESSED_MARKS = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, or a spreadsheet",
 _LOGGER = logging.getLogger("st_recordings")
 _logged: set[str] = set()
 MAX_SIMILAR_WARNINGS = 3
-"""While warnings are grouped: number logged in full of each set that differs only in file name and numbers."""
-# Warnings by their text without file and numbers, while they are grouped.
+"""Number of similar warnings that are logged in full while warnings are grouped."""
+# While warnings are grouped: text without file and numbers -> the warnings that share it.
 _groups: ContextVar[dict[str, list[str]] | None] = ContextVar("_groups", default=None)
 
 
 class RunError(ValueError):
-    """A run, or a file of one, cannot be used. path: the file, folder or option to name."""
+    """A run or one of its files cannot be used. path: the file, folder or option that the message names."""
 
     def __init__(self, path: Path | str, what: str, advice: str = ""):
         self.path, self.what, self.advice = path, what, advice
@@ -27,24 +27,24 @@ class RunError(ValueError):
 
 
 def escape_unprintable(text: str) -> str:
-    """The text as one line for a terminal, with control characters (of damaged files) escaped."""
+    """Escapes control characters, which damaged files may contain, and line breaks."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def format_share(count: int, total: int, what: str) -> str:
-    """A count with its percentage of the total, such as "98 of 249 rows (39 %)"."""
+    """Formats a count and its percentage of the total, such as "98 of 249 rows (39 %)"."""
     percent = 100.0 * count / max(total, 1)
     digits = f"{percent:.2g}" if percent < 10 else f"{percent:.3g}" if 99.0 < percent < 100.0 else f"{percent:.0f}"
     return f"{count} of {total} {what} ({digits} %)"
 
 
 def shorten(error: Exception) -> str:
-    """The text of a library's error in one line, or its type."""
+    """Shortens the text of an error to one line of 120 characters; an error without text is replaced by its type."""
     return (" ".join(str(error).split()) or type(error).__name__)[:120]
 
 
 def log_warnings(warnings: Iterable[str]) -> None:
-    """Logs each warning once per process, so that it is shown on the terminal of every command."""
+    """Logs each warning, but the same text only once per process."""
     for warning in warnings:
         if warning in _logged:
             continue
@@ -59,8 +59,8 @@ def log_warnings(warnings: Iterable[str]) -> None:
 
 @contextmanager
 def group_similar_warnings() -> Iterator[None]:
-    """Context in which warnings that differ only in file and numbers are abbreviated: the first MAX_SIMILAR_WARNINGS
-    are logged in full, on exit only the file names of the others."""
+    """Context that abbreviates warnings which differ only in file and numbers: the first MAX_SIMILAR_WARNINGS are
+    logged in full; of the others, only the file names are logged on exit."""
     groups: dict[str, list[str]] = {}
     token = _groups.set(groups)
     try:
@@ -71,7 +71,7 @@ def group_similar_warnings() -> Iterator[None]:
             if others := [warning.partition(": ")[0] for warning in similar[MAX_SIMILAR_WARNINGS:]]:
                 files = ", ".join(others[:10]) + (f" and {len(others) - 10} more" if len(others) > 10 else "")
                 _LOGGER.warning("warning: %s", escape_unprintable(
-                    f"{len(others)} more like {similar[0][:100]}...: {files} (each in full in the report)"))
+                    f"{len(others)} more warnings such as {similar[0][:100]}...: {files} (the report contains each)"))
 
 
 def join_problems(problems: Iterable[str]) -> str:
@@ -93,7 +93,7 @@ def check_readable(path: Path) -> None:
     """Raises RunError for a file that is missing, empty, compressed or cannot be opened."""
     try:
         if not path.is_file():
-            raise RunError(path, "the file does not exist" if not path.exists() else "this is a folder, not a file")
+            raise RunError(path, "this is a folder, not a file" if path.exists() else "the file does not exist")
         with path.open("rb") as stream:
             head = stream.read(6)
             if not head:

@@ -1,4 +1,4 @@
-"""Reads a run into a DriveLog, decoded and with aligned clocks, with its provenance."""
+"""Reads a run of any kind, removes implausible samples, and applies the corrections of its run.yaml."""
 
 import hashlib
 from collections.abc import Iterable
@@ -18,16 +18,16 @@ from .readers import READERS
 from .run_types import LoadedRun, ReadSettings, RunSource
 
 MIN_UNCOVERED_TIME, MIN_UNCOVERED_SHARE = 1.0, 0.01
-"""s, and fraction of the recording: INS or steering without the other for longer than both is reported."""
+"""[s], and fraction of the recording. Time that only INS or only steering covers is reported if it exceeds both."""
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None = None,
          settings: ReadSettings | None = None) -> LoadedRun:
-    """Reads one run. Raises RunError, one sentence for the user, for a run that cannot be used.
+    """Reads one run. Raises RunError for a run that cannot be used.
 
-    vehicle: steering ratio and offset for the road wheel angle; without one, the road wheel angle must be in the
-    recording (bag, CSV). Samples that no working sensor produces (`st_core.checks.plausibility`) are left out and
-    listed in `auxiliary.implausible`; then the corrections of its run.yaml are applied, with a warning.
+    vehicle: gives the steering ratio and offset for the road wheel angle; without it, the recording (bag, CSV) must
+    contain the road wheel angle. Samples that no working sensor produces (`st_core.checks.plausibility`) are left out
+    and listed in `auxiliary.implausible`. Then the corrections of the run.yaml are applied, with a warning.
     """
     settings = settings or ReadSettings()
     if source.problem is not None:
@@ -54,16 +54,16 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
 def _read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
     reader = READERS[source.kind]
     if source.can and not reader.needs_can and reader.read_ins and not settings.steering:
-        from .raw import read_raw_run  # see readers/ncom.py
+        from .raw import read_raw_run  # slow import: see readers/ncom.py
 
         return read_raw_run(source, vehicle, settings, reader.read_ins)
     return reader.read(source, vehicle, settings)
 
 
 def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None) -> LoadedRun:
-    """The run with the corrections of its run.yaml. Raises RunError for a correction that leaves no samples.
+    """Applies the corrections of the run.yaml. Raises RunError if no samples remain.
 
-    Labels, which count from the first sample, are shifted if the first samples are left out.
+    Labels count from the first sample, so they are shifted if the first samples are left out.
     """
     left_out = source.settings.get("leave_out", ())
     phrases = (*describe_corrections(source.settings.get("correct", {})),
@@ -86,15 +86,14 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
 
 
 def check_coverage(source: RunSource, log: DriveLog) -> list[str]:
-    """Warnings of time that only INS or only steering covers, with its fraction. Raises RunError if they do not overlap
-    in time."""
+    """Warnings about time that only INS or only steering covers. Raises RunError if the two do not overlap in time."""
     spans = {"INS": log.ins_time_ns, "steering": log.steering_time_ns}
     if min(map(len, spans.values())) < 2:
         raise RunError(source.where, "it contains fewer than two measurements of INS or steering",
                        "remove it from the command")
     if min(time[-1] for time in spans.values()) <= max(time[0] for time in spans.values()):
         raise RunError(source.where, "INS and steering were not recorded at the same time",
-                       "check that the files belong to one drive (and the offset, if it was given by hand)")
+                       "check that the files belong to one drive, and check the offset if you gave one")
     seconds = {name: float(time[-1] - time[0]) * 1e-9 for name, time in spans.items()}
     return [f"{source.where}: {unused:.1f} of {seconds[name]:.1f} s of the {name} "
             f"({100.0 * unused / seconds[name]:.0f} %) are not used: the {other} was not recorded then"
@@ -103,7 +102,7 @@ def check_coverage(source: RunSource, log: DriveLog) -> list[str]:
 
 
 def hash_files(paths: Iterable[Path]) -> dict[str, str]:
-    """Path -> SHA-256 of the files, and of the files in the folders."""
+    """Path -> SHA-256 of each file, including the files in folders."""
     hashes = {}
     for path in paths:
         for file in sorted(path.iterdir()) if path.is_dir() else [path]:

@@ -1,4 +1,4 @@
-"""A run before and after it is read, and the settings for reading it."""
+"""Types for a run before and after it is read, and for the settings with which it is read."""
 
 import math
 from collections.abc import Mapping
@@ -17,22 +17,17 @@ from .errors import RunError
 
 @dataclass(frozen=True)
 class SteeringField:
-    """Location, unit and sign of the steering angle in a recording of other software.
+    """Location, unit and sign of the steering angle in a recording that other software wrote."""
 
-    topic: of a bag, "" for a table. field: path in its messages, as "drive.steering_angle"; column of a table.
-    quantity: road (mean of the front wheels) or wheel (steering wheel, offset included). unit: None for the unit in the
-    header of a table, rad in a bag. sign: 1 if left is positive in the recording, else -1.
-    """
-
-    topic: str
-    field: str = "data"
-    quantity: Literal["road", "wheel"] = "road"
-    unit: Literal["rad", "deg"] | None = None
-    sign: int = 1
+    topic: str  # name of a topic in a bag, "" for a table
+    field: str = "data"  # path to a number in a message, such as "drive.steering_angle", or name of a column
+    quantity: Literal["road", "wheel"] = "road"  # mean road wheel angle, or steering wheel angle with its offset
+    unit: Literal["rad", "deg"] | None = None  # None: the unit that the header of a table states, or rad
+    sign: int = 1  # 1 if left is positive in the recording, else -1
 
     @property
     def scale(self) -> float:
-        """Factor from the recorded number to rad, left positive."""
+        """Factor that converts the recorded number to rad, left positive."""
         return self.sign * (math.pi / 180.0 if self.unit == "deg" else 1.0)
 
 
@@ -47,19 +42,19 @@ class Label:
 
 @dataclass(frozen=True)
 class RunSource:
-    """The files of one run. kind: of its reader ("bag", "ncom", "csv", "vbo"), or "" with a `problem`.
+    """The files of one run, and the settings of its run.yaml.
 
-    settings: from run.yaml: offset [s], ins_can_latency (value and deviation [s]), dbc, signals (paths), layout
-    (columns.Layout), correct (channel -> Correction), leave_out ((start, end) [s]). run_file: the run.yaml, if any.
+    settings: offset [s], ins_can_latency (value and standard deviation [s]), dbc, signals (paths), layout
+    (columns.Layout), correct (channel -> Correction), leave_out ((start, end) [s]).
     """
 
     name: str
-    kind: str
+    kind: str  # kind of the reader ("bag", "ncom", "csv", "vbo"), or "" for a source with a problem
     files: tuple[Path, ...]
     can: tuple[Path, ...] = ()
     labels: tuple[Label, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
-    problem: RunError | None = None
+    problem: RunError | None = None  # why the source cannot be a run
     run_file: Path | None = None
 
     @property
@@ -69,52 +64,48 @@ class RunSource:
 
     @property
     def where(self) -> Path:
-        """The file or folder for messages."""
+        """The file or folder that messages name."""
         return self.files[0] if self.files else Path(self.name)
 
 
 @dataclass(frozen=True)
 class ReadSettings:
-    """How raw files are read.
+    """Options for reading runs.
 
-    dbc, signals: files of the CAN bus, default the Leaf's. steering_sign: +1 where the decoded sensor is left
-    positive. steering_latency: from the motion of the wheel to the stamp of its frame [s]. offset: INS minus CAN clock
-    [s], None to estimate it within the bounds `search` [s]. ins_can_latency: from the validity of an INS value to
-    its CAN frame in the log, and its standard deviation [s]; None: assumed (clocks.py). accept_doubtful: whether a
-    doubtful alignment may be used (with a warning); a refused one never is. steering: where the angle is in bags
-    without st_msgs/Steering, or in tables. odometry: the topic to read from a bag that has several.
+    steering_latency: delay from the motion of the steering wheel to the stamp of its CAN frame [s]. ins_can_latency:
+    delay from the measurement of an INS value to its CAN frame in the log, and its standard deviation [s].
+    accept_doubtful: whether a doubtful alignment is used, with a warning. A refused alignment is never used.
     """
 
-    dbc: Path | None = None
-    signals: Path | None = None
-    steering_sign: int = 1
+    dbc: Path | None = None  # None: as in the run.yaml, or else the file of the Leaf
+    signals: Path | None = None  # signal table; None as for dbc
+    steering_sign: int = 1  # +1 if the decoded sensor is positive to the left, else -1
     steering_latency: float = 0.0
-    offset: float | None = None
-    search: tuple[float, float] | None = None
-    ins_can_latency: tuple[float, float] | None = None
+    offset: float | None = None  # INS minus CAN clock [s]; None to estimate it
+    search: tuple[float, float] | None = None  # bounds of the estimated offset [s]
+    ins_can_latency: tuple[float, float] | None = None  # None: as in the run.yaml, or else clocks.INS_ON_CAN
     accept_doubtful: bool = True
-    steering: SteeringField | None = None
-    odometry: str | None = None
+    steering: SteeringField | None = None  # for tables, and for bags without st_msgs/Steering
+    odometry: str | None = None  # topic to read from a bag with several nav_msgs/Odometry topics
 
 
 @dataclass(frozen=True)
 class LoadedRun:
-    """A run that was read. log: the drive on the INS clock.
+    """A run that was read.
 
-    provenance: plain values for reports: files (path -> sha256), reader, settings, alignment, corrected. warnings:
-    sentences. auxiliary: what else was recorded, for checks.
+    provenance: JSON values for reports, such as files (path -> SHA-256), reader, settings, alignment, corrected.
     """
 
-    log: DriveLog
+    log: DriveLog  # on the INS clock
     provenance: Mapping[str, Any]
     labels: tuple[Label, ...] = ()
     warnings: tuple[str, ...] = ()
     alignment: Alignment = field(default_factory=alignment_not_needed)
-    auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)
+    auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)  # further recorded data, for checks
 
 
 def make_drive_log(where: Path, name: str, **columns: Any) -> DriveLog:
-    """The log of a run's columns. Raises RunError if DriveLog rejects them."""
+    """Builds the log of a run. Raises RunError if DriveLog rejects the columns."""
     try:
         return DriveLog(name, **columns)
     except StCoreError as error:
@@ -122,6 +113,6 @@ def make_drive_log(where: Path, name: str, **columns: Any) -> DriveLog:
 
 
 def find_signal_files(source: RunSource, settings: ReadSettings) -> tuple[Path, Path]:
-    """(DBC, signal table) of a run: from the settings, else its run.yaml, else the Leaf's."""
+    """(DBC, signal table) of a run: the files in the settings, or else in its run.yaml, or else those of the Leaf."""
     return (settings.dbc or source.settings.get("dbc") or config("car/leaf/can.dbc"),
             settings.signals or source.settings.get("signals") or config("car/leaf/signals.yaml"))

@@ -1,6 +1,6 @@
-"""Kinds of recordings as plug-ins: every file in this folder registers its `Reader`s.
+"""Registry of the kinds of recordings: every module in this folder registers one or more `Reader`s.
 
-A plug-in imports slow libraries only when it reads, as most runs are of one kind.
+A module imports slow libraries only when it reads, because most commands read runs of one kind.
 """
 
 import importlib
@@ -19,17 +19,16 @@ from ..run_types import LoadedRun, ReadSettings, RunSource
 class Reader:
     """One kind of recording.
 
-    kind: its name. key: of its file in a run.yaml. extensions: of its files, lower case. read: reads the whole drive of
-    a run; raises RunError. read_ins: reads the INS alone, if the steering is in CAN logs. is_folder: whether a folder
-    is one recording. has_drive: quick test of a file found in a folder; True if undecided. is_incomplete: whether a
-    file without a drive was meant as one, and is to be reported. lacks_steering: whether a recording has an INS
-    alone, to which CAN logs belong; None for a kind that never has a steering angle. scales_yaw: whether `read` itself
-    applies a corrected scale of yaw.
+    read: reads the whole drive of a run; raises RunError. read_ins: reads only the INS, for a run whose steering is in
+    CAN logs. is_folder: whether a folder is one recording. has_drive: whether a file contains a drive, by a quick test;
+    True if undecided. is_incomplete: whether a file without a drive is probably meant as one, so that it is reported.
+    lacks_steering: whether a recording contains no steering angle, so that CAN logs belong to it; None for a kind that
+    never contains one. scales_yaw: whether `read` itself applies the scale of yaw in the corrections.
     """
 
     kind: str
-    key: str
-    extensions: tuple[str, ...]
+    key: str  # key of its files in a run.yaml
+    extensions: tuple[str, ...]  # lower case
     read: Callable[[RunSource, VehicleParameters | None, ReadSettings], LoadedRun]
     read_ins: Callable[[RunSource, ReadSettings], InsLog] | None = None
     is_folder: Callable[[Path], bool] | None = None
@@ -57,7 +56,7 @@ READERS: dict[str, Reader] = {}
 
 
 def register(reader: Reader) -> Reader:
-    """Adds a kind of recording. Raises ValueError for a name that is taken."""
+    """Adds a kind of recording. Raises ValueError if its name is already used."""
     if reader.kind in READERS:
         raise ValueError(f"{reader.kind}: two readers have this name")
     READERS[reader.kind] = reader
@@ -65,7 +64,10 @@ def register(reader: Reader) -> Reader:
 
 
 def find_reader(path: Path, key: str | None = None) -> Reader | None:
-    """The reader of a file or folder; with a key of a run.yaml, the best match among the readers of that key."""
+    """Finds the reader of a file or folder; None if there is none.
+
+    key: key of the file in a run.yaml. The reader then has this key, even if it does not accept the path.
+    """
     candidates = [reader for reader in READERS.values() if key in (None, reader.key)]
     return next((reader for reader in candidates if reader.accepts(path)), candidates[0] if key else None)
 

@@ -1,4 +1,4 @@
-"""rosbag2 recordings: folders, and bare files of one."""
+"""Registers the reader of rosbag2 recordings: bag directories and single storage files."""
 
 import json
 from typing import Any
@@ -17,12 +17,12 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
     splits = source.files if len(source.files) > 1 else ()
     drive = bag.read_bag(source.where, source.name, steering, settings.odometry, splits)
     recorded = {name: dict(record) for name, record in drive.records.items()}
-    about: dict[str, Any] = {"reader": "bag", "topics": dict(drive.topics), "recorded": recorded}
+    provenance: dict[str, Any] = {"reader": "bag", "topics": dict(drive.topics), "recorded": recorded}
     if drive.origin is not None:
-        about["origin"] = list(drive.origin)
+        provenance["origin"] = list(drive.origin)
     imported = json.loads(drive.records.get("import", {}).get("labels", "[]"))
     labels = source.labels or tuple(Label(*entry) for entry in imported)
-    return LoadedRun(drive.log, about, labels, drive.warnings, auxiliary=drive.auxiliary)
+    return LoadedRun(drive.log, provenance, labels, drive.warnings, auxiliary=drive.auxiliary)
 
 
 def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:

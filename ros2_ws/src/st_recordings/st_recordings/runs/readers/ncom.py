@@ -1,4 +1,4 @@
-"""INS recordings in NCOM, with the CAN logs of the same drive."""
+"""Registers the reader of NCOM recordings, whose steering is in the CAN logs of the same drive."""
 
 from st_core.vehicle import VehicleParameters
 
@@ -14,7 +14,7 @@ def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
-    from ..raw import read_raw_run  # imports scipy.signal and CAN libraries: two seconds that other kinds save
+    from ..raw import read_raw_run  # imports scipy.signal and CAN libraries, which takes two seconds
 
     return read_raw_run(source, vehicle, settings, read_ins)
 

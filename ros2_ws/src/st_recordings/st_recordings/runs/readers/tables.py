@@ -1,4 +1,4 @@
-"""CSV and Racelogic VBOX files: a whole drive in one table, or its INS part with the CAN logs of the same drive."""
+"""Registers the readers of CSV and Racelogic VBOX files: tables of a whole drive, or of the INS beside CAN logs."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,10 +16,10 @@ from ..vbo import lacks_steering, read_vbo
 from . import Reader, register
 
 
-def _register(kind: str, extensions: tuple[str, ...], table_of: Callable[[Path, Layout], Table],
-              **more: Callable[[Path], bool]) -> None:
+def _register(kind: str, extensions: tuple[str, ...], read_one: Callable[[Path, Layout], Table],
+              **tests: Callable[[Path], bool]) -> None:
     def _read_joined(source: RunSource, layout: Layout) -> Table:
-        return join_tables([table_of(file, layout) for file in source.files])
+        return join_tables([read_one(file, layout) for file in source.files])
 
     def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
         yaw = source.settings.get("correct", {}).get("yaw", Correction())
@@ -31,7 +31,7 @@ def _register(kind: str, extensions: tuple[str, ...], table_of: Callable[[Path, 
     def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
         return csv.build_ins_log(_read_joined(source, source.settings.get("layout") or Layout()))
 
-    register(Reader(kind, kind, extensions, read, read_ins, scales_yaw=True, **more))
+    register(Reader(kind, kind, extensions, read, read_ins, scales_yaw=True, **tests))
 
 
 _register("csv", (".csv", ".tsv", ".txt", ".dat"), read_table, has_drive=csv.has_drive_columns,
