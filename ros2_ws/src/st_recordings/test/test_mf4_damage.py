@@ -48,22 +48,22 @@ def damaged(tmp_path: Path, place: str, layout: str, value: object) -> Path:
 @pytest.mark.parametrize(
     ("place", "layout", "value", "what"),
     [
-        ("byte", "<I", 34, r"the channel at byte \d+ ends at byte 36 of a record, the record at 21"),
+        ("byte", "<I", 34, r"the channel at byte \d+ ends at byte 36 of a record of 21 bytes"),
         ("byte", "<I", 2**32 - 1, "ends at byte 4294967297 of a record"),
-        ("bits", "<I", 80, "has 80 bits from bit 0 of its byte on"),
-        ("bit", "<B", 9, "has 11 bits from bit 9 of its byte on"),
+        ("bits", "<I", 80, "invalid start bit 0 or length of 80 bits"),
+        ("bit", "<B", 9, "invalid start bit 9 or length of 11 bits"),
         ("data type", "<B", 10, "the ID of its frames is not an integer"),
         ("name", "<16s", b"CAN_DataFrame.II", "its frames have no ID"),
         ("composition", "<Q", 0, "its frames have no ID"),
-        ("size", "<I", 2**30, "has records of 1073741824 bytes"),
-        ("flags", "<H", 7, "have channels and no fixed length"),
+        ("size", "<I", 2**30, "has impossible records of 1073741824 bytes"),
+        ("flags", "<H", 7, "has channels, but records of variable length"),
         ("size of identifiers", "<B", 3, "has record identifiers of 3 bytes"),
-        ("next data group", "<Q", 64, "its index leads to byte 64 twice"),
+        ("next data group", "<Q", 64, "two links refer to the block at byte 64"),
         ("next channel", "<Q", 0, "the log contains no CAN frames"),
-        ("next channel", "<Q", 2**63, "its index points to byte 9223372036854775808"),
+        ("next channel", "<Q", 2**63, "a block refers to byte 9223372036854775808"),
         ("kind", "<B", 0, "its records have no time channel"),
         ("type of time", "<B", 15, "the time channel at byte"),
-        ("factor", "<d", math.nan, "gives invalid times"),
+        ("factor", "<d", math.nan, "time conversion at byte .* is invalid"),
         ("factor", "<d", 1e307, "the times of its frames are invalid"),
         ("factor", "<d", 1e200, "the times of its frames are invalid"),
         ("times", "<d", -1e12, "the times of its frames are invalid"),
@@ -84,7 +84,7 @@ def test_more_frames_than_the_file_has_bytes_for(tmp_path):
     data = bytearray(file.read_bytes())
     struct.pack_into("<H", data, 60, 4)
     file.write_bytes(data)
-    with pytest.raises(RunError, match="claims 22000 bytes of records and has 440"):
+    with pytest.raises(RunError, match="declares 22000 bytes of records, but there are 440"):
         read_mf4(file)
 
 
@@ -94,7 +94,7 @@ def test_links_in_a_circle(tmp_path):
     found = places(data)
     struct.pack_into("<Q", data, found["next data group"], found["data group"])
     file.write_bytes(data)
-    with pytest.raises(RunError, match=f"its index leads to byte {found['data group']} twice"):
+    with pytest.raises(RunError, match=f"two links refer to the block at byte {found['data group']}"):
         read_mf4(file)
 
 

@@ -1,6 +1,6 @@
 """Validates the blocks that lead to the frames of an MDF 4 file, and finds the end of the last complete frame.
 
-Source: ASAM MDF 4.1. Checked with a CANedge2 file, truncated at every byte of a section.
+Source: ASAM MDF 4.1.
 """
 
 import math
@@ -10,18 +10,18 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 Buffer = bytes | mmap.mmap
-_HEADER = 24  # name, reserved, length, number of links
+_HEADER = 24  # bytes of a block before its links: name, reserved, length, number of links
 _UNFINISHED_MARK = b"UnFinMF "
 _COUNTERS_UNFINISHED, _LENGTH_UNFINISHED, _LIST_UNFINISHED = 1, 4, 16  # flags of an unfinalised file
-_MAX_INFLATION = 1032  # limit of the deflate algorithm
-_MAX_COMPRESSION_METHOD = 5  # highest compression method; odd ones transpose the records first
+_MAX_INFLATION = 1032  # largest ratio of unpacked to packed bytes with deflate
+_MAX_COMPRESSION_METHOD = 5  # odd methods transpose the records first
 _MAX_RECORD_SIZE = 65536  # bytes; a CAN FD frame has about 90
 _VARIABLE_LENGTH_GROUP, _BUS_EVENT, _REMOTE_MASTER = 1, 2, 8  # flags of a channel group
-VARIABLE_LENGTH, _MASTER, VIRTUAL = 1, 2, (3, 6)  # types of a channel
+VARIABLE_LENGTH, _MASTER, VIRTUAL = 1, 2, (3, 6)  # channel types; a master channel contains the time
 _INTEGER_TYPES, _REAL_TYPES = range(4), range(6)  # data types: integers; integers and floating-point numbers
 _TEXT_AND_BYTE_TYPES = range(6, 13)  # data types of variable length
-_USES_INVALIDATION_BIT = 3  # channel flag: it uses the invalidation bits of its record
-_LINEAR_CONVERSIONS = (0, 1)  # conversions: none, offset and factor
+_USES_INVALIDATION_BIT = 3  # channel flags: all values are invalid, or an invalidation bit of the record decides
+_LINEAR_CONVERSIONS = (0, 1)  # conversion types: none; offset and factor
 
 
 class DamageError(ValueError):
@@ -29,39 +29,37 @@ class DamageError(ValueError):
 
 
 class _Block(NamedTuple):
-    """at, content, end: byte positions in the file. links: byte positions of other blocks, 0 for none."""
+    """One block of the file; all positions are bytes in the file."""
 
     at: int
     name: bytes
-    links: tuple[int, ...]
-    content: int  # where it begins, after the links
+    links: tuple[int, ...]  # positions of other blocks, 0 for none
+    content: int  # start of the content, which follows the links
     end: int
 
 
 @dataclass
 class Layout:
-    """Records of an unsorted data group.
+    """Layout of the records in an unsorted data group."""
 
-    start: position of the first record. id_size: bytes of an identifier. fixed: identifier -> (size [bytes], whether
-    the payload is a separate record). variable: identifiers of such payload records.
-    """
-
-    start: int
-    id_size: int
-    fixed: dict[int, tuple[int, bool]]
-    variable: set[int]
+    start: int  # position of the first record
+    id_size: int  # bytes of an identifier
+    fixed: dict[int, tuple[int, bool]]  # identifier -> (size [bytes], whether the payload is in a separate record)
+    variable: set[int]  # identifiers of these payload records
 
 
 def check_blocks(data: Buffer) -> Layout | None:
-    """The layout of the records of an unsorted file; None for a sorted one. Raises DamageError for a missing or invalid
+    """Checks the blocks that lead to the frames. Raises DamageError if one of them is missing or invalid.
 
-    block that leads to the frames.
     asammdf does not validate these blocks: it crashes for a channel outside its record, allocates a record of a
-    gigabyte, and follows circular links forever. Names, comments and sources are not needed and may be missing. The
-    data block of an unfinalised file has no length, so its end is not checked.
+    gigabyte, and follows circular links forever. Names, comments and sources may be missing. The data block of an
+    unfinalised file has no length, so its end is not checked.
+
+    Returns:
+        The layout of the records in an unsorted file; None for a sorted file.
     """
     if len(data) < 64 + 104:
-        raise DamageError(f"it ends after {len(data)} bytes, inside its header")
+        raise DamageError(f"it ends after {len(data)} bytes, within its header")
     return next(iter(_BlockWalk(data).layouts), None)
 
 
@@ -71,7 +69,7 @@ class _BlockWalk:
     def __init__(self, data: Buffer):
         self._data, self._size = data, len(data)
         self._is_unfinished = data[:8] == _UNFINISHED_MARK
-        # Since MDF 4.10 the file lists its unfinished parts, and asammdf completes them.
+        # Since MDF 4.10 flags mark the unfinished parts, and asammdf completes these.
         self._unfinished_parts = struct.unpack_from("<H", data, 60)[0] if data[8:12] >= b"4.10" else 0
         self._visited: set[int] = set()
         self.layouts: list[Layout | None] = []  # one per data group
@@ -83,31 +81,31 @@ class _BlockWalk:
             at = self._data_group(at)
 
     def _block(self, at: int, names: tuple[bytes, ...], links: int = 0, content: int = 0) -> _Block:
-        """Reads the block at a byte; checks its name and its least numbers of links and of content bytes."""
+        """Reads the block at a byte. links, content: minimum number of its links and of the bytes of its content."""
         if at + _HEADER > self._size:
-            raise DamageError(f"its index points to byte {at}, beyond its end at {self._size}")
+            raise DamageError(f"a block refers to byte {at}, but the file ends at byte {self._size}")
         self._mark_visited(at)
         name = bytes(self._data[at : at + 4])
         if name not in names:
             expected = " or ".join(n[2:].decode() for n in names)
-            raise DamageError(f"a block {expected} is missing at byte {at}")
+            raise DamageError(f"no block of type {expected} is at byte {at}")
         length, count = struct.unpack_from("<QQ", self._data, at + 8)
         end, content_at = at + length, at + _HEADER + 8 * count
         if name == b"##DT" and self._is_unfinished and not _HEADER <= length <= self._size - at:
             end = self._size
         if end > self._size:
-            raise DamageError(f"the block at byte {at} ends at {end}, the file at {self._size}")
+            raise DamageError(f"the block at byte {at} should end at byte {end}, but the file ends at {self._size}")
         if count < links or content_at + content > end:
             raise DamageError(f"the block at byte {at} is too short for its content")
         return _Block(at, name, struct.unpack_from(f"<{count}Q", self._data, at + _HEADER), content_at, end)
 
     def _mark_visited(self, at: int) -> None:
         if at in self._visited:
-            raise DamageError(f"its index leads to byte {at} twice")
+            raise DamageError(f"two links refer to the block at byte {at}")
         self._visited.add(at)
 
     def _chain(self, at: int, name: bytes) -> None:
-        """Visits a chain of blocks that are not read, to reject circular chains."""
+        """Rejects a circular chain of blocks whose content is not read."""
         while at and at + _HEADER + 8 <= self._size and self._data[at : at + 4] == name:
             self._mark_visited(at)
             at = struct.unpack_from("<Q", self._data, at + _HEADER)[0]
@@ -119,32 +117,32 @@ class _BlockWalk:
         if id_size not in (0, 1, 2, 4, 8):
             raise DamageError(f"the block at byte {at} has record identifiers of {id_size} bytes")
         layout = Layout(block.links[2] + _HEADER, id_size, {}, set())
-        claimed, group = 0, block.links[1]
+        declared, group = 0, block.links[1]
         while group:
             group, size = self._channel_group(group, layout)
-            claimed += size
+            declared += size
         is_unsorted = id_size and self._data[block.links[2] : block.links[2] + 4] == b"##DT"
         self.layouts.append(layout if is_unsorted else None)
         size = self._records_size(block.links[2], b"DT")
-        if claimed > size and not self._unfinished_parts & _COUNTERS_UNFINISHED:
-            raise DamageError(f"the block at byte {at} claims {claimed} bytes of records and has {size}")
+        if declared > size and not self._unfinished_parts & _COUNTERS_UNFINISHED:
+            raise DamageError(f"the block at byte {at} declares {declared} bytes of records, but there are {size}")
         return block.links[0]
 
     def _channel_group(self, at: int, layout: Layout) -> tuple[int, int]:
-        """Adds the records of a channel group to the layout; returns (position of the next group, their bytes)."""
+        """Adds a channel group to the layout; returns (position of the next group, bytes of the records of this)."""
         block = self._block(at, (b"##CG",), links=6, content=32)
         record, count, flags, _, _, size, invalid = struct.unpack_from("<QQHHIII", self._data, block.content)
         if record in layout.fixed or record in layout.variable:
-            raise DamageError(f"two kinds of records of the block before byte {at} have the identifier {record}")
+            raise DamageError(f"the channel group at byte {at} has the record identifier {record} of another group")
         if flags & _REMOTE_MASTER or len(block.links) != 6 or block.end != block.content + 32:
-            raise DamageError(f"the block at byte {at} describes records that no CAN logger writes")
+            raise DamageError(f"the channel group at byte {at} describes records that no CAN logger writes")
         if flags & _VARIABLE_LENGTH_GROUP:
             if block.links[1]:
-                raise DamageError(f"the records of the block at byte {at} have channels and no fixed length")
+                raise DamageError(f"the channel group at byte {at} has channels, but records of variable length")
             layout.variable.add(record)
             return block.links[0], 0
         if size + invalid > _MAX_RECORD_SIZE:
-            raise DamageError(f"the block at byte {at} has records of {size + invalid} bytes")
+            raise DamageError(f"the channel group at byte {at} has impossible records of {size + invalid} bytes")
         layout.fixed[record] = size + invalid, self._channels(block.links[1], size, invalid, flags)
         return block.links[0], count * (size + invalid + layout.id_size)
 
@@ -157,7 +155,7 @@ class _BlockWalk:
                 continue
             block = self._block(at, (b"##CN",), links=8, content=72)
             if block.end != block.content + 72:
-                raise DamageError(f"the block at byte {at} is too long for its content")
+                raise DamageError(f"the block at byte {at} is longer than its content")
             self._channel(block, size, invalid)
             has_variable_length |= self._data[block.content] == VARIABLE_LENGTH
             waiting.append(block.links[0])
@@ -174,15 +172,15 @@ class _BlockWalk:
             return
         end = byte + (bit + bits + 7) // 8
         if end > size:
-            raise DamageError(f"the channel at byte {block.at} ends at byte {end} of a record, the record at {size}")
+            raise DamageError(f"the channel at byte {block.at} ends at byte {end} of a record of {size} bytes")
         if bit > 7 or (data_type in _INTEGER_TYPES and not 0 < bits <= 64):
-            raise DamageError(f"the channel at byte {block.at} has {bits} bits from bit {bit} of its byte on")
+            raise DamageError(f"the channel at byte {block.at} has an invalid start bit {bit} or length of {bits} bits")
         if flags & _USES_INVALIDATION_BIT and invalid and invalid_bit >= 8 * invalid:
-            raise DamageError(f"the channel at byte {block.at} has its invalidation bit outside the record")
+            raise DamageError(f"the invalidation bit of the channel at byte {block.at} is outside the record")
         if kind == VARIABLE_LENGTH:
             if bits not in (32, 64) or bit or data_type not in _TEXT_AND_BYTE_TYPES:
                 raise DamageError(f"the channel at byte {block.at} has an invalid reference to its values")
-            if self._data[block.links[5] : block.links[5] + 4] != b"##CG":  # its group is in the chain of groups
+            if self._data[block.links[5] : block.links[5] + 4] != b"##CG":  # _data_group checks channel groups
                 self._records_size(block.links[5], b"SD")
         if kind == _MASTER:
             if data_type not in _REAL_TYPES:
@@ -191,19 +189,19 @@ class _BlockWalk:
                 self._time_conversion(block.links[4])
 
     def _time_conversion(self, at: int) -> None:
-        # asammdf ignores an invalid conversion, so that microseconds would be read as seconds.
+        # asammdf ignores an invalid conversion and would read microseconds as seconds.
         self._visited.discard(at)  # groups share a conversion
         block = self._block(at, (b"##CC",), links=4, content=24)
         kind, _, _, _, values = struct.unpack_from("<BBHHH", self._data, block.content)
         if kind not in _LINEAR_CONVERSIONS or (kind and (values != 2 or block.content + 40 > block.end)):
-            raise DamageError(f"the block at byte {at} gives invalid times")
+            raise DamageError(f"the time conversion at byte {at} is not linear")
         if kind:
             offset, factor = struct.unpack_from("<2d", self._data, block.content + 24)
             if not math.isfinite(offset) or not 0 < factor < math.inf:
-                raise DamageError(f"the block at byte {at} gives invalid times ({offset:g} + {factor:g} x)")
+                raise DamageError(f"the time conversion at byte {at} is invalid ({offset:g} + {factor:g} x)")
 
     def _records_size(self, at: int, kind: bytes) -> int:
-        """Bytes of records at a link: one block, compressed or not, or a list of such blocks."""
+        """Number of bytes of records at a link, which leads to one block (compressed or not) or a list of blocks."""
         size, lists, waiting = 0, 0, [at]
         while waiting:
             at = waiting.pop()
@@ -222,7 +220,7 @@ class _BlockWalk:
                 size += (self._size if self._unfinished_parts & _LENGTH_UNFINISHED else block.end) - block.content
         if lists > 1 and self._unfinished_parts & (_LIST_UNFINISHED | _LENGTH_UNFINISHED):
             # asammdf would look for the end of the lists forever.
-            raise DamageError("it was never finalised, and its records are in more than one list")
+            raise DamageError("it was not finalised, and its records are in more than one list")
         return size
 
     def _unpacked_size(self, block: _Block, kind: bytes) -> int:
@@ -230,14 +228,14 @@ class _BlockWalk:
         if content != kind or method > _MAX_COMPRESSION_METHOD or (method % 2 and not columns):
             raise DamageError(f"the block at byte {block.at} is compressed by an unknown method")
         if block.content + 24 + packed > block.end or unpacked > _MAX_INFLATION * packed:
-            raise DamageError(f"the block at byte {block.at} cannot hold the {unpacked} bytes it claims")
+            raise DamageError(f"the block at byte {block.at} is too short to unpack to {unpacked} bytes")
         return unpacked
 
 
 def end_of_last_frame(data: Buffer, layout: Layout) -> int | None:
-    """End [bytes] of the last record of an unfinalised file with a complete payload; None if there is none.
+    """Position after the last record of an unfinalised file whose payload is complete; None if there is no such record.
 
-    A record is an identifier and a fixed number of bytes, or an identifier, a length and that many bytes.
+    A record consists of an identifier and a fixed number of bytes, or of an identifier, a length and that many bytes.
     """
     position, end, open_payloads = layout.start, None, 0
     while position + layout.id_size <= len(data):
