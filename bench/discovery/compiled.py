@@ -14,8 +14,8 @@ import numpy as np
 from numba.extending import register_jitable
 from st_core.backends import numba_cache, structure
 from st_sim.car import Car
-from st_sim.dynamics import RACK, STATES, VX, VY, YAW, YAW_RATE, X, Z, constants, derivative
-from st_sim.environment import GUST_TIME, normal_stream, road_at, road_of
+from st_sim.dynamics import RACK, STATES, VX, VY, YAW, YAW_RATE, X, Z, derivative, make_constants
+from st_sim.environment import GUST_TIME, make_road, normal_stream, road_at
 from st_sim.plant import STANDSTILL, STEP, Plant
 from st_sim.settings import Settings
 
@@ -93,9 +93,9 @@ def drive(car: Car, settings: Settings, programme: Programme, seed: int,
         part = slice(first, first + count)
         arrays = [np.ascontiguousarray(getattr(programme, name)[part], float)
                   for name in ("steering_wheel", "yaw", "gain", "speed", "acceleration")]
-        c = constants(car, s, STEP)
+        c = make_constants(car, s, STEP)
         body = Body(c.to_front, c.to_rear, c.yaw_inertia / c.mass, car.cornering_stiffness_rear / c.mass)
-        good = kernel(state, options, c, road_of(s), law, body, first, delayed, gusts, *arrays, out[part])
+        good = kernel(state, options, c, make_road(s), law, body, first, delayed, gusts, *arrays, out[part])
         if not good:
             raise Stopped
         first += count

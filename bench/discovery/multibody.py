@@ -17,7 +17,7 @@ from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_sim.car import GRAVITY
 from st_sim.dynamics import A_X, A_Y, A_Y_RATE, STATES, VX, VY, WIND_ARM, YAW, YAW_RATE, X, Y, Z, air_force
-from st_sim.environment import GUST_TIME, normal_stream, road_at, road_of
+from st_sim.environment import GUST_TIME, make_road, normal_stream, road_at
 from vehiclemodels.init_mb import init_mb
 
 from .compiled import MAX_STEERING_WHEEL_RATE, NO_LAW, RECORDED, Programme, Recording, Stopped, compiled, foot
@@ -133,7 +133,7 @@ def _run(car: str, s: Mapping[str, float], state: np.ndarray, programme: Program
         to_rear=p.b, wheelbase=p.a + p.b, drag_area=s["drag_area"], still_air=not (s["wind_speed"] or gust),
         wind=s["wind_speed"], gust=gust)
     delayed = np.full(round(s["steering_delay"] / STEP), state[BODY_STATES])
-    if not compiled(_loop)(state, options, p, slippery, road_of(s), law, body, part.start or 0, delayed, gusts,
+    if not compiled(_loop)(state, options, p, slippery, make_road(s), law, body, part.start or 0, delayed, gusts,
                            *arrays, out[part]):
         raise Stopped
 

@@ -1,4 +1,4 @@
-"""Encodes sensor readings as CAN frames of the Leaf and the INS; the shared codec adds counters and checksums."""
+"""Encodes sensor readings as CAN frames of the Leaf and of the INS."""
 
 import math
 from dataclasses import dataclass
@@ -13,11 +13,10 @@ from .sensors import InsReading, WheelSpeeds
 STEERING_MESSAGE = "Leaf_Steering"
 VEHICLE_BUS, INS_BUS = 1, 2  # CANedge channels of the car and of the INS; on a live bus they share one channel
 
-FRAME_TIME = 0.00025  # s, duration of a frame at 500 kbit/s; frames of one instant are sent at this interval
+FRAME_TIME = 0.00025  # s, duration of a frame at 500 kbit/s; simultaneous frames are sent at this interval
+CAR_CAN_RATE = 1750  # frames per second on the Car-CAN of a Leaf, counted in a recording with 52 identifiers
 
-CAR_CAN_RATE = 1750  # frames per second on the Car-CAN of a Leaf (52 identifiers, counted in a recording)
-
-# Other identifiers of that recording and their periods [ms]; with `--can-rate full` they are sent with random data.
+# Periods [ms] of other identifiers in that recording, which `--can-rate full` sends with random data.
 _BACKGROUND = {
     **dict.fromkeys((0x174, 0x176, 0x180, 0x182, 0x1CA, 0x1CB, 0x1D5, 0x1D6, 0x215, 0x216, 0x245, 0x260), 10),
     **dict.fromkeys((0x280, 0x292, 0x2DE, 0x300), 20),
@@ -28,14 +27,14 @@ _BACKGROUND = {
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One frame for one of the two buses."""
+    """One frame. bus: VEHICLE_BUS or INS_BUS."""
 
     message: can.Message
     bus: int
 
 
 class CanWire:
-    """Frames of the DBC. start_ns: UTC of the start of the drive [ns since 1970]."""
+    """Encoder of frames as the DBC defines them. start_ns: UTC of the start of the drive [ns since 1970]."""
 
     def __init__(self, codec: Decoder, origin: Origin, start_ns: int):
         self._codec = codec
@@ -43,9 +42,9 @@ class CanWire:
         self._counters: dict[str, int] = {}
 
     def steering(self, angle: float, rate: float) -> list[Frame]:
-        """Frame with the measured steering-wheel angle, left + [rad], and its rate [rad/s].
+        """The frame with the measured steering-wheel angle [rad, left +] and its rate [rad/s].
 
-        The rate is sent unsigned, as on the car; its scale on the car is unknown, 4 deg/s is assumed.
+        The rate is sent unsigned, as by the car. Its scale on the car is unknown; 4 deg/s per bit is assumed.
         """
         raw = min(round(abs(math.degrees(rate)) / 4), 255)
         return [self._encode_car(STEERING_MESSAGE, {"steering_wheel_angle": angle, "SteeringWheelRateRaw": raw})]
@@ -64,7 +63,7 @@ class CanWire:
         return [self._encode_car("Leaf_Gear", {"GearCode": code})]
 
     def ins(self, reading: InsReading) -> list[Frame]:
-        """0x600, 0x601, 0x604, 0x607, 0x608, 0x630, 0x633, 0x634, sent by an RT3000 once per epoch."""
+        """The frames that an RT3000 sends once per epoch: 0x600, 0x601, 0x604, 0x607, 0x608, 0x630, 0x633, 0x634."""
         degrees = math.degrees
         unix_time = (self._start_ns + round(reading.stamp * 1e9)) / 1e9
         latitude, longitude, _ = self._origin.to_geodetic(reading.x, reading.y, reading.z)
@@ -79,7 +78,7 @@ class CanWire:
             self._encode_ins("RT_RateVehicle", {"AngRateX": degrees(roll_rate), "AngRateY": -degrees(pitch_rate),
                                                 "ins_yaw_rate": yaw_rate}),
             self._encode_ins("RT_MilliTime", {"ins_unix_time": unix_time}),
-            # ISO 8855 axes: y to the left, so a pitch is positive nose down.
+            # In ISO 8855 axes y points to the left, so pitch is positive nose down.
             self._encode_ins("RT_IsoOrientation", {"ins_yaw": reading.yaw, "IsoPitchAngle": -pitch,
                                                    "IsoRollAngle": roll}),
             self._encode_ins("RT_IsoVsVelocity", {**forward, "IsoVsVerticalVelocity": reading.velocity_z}),
@@ -95,9 +94,9 @@ class CanWire:
 
 
 class Background:
-    """Other traffic of the Car-CAN, which loads filters and queues.
+    """Other frames of the Car-CAN, which put a realistic load on filters and queues.
 
-    With the decoded frames (about 217 per second) it adds up to CAR_CAN_RATE; INS frames are additional.
+    Together with the decoded frames (about 217 per second) they have the rate CAR_CAN_RATE; INS frames are additional.
     """
 
     def __init__(self, seed: int):
@@ -108,7 +107,7 @@ class Background:
             self._frames.append((period, index % period, Frame(message, VEHICLE_BUS)))
         decoded = 100 + 2 * 50 + 1000 / 60
         listed = sum(1000 / period for period, _, _ in self._frames)
-        # The recording has more identifiers than the list; additional frames of the fastest ones replace them.
+        # The recording has more identifiers than the list: additional frames of the most frequent ones replace them.
         extra = max(0, round((CAR_CAN_RATE - decoded - listed) / 100))
         self._frames += [(10, i % 10, self._frames[i % 12][2]) for i in range(extra)]
 

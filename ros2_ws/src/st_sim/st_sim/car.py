@@ -1,6 +1,6 @@
-"""Reads the vehicle data of the virtual car from config/vehicle/*.yaml.
+"""Reads the vehicle data of the virtual car from a vehicle file.
 
-The reader is deliberately independent of st_core.vehicle, so that an error in either one leads to a difference.
+It does not use st_core.vehicle, so that an error in one of the two readers shows as a difference.
 """
 
 import math
@@ -12,14 +12,15 @@ from typing import Any
 from .settings import SimulationError, read_document
 
 GRAVITY = 9.81  # m/s^2, as in st_core
-TRACK_WIDTH = 1.54  # m, both axles, for every vehicle file. Leaf ZE0, manufacturer: 1.540 m front, 1.535 m rear
+TRACK_WIDTH = 1.54  # m, both axles, for every vehicle file; Leaf ZE0 by its manufacturer: 1.540 m front, 1.535 m rear
 
 _TO_SI = {"deg": math.pi / 180, **dict.fromkeys(("rad", "kg", "kg m^2", "m", "m/s", "N", "N/rad", "1"), 1.0)}
 
 
 @dataclass(frozen=True)
 class Tyre:
-    """Magic Formula coefficients of one tyre, SAE sign (p_ky1 < 0). lambda_ky: scale of the cornering stiffness."""
+    """Magic Formula coefficients of one tyre with SAE signs (p_ky1 < 0). lambda_ky: factor on the cornering stiffness.
+    """
 
     nominal_load: float
     p_cy1: float
@@ -36,10 +37,7 @@ class Tyre:
 
 @dataclass(frozen=True)
 class Car:
-    """Vehicle data in SI units; x forward, y left. cg_to_ins: position of the INS relative to the CG.
-
-    Cornering stiffnesses are per axle and positive.
-    """
+    """Vehicle data [SI]; x forward, y left. Cornering stiffnesses are per axle and positive."""
 
     name: str
     mass: float
@@ -70,40 +68,41 @@ def read_car(file: str | Path) -> Car:
     path = Path(file)
     document = read_document(path)
     if not isinstance(document, Mapping):
-        raise SimulationError(f"{path}: not a mapping of keys to values")
-    values = {key: _number(document, key, path, "") for key in _CAR_KEYS}
+        raise SimulationError(f"{path}: expected lines `key: value`")
+    values = {key: _read_number(document, key, path, "") for key in _CAR_KEYS}
     for key in ("mass", "yaw_inertia", "wheelbase", "cornering_stiffness_front", "cornering_stiffness_rear"):
         if not values[key] > 0:
             raise SimulationError(f"{path}: {key}: {values[key]:g} is not above 0")
     front_load = values["mass"] * GRAVITY * (values["wheelbase"] - values["cg_to_front_axle"]) / values["wheelbase"] / 2
     rear_load = values["mass"] * GRAVITY * values["cg_to_front_axle"] / values["wheelbase"] / 2
     return Car(name=str(document.get("name", path.stem)),
-               tyre_front=_tyre(document, "tyre_front", path, values["cornering_stiffness_front"], front_load),
-               tyre_rear=_tyre(document, "tyre_rear", path, values["cornering_stiffness_rear"], rear_load), **values)
+               tyre_front=_read_tyre(document, "tyre_front", path, values["cornering_stiffness_front"], front_load),
+               tyre_rear=_read_tyre(document, "tyre_rear", path, values["cornering_stiffness_rear"], rear_load),
+               **values)
 
 
-def _tyre(document: Mapping[str, Any], key: str, path: Path, axle_stiffness: float, static_load: float) -> Tyre:
-    """Tyre of an axle. If the file has no lambda_ky, it follows from the axle stiffness at static load."""
+def _read_tyre(document: Mapping[str, Any], key: str, path: Path, axle_stiffness: float, static_load: float) -> Tyre:
+    """The tyres of an axle. Without lambda_ky in the file, it follows from the axle stiffness at static load."""
     section = document.get(key)
     if not isinstance(section, Mapping):
         raise SimulationError(f"{path}: {key} is missing")
-    values = {name: _number(section, name, path, f"{key}.") for name in _TYRE_KEYS}
+    values = {name: _read_number(section, name, path, f"{key}.") for name in _TYRE_KEYS}
     if "lambda_ky" in section:
-        return Tyre(lambda_ky=_number(section, "lambda_ky", path, f"{key}."), **values)
+        return Tyre(lambda_ky=_read_number(section, "lambda_ky", path, f"{key}."), **values)
     try:
         nominal_load = values["nominal_load"]
         load_factor = math.sin(values["p_ky4"] * math.atan(static_load / (values["p_ky2"] * nominal_load)))
         unscaled = values["p_ky1"] * nominal_load * load_factor
         lambda_ky = axle_stiffness / (2 * abs(unscaled))
     except ArithmeticError:
-        raise SimulationError(f"{path}: {key}: p_ky1, p_ky2, p_ky4 and nominal_load give no stiffness") from None
+        raise SimulationError(f"{path}: {key}: p_ky1, p_ky2, p_ky4 and nominal_load give zero stiffness") from None
     return Tyre(lambda_ky=lambda_ky, **values)
 
 
-def _number(section: Mapping[str, Any], key: str, path: Path, prefix: str) -> float:
+def _read_number(section: Mapping[str, Any], key: str, path: Path, prefix: str) -> float:
     entry = section.get(key)
     if not isinstance(entry, Mapping) or "value" not in entry or "unit" not in entry:
-        raise SimulationError(f"{path}: {prefix}{key} must be {{value: ..., unit: ..., source: ...}}")
+        raise SimulationError(f"{path}: {prefix}{key}: expected {{value: ..., unit: ..., source: ...}}")
     value, unit = entry["value"], entry["unit"]
     if unit not in _TO_SI:
         raise SimulationError(f"{path}: {prefix}{key}: unit {unit!r} is not one of {', '.join(_TO_SI)}")

@@ -1,4 +1,4 @@
-"""Driver model: preview steering along the road with limited steering-wheel rate, and speed control."""
+"""Driver model that steers with preview along the road and controls the speed."""
 
 import math
 
@@ -14,22 +14,22 @@ from .settings import Settings
 
 SAMPLING_TIME = 0.01  # s
 PREVIEW_TIME, MIN_PREVIEW = 0.8, 4.0  # s, m
-ANTICIPATION = 0.18  # s by which the curvature is steered early, to compensate for lag of driver, steering and tyres
+ANTICIPATION = 0.18  # s; the curvature this far ahead is steered, because driver, steering and tyres lag
 STEERING_TIME = 0.08  # s, time constant of the driver's steering movement
-MAX_STEERING_WHEEL_RATE, MAX_STEERING_WHEEL_ANGLE = 8.0, 9.5
-"""rad/s and rad at the steering wheel: 460 deg/s is fast for a person, 540 deg is the end stop."""
+MAX_STEERING_WHEEL_RATE = 8.0  # rad/s; 460 deg/s is fast for a person
+MAX_STEERING_WHEEL_ANGLE = 9.5  # rad; 540 deg is the end stop
 TREMOR_TIME = 0.4  # s, correlation time of random steering
-INTEGRAL_STEER, INTEGRAL_LIMIT = 0.015, 0.03  # 1/(m^2 s), 1/m
-SPEED_GAIN, SPEED_INTEGRAL = 1.2, 0.5  # 1/s, 1/s^2
-MIN_STEERING_SPEED = 0.5  # m/s; at lower speed the steering wheel is held, because the course angle is undefined
-JERK = 10.0  # m/s^3, of the pedals
+OFFSET_INTEGRAL_GAIN, OFFSET_INTEGRAL_LIMIT = 0.015, 0.03  # 1/(m^2 s), 1/m
+SPEED_GAIN, SPEED_INTEGRAL_GAIN = 1.2, 0.5  # 1/s, 1/s^2
+MIN_STEERING_SPEED = 0.5  # m/s; below it the steering wheel is held, because the course angle is undefined
+MAX_PEDAL_JERK = 10.0  # m/s^3
 MAX_BRAKING, MAX_DRIVE, HOLDING_BRAKE = 7.0, 3.5, 2.0  # m/s^2
 
 
 class Driver:
-    """Driver of one car; advance() before every plant step updates the two inputs of the plant.
+    """Driver of one car. advance(), called before every step of the plant, updates the two inputs of the plant.
 
-    steering_wheel_angle: true, left + [rad]. drive_force: sum of all wheels, braking < 0 [N].
+    steering_wheel_angle: true angle [rad, left +]. drive_force: sum of all wheels [N], braking < 0.
     """
 
     def __init__(self, car: Car, settings: Settings, plan: Plan, seed: int = 0):
@@ -37,9 +37,9 @@ class Driver:
         self.steering_wheel_angle = self.drive_force = 0.0
         self.distance = plan.start
         self._mass = car.mass * settings["mass_factor"]
-        self._tremor_size = settings["driver_tremor"]
+        self._tremor_deviation = settings["driver_tremor"]
         self._draw = normal_stream(np.random.default_rng([seed, 2]))
-        self._tremor = self._steer_sum = self._speed_sum = self._pedal = self._target = 0.0
+        self._tremor = self._offset_integral = self._speed_integral = self._pedal = self._target = 0.0
         self._next_decision = -math.inf
         self._holding = False
 
@@ -51,7 +51,7 @@ class Driver:
 
     def advance(self, plant: Plant, time: float, step: float) -> None:
         if time >= self._next_decision - 1e-9:
-            # Counted from the first call, so that a drive does not depend on the time at its start.
+            # Decisions are counted from the first call: a drive must not depend on the time at its start.
             self._next_decision = time + SAMPLING_TIME
             self._decide(plant, time)
         move = (self._target + self._tremor - self.steering_wheel_angle) * step / STEERING_TIME
@@ -59,8 +59,7 @@ class Driver:
         self.steering_wheel_angle += min(max(move, -max_step), max_step)
 
     def _decide(self, plant: Plant, time: float) -> None:
-        s = plant.state
-        speed = s[VX]
+        s, speed = plant.state, plant.state[VX]
         self._track(s[X], s[Y], speed)
         demand = self.plan.demand(time, self.distance, speed)
         if callable(demand.steer):
@@ -75,10 +74,10 @@ class Driver:
                 self._holding = False
         else:
             self._holding = True
-        self._pedals(plant, demand.speed, demand.acceleration)
-        if self._tremor_size:
+        self._control_speed(plant, demand.speed, demand.acceleration)
+        if self._tremor_deviation:
             memory = math.exp(-SAMPLING_TIME / TREMOR_TIME)
-            self._tremor = memory * self._tremor + self._tremor_size * math.sqrt(1 - memory**2) * self._draw()
+            self._tremor = memory * self._tremor + self._tremor_deviation * math.sqrt(1 - memory**2) * self._draw()
 
     def _track(self, x: float, y: float, speed: float) -> None:
         """Update `distance` to the point of the road nearest to the car."""
@@ -88,35 +87,36 @@ class Driver:
             self.distance += math.cos(road.yaw) * (x - road.x) + math.sin(road.yaw) * (y - road.y)
 
     def _continue_from_here(self, s: tuple[float, ...]) -> None:
-        """Move the road to the car after a phase with a held steering wheel; the curvature is continuous."""
+        """Move the road to the car after a phase with a held steering wheel, so that the curvature is continuous."""
         course = s[YAW] + math.atan2(s[VY], s[VX])
         self.plan.path.anchor(self.distance, Pose(s[X], s[Y], course))
-        self._steer_sum = 0.0
+        self._offset_integral = 0.0
 
     def _steer_along(self, s: tuple[float, ...], speed: float) -> float:
-        """Road-wheel angle [rad] for the curvature ahead, plus the correction within the preview distance."""
+        """Road-wheel angle [rad] for the curvature ahead and for the return to the road within the preview distance."""
         road = self.plan.path.pose(self.distance)
         offset = math.cos(road.yaw) * (s[Y] - road.y) - math.sin(road.yaw) * (s[X] - road.x)
         course = math.remainder(s[YAW] + math.atan2(s[VY], speed) - road.yaw, 2 * math.pi)
         preview = max(MIN_PREVIEW, PREVIEW_TIME * speed)
-        self._steer_sum += INTEGRAL_STEER * offset * SAMPLING_TIME
-        self._steer_sum = min(max(self._steer_sum, -INTEGRAL_LIMIT), INTEGRAL_LIMIT)
+        self._offset_integral += OFFSET_INTEGRAL_GAIN * offset * SAMPLING_TIME
+        self._offset_integral = min(max(self._offset_integral, -OFFSET_INTEGRAL_LIMIT), OFFSET_INTEGRAL_LIMIT)
         ahead = self.plan.path.curvature(self.distance + ANTICIPATION * speed)
-        curvature = ahead - 2 * (offset + preview * math.sin(course)) / preview**2 - self._steer_sum
+        curvature = ahead - 2 * (offset + preview * math.sin(course)) / preview**2 - self._offset_integral
         return math.atan(self.car.wheelbase * curvature) + UNDERSTEER * speed**2 * curvature
 
-    def _pedals(self, plant: Plant, target_speed: float, acceleration: float) -> None:
+    def _control_speed(self, plant: Plant, target_speed: float, acceleration: float) -> None:
         s = plant.state
         if plant.parked and acceleration <= 0.0:
-            self.drive_force, self._pedal, self._speed_sum = -HOLDING_BRAKE * self._mass, 0.0, 0.0
+            self.drive_force, self._pedal, self._speed_integral = -HOLDING_BRAKE * self._mass, 0.0, 0.0
             return
         error = target_speed - s[VX]
-        if abs(acceleration) < 0.5:
-            # Only at constant speed: while braking or accelerating the integral would add to the feed-forward.
-            self._speed_sum = min(max(self._speed_sum + SPEED_INTEGRAL * error * SAMPLING_TIME, -1.0), 1.0)
-        # Cornering resistance: the side force of the front tyres times the steer angle.
+        if abs(acceleration) < 0.5:  # during braking or acceleration the integral would add to the feed-forward
+            integral = self._speed_integral + SPEED_INTEGRAL_GAIN * error * SAMPLING_TIME
+            self._speed_integral = min(max(integral, -1.0), 1.0)
+        # Cornering resistance per mass: lateral force of the front axle times the sine of the steering angle.
         cornering = abs(s[VX] * s[YAW_RATE] * math.sin(s[RACK])) * plant.to_rear / self.car.wheelbase
-        target = acceleration + SPEED_GAIN * error + self._speed_sum + cornering - s[VY] * s[YAW_RATE]
+        target = acceleration + SPEED_GAIN * error + self._speed_integral + cornering - s[VY] * s[YAW_RATE]
         target = min(max(target, -MAX_BRAKING), MAX_DRIVE)
-        self._pedal += min(max(target - self._pedal, -JERK * SAMPLING_TIME), JERK * SAMPLING_TIME)
+        max_change = MAX_PEDAL_JERK * SAMPLING_TIME
+        self._pedal += min(max(target - self._pedal, -max_change), max_change)
         self.drive_force = self._mass * self._pedal

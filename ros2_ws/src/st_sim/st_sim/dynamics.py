@@ -1,6 +1,6 @@
-"""Equations of motion and tyre force of the virtual car as pure functions, which run in Python and compiled.
+"""Equations of motion and tyre force of the virtual car as pure functions, which numba can compile (bench/discovery).
 
-Axes, signs and equations: see `plant`. Checked by: test_plant.py, test_tyres.py; compiled: bench/discovery.
+Axes, signs and equations: see `plant`. Checked by: test_plant.py, test_tyres.py.
 """
 
 from collections.abc import Sequence
@@ -10,29 +10,27 @@ from typing import NamedTuple
 from .car import GRAVITY, TRACK_WIDTH, Car, Tyre
 from .settings import Settings
 
-AIR_DENSITY = 1.2
-SIDE_AREA = 2.5  # m^2, side force coefficient times side area; about half of the Leaf's 4.7 m^2 of flank
-WIND_ARM = 0.25  # m, centre of side wind ahead of the CG
-BRAKE_SHARE_FRONT = 0.65
+AIR_DENSITY = 1.2  # kg/m^3
+SIDE_AREA = 2.5  # m^2, side force coefficient (about 0.5) times the Leaf's side area (4.7 m^2)
+WIND_ARM = 0.25  # m, distance of the side force of the wind ahead of the CG
+BRAKE_SHARE_FRONT = 0.65  # fraction of the brake force at the front axle
 ROLL_SHARE_FRONT = 0.55  # fraction of the lateral load transfer at the front axle
-MINIMUM_LOAD = 50.0  # N. Lower limit of a wheel load, also of a lifted wheel, to avoid division by zero
-MIN_SLIP_SPEED = 0.5
-"""m/s. Lower limit of the denominator of slip: as low as the step allows (the paper's models use 3 m/s)."""
-CREEP_SPEED = 2.5  # m/s. At lower speed a tyre with relaxation is a spring with little damping: CREEP_DAMPING is added
+MINIMUM_LOAD = 50.0  # N, lower limit of a wheel load: a lifted wheel must not cause a division by zero
+MIN_SLIP_SPEED = 0.5  # m/s, lower limit of the denominator of slip, as low as the step allows (paper's models: 3 m/s)
+CREEP_SPEED = 2.5  # m/s; below it a tyre with relaxation has little damping, so CREEP_DAMPING is added
 CREEP_DAMPING = 0.17  # s/m, slip per sliding speed
-ROLL_FREQUENCY, ROLL_DAMPING = 12.6, 0.4
-"""rad/s (2 Hz) and damping ratio of body roll, which also determines the lateral load transfer."""
+ROLL_FREQUENCY, ROLL_DAMPING = 12.6, 0.4  # rad/s (2 Hz) and damping ratio of body roll and lateral load transfer
 PITCH_TIME, COMPLIANCE_TIME = 0.08, 0.01  # s, time constants of pitch with its load transfer, of steering compliance
-ROLLING_ONSET = 0.2  # m/s. At lower speed the rolling resistance decreases to 0, so that it cannot move a parked car
+ROLLING_ONSET = 0.2  # m/s; below it the rolling resistance decreases to 0, so that it cannot move a parked car
 
-# Positions in the state tuple. RACK, COMPLIANCE_ANGLE: road-wheel angles [rad]; S_FL to S_RR: delayed slip; A_Y, A_X:
+# Indices of the state tuple. RACK, COMPLIANCE_ANGLE: road-wheel angles [rad]; S_FL to S_RR: delayed slip; A_Y, A_X:
 # specific force at the CG [m/s^2], filtered by the roll and pitch dynamics.
 X, Y, Z, YAW, VX, VY, YAW_RATE, RACK, COMPLIANCE_ANGLE, S_FL, S_FR, S_RL, S_RR, A_Y, A_Y_RATE, A_X = range(16)
 STATES = A_X + 1
 
 
 class TyreCoefficients(NamedTuple):
-    """Coefficients of `tyre_force`; stiffness: p_ky1 F_z0 lambda [N/rad]; inverse_load: 1 / (p_ky2 F_z0) [1/N]."""
+    """Coefficients: F_z0 [N], C, p_ky1 F_z0 lambda [N/rad], 1 / (p_ky2 F_z0) [1/N], and those of `tyre_force`."""
 
     nominal: float
     shape: float
@@ -47,7 +45,7 @@ class TyreCoefficients(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """Parameters of the equations of motion, SI. max_relaxation_rate: limit for a stable integration [1/s]."""
+    """Parameters of the equations of motion [SI]. max_relaxation_rate: limit for a stable integration [1/s]."""
 
     mass: float
     yaw_inertia: float
@@ -76,15 +74,15 @@ class Constants(NamedTuple):
     rear: TyreCoefficients
 
 
-def constants(car: Car, settings: Settings, step: float) -> Constants:
-    """Parameters of a car with its settings, integrated with a time step [s]."""
+def make_constants(car: Car, settings: Settings, step: float) -> Constants:
+    """Parameters of a car with its settings, for integration with a time step [s]."""
     s = settings
     mass = car.mass * s["mass_factor"]
     to_front = car.cg_to_front_axle - s["cg_shift"]
     to_rear = car.wheelbase - to_front
     return Constants(
         mass=mass, yaw_inertia=car.yaw_inertia * s["yaw_inertia_factor"], to_front=to_front, to_rear=to_rear,
-        lag=max(s["steering_lag"], step) if s["steering_lag"] else 0.0,  # at least one step, for a stable integration
+        lag=max(s["steering_lag"], step) if s["steering_lag"] else 0.0,  # a shorter lag than a step is unstable
         steering_offset=s["steering_offset"], compliance=s["steering_compliance"], roll_steer=s["roll_steer"],
         rear_roll_steer=s["rear_roll_steer"], roll_gradient=s["roll_gradient"], camber=s["camber_thrust"],
         ackermann=s["ackermann"] * TRACK_WIDTH / (2 * car.wheelbase),
@@ -100,7 +98,7 @@ def constants(car: Car, settings: Settings, step: float) -> Constants:
 
 
 def tyre_coefficients(tyre: Tyre, stiffness_factor: float) -> TyreCoefficients:
-    """Coefficients of one tyre with its cornering stiffness K scaled by a factor."""
+    """Coefficients of one tyre whose cornering stiffness K is scaled by a factor."""
     nominal = tyre.nominal_load
     stiffness = tyre.p_ky1 * nominal * tyre.lambda_ky * stiffness_factor
     return TyreCoefficients(nominal, tyre.p_cy1, stiffness, 1.0 / (tyre.p_ky2 * nominal), tyre.p_ky4, tyre.p_dy1,
@@ -108,14 +106,14 @@ def tyre_coefficients(tyre: Tyre, stiffness_factor: float) -> TyreCoefficients:
 
 
 def tyre_force(tyre: TyreCoefficients, slip_angle: float, load: float, friction_factor: float) -> tuple[float, float]:
-    """(F_y, peak) [N] of one tyre; slip_angle [rad], load [N].
+    """Lateral force F_y and its peak |D| [N] of one tyre; slip_angle a [rad], load F_z [N].
 
         F_y = D sin(C atan(B a - E (B a - atan(B a)))),  D = mu F_z,  B = K / (C D)
         K = p_ky1 F_z0 sin(p_ky4 atan(F_z / (p_ky2 F_z0))) lambda
         mu = p_dy1 + p_dy2 df_z,  E = (p_ey1 + p_ey2 df_z)(1 - p_ey3 sgn a)
 
-    slip_angle positive when the wheel slides to its left; the force is then negative (to the right). The friction
-    factor scales the peak D and not the slope K. peak = |D|.
+    A slip angle is positive when the wheel slides to its left; the force is then negative (to the right). The friction
+    factor scales the peak D but not the slope K.
 
     Source: the paper's appendix. Checked by: test_tyres.py (slope, peak, load dependency, lambda).
     """
@@ -125,24 +123,25 @@ def tyre_force(tyre: TyreCoefficients, slip_angle: float, load: float, friction_
     curvature = p_ey1 + p_ey2 * excess
     if p_ey3 != 0.0:
         curvature *= 1.0 - p_ey3 * ((slip_angle > 0) - (slip_angle < 0))
-    # E > 1, which is possible below the measured loads, would make the force decrease and reverse beyond the peak.
+    # E > 1, possible at loads lower than measured, would make the force decrease and change its sign beyond the peak.
     curvature = min(curvature, 1.0)
     b_alpha = stiffness * sin(p_ky4 * atan(load * inverse_load)) / (shape * peak) * slip_angle
     return peak * sin(shape * atan(b_alpha - curvature * (b_alpha - atan(b_alpha)))), peak
 
 
 def lateral_share(longitudinal: float, peak: float) -> float:
-    """sqrt(1 - (F_x / peak)^2): fraction of the lateral force that remains available; 0 if |F_x| exceeds the peak."""
+    """sqrt(1 - (F_x / peak)^2), the fraction of the lateral force available with F_x; 0 if |F_x| exceeds the peak."""
     used = longitudinal / peak
     return sqrt(1.0 - used * used) if -1.0 < used < 1.0 else 0.0
 
 
-def wheel(contact: tuple[float, float, float], tyre: TyreCoefficients, friction: float, load: float, slip: float,
+def wheel_forces(contact: tuple[float, float, float], tyre: TyreCoefficients, friction: float, load: float, slip: float,
           across: float, along: float, drive: float) -> tuple[float, float, float]:
-    """Lateral and longitudinal force of one wheel [N] and the rate of its delayed slip.
+    """Lateral and longitudinal force of one wheel [N], and the time derivative of its delayed slip [1/s].
 
-    contact: relaxation length [m], weight of combined slip, largest relaxation rate [1/s]. slip: delayed (state).
-    across, along: velocity of the contact patch relative to the wheel plane [m/s]. drive: requested F_x [N].
+    contact: relaxation length [m], weight of combined slip, largest relaxation rate [1/s]. friction: factor on the
+    peak. slip: delayed slip, a state. across, along: velocity of the contact patch perpendicular to and in the wheel
+    plane [m/s]. drive: requested F_x [N].
     """
     relaxation, combined, max_rate = contact
     speed = abs(along)
@@ -164,7 +163,7 @@ def wheel(contact: tuple[float, float, float], tyre: TyreCoefficients, friction:
 
 def air_force(still_air: bool, drag_area: float, yaw: float, vx: float, vy: float, wind_x: float,
               wind_y: float) -> tuple[float, float]:
-    """Drag and side force [N] in body axes; the side force is that of the wind alone, 0 in still air."""
+    """Drag and side force [N] in body axes; sideslip in still air causes no side force."""
     along, across, speed = -vx, -vy, hypot(vx, vy)
     if still_air:
         return 0.5 * AIR_DENSITY * speed * drag_area * along, 0.0
@@ -175,13 +174,13 @@ def air_force(still_air: bool, drag_area: float, yaw: float, vx: float, vy: floa
     return 0.5 * AIR_DENSITY * airspeed * drag_area * along, side
 
 
-# long: one set of equations with two dozen shared symbols, evaluated twice per step of 2 ms.
+# long: the equations share two dozen symbols, and a call per equation would slow down every step of 2 ms.
 def derivative(s: Sequence[float], rack_target: float, drive_force: float, surroundings: tuple,  # noqa: PLR0915
                c: Constants) -> tuple[tuple, tuple]:
-    """Time derivative of the state, and the wheel quantities that `Forces` contains.
+    """Time derivative of the state, and the quantities of the wheels.
 
-    surroundings: (friction, bank, grade [rad], wind_x, wind_y [m/s]). Second result: road-wheel angle; lateral and
-    longitudinal force, load [N], velocity across and along [m/s] of each wheel.
+    surroundings: (friction, bank, grade [rad], wind_x, wind_y [m/s]). Second result: road-wheel angle [rad]; lateral
+    forces, longitudinal forces, loads [N], velocities across and along the wheel plane [m/s], each for FL, FR, RL, RR.
     """
     (mass, yaw_inertia, to_front, to_rear, lag, steering_offset, compliance, roll_steer, rear_roll_steer, roll_gradient,
      camber, ackermann, max_rate, relaxation, combined, rolling, drag_area, drive_offset, transfer_x, transfer_y,
@@ -218,17 +217,17 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, surro
     else:
         drive_front, drive_rear = drive_force * BRAKE_SHARE_FRONT / 2, drive_force * (1.0 - BRAKE_SHARE_FRONT) / 2
     contact = relaxation, combined, max_rate
-    y_fl, x_fl, rate_fl = wheel(contact, front, friction, load_fl, s_fl, across_fl, along_fl, drive_front)
-    y_fr, x_fr, rate_fr = wheel(contact, front, friction, load_fr, s_fr, across_fr, along_fr, drive_front)
-    y_rl, x_rl, rate_rl = wheel(contact, rear, friction, load_rl, s_rl, across_rl, left_x, drive_rear)
-    y_rr, x_rr, rate_rr = wheel(contact, rear, friction, load_rr, s_rr, across_rr, right_x, drive_rear)
+    y_fl, x_fl, rate_fl = wheel_forces(contact, front, friction, load_fl, s_fl, across_fl, along_fl, drive_front)
+    y_fr, x_fr, rate_fr = wheel_forces(contact, front, friction, load_fr, s_fr, across_fr, along_fr, drive_front)
+    y_rl, x_rl, rate_rl = wheel_forces(contact, rear, friction, load_rl, s_rl, across_rl, left_x, drive_rear)
+    y_rr, x_rr, rate_rr = wheel_forces(contact, rear, friction, load_rr, s_rr, across_rr, right_x, drive_rear)
     axle_front = y_fl + y_fr
     if camber:
         thrust = camber * roll
         y_fl, y_fr = y_fl - thrust * load_fl, y_fr - thrust * load_fr
         y_rl, y_rr = y_rl - thrust * load_rl, y_rr - thrust * load_rr
 
-    # Into body axes. The rear wheels steer by less than 1 deg: first order, to 2e-4 of the forces.
+    # Forces in body axes. The rear wheels steer by less than 1 deg, so a first-order rotation is accurate to 2e-4.
     bx_fl, by_fl = x_fl * cos_l - y_fl * sin_l, x_fl * sin_l + y_fl * cos_l
     bx_fr, by_fr = x_fr * cos_r - y_fr * sin_r, x_fr * sin_r + y_fr * cos_r
     bx_rl, by_rl = x_rl - y_rl * steer_rear, y_rl + x_rl * steer_rear

@@ -1,4 +1,4 @@
-"""Road and air: friction and slopes as functions of position, wind as a function of time."""
+"""Road and wind of the virtual car: friction and slopes as functions of position, wind as a function of time."""
 
 import math
 from collections.abc import Callable
@@ -9,13 +9,13 @@ import numpy as np
 from .settings import Settings
 
 WAVE_LENGTH = 80.0  # m, of the terrain along x
-PATCH_LENGTH, PATCH_PERIOD = 10.0, 40.0  # m along x, of the patches with another friction
+PATCH_LENGTH, PATCH_PERIOD = 10.0, 40.0  # m along x, of patches with different friction
 GUST_TIME = 1.5  # s, correlation time of gusts
 
 
 class Surroundings(NamedTuple):
-    """Road and air at the car. friction: factor on the tyres' peak force. bank_angle: road rises to the left +,
-    grade_angle: rises ahead + [rad]. wind_x, wind_y: air over ground, map axes [m/s]."""
+    """Road and air at the car. friction: factor on the peak force of the tyres. bank_angle: + rises to the left,
+    grade_angle: + rises ahead [rad]. wind_x, wind_y: velocity of the air in map axes [m/s]."""
 
     friction: float
     bank_angle: float
@@ -25,7 +25,7 @@ class Surroundings(NamedTuple):
 
 
 class Road(NamedTuple):
-    """Settings of the road: friction factors of road and patches, angles [rad], slopes of the terrain; see SETTINGS."""
+    """Friction factors of road and patches, bank and grade angles [rad], slopes of hillside and waves; see SETTINGS."""
 
     friction: float
     patch: float
@@ -35,7 +35,7 @@ class Road(NamedTuple):
     wave: float
 
 
-def road_of(settings: Settings) -> Road:
+def make_road(settings: Settings) -> Road:
     names = ("friction_factor", "friction_patch", "bank_angle", "grade_angle", "hillside_slope", "terrain_wave")
     return Road(*(settings[name] for name in names))
 
@@ -53,29 +53,29 @@ def road_at(road: Road, x: float, yaw: float) -> tuple[float, float, float]:
 
 
 class Environment:
-    """Surroundings along a drive. Gusts: a seeded Ornstein-Uhlenbeck process, advanced one step by each at()."""
+    """Surroundings along a drive. Each call of at() advances the gusts, an Ornstein-Uhlenbeck process, by one step."""
 
     def __init__(self, settings: Settings, step: float, seed: int):
-        self._road = road_of(settings)
-        self._wind, self._gust_sigma = settings["wind_speed"], settings["gust_speed"]
+        self._road = make_road(settings)
+        self._wind, self._gust_speed = settings["wind_speed"], settings["gust_speed"]
         self._gust_decay = math.exp(-step / GUST_TIME)
         self._gust = [0.0, 0.0]
         self._draw = normal_stream(np.random.default_rng([seed, 1]))
-        r = self._road
-        self._constant = Surroundings(r.friction, r.bank, r.grade, 0.0, 0.0)
-        self._uniform = not (self._wind or self._gust_sigma or r.hillside or r.wave) and r.patch == 1.0
+        road = self._road
+        self._constant = Surroundings(road.friction, road.bank, road.grade, 0.0, 0.0)
+        self._is_constant = not (self._wind or self._gust_speed or road.hillside or road.wave) and road.patch == 1.0
 
     def at(self, x: float, y: float, yaw: float) -> Surroundings:
-        if self._uniform:
+        if self._is_constant:
             return self._constant
-        if self._gust_sigma:
-            noise = self._gust_sigma * math.sqrt(1 - self._gust_decay**2)
+        if self._gust_speed:
+            noise = self._gust_speed * math.sqrt(1 - self._gust_decay**2)
             self._gust = [self._gust_decay * g + noise * self._draw() for g in self._gust]
         return Surroundings(*road_at(self._road, x, yaw), self._gust[0], self._wind + self._gust[1])
 
 
 def normal_stream(generator: np.random.Generator, block: int = 4096) -> Callable[[], float]:
-    """Function that returns standard normal numbers; drawn in blocks, ten times faster than single draws."""
+    """A function that returns standard normal numbers; drawing them in blocks is ten times faster."""
     buffer: list[float] = []
 
     def draw() -> float:

@@ -1,4 +1,4 @@
-"""Files of the virtual car: run.ncom, run.log or run.mf4, truth.mcap. All are complete after close()."""
+"""Writes files of the virtual car: CAN logs (run.log, run.mf4) and the true motion (truth.mcap)."""
 
 import json
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from .plant import Truth
 from .settings import Settings, SimulationError
 
 TRUTH_TOPIC = "/truth"
-CHUNK = 64 * 1024  # bytes, about 1 s of true states, which are lost if the process is killed
+CHUNK_SIZE = 64 * 1024  # bytes, about 1 s of true states, which are lost if the process is killed
 
 _HISTORY = "<FHcomment><TX>created</TX><tool_id>virtual_leaf</tool_id><tool_vendor>st_sim</tool_vendor></FHcomment>"
 
@@ -40,7 +40,7 @@ TRUTH_SCHEMA = {
 }
 
 
-def truth_record(truth: Truth) -> dict[str, object]:
+def make_truth_record(truth: Truth) -> dict[str, object]:
     record = {name: getattr(truth, name) for name in ("time", *_UNITS) if name in Truth.__dataclass_fields__}
     forces = truth.forces
     if forces is not None:
@@ -54,16 +54,17 @@ def truth_record(truth: Truth) -> dict[str, object]:
 
 
 class TruthFile:
-    """True states for scoring: truth.mcap.
+    """The file truth.mcap with the true states, for scoring.
 
-    Channel /truth, JSON with a JSON schema, log time = UTC of the measurement; settings as metadata `settings`.
+    Channel /truth with JSON messages, whose log time is the UTC of the measurement; metadata records `settings` and
+    `run` (about). fault: why the file is incomplete, empty if it is not.
     """
 
     def __init__(self, path: Path, start_ns: int, settings: Settings, about: Mapping[str, object]):
         self._start_ns = start_ns
         self.fault = ""
         self._stream = path.open("wb")
-        self._writer = Writer(self._stream, chunk_size=CHUNK)
+        self._writer = Writer(self._stream, chunk_size=CHUNK_SIZE)
         self._writer.start(profile="", library="st_sim")
         schema = self._writer.register_schema("st_sim/Truth", "jsonschema", json.dumps(TRUTH_SCHEMA).encode())
         self._channel = self._writer.register_channel(TRUTH_TOPIC, "json", schema)
@@ -71,12 +72,12 @@ class TruthFile:
         self._writer.add_metadata("run", {name: str(value) for name, value in about.items()})
 
     def write(self, truth: Truth) -> None:
-        """Add a record. A full disk ends the file, but not the drive; `fault` then contains the reason."""
+        """Add a record. A write error, such as a full disk, ends the file but not the drive."""
         if self.fault:
             return
         time_ns = self._start_ns + round(truth.time * 1e9)
         try:
-            self._writer.add_message(self._channel, time_ns, json.dumps(truth_record(truth)).encode(), time_ns)
+            self._writer.add_message(self._channel, time_ns, json.dumps(make_truth_record(truth)).encode(), time_ns)
         except OSError as error:
             self.fault = f"truth.mcap: {error.strerror}"
 
@@ -89,14 +90,14 @@ class TruthFile:
 
 
 class LogFile:
-    """CAN log as candump text. can0: the car, can1: the INS."""
+    """CAN log in the text format of candump; can0 is the car, can1 the INS."""
 
     def __init__(self, path: Path):
         self._writer = CanutilsLogWriter(path)
 
     def write(self, time_ns: int, frame: Frame) -> None:
         message = frame.message
-        # A copy, because a background frame is one object sent repeatedly.
+        # A copy, because the same object of a background frame is sent repeatedly.
         self._writer.on_message_received(can.Message(
             timestamp=time_ns / 1e9, arbitration_id=message.arbitration_id, is_extended_id=False, data=message.data,
             channel=frame.bus - 1))
@@ -106,9 +107,9 @@ class LogFile:
 
 
 class Mf4File:
-    """MDF 4.11 like a finalised CANedge log: one bus-logging group per channel, times on a grid of 50 us.
+    """MDF 4.11 file like a finalised log of a CANedge: one bus-logging group per channel, times on a grid of 50 us.
 
-    CAN1: the car, CAN2: the INS. Frames are in memory until close().
+    CAN1 is the car, CAN2 the INS. Frames are kept in memory until close().
     """
 
     GRID_NS = 50_000
@@ -117,8 +118,7 @@ class Mf4File:
         try:
             import asammdf  # noqa: F401
         except ImportError:
-            raise SimulationError("--can-format mf4 needs the Python package asammdf; --can-format log does not") \
-                from None
+            raise SimulationError("--can-format mf4 needs the Python package asammdf; use --can-format log") from None
         self._path, self._start_ns = path, start_ns
         self._frames: dict[int, list[tuple[int, int, bytes]]] = {VEHICLE_BUS: [], INS_BUS: []}
 
@@ -137,19 +137,19 @@ class Mf4File:
         log.header.start_time = start
         for bus, frames in self._frames.items():
             if frames:
-                log.append([self._signal(bus, frames)], comment="virtual Leaf", common_timebase=True)
+                log.append([self._make_signal(bus, frames)], comment="virtual Leaf", common_timebase=True)
                 group: Any = log.groups[-1].channel_group
-                # asammdf names every such group CAN; a CANedge numbers its channels.
+                # asammdf names all these groups CAN, but a CANedge numbers its channels.
                 group.acq_name = f"CAN{bus}"
                 group.flags |= 0x6  # bus event, plain bus event: required by readers of bus logs
-        # asammdf's own history contains the present time, but equal seeds must give equal bytes.
+        # The history that asammdf would write contains the present time, but equal seeds must give equal bytes.
         history = FileHistory()
         history.comment, history.abs_time = _HISTORY, self._start_ns
         log.file_history.append(history)
         log.save(self._path, overwrite=True, add_history_block=False)
         log.close()
 
-    def _signal(self, bus: int, frames: list[tuple[int, int, bytes]]) -> object:
+    def _make_signal(self, bus: int, frames: list[tuple[int, int, bytes]]) -> object:
         from asammdf import Signal
         from asammdf.blocks import v4_constants as v4
         from asammdf.blocks.source_utils import Source
@@ -171,7 +171,7 @@ class Mf4File:
 
 
 def make_folder(option: str, folder: Path) -> Path:
-    """Create the folder of an option. Raises SimulationError naming the option."""
+    """Create the folder given with an option. Raises SimulationError naming the option."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

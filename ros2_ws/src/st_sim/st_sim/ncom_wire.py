@@ -1,6 +1,6 @@
-"""Encodes INS readings as NCOM packets with the status channels of an RT3000 with RTK and dual antenna.
+"""Encodes INS readings as NCOM packets with the status channels of an RT3000 with RTK and two antennas.
 
-Positions are WGS84, axes NED and FRD; the unit is locked, and its filter has converged.
+Positions are WGS84, axes NED and FRD; the status channels are those of a converged filter.
 """
 
 import math
@@ -15,19 +15,16 @@ from .sensors import ACCURACY, InsReading
 SEMI_MAJOR = 6378137.0
 FLATTENING = 1 / 298.257223563
 _E2 = FLATTENING * (2 - FLATTENING)
-UNDULATION = 45.5
-"""Geoid above the ellipsoid [m], EGM96 near Eindhoven. Altitude is sent above the geoid, as units do by default."""
-
-UNIX_OF_GPS_EPOCH_NS = 315_964_800_000_000_000
+UNDULATION = 45.5  # m, geoid above the ellipsoid (EGM96 near Eindhoven); by default units send altitude above the geoid
+GPS_EPOCH_UNIX_NS = 315_964_800_000_000_000
 LEAP_SECONDS_NS = 18_000_000_000  # GPS is ahead of UTC by 18 s since 2017
 
-# Navigation status without any valid data, and with inertial data only.
-NO_DATA, RAW_IMU = 0, 1
+NO_DATA, RAW_IMU = 0, 1  # navigation status without any valid data, and with inertial data only
 _INVALID = (math.nan, math.nan, math.nan)
 
 
 class Origin:
-    """Origin of the map, whose axes are x east, y north, z up; latitude, longitude [deg], ellipsoidal height [m]."""
+    """Origin of the map with axes x east, y north, z up; latitude and longitude [deg], ellipsoidal height [m]."""
 
     def __init__(self, latitude_deg: float, longitude_deg: float, height: float):
         self.latitude_deg, self.longitude_deg, self.height = latitude_deg, longitude_deg, height
@@ -66,15 +63,18 @@ def from_ecef(x: float, y: float, z: float) -> tuple[float, float, float]:
 
 
 class NcomWire:
-    """Packets of one unit. start_ns: UTC of the start [ns since 1970], in whole milliseconds as NCOM requires."""
+    """Encoder of the packets of one INS.
+
+    start_ns: UTC of the start [ns since 1970], in whole milliseconds as NCOM requires. rate: packets per second.
+    """
 
     def __init__(self, origin: Origin, start_ns: int, rate: int):
         self._origin = origin
-        self._start_gps_ns = start_ns - UNIX_OF_GPS_EPOCH_NS + LEAP_SECONDS_NS
+        self._start_gps_ns = start_ns - GPS_EPOCH_UNIX_NS + LEAP_SECONDS_NS
         self._status = StatusChannels(origin, rate)
 
     def packet(self, reading: InsReading, status: int = LOCKED) -> bytes:
-        """The 72 bytes of one epoch; values that this navigation status does not provide are marked invalid."""
+        """The 72 bytes of one epoch, in which values are invalid that the navigation status does not provide."""
         total_ms = round((self._start_gps_ns + round(reading.stamp * 1e9)) / 1_000_000)
         minutes, milliseconds = divmod(total_ms, 60_000)
         channel, batch_s = self._status.next(minutes if status >= INITIALISING else None, reading)
@@ -99,21 +99,19 @@ class NcomWire:
         return encode(packet)
 
 
-# Packets after which the sequence of channels repeats; channels with changing values; up time at the start [s].
-CYCLE = 200
-MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES = 0, 1, 2, 18, 23
-UP_TIME_AT_START = 1800.0
-
-_RTK, _SATELLITES = 6, 14
+CYCLE = 200  # packets after which the sequence of channels repeats
+MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES = 0, 1, 2, 18, 23  # channels with changing values
+UP_TIME_AT_START = 1800.0  # s
+_RTK, _SATELLITES = 6, 14  # code of the position mode, number of satellites
 
 
-def _receiver(name: str) -> dict[str, float]:
+def _receiver_values(name: str) -> dict[str, float]:
     values = {"AntStatus": 0, "AntPower": 0, "CpuUsed": 34, "CoreNoise": 12, "SerBaud": 14, "NumSats": _SATELLITES,
               "PosMode": _RTK, "CoreTemp": 41, "SupplyVolt": 12.1}
     return {f"{name}.{key}": value for key, value in values.items()}
 
 
-# Constant values. Channels that the suite does not evaluate are sent with all fields invalid; 57 repeats 12.
+# Channels with constant values; those that the suite does not use are sent with all fields invalid.
 _FIXED: Mapping[int, Mapping[str, float | str]] = {
     **{channel: {} for channel in (*range(6, 12), *range(13, 16), 17, 21, 22, 24, 26, *range(28, 30), *range(31, 37),
                                    38, 39, *range(41, 48), *range(49, 55), *range(57, 66), *range(72, 77), 78)},
@@ -136,17 +134,17 @@ _FIXED: Mapping[int, Mapping[str, float | str]] = {
     40: {"NcomVersion": 22, "OutputLatency": 0.0, "SerialNumber24": 4711},
     48: {"Undulation": UNDULATION, "HDOP": 0.7, "PDOP": 1.3, "OutputDatum": 0, "DatumEllipsoid": 0,
          "DatumEarthFrame": 0},
-    55: _receiver("GpsPrimary"),
-    56: _receiver("GpsSecondary"),
+    55: _receiver_values("GpsPrimary"),
+    56: _receiver_values("GpsSecondary"),
 }
-# Channels by their period in packets; all others are sent every 100 packets.
+# Channels sent every 10th, 25th, 50th and 200th packet; all others are sent every 100th packet.
 _EVERY_10, _EVERY_25, _EVERY_50 = (0, 1), (32, 45), (3, 4, 5, 20, 24, 43, 65, 66, 67)
 _EVERY_200 = (46, 47, 49, 50, 51, 52, 53, 54, 58, 60, 61, 62, 63, 64, 72, 73, 74, 75, 76, 78)
 _CHANGING = (MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES)
 
 
-def schedule() -> list[int]:
-    """Channel number of each of CYCLE packets, by the periods above; free slots contain channel 0."""
+def make_schedule() -> list[int]:
+    """Channel number of each packet of a cycle; slots that no period fills contain channel 0."""
     slots: list[int | None] = [None] * CYCLE
 
     def put(channels: tuple[int, ...], period: int) -> None:
@@ -165,11 +163,11 @@ def schedule() -> list[int]:
 
 
 class StatusChannels:
-    """Contents of the status channels, packet by packet. rate: packets per second."""
+    """Contents of the status channel of each packet. rate: packets per second."""
 
     def __init__(self, origin: Origin, rate: int):
         self._rate, self._count = rate, 0
-        self._slots = schedule()
+        self._slots = make_schedule()
         frame = {
             66: {"RefLat": origin.latitude_deg, "RefLon": origin.longitude_deg},
             # Heading 90 deg: x of the local frame is east.
@@ -178,7 +176,7 @@ class StatusChannels:
         self._fixed = {channel: encode_channel(channel, values) for channel, values in {**_FIXED, **frame}.items()}
 
     def next(self, gps_minutes: int | None, reading: InsReading) -> tuple[int, bytes]:
-        """Channel number and 8 bytes of the next packet; gps_minutes: of this packet, None while unknown."""
+        """Channel number and its 8 bytes for the next packet. gps_minutes: of this packet, None while unknown."""
         channel = self._slots[self._count % CYCLE]
         self._count += 1
         if channel in self._fixed:

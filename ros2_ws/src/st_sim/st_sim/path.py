@@ -1,4 +1,4 @@
-"""A periodic road as curvature versus distance, and its speed profile."""
+"""A periodic road, defined by its curvature as a function of distance, and its speed profile."""
 
 import bisect
 import math
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import accumulate
 from typing import NamedTuple
 
-GRID = 0.1  # m, between stored poses; linear interpolation has an error of 0.1 mm at R = 11.5 m
+GRID = 0.1  # m, between stored poses; linear interpolation between them has an error of 0.1 mm at R = 11.5 m
 SPEED_STEP = 0.25  # m, between stored speeds
 
 
@@ -18,7 +18,7 @@ class Pose(NamedTuple):
     yaw: float
 
     def compose(self, other: "Pose") -> "Pose":
-        """The pose in map axes of `other`, which is relative to this pose."""
+        """Pose in map axes of `other`, which is given relative to this pose."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         return Pose(self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, self.yaw + other.yaw)
 
@@ -28,7 +28,7 @@ class Pose(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """Part of a road whose curvature [1/m, left +] is linear in distance; length [m], target speed [m/s]."""
+    """Part of a road with constant target speed [m/s] and a curvature [1/m, left +] that is linear in distance [m]."""
 
     length: float
     curvature_start: float
@@ -41,7 +41,7 @@ def straight(length: float, speed: float) -> list[Piece]:
 
 
 def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> list[Piece]:
-    """A turn by an angle [deg, left +]; its curvature rises and falls linearly over a length `blend` [m].
+    """A turn by an angle [deg, left +] whose curvature rises and falls linearly, each over a length `blend` [m].
 
     Raises ValueError if the blends alone turn by more than the angle.
     """
@@ -55,9 +55,9 @@ def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> l
 
 
 def lane_shift(offset: float, length: float, speed: float) -> list[Piece]:
-    """Lateral shift by an offset [m, left +] within a length [m], back to the initial heading; curvature +, -, linear.
+    """Lateral shift by an offset [m, left +] within a length [m], which ends in the initial heading.
 
-    offset = 2 k (length / 4)^2 for small angles. Checked by: test_scenarios.py.
+    The curvature is piecewise linear with extremes k and -k, and offset = 2 k (length / 4)^2 for small angles.
     """
     quarter = length / 4
     k = offset / (2 * quarter**2)
@@ -65,9 +65,7 @@ def lane_shift(offset: float, length: float, speed: float) -> list[Piece]:
 
 
 class Path:
-    """A road that repeats its pieces periodically, each lap continuing the previous one.
-
-    Distances [m] may have any value, including negative ones.
+    """A road that repeats its pieces; each lap continues at the end of the previous one. Distances [m] may be negative.
     """
 
     def __init__(self, pieces: Sequence[Piece]):
@@ -92,7 +90,7 @@ class Path:
     def anchor(self, distance: float, pose: Pose) -> None:
         """Move the whole path so that it passes through `pose` at `distance`."""
         self._lap_starts.clear()
-        self._anchor = Pose(0.0, 0.0, 0.0)  # so that the next line gives the pose in the axes of the path
+        self._anchor = Pose(0.0, 0.0, 0.0)  # then self.pose returns poses in the axes of the path
         self._anchor = pose.compose(self.pose(distance).inverse())
         self._lap_starts.clear()
 
@@ -113,10 +111,12 @@ class Path:
         return self._find(distance % self.length)[0].speed
 
     def _find(self, along: float) -> tuple[Piece, float]:
+        """The piece at a distance within a lap, and the distance from its start."""
         index = min(bisect.bisect_right(self._ends, along), len(self.pieces)) - 1
         return self.pieces[index], along - self._ends[index]
 
     def _heading(self, remaining: float) -> float:
+        """Heading at a distance within a lap, relative to its start [rad]."""
         yaw = 0.0
         for piece in self.pieces:
             along = min(remaining, piece.length)
@@ -140,13 +140,13 @@ class Path:
 
 
 class SpeedProfile:
-    """Highest speed as a function of distance within target speeds, acceleration and braking [m/s^2, > 0]."""
+    """Highest speed along a path within its target speeds and the limits of acceleration and braking [m/s^2, > 0]."""
 
     def __init__(self, path: Path, acceleration: float, braking: float):
         count = max(4, math.ceil(path.length / SPEED_STEP))
         self._step, self._length = path.length / count, path.length
         squares = [path.speed(i * self._step) ** 2 for i in range(count)]
-        # Two laps, because braking may begin in the previous one.
+        # Two laps, because braking may begin in the previous lap.
         for i in range(2 * count):
             squares[(i + 1) % count] = min(squares[(i + 1) % count], squares[i % count] + 2 * acceleration * self._step)
         for i in range(2 * count, 0, -1):

@@ -1,15 +1,15 @@
-"""The virtual car: a double-track vehicle with separate equations, independent of the models in st_core.
+"""The virtual car: a double-track vehicle with its own equations of motion, independent of the models in st_core.
 
-Axes ISO 8855 (x forward, y left, z up), state at the true CG, yaw counter-clockwise from east. Wheels: front left,
-front right, rear left, rear right. A slip angle is positive when the wheel slides to its left, so the force is
-negative.
+Axes are ISO 8855 (x forward, y left, z up), the state is at the true CG, yaw is counter-clockwise from east. The order
+of wheels is front left, front right, rear left, rear right. A slip angle is positive when the wheel slides to its left;
+the lateral force is then negative.
 
     m (dv_x/dt - r v_y) = sum F_x - drag - m g sin(grade)
     m (dv_y/dt + r v_x) = sum F_y + wind - m g sin(bank)
     I_z dr/dt           = sum (x_i F_y,i - y_i F_x,i) + wind moment
 
-with forces rotated from wheel to body axes, tyre force from the delayed slip, loads from filtered accelerations,
-and the chain from steering wheel to road wheels: delay -> play -> ratio -> lag -> offset, roll steer, compliance.
+Forces are rotated from wheel to body axes. Tyre forces follow from the delayed slip, loads from filtered accelerations.
+From steering wheel to road wheels: delay -> play -> ratio -> lag -> offset, roll steer, compliance.
 
 Source: Pacejka, Tire and Vehicle Dynamics, ch. 1 and 7. Checked by: test_plant.py, test_effects.py.
 """
@@ -41,20 +41,19 @@ from .dynamics import (
     X,
     Y,
     Z,
-    constants,
     derivative,
+    make_constants,
 )
 from .environment import Environment
 from .settings import Settings
 
-STEP = 0.002  # s, of the integrator (Heun). Halving it moves a 10 s drive by less than a millimetre (test_plant.py)
-
-STANDSTILL = 0.02  # m/s. At lower speed, with the brakes applied, the car is at rest
+STEP = 0.002  # s, of the integrator (Heun); half of it moves the end of a 10 s drive by less than 1 mm (test_plant.py)
+STANDSTILL = 0.02  # m/s; at lower speed with the brakes applied, the car is at rest
 DRIVE = 4  # gear code on CAN; 1 P, 2 R, 3 N
 
 
 class Forces(NamedTuple):
-    """Forces, loads and accelerations at one instant, per wheel (FL, FR, RL, RR) and of the body; SI."""
+    """Forces, loads, slip angles and speeds of the wheels (FL, FR, RL, RR), and accelerations of the body [SI]."""
 
     acceleration_x: float
     acceleration_y: float
@@ -70,10 +69,10 @@ class Forces(NamedTuple):
 
 @dataclass(slots=True)
 class Truth:
-    """True motion at the CG, of a simulated or a recorded drive. SI; time in seconds since the start of the drive.
+    """True motion at the CG in a simulated or recorded drive [SI]; time since the start of the drive.
 
-    Map axes x east, y north, z up; body axes x forward, y left. roll: right side down +, pitch: nose up +, body and
-    road together. velocity_z: upwards. steering_wheel_angle: left +, without the offset of the sensor.
+    Map axes x east, y north, z up; body axes x forward, y left. roll: right side down +, pitch: nose up +, both the sum
+    of body and road. velocity_z: up +. steering_wheel_angle: left +, without the offset of the sensor.
     acceleration_x, _y: without gravity. wheel_speed: FL, FR, RL, RR.
     """
 
@@ -113,7 +112,7 @@ class Truth:
 
 
 class Plant:
-    """State of one car; `step` advances it by one time step with constant steering-wheel angle and drive force."""
+    """State of one car, which `step` advances by one time step with constant steering-wheel angle and drive force."""
 
     def __init__(self, car: Car, settings: Settings, seed: int = 0, step: float = STEP):
         self.car, self.settings, self.time_step = car, settings, step
@@ -122,14 +121,14 @@ class Plant:
         self.forces: Forces
         self.parked = False
         self.surroundings = self.environment.at(0.0, 0.0, 0.0)
-        self.constants = constants(car, settings, step)
+        self.constants = make_constants(car, settings, step)
         self.mass, self.yaw_inertia = self.constants.mass, self.constants.yaw_inertia
         self.to_front, self.to_rear = self.constants.to_front, self.constants.to_rear
         self._ratio = car.steering_ratio * settings["steering_ratio_factor"]
-        self._play = settings["steering_backlash"] / 2
+        self._half_play = settings["steering_backlash"] / 2
         self._delay: deque[float] = deque([0.0] * round(settings["steering_delay"] / step))
         self._after_play = 0.0
-        self._wheel_slip = settings["wheel_slip_compliance"]
+        self._wheel_slip_compliance = settings["wheel_slip_compliance"]
 
     def place(self, x: float, y: float, yaw: float, speed: float, curvature: float = 0.0) -> None:
         """Set position [m], yaw [rad], speed [m/s] and curvature [1/m, left +] of a motion without slip."""
@@ -181,13 +180,13 @@ class Plant:
         self.state = self._at_rest(s) if self.parked else s
 
     def observe(self, drive_force: float) -> Forces:
-        """Forces and accelerations at the present state, also stored in `forces`. At rest nothing accelerates."""
+        """Forces and accelerations in the present state, which are also stored in `forces`; no acceleration at rest."""
         s, moving = self.state, not self.parked
         rates, wheels = derivative(s, s[RACK], drive_force, self.surroundings, self.constants)
         road_wheel_angle, lateral, longitudinal, load, across_speeds, along_speeds = wheels
         slip = [atan2(across, max(abs(along), MIN_SLIP_SPEED))
                 for across, along in zip(across_speeds, along_speeds, strict=True)]
-        speeds = [along * (1 + self._wheel_slip * force / wheel_load)
+        speeds = [along * (1 + self._wheel_slip_compliance * force / wheel_load)
                   for along, force, wheel_load in zip(along_speeds, longitudinal, load, strict=True)]
         self.forces = Forces(acceleration_x=rates[VX] - s[YAW_RATE] * s[VY] if moving else 0.0,
                              acceleration_y=rates[VY] + s[YAW_RATE] * s[VX] if moving else 0.0,
@@ -197,7 +196,7 @@ class Plant:
         return self.forces
 
     def _at_rest(self, s: Sequence[float]) -> tuple[float, ...]:
-        """State at rest with brakes applied: no velocity, no slip; roll and pitch decay."""
+        """The state with zero velocity and slip, and with decaying roll and pitch."""
         values = list(s)
         for i in (VX, VY, YAW_RATE, COMPLIANCE_ANGLE, S_FL, S_FR, S_RL, S_RR):
             values[i] = 0.0
@@ -206,10 +205,11 @@ class Plant:
         return tuple(values)
 
     def _rack_target(self, angle: float) -> float:
+        """Road-wheel angle that the rack approaches, from the steering-wheel angle after delay and play [rad]."""
         if self._delay:
             self._delay.append(angle)
             angle = self._delay.popleft()
-        if self._play:
-            self._after_play = min(max(self._after_play, angle - self._play), angle + self._play)
+        if self._half_play:
+            self._after_play = min(max(self._after_play, angle - self._half_play), angle + self._half_play)
             angle = self._after_play
         return angle / self._ratio

@@ -1,9 +1,8 @@
-"""A recorded drive as the source of sensor data, in place of the simulation.
+"""A recorded drive from a CSV file, as the source of sensor data instead of the simulation.
 
-Columns at the CG: t, x, y, yaw, vx, vy, yaw_rate, ax, ay, delta (SI; x east, y north, yaw from east, body axes forward
-and left, delta the road-wheel angle, left +), interpolated linearly (yaw unwrapped). Nothing is smoothed or integrated:
-position, velocity and rates are replayed as recorded, even if they are inconsistent. The yaw acceleration, needed only
-for an INS away from the CG, is the slope of the yaw rate.
+Columns, all at the CG and SI: t, x (east), y (north), yaw (from east), vx (forward), vy (left), yaw_rate, ax, ay, and
+delta, the road-wheel angle (left +). Values are interpolated linearly but not smoothed or made consistent. The yaw
+acceleration, which matters only for an INS away from the CG, is the slope of the yaw rate.
 """
 
 import csv
@@ -21,10 +20,10 @@ COLUMNS = ("t", "x", "y", "yaw", "vx", "vy", "yaw_rate", "ax", "ay", "delta")
 
 
 class RecordedDrive:
-    """A recorded drive for a Stream. Time 0 is its first row; after its end the last row is repeated."""
+    """A recorded drive for a Stream. Time 0 is the first row; after the end, the last row is repeated."""
 
     def __init__(self, file: str | Path, car: Car):
-        """Raises SimulationError naming file and line or column."""
+        """Raises SimulationError naming the file, and line or column."""
         table = _read(Path(file))
         self._car = car
         table[:, COLUMNS.index("yaw")] = np.unwrap(table[:, COLUMNS.index("yaw")])
@@ -56,13 +55,13 @@ def _read(path: Path) -> np.ndarray:
             missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
             if missing:
                 raise SimulationError(f"{path}: column {missing[0]} is missing; required are {', '.join(COLUMNS)}")
-            rows = [_numbers(row, path, reader.line_num) for row in reader]
+            rows = [_parse_row(row, path, reader.line_num) for row in reader]
     except OSError as error:
         raise SimulationError(f"--drive {path}: cannot be read: {error.strerror}") from None
     except (UnicodeDecodeError, csv.Error) as error:
-        raise SimulationError(f"{path}: is not a CSV file: {error}") from None
+        raise SimulationError(f"{path}: not a CSV file: {error}") from None
     if len(rows) < 2:
-        raise SimulationError(f"{path}: has {len(rows)} rows, at least 2 are needed")
+        raise SimulationError(f"{path}: has {len(rows)} rows, but at least 2 are required")
     table = np.array(rows)
     backward = np.flatnonzero(np.diff(table[:, 0]) <= 0)
     if backward.size:
@@ -70,7 +69,7 @@ def _read(path: Path) -> np.ndarray:
     return table
 
 
-def _numbers(row: dict[str, str], path: Path, line: int) -> list[float]:
+def _parse_row(row: dict[str, str], path: Path, line: int) -> list[float]:
     try:
         values = [float(row[name]) for name in COLUMNS]
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""The `virtual_leaf` command: a simulated car or a recorded drive, sent in real time or written to files."""
+"""The `virtual_leaf` command: sends the sensor data of a simulated or recorded drive in real time, or writes files."""
 
 import argparse
 import atexit
@@ -26,19 +26,16 @@ from .settings import SETTINGS, SimulationError, overrides, resolve
 from .simulation import SimulatedCar
 from .stream import LiveOutput, Report, Source, Stream, send
 
-DEFAULT_DURATION = 60.0
-START_GRID_NS = 20_000_000
-"""UTC grid of the start of drives, so that every epoch at 100 or 250 Hz is a whole millisecond."""
+DEFAULT_DURATION = 60.0  # s
+START_GRID_NS = 20_000_000  # drives start on this UTC grid, so that epochs at 100 and 250 Hz are whole milliseconds
 LEAD_NS = 20_000_000  # minimum time from the end of preparation to the first epoch
-FILE_EPOCH_NS = 1_756_900_800_000_000_000
-"""2025-09-03 12:00:00 UTC: start of a drive written to files, plus one hour per seed."""
+FILE_EPOCH_NS = 1_756_900_800_000_000_000  # 2025-09-03 12:00 UTC: start of a drive written to files with seed 0
 DEFAULT_ORIGIN = "51.448,5.49,65.0"
-_SENSOR_GROUPS = ("ins", "can")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit status: 0, also after SIGINT or SIGTERM (files are closed); 2 for a bad argument, with a line on stderr."""
-    stop = _stop_request()
+    """Run the command; returns 0, also after SIGINT or SIGTERM, or 2 for a bad argument, with a line on stderr."""
+    stop_requested = _watch_signals()
     try:
         options = _parser().parse_args(arguments)
         if options.list:
@@ -47,9 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for s in SETTINGS.values():
                 print(f"{s.name:28} {s.group}: {s.meaning} [{s.unit}], null {s.null:g}, {s.low:g} to {s.high:g}")
         elif options.to_files:
-            _to_files(options, stop)
+            _to_files(options, stop_requested)
         else:
-            _live(options, stop)
+            _live(options, stop_requested)
     except (OSError, ValueError) as error:
         print(f"virtual_leaf: {_one_line(error)}", file=sys.stderr)
         return 2
@@ -57,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def check(arguments: Sequence[str]) -> None:
-    """Check arguments as main() does before it starts. Raises SimulationError, one line."""
+    """Check arguments as main() does before it starts. Raises SimulationError with a message of one line."""
     try:
         _prepare(_parser().parse_args(arguments))
     except (OSError, ValueError) as error:
@@ -68,21 +65,21 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def _stop_request() -> Callable[[], bool]:
-    """A function that returns True after SIGINT or SIGTERM."""
-    received: list[int] = []  # no Event: a second signal within its `set` would deadlock
+def _watch_signals() -> Callable[[], bool]:
+    """Install handlers of SIGINT and SIGTERM; returns a function that tells whether one of them has arrived."""
+    received: list[int] = []  # not an Event: a second signal during its `set` would cause a deadlock
     for number in (signal.SIGINT, signal.SIGTERM):
-        # ValueError: not in the main thread (tests, embedding programs), which receives no signals.
+        # ValueError: only the main thread can install handlers; tests and other programs may call from another one.
         with contextlib.suppress(ValueError):
             signal.signal(number, lambda number, _: received.append(number))
-            # The interpreter removes handlers before it exits; a signal would then turn success into failure.
+            # The interpreter removes the handlers before it exits; a signal after that would change the exit status.
             atexit.register(signal.signal, number, signal.SIG_IGN)
     return lambda: bool(received)
 
 
 @dataclass(frozen=True)
 class _Run:
-    """Inputs of a run, read and checked before it starts."""
+    """Inputs of a run, checked before it starts. about: entries of the metadata record `run` in truth.mcap."""
 
     car: Car
     settings: dict[str, float]
@@ -92,7 +89,7 @@ class _Run:
     duration: float
     about: dict[str, object]
 
-    def stream(self, options: argparse.Namespace, start_ns: int) -> Stream:
+    def make_stream(self, options: argparse.Namespace, start_ns: int) -> Stream:
         seed = options.seed
         return Stream(self.source, self.settings, Ins(self.car, self.settings, 1 / options.ncom_rate, seed),
                       SteeringSensor(self.car, self.settings, seed), NcomWire(self.origin, start_ns, options.ncom_rate),
@@ -100,28 +97,30 @@ class _Run:
                       options.startup)
 
 
-def _bus(options: argparse.Namespace) -> tuple[Path, Path]:
-    """DBC and signal table of the Leaf, also for other cars: from the folder of the vehicle file, else from the given
-    config folder, else from that of the vehicle file, of the checkout, or of the current or a parent folder."""
-    folder, configs = options.vehicle.resolve().parent, [options.config]
-    if not options.config:
-        checkout, here = os.environ.get("ST_ENVIRONMENT"), Path.cwd()
-        roots = [*([Path(checkout)] if checkout else []), here, *here.parents]
-        configs = [options.vehicle.absolute().parent.parent, *(root / "config" for root in roots)]
-    tables = [(config / "can" / "leaf_ze0.dbc", config / "can" / "leaf_ze0.yaml") for config in configs]
-    for dbc, signals in ((folder / "can.dbc", folder / "signals.yaml"), *tables):
-        usable = dbc.exists() and signals.exists() and (options.config is None or dbc.is_relative_to(options.config))
-        if usable and f"{STEERING_MESSAGE}:" in signals.read_text(encoding="utf-8"):
+def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
+    """DBC and signal table of the Leaf, whose messages the virtual car sends with every vehicle file.
+
+    Places in this order: next to the vehicle file, then the folder --config, or without it the config folders above the
+    vehicle file, of the checkout, and of the current folder and its parents.
+    """
+    vehicle, config = options.vehicle, options.config
+    roots = [Path(os.environ.get("ST_ENVIRONMENT") or Path.cwd()), Path.cwd(), *Path.cwd().parents]
+    configs = [config] if config else [vehicle.absolute().parent.parent, *(root / "config" for root in roots)]
+    candidates = [(vehicle.resolve().parent / "can.dbc", vehicle.resolve().parent / "signals.yaml"),
+                  *((folder / "can" / "leaf_ze0.dbc", folder / "can" / "leaf_ze0.yaml") for folder in configs)]
+    for dbc, signals in candidates:
+        is_found = dbc.exists() and signals.exists() and (config is None or dbc.is_relative_to(config))
+        if is_found and f"{STEERING_MESSAGE}:" in signals.read_text(encoding="utf-8"):
             return dbc, signals
-    raise SimulationError(f"--config {options.config or 'is missing'}: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the CAN "
-                          "tables of the virtual car, are in config/ of the project; give that folder")
+    raise SimulationError(f"--config {config or 'is missing'}: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the CAN tables "
+                          "of the virtual car, not found; give the folder config/ of the project")
 
 
 def _prepare(options: argparse.Namespace) -> _Run:
     if not options.vehicle:
         raise SimulationError("--vehicle is missing; the Leaf is config/vehicle/leaf.yaml")
     car = read_car(options.vehicle)
-    codec = Decoder(*_bus(options))
+    codec = Decoder(*_find_can_tables(options))
     settings = _settings(options)
     source: Source
     if options.drive:
@@ -130,12 +129,12 @@ def _prepare(options: argparse.Namespace) -> _Run:
         source = SimulatedCar(car, settings, load(options.scenario), options.seed)
     duration = options.duration if options.duration is not None else source.duration or DEFAULT_DURATION
     if not 0 < duration <= 1e6:
-        raise SimulationError(f"--duration {duration:g}: not within 0 to 1000000 s")
+        raise SimulationError(f"--duration {duration:g}: must be above 0 and at most 1000000 s")
     if source.duration is not None:
         duration = min(duration, source.duration)
     about = {"scenario": "" if options.drive else options.scenario,
              "drive": options.drive.name if options.drive else "", "vehicle": car.name, "plant": options.plant or "",
-             "seed": options.seed, "ncom_rate": options.ncom_rate, "not_null": json.dumps(overrides(settings))}
+             "seed": options.seed, "ncom_rate": options.ncom_rate, "changed_settings": json.dumps(overrides(settings))}
     return _Run(car, settings, source, codec, _origin(options.origin), duration, about)
 
 
@@ -146,7 +145,7 @@ def _settings(options: argparse.Namespace) -> dict[str, float]:
         raise SimulationError("--plant cannot be combined with --drive: a recorded drive has no plant")
     settings = resolve("ideal", options.effect)
     for name in overrides(settings):
-        if SETTINGS[name].group not in _SENSOR_GROUPS:
+        if SETTINGS[name].group not in ("ins", "can"):
             raise SimulationError(f"--effect {name} cannot be combined with --drive: only sensor effects apply to a "
                                   "recorded drive")
     return settings
@@ -158,12 +157,12 @@ def _origin(text: str) -> Origin:
     except ValueError:
         raise SimulationError(f"--origin {text}: must be latitude,longitude,height in degrees and metres") from None
     if not (abs(latitude) < 89 and abs(longitude) <= 180 and abs(height) < 9000):
-        raise SimulationError(f"--origin {text}: latitude within 89, longitude within 180 degrees, height within "
-                              "9000 m")
+        raise SimulationError(f"--origin {text}: latitude must be within +-89 degrees, longitude within +-180 degrees, "
+                              "height within +-9000 m")
     return Origin(latitude, longitude, height)
 
 
-def _live(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
+def _live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> None:
     run = _prepare(options)
     with contextlib.ExitStack() as resources:
         output = LiveOutput(options.ncom_host, options.ncom_port, options.can_interface, options.can_channel)
@@ -175,21 +174,22 @@ def _live(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
         if options.output:
             truth = TruthFile(make_folder("--output", options.output) / "truth.mcap", start_ns, run.settings, run.about)
             resources.callback(truth.close)
-        outputs = run.stream(options, start_ns).outputs(run.duration)
-        # Priority over ordinary processes, if permitted, to keep the deadlines.
+        outputs = run.make_stream(options, start_ns).outputs(run.duration)
+        # A higher priority, if permitted, helps to keep the deadlines.
         with contextlib.suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, 0, -10)
         time.sleep(max(0.0, started - time.monotonic()))
         _report(state="sending", start_ns=start_ns, duration=run.duration)
-        send(outputs, output.send_ncom, output.send_frame, truth.write if truth else None, stop, output.report, started)
+        send(outputs, output.send_ncom, output.send_frame, truth.write if truth else None, stop_requested,
+             output.report, started)
     faults = {"fault": truth.fault} if truth and truth.fault else {}
     _report(state="done", **asdict(output.report), **faults)
 
 
-def _to_files(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
-    """Write files. Times of the logger are the UTC of sending, with the offset and drift of its clock."""
+def _to_files(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> None:
+    """Write the drive to files. The times of CAN frames are those of sending, by the clock of the logger."""
     run = _prepare(options)
-    start_ns = FILE_EPOCH_NS + options.seed * 3_600_000_000_000
+    start_ns = FILE_EPOCH_NS + options.seed * 3_600_000_000_000  # one hour later for each seed
     folder = make_folder("--to-files", options.to_files)
     offset, drift = run.settings["logger_clock_offset"], run.settings["logger_clock_drift"]
     began = time.monotonic()
@@ -200,14 +200,14 @@ def _to_files(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
         truth = TruthFile(folder / "truth.mcap", start_ns, run.settings, run.about)
         files.callback(truth.close)
         written = send(
-            run.stream(options, start_ns).outputs(run.duration), ncom.write,
+            run.make_stream(options, start_ns).outputs(run.duration), ncom.write,
             lambda frame, due: frames.write(start_ns + round((due * (1 + drift) + offset) * 1e9), frame),
-            truth.write, stop, Report())
+            truth.write, stop_requested, Report())
     _report(state="done", duration=round(written, 3), seconds=round(time.monotonic() - began, 3))
 
 
 def _report(**values: object) -> None:
-    """Print one line of JSON; a closed pipe is ignored."""
+    """Print one line of JSON, unless the pipe is closed."""
     with contextlib.suppress(BrokenPipeError):
         print(json.dumps(values), flush=True)
 
@@ -226,39 +226,39 @@ def _parser() -> argparse.ArgumentParser:
     source.add_argument("--drive", type=Path, metavar="FILE.csv", help="a recorded drive instead of a simulated one")
     parser.add_argument("--vehicle", type=Path, metavar="FILE.yaml", help="config/vehicle/<car>.yaml")
     parser.add_argument(
-        "--config", type=Path, metavar="DIR", help="folder with can/leaf_ze0.dbc and .yaml; default: that of "
-        "--vehicle, else that of the checkout")
-    parser.add_argument("--duration", type=float, metavar="S", help="default 60 s, a recorded drive to its end")
+        "--config", type=Path, metavar="DIR", help="folder with can/leaf_ze0.dbc and can/leaf_ze0.yaml; default: the "
+        "one of the vehicle file, else of the checkout")
+    parser.add_argument("--duration", type=float, metavar="S", help="default 60 s, or a recorded drive to its end")
     parser.add_argument("--seed", type=_within(0, 2**31 - 1), default=0, help="seed of all random numbers")
     parser.add_argument("--plant", help="ideal, realistic (default) or FILE.yaml with {preset: ..., name: value}")
     parser.add_argument("--effect", nargs="+", action="extend", default=[], metavar="NAME=VALUE",
                         help="override settings; see --list")
     parser.add_argument("--origin", default=DEFAULT_ORIGIN, metavar="LAT,LON,HEIGHT", help="map origin [deg, deg, m]")
-    parser.add_argument("--startup", action="store_true", help="begin with the start-up of the unit instead of locked")
+    parser.add_argument("--startup", action="store_true", help="begin with the start-up of the INS, not locked")
     parser.add_argument("--ncom-host", default="127.0.0.1")
     parser.add_argument("--ncom-port", type=_within(1, 65535), default=3000)
     parser.add_argument("--ncom-rate", type=int, choices=(100, 250), default=100)
     parser.add_argument("--can-interface", default="udp_multicast")
     parser.add_argument("--can-channel", default="239.74.163.2")
     parser.add_argument("--can-rate", choices=("realistic", "full"), default="realistic",
-                        help="full: with the other frames of a Car-CAN, 1750 frames/s, plus the INS")
-    parser.add_argument("--output", type=Path, metavar="DIR", help="write truth.mcap there")
+                        help="full: with the other frames of a Car-CAN, 1750 frames/s, plus those of the INS")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="folder for truth.mcap")
     parser.add_argument("--to-files", type=Path, metavar="DIR",
-                        help="no sockets, faster than real time: run.ncom, run.log or run.mf4, truth.mcap")
+                        help="folder for run.ncom, run.log or run.mf4, and truth.mcap; nothing is sent")
     parser.add_argument("--can-format", choices=("mf4", "log"), default="log")
     parser.add_argument("--list", action="store_true", help="print scenarios and settings")
     return parser
 
 
 def _within(low: int, high: int) -> Callable[[str], int]:
-    """Type of an option: a whole number in a range."""
+    """Converter of an option whose value is a whole number in a range."""
 
     def convert(text: str) -> int:
         if not low <= int(text) <= high:
             raise argparse.ArgumentTypeError(f"{int(text)} is not within {low} to {high}")
         return int(text)
 
-    convert.__name__ = "int"  # in argparse's message about a text that is not a number
+    convert.__name__ = "int"  # the name in argparse's message about a text that is not a number
     return convert
 
 

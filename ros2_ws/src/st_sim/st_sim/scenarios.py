@@ -1,6 +1,6 @@
-"""Scenarios: S1 to S7 of the paper and the manoeuvres of `st_core.manoeuvres`, each of unlimited duration.
+"""Scenarios of unlimited duration: S1 to S7 of the paper, the manoeuvres of `st_core.manoeuvres`, and roads from files.
 
-The paper prints R ~ 23 m and R ~ 20 m, but its error table matches these as diameters; 11.5 m and 10 m are used.
+The paper states R ~ 23 m and R ~ 20 m, but its table of errors fits diameters of this size: the radii are halved here.
 """
 
 import math
@@ -17,7 +17,7 @@ from .settings import SimulationError, read_document
 
 OpenLoopSteering = Callable[[float], float]  # wheelbase of the car [m] -> road-wheel angle [rad, left +]
 
-LONGEST_ROAD = 20_000.0  # m, of one lap from a file
+LONGEST_ROAD = 20_000.0  # m, of one lap of a road from a file
 MAX_SPEED = 100.0  # m/s
 PEDAL_LEAD = 0.15  # s by which the pedals move before the speed has to change
 SPEED_SLACK = 0.15  # m/s by which the target may fall below the speed while braking
@@ -27,7 +27,7 @@ SPEED_SLACK = 0.15  # m/s by which the target may fall below the speed while bra
 class Demand:
     """Target of the driver: speed [m/s], acceleration [m/s^2], and steering.
 
-    steer: "path" (follow the road), "hold" (constant steering wheel) or an open-loop road-wheel angle.
+    steer: "path" (follow the road), "hold" (constant steering-wheel angle), or an open-loop road-wheel angle.
     """
 
     speed: float
@@ -36,7 +36,7 @@ class Demand:
 
 
 class Plan(Protocol):
-    """start: distance along the path to start at [m]."""
+    """Targets of the driver along a path. start: distance along the path at which the drive begins [m]."""
 
     path: Path
     start: float
@@ -65,7 +65,7 @@ class RoadPlan:
 
 @dataclass(frozen=True)
 class Phase:
-    """Phase of a plan; steer as in Demand. It ends after `duration` [s] or at the speed `until` [m/s]; 0: at rest."""
+    """Phase of a plan; steer as in Demand. It ends after `duration` [s] or when braking has reached `until` [m/s]."""
 
     steer: str
     acceleration: float = 0.0
@@ -93,8 +93,7 @@ class PhasePlan:
         dt, self._last_time = time - self._last_time, time
         self._target = min(max(self._target + phase.acceleration * dt, 0.0), self._cruise)
         if phase.acceleration < 0:
-            # While the brake force builds up, the target must stay close to the speed, else braking would exceed the
-            # demand.
+            # While the brake force builds up, a target far below the speed would cause a higher deceleration.
             self._target = max(self._target, speed - SPEED_SLACK)
         reached = phase.acceleration > 0 and self._target >= self._cruise
         return Demand(self._target, 0.0 if reached else phase.acceleration, phase.steer)
@@ -115,8 +114,8 @@ class OpenLoopPlan:
         return Demand(self._manoeuvre.speed, 0.0, (lambda wheelbase: float(angle(wheelbase))) if time >= 0 else "path")
 
 
-def plan_of(manoeuvre: Manoeuvre) -> Plan:
-    """Plan of a manoeuvre: pedals on a circle, a road, or open-loop steering."""
+def make_plan(manoeuvre: Manoeuvre) -> Plan:
+    """Plan of a manoeuvre, which is a circle with pedal inputs, a road, or open-loop steering."""
     speed, curvature = manoeuvre.speed, manoeuvre.lateral / manoeuvre.speed**2
     if manoeuvre.pedals:
         return PhasePlan(1 / abs(curvature), 1 if curvature > 0 else -1, speed, _phases(manoeuvre))
@@ -127,7 +126,7 @@ def plan_of(manoeuvre: Manoeuvre) -> Plan:
 
 
 def _phases(manoeuvre: Manoeuvre) -> list[Phase]:
-    """Phases of the pedals; steering is held while braking, which ends at a speed instead of a time."""
+    """Phases of the pedals. While braking, which ends at a speed instead of a time, the steering wheel is held."""
     phases, end = [], 0.0
     for seconds, acceleration in manoeuvre.pedals:
         end += seconds
@@ -144,27 +143,27 @@ def _circle(lateral_acceleration: float) -> Plan:
 
 
 def _u_turns() -> Plan:
-    """Right, left, left; a lap turns by 180 deg, so that two laps close."""
+    """U-turns right, left, left: a lap changes the heading by 180 deg, so the road closes after two laps."""
     left = turn(8, 180, 4, 5)
     return RoadPlan([*straight(24, 6), *turn(8, -180, 4, 5), *straight(26, 6), *left, *straight(26, 6), *left,
                      *straight(2, 6)])
 
 
 def _roundabout() -> Plan:
-    """16 m/s slightly right (1.1 m/s^2), brake, 450 deg to the left at 5 m/s, back to 16 m/s."""
+    """16 m/s in a slight right bend (1.1 m/s^2), braking, 450 deg to the left at 5 m/s, back to 16 m/s."""
     return RoadPlan(
         [*straight(30, 16), *turn(230, -24, 16, 20), *straight(85, 16), *turn(12, 450, 5, 7), *straight(110, 16)],
         acceleration=1.6, braking=2.0)
 
 
 def _circle_to_rest() -> Plan:
-    """R = 10 m to the right at 1.5 m/s^2; brakes at 1.5 m/s^2 to rest, rests 4 s, accelerates, repeats."""
+    """R = 10 m to the right at 1.5 m/s^2, braking at 1.5 m/s^2 to standstill, 4 s at rest, acceleration; repeated."""
     return PhasePlan(10.0, -1, math.sqrt(1.5 * 10.0), [
         Phase("path", duration=18.0), Phase("path", acceleration=-1.5, until=0.0), Phase("path", duration=4.0),
         Phase("path", acceleration=1.2, duration=5.0)])
 
 
-CATALOGUE_SCENARIOS = {m.name: (partial(plan_of, m), m.description) for m in CATALOGUE}
+CATALOGUE_SCENARIOS = {m.name: (partial(make_plan, m), m.description) for m in CATALOGUE}
 SCENARIOS: dict[str, tuple[Callable[[], Plan], str]] = {
     "S1": CATALOGUE_SCENARIOS["S1"],
     "S2": (lambda: _circle(1.5), "left circle, R = 11.5 m, 1.5 m/s^2"),

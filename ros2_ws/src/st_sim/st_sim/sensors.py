@@ -1,4 +1,4 @@
-"""Sensors of the virtual car with noise, bias, lever arm and loss; values are rounded by the NCOM and CAN encoders."""
+"""Sensors of the virtual car with noise, bias, lever arm and loss; the NCOM and CAN encoders round the values."""
 
 import math
 from collections.abc import Callable
@@ -12,17 +12,17 @@ from .plant import Truth
 from .settings import Settings
 
 OUTAGE_LENGTH = 1.0  # s
-FULL_VIBRATION_SPEED = 5.0  # m/s, from which vibration noise has its full level; at rest it is a tenth
+FULL_VIBRATION_SPEED = 5.0  # m/s, from which on vibration noise has its full level; at rest it has a tenth of it
+# m/s; lower wheel speeds and vehicle speeds are sent as 0, as in recordings of this family of cars.
 MIN_WHEEL_SPEED, MIN_VEHICLE_SPEED = 1.1 / 3.6, 2.8 / 3.6
-"""m/s, below which wheel speeds and vehicle speed are sent as 0 (as in recordings of this car family)."""
 
 
 @dataclass(slots=True)
 class InsReading:
-    """One epoch of the INS in map axes (ENU) and body axes (FLU); SI.
+    """One epoch of the INS in map axes (ENU) and body axes (FLU) [SI].
 
-    stamp: reported time since the start [s]. roll: right side down +, pitch: nose up +. specific_force: +9.81 on z at
-    rest.
+    stamp: reported time since the start [s]. roll: right side down +, pitch: nose up +. rates, specific_force: about
+    and along x, y, z; at rest the specific force is +9.81 on z.
     """
 
     stamp: float
@@ -39,8 +39,9 @@ class InsReading:
     specific_force: tuple[float, float, float]
 
 
-# Standard deviations (white, slow) and correlation time [s] of each value. RT3000 v3 with RTK: 0.01 m, 0.014 m/s,
-# 0.1 deg heading, 0.03 deg roll and pitch, mostly slow, because filtered. Rates and forces: vibration by the road.
+# Standard deviations of white and slow noise, and correlation time of the slow one [s]. An RT3000 v3 with RTK has
+# 0.01 m, 0.014 m/s, 0.1 deg in heading, 0.03 deg in roll and pitch, mostly slow because its filter smooths them. The
+# white noise of rates and forces is vibration caused by the road.
 NOISE = {
     **dict.fromkeys(("x", "y"), (0.001, 0.006, 60.0)), "z": (0.002, 0.012, 60.0),
     **dict.fromkeys(("velocity_x", "velocity_y"), (0.002, 0.005, 20.0)), "velocity_z": (0.003, 0.007, 20.0),
@@ -48,8 +49,7 @@ NOISE = {
     **dict.fromkeys(("rate_x", "rate_y"), (0.006, 5e-5, 300.0)), "rate_z": (0.002, 5e-5, 300.0),
     **dict.fromkeys(("force_x", "force_y"), (0.06, 0.003, 300.0)), "force_z": (0.15, 0.003, 300.0),
 }
-ACCURACY = {"position": 0.01, "velocity": 0.008, "heading": 0.001, "level": 0.0005}
-"""Reported standard deviations [m, m/s, rad, rad]."""
+ACCURACY = {"position": 0.01, "velocity": 0.008, "heading": 0.001, "level": 0.0005}  # reported by the unit [SI]
 
 
 class _Noise:
@@ -62,7 +62,7 @@ class _Noise:
         self._slow = slow * draw()
 
     def __call__(self, vibration: float = 1.0) -> float:
-        """Next value; vibration: factor on the white noise."""
+        """The next value. vibration: factor on the white noise."""
         self._slow = self._memory * self._slow + self._increment * self._draw()
         return self._slow + self._white * vibration * self._draw()
 
@@ -72,7 +72,7 @@ class Ins:
 
     def __init__(self, car: Car, settings: Settings, interval: float, seed: int):
         self._settings = settings
-        # The INS is fixed to the body, also when the CG is shifted.
+        # The INS is fixed to the body: a shift of the CG does not move it.
         self._lever = (car.cg_to_ins_x - settings["cg_shift"] + settings["ins_lever_error"], car.cg_to_ins_y)
         scale = settings["ins_noise"]
         draw = normal_stream(np.random.default_rng([seed, 3]))
@@ -95,9 +95,8 @@ class Ins:
 
     def _add_errors(self, r: InsReading) -> None:
         s = self._settings
-        if s["ins_misalignment"]:
-            # Only the reported forward direction rotates; position and velocity over ground are not affected.
-            angle = s["ins_misalignment"]
+        if angle := s["ins_misalignment"]:
+            # Only the body axes rotate; position and velocity over ground are not affected.
             c, sine = math.cos(angle), math.sin(angle)
             r.velocity_x, r.velocity_y = c * r.velocity_x + sine * r.velocity_y, c * r.velocity_y - sine * r.velocity_x
             fx, fy, fz = r.specific_force
@@ -121,7 +120,7 @@ class Ins:
 
 
 def _body_rates(truth: Truth) -> tuple[float, float, float]:
-    """Rates about x, y, z of the tilted body (FLU) from yaw rate and roll rate; the pitch rate is neglected.
+    """Angular rates of the tilted body about its x, y, z (FLU), without pitch rate.
 
     In FRD: p = droll - dheading sin(pitch), q = dheading sin(roll) cos(pitch), r = dheading cos(roll) cos(pitch).
     """
@@ -133,7 +132,7 @@ def _body_rates(truth: Truth) -> tuple[float, float, float]:
 
 
 def _specific_force(ax: float, ay: float, roll: float, pitch: float) -> tuple[float, float, float]:
-    """Specific force in the axes of the tilted body (FLU), from a level acceleration (a_x, a_y, 0) and gravity."""
+    """Specific force in the axes of the tilted body (FLU) for a horizontal acceleration (a_x, a_y, 0) and gravity."""
     forward, right, down = ax, -ay, -GRAVITY
     cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
     x, d = cp * forward - sp * down, sp * forward + cp * down
@@ -162,16 +161,16 @@ class WheelSpeeds:
 
 
 def read_wheel_speeds(truth: Truth, settings: Settings) -> WheelSpeeds:
-    wheels = tuple(_unsigned(w * settings["wheel_speed_scale"], MIN_WHEEL_SPEED) for w in truth.wheel_speed)
-    return WheelSpeeds(wheels, _unsigned(truth.velocity_x, MIN_VEHICLE_SPEED))
+    wheels = tuple(_rectify(w * settings["wheel_speed_scale"], MIN_WHEEL_SPEED) for w in truth.wheel_speed)
+    return WheelSpeeds(wheels, _rectify(truth.velocity_x, MIN_VEHICLE_SPEED))
 
 
-def _unsigned(speed: float, slowest: float) -> float:
-    return abs(speed) if abs(speed) >= slowest else 0.0
+def _rectify(speed: float, minimum: float) -> float:
+    return abs(speed) if abs(speed) >= minimum else 0.0
 
 
 class Loss:
-    """Loss of datagrams or frames: a random fraction, and all of them for 1 s at every multiple of a period."""
+    """Loss of datagrams or frames: a random fraction, and all for 1 s at every multiple of `outage_every` [s]."""
 
     def __init__(self, share: float, outage_every: float, seed: tuple[int, int]):
         self._share, self._every = share, outage_every

@@ -1,6 +1,6 @@
-"""Settings of the virtual car, {name: value}, each with a null value at which it has no effect.
+"""Settings of the virtual car by name, each with a null value at which it has no effect.
 
-Preset `ideal`: all at null. Preset `realistic`: a typical car. A file or `--effect name=value` changes single values.
+In the preset `ideal` all settings are null; `realistic` is a typical car. A file or `--effect name=value` changes them.
 """
 
 import math
@@ -17,11 +17,11 @@ Settings = Mapping[str, float]
 
 
 class SimulationError(ValueError):
-    """A wrong argument or file, in one line that names file or option, key and limit."""
+    """A wrong argument or file; the message is one line that names file or option, key and limit."""
 
 
 def read_document(path: Path) -> Any:
-    """Content of a YAML file of plain values. Raises SimulationError naming the file."""
+    """Content of a YAML file. Raises SimulationError naming the file."""
     try:
         return yaml_text.load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -32,7 +32,7 @@ def read_document(path: Path) -> Any:
 
 @dataclass(frozen=True)
 class Setting:
-    """One setting with its range. group: steering, tyre, body, environment (the plant); driver; ins, can (sensors)."""
+    """One setting and its range. group: steering, tyre, body, environment (the plant), driver, ins or can (sensors)."""
 
     name: str
     group: str
@@ -47,10 +47,10 @@ _TABLE = (
     # Steering wheel -> mean road-wheel angle. Left positive everywhere.
     ("steering_ratio_factor", "steering", 1.0, 0.5, 2.0, "1", "true steering ratio relative to the vehicle file"),
     ("steering_offset", "steering", 0.0, -0.1, 0.1, "rad", "road-wheel angle with a straight steering wheel"),
-    ("steering_delay", "steering", 0.0, 0.0, 0.5, "s", "dead time steering wheel to rack"),
-    ("steering_lag", "steering", 0.0, 0.0, 0.5, "s", "first-order lag, steering wheel to rack"),
+    ("steering_delay", "steering", 0.0, 0.0, 0.5, "s", "dead time from steering wheel to rack"),
+    ("steering_lag", "steering", 0.0, 0.0, 0.5, "s", "first-order lag from steering wheel to rack"),
     ("steering_backlash", "steering", 0.0, 0.0, 0.3, "rad", "total play, at the steering wheel"),
-    ("steering_compliance", "steering", 0.0, 0.0, 1e-5, "rad/N", "road-wheel angle lost per force of the front axle"),
+    ("steering_compliance", "steering", 0.0, 0.0, 1e-5, "rad/N", "road-wheel angle lost per front lateral force"),
     ("roll_steer", "steering", 0.0, -0.5, 0.5, "1", "front steer (left +) per roll (right +); < 0: understeer"),
     ("rear_roll_steer", "steering", 0.0, -0.5, 0.5, "1", "rear steer (left +) per roll (right +); > 0: understeer"),
     ("ackermann", "steering", 1.0, -0.5, 1.5, "1", "fraction of the full Ackermann angle; 0: parallel wheels"),
@@ -58,9 +58,9 @@ _TABLE = (
     ("front_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "factor on the cornering stiffness of the front tyres"),
     ("rear_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "factor on the cornering stiffness of the rear tyres"),
     ("friction_factor", "tyre", 1.0, 0.05, 2.0, "1", "factor on the peak force of all tyres"),
-    ("relaxation_length", "tyre", 0.0, 0.0, 2.0, "m", "rolled distance after which the force reaches 63 % of its step"),
-    ("combined_slip", "tyre", 0.0, 0.0, 1.0, "1", "1: friction ellipse, F_x reduces the lateral force"),
-    ("wheel_slip_compliance", "tyre", 0.0, 0.0, 0.2, "1", "longitudinal slip per F_x / F_z, for wheel speeds"),
+    ("relaxation_length", "tyre", 0.0, 0.0, 2.0, "m", "rolled distance until the force reaches 63 % of a step"),
+    ("combined_slip", "tyre", 0.0, 0.0, 1.0, "1", "reduction of F_y by F_x; 1: friction ellipse, 0: none"),
+    ("wheel_slip_compliance", "tyre", 0.0, 0.0, 0.2, "1", "longitudinal slip per F_x / F_z, in the wheel speeds"),
     ("camber_thrust", "tyre", 0.0, -2.0, 2.0, "1/rad", "outward lateral force per load and body roll"),
     # Body.
     ("lateral_load_transfer", "body", 0.0, 0.0, 2.0, "1", "fraction of m a_y h / track"),
@@ -70,9 +70,9 @@ _TABLE = (
     ("mass_factor", "body", 1.0, 0.5, 2.0, "1", "factor on the mass"),
     ("yaw_inertia_factor", "body", 1.0, 0.5, 2.0, "1", "factor on the yaw inertia"),
     ("cg_shift", "body", 0.0, -0.5, 0.5, "m", "true CG ahead of that in the vehicle file; the INS does not move"),
-    ("drive_offset", "body", 0.0, -0.5, 0.5, "m", "offset of drive and brake force to the right: torque steer"),
+    ("drive_offset", "body", 0.0, -0.5, 0.5, "m", "drive and brake force act this far to the right of the CG"),
     ("drag_area", "body", 0.0, 0.0, 2.0, "m^2", "drag coefficient times frontal area"),
-    ("rolling_resistance", "body", 0.0, 0.0, 0.1, "1", "rolling resistance per load"),
+    ("rolling_resistance", "body", 0.0, 0.0, 0.1, "1", "rolling resistance per wheel load"),
     # Road and air.
     ("bank_angle", "environment", 0.0, -0.3, 0.3, "rad", "constant bank of the road, rising to the left of the car"),
     ("grade_angle", "environment", 0.0, -0.3, 0.3, "rad", "constant grade of the road, rising ahead of the car"),
@@ -83,8 +83,8 @@ _TABLE = (
     ("gust_speed", "environment", 0.0, 0.0, 20.0, "m/s", "standard deviation of gusts, correlated over 1.5 s"),
     # Driver.
     ("driver_tremor", "driver", 0.0, 0.0, 0.2, "rad", "standard deviation of random steering, at the steering wheel"),
-    # INS. Noise 1 = RT3000 with RTK on a normal road.
-    ("ins_noise", "ins", 0.0, 0.0, 10.0, "1", "noise, in multiples of the unit's normal noise"),
+    # INS. ins_noise 1: RT3000 with RTK on a normal road.
+    ("ins_noise", "ins", 0.0, 0.0, 10.0, "1", "factor on the normal noise of the unit"),
     ("ins_latency", "ins", 0.0, 0.0, 0.5, "s", "delay from measurement to datagram; the stamp is not affected"),
     ("ins_time_error", "ins", 0.0, -0.5, 0.5, "s", "error added to the time stamp"),
     ("ins_misalignment", "ins", 0.0, -0.1, 0.1, "rad", "heading error of the unit, left +"),
@@ -108,8 +108,8 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType({row[0]: Setting(*row) for ro
 
 IDEAL: Settings = MappingProxyType({s.name: s.null for s in SETTINGS.values()})
 
-# Chosen so that the prediction errors of the paper's three models equal those of the real car (test_pattern.py). Front
-# tyres are stiffer than in the file, because its axle stiffness includes compliance, roll steer and load transfer.
+# Chosen to give the paper's three models the same prediction errors as with the real car (test_pattern.py). The front
+# tyres are stiffer than in the vehicle file, whose axle stiffness includes compliance, roll steer and load transfer.
 REALISTIC: Settings = MappingProxyType({
     **IDEAL, "steering_lag": 0.04, "steering_compliance": 1.5e-6, "roll_steer": -0.03, "ackermann": 0.6,
     "front_stiffness_factor": 1.35, "friction_factor": 1.12, "relaxation_length": 0.4, "combined_slip": 1.0,
@@ -135,7 +135,7 @@ def resolve(plant: str, effects: Iterable[str] = ()) -> dict[str, float]:
             value = math.nan
         if not equals or math.isnan(value):
             raise SimulationError(f"--effect {effect}: must be name=value with a number")
-        settings[name] = _checked(name, value, "--effect")
+        settings[name] = _check_value(name, value, "--effect")
     return settings
 
 
@@ -146,20 +146,20 @@ def overrides(settings: Settings) -> dict[str, float]:
 
 def _from_file(path: Path) -> dict[str, float]:
     if not path.is_file():
-        raise SimulationError(f"--plant {path}: neither {' nor '.join(PRESETS)} nor a readable file")
+        raise SimulationError(f"--plant {path}: not a file, and not a preset ({', '.join(PRESETS)})")
     document = read_document(path)
     if not isinstance(document, dict):
         raise SimulationError(f"{path}: not a mapping of settings to values")
     preset = document.pop("preset", "ideal")
     if not isinstance(preset, str) or preset not in PRESETS:
         raise SimulationError(f"{path}: preset: {preset!r} is not one of {', '.join(PRESETS)}")
-    return {**PRESETS[preset], **{name: _checked(name, value, str(path)) for name, value in document.items()}}
+    return {**PRESETS[preset], **{name: _check_value(name, value, str(path)) for name, value in document.items()}}
 
 
-def _checked(name: str, value: object, origin: str) -> float:
+def _check_value(name: str, value: object, origin: str) -> float:
     setting = SETTINGS.get(name)
     if setting is None:
-        raise SimulationError(f"{origin}: {name}: unknown setting; known are {', '.join(SETTINGS)}")
+        raise SimulationError(f"{origin}: {name}: unknown setting; choose one of {', '.join(SETTINGS)}")
     if isinstance(value, bool) or not isinstance(value, int | float) or not setting.low <= value <= setting.high:
         raise SimulationError(f"{origin}: {name}: {value!r} is not within {setting.low:g} to {setting.high:g} "
                               f"{setting.unit}")

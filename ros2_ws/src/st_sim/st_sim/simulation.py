@@ -1,4 +1,4 @@
-"""The virtual car, driven along a scenario by a driver model, or by an external controller."""
+"""The virtual car with a driver model that follows a scenario, or under an external controller."""
 
 from math import sin
 
@@ -12,7 +12,7 @@ RUN_IN = 4.0  # s simulated before time 0, so that the drive begins in steady mo
 
 
 class SimulatedCar:
-    """Car and driver on a scenario. Call advance(), then read truth(); at time 0 the car is already moving."""
+    """Car and driver in a scenario. Call advance(), then truth(); at time 0 the car is already moving."""
 
     def __init__(self, car: Car, settings: Settings, plan: Plan, seed: int = 0):
         self.car = car
@@ -88,9 +88,9 @@ class ControlledCar:
     def advance(self, duration: float, road_wheel_angle: float, velocity_x_dot: float) -> None:
         """Simulate a duration [s] with constant commands.
 
-        road_wheel_angle [rad, left +]: reached through nominal steering ratio, limited steering-wheel rate and the
-        steering of the plant. velocity_x_dot [m/s^2]: realised by a drive force from the nominal mass, with the
-        cornering resistance compensated; drag, slopes and tyre limits are not.
+        road_wheel_angle [rad, left +]: turned into a steering-wheel angle with the nominal steering ratio and a limited
+        rate; the steering of the plant follows. velocity_x_dot [m/s^2]: turned into a drive force with the nominal
+        mass, which compensates cornering resistance but not drag, slopes and tyre limits.
         """
         plant, target = self.plant, road_wheel_angle * self.car.steering_ratio
         max_step = MAX_STEERING_WHEEL_RATE * plant.time_step

@@ -1,4 +1,4 @@
-"""Output of the virtual car in order of time, for sockets, buses and files, and its sending in real time."""
+"""Generates the output of the virtual car in order of time, and sends it to sockets, buses or files."""
 
 import heapq
 import socket
@@ -20,12 +20,12 @@ from .settings import Settings, SimulationError
 
 TICK_MS = 2
 TRUTH_PERIOD_MS = 10
-# (period, phase) in ms: the control units of the car are not synchronous with the INS.
+# Period and phase [ms]; the control units of the car are not synchronous with the INS.
 STEERING_SCHEDULE, WHEEL_SCHEDULE, GEAR_SCHEDULE = (10, 2), (20, 6), (60, 8)
 INS_CAN_DELAY = 0.0015  # s from the datagram to the first frame on CAN
-EARLY_TOLERANCE = 0.0003  # s. A frame due within this time is sent at once, with the accuracy of a real bus
-LATE_THRESHOLD = 0.005  # s after the deadline; an output that is sent later counts as late
-INITIALISING_END, LOCKING_LENGTH = 7.0, 11.0  # s, of the start-up of a unit
+EARLY_TOLERANCE = 0.0003  # s; a frame due within this time is sent at once, as accurately as by a real bus
+LATE_THRESHOLD = 0.005  # s after the deadline; an output sent later counts as late
+INITIALISING_END, LOCKING_DURATION = 7.0, 11.0  # s, in the start-up of an INS
 
 
 class Kind(IntEnum):
@@ -35,8 +35,8 @@ class Kind(IntEnum):
 
 
 class Output(NamedTuple):
-    """One output. due: time of sending [s since the start]. order: of outputs due at the same time. payload: 72 bytes,
-    a Frame or a Truth."""
+    """One output. due: time of sending [s since the start]. order: rank among outputs with the same due time. payload:
+    an NCOM packet, a Frame or a Truth."""
 
     due: float
     order: int
@@ -45,7 +45,7 @@ class Output(NamedTuple):
 
 
 class Source(Protocol):
-    """A simulated car or a recorded drive. duration: its end [s], None if unlimited."""
+    """A simulated car or a recorded drive. duration: in s, None if unlimited."""
 
     duration: float | None
 
@@ -54,10 +54,10 @@ class Source(Protocol):
     def truth(self) -> Truth: ...
 
 
-def start_up_status(time: float) -> tuple[int, float] | None:
-    """Navigation status and delay [s] of the epoch at `time` [s] after power-up; None: not sent.
+def find_start_up_status(time: float) -> tuple[int, float] | None:
+    """Navigation status and delay [s] of the epoch at `time` [s] after power-up; None if it is not sent.
 
-    No data, then raw IMU at 10 Hz, a pause of 1 s, initialising 1 s behind real time, 11 s locking, locked.
+    The phases are: no data, raw IMU data at 10 Hz, a pause of 1 s, initialising with a delay of 1 s, locking, locked.
     """
     if time < 2.0:
         sent = round(time * 1000) % 100 == 0
@@ -66,12 +66,12 @@ def start_up_status(time: float) -> tuple[int, float] | None:
         return None
     if time < INITIALISING_END:
         return INITIALISING, 1.0
-    progress = (time - INITIALISING_END) / LOCKING_LENGTH
+    progress = (time - INITIALISING_END) / LOCKING_DURATION
     return (LOCKING, 1.0 - progress) if progress < 1.0 else (LOCKED, 0.0)
 
 
 class Stream:
-    """Source -> sensors -> packets and frames; outputs() simulates at most one tick ahead."""
+    """Packets and frames with the sensor readings of a source; outputs() simulates at most one tick ahead."""
 
     def __init__(self, source: Source, settings: Settings, ins: Ins, steering: SteeringSensor, ncom: NcomWire,
                  can: CanWire, ins_rate: int, seed: int, background: bool = False, start_up: bool = False):
@@ -83,10 +83,10 @@ class Stream:
         self._ins_loss = Loss(settings["ins_packet_loss"], settings["ins_outage_every"], (seed, 7))
         self._can_loss = Loss(settings["can_frame_loss"], settings["can_outage_every"], (seed, 8))
         self._queue: list[Output] = []
-        self._pushed = 0  # number of outputs so far
+        self._pushed = 0  # number of outputs pushed so far
 
     def outputs(self, duration: float) -> Iterator[Output]:
-        """Outputs measured in [0, duration), sorted by `due`."""
+        """Yield the outputs measured in [0, duration) in the order of `due`."""
         end = round(duration * 1000)
         for now in range(0, end, TICK_MS):
             time = now / 1000
@@ -120,7 +120,7 @@ class Stream:
 
     def _send_ins(self, truth: Truth, time: float) -> None:
         reading = self._ins.read(truth)
-        state = start_up_status(time) if self._start_up else (LOCKED, 0.0)
+        state = find_start_up_status(time) if self._start_up else (LOCKED, 0.0)
         if state is None:
             return
         status, delay = state
@@ -143,8 +143,7 @@ class Stream:
 
 @dataclass
 class Report:
-    """Counts of a real-time run. worst_delay: largest delay after a deadline [s]; late: number of outputs later than
-    LATE_THRESHOLD."""
+    """Counts of a real-time run. late: outputs later than LATE_THRESHOLD. worst_delay: after a deadline [s]."""
 
     ncom_packets: int = 0
     can_frames: int = 0
@@ -154,7 +153,7 @@ class Report:
 
 
 class LiveOutput:
-    """UDP socket and CAN bus. Raises SimulationError naming the option that cannot be used."""
+    """UDP socket and CAN bus to send to. Raises SimulationError naming the option if one cannot be opened."""
 
     def __init__(self, ncom_host: str, ncom_port: int, can_interface: str, can_channel: str):
         self.report = Report()
@@ -174,7 +173,7 @@ class LiveOutput:
             self._socket.sendto(packet, self._address)
             self.report.ncom_packets += 1
         except OSError:
-            pass  # no receiver, or a full buffer; a real unit does not detect these either
+            pass  # no receiver or a full buffer, which a real INS does not detect either
 
     def send_frame(self, frame: Frame, due: float) -> None:
         try:
@@ -191,16 +190,16 @@ class LiveOutput:
 def send(outputs: Iterable[Output], send_ncom: Callable[[bytes], object], send_frame: Callable[[Frame, float], object],
          record_truth: Callable[[Truth], None] | None, stopped: Callable[[], bool], report: Report,
          started: float | None = None) -> float:
-    """Send outputs at absolute deadlines, late ones at once; ends with the outputs or when stopped() is true.
+    """Send outputs at their deadlines, late ones at once, until their end or until stopped() returns True.
 
-    started: monotonic time of the start of the drive [s]; None: without deadlines, as fast as possible. Returns the
-    time of the last output [s since the start].
+    started: monotonic time of the start of the drive [s]; None: send as fast as possible. Returns the due time of the
+    last output [s since the start].
     """
     due = 0.0
     for output in outputs:
         deadline = time.monotonic() if started is None else started + output.due
         wait = deadline - time.monotonic()
-        # Frames of one instant are sent together; a packet is never sent before its time of measurement.
+        # Only frames may be sent early: a packet must not arrive before its time of measurement.
         if wait > (0.0 if output.kind is Kind.NCOM else EARLY_TOLERANCE):
             time.sleep(wait)
         if stopped():
