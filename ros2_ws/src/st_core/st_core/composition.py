@@ -1,13 +1,13 @@
 """Composition of a base model with effects: nested plain functions for floats, arrays, compilers and CasADi alike.
 
-The functions are created once per base and set of effects. Values are only in the parameters p, so a fit never creates,
-traces or compiles them again. Layout of a composed model:
+The functions are created once per base and set of effects. Values occur only in the parameters p, so a fit never
+creates, traces or compiles the functions again. Layout of a composed model:
 
-    p     = AugmentedParameters(base, effects): of the base model, and theta of each effect that acts in the equations
+    p     = AugmentedParameters: parameters of the base model, and theta of each effect that acts in the equations
     w     = (road_wheel_angle, velocity_x_dot, prepared quantities of each effect ..., w of the base model)
-    state = the six of the base model, then the extra states of each effect
+    state = the six states of the base model, then the extra states of each effect
 
-Effects at null change nothing, to the last bit: they add 0, multiply by 1, or blend with weight 0.
+Effects at null do not change the result, to the last bit: they add 0, multiply by 1, or blend with weight 0.
 """
 
 from collections.abc import Callable
@@ -19,11 +19,11 @@ from .effects import Effect, Instant
 from .effects._base import EQUATION_HOOKS
 from .models import Model, linear_tyre
 
-STATES = 6  # of every base model
+STATES = 6  # number of states of every base model
 
 
 class AugmentedParameters(NamedTuple):
-    """p of an augmented model. effects: one theta for each effect that acts in the equations."""
+    """Parameters p of an augmented model. effects: one theta for each effect that acts in the equations."""
 
     base: Any
     effects: tuple
@@ -31,7 +31,7 @@ class AugmentedParameters(NamedTuple):
 
 @dataclass(frozen=True)
 class Composed:
-    """Functions of an augmented model. active: effects with a theta in p; without any, p is that of the base model."""
+    """Functions of an augmented model. active: effects with a theta in p; if empty, p is the p of the base model."""
 
     active: tuple[type[Effect], ...]
     inputs: Callable[..., tuple]
@@ -54,11 +54,11 @@ class _Layout:
 
 @cache
 def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
-    """The functions of a base model with effects, in the order in which they act; the same objects at every call."""
+    """The functions of a base model with effects, given in the order in which they act; cached."""
     acting = tuple(e for e in effects if e.converts or any(getattr(e, hook) for hook in ("inputs", *EQUATION_HOOKS)))
     if not acting:
         return Composed((), base.inputs, base.rhs)
-    layouts = _layouts(acting)
+    layouts = _lay_out(acting)
     signals = tuple(dict.fromkeys(name for effect in acting for name in effect.signals))
     changed_inputs = _changed_inputs(layouts, signals)
     if not any(e.converts or getattr(e, hook) for e in acting for hook in EQUATION_HOOKS):
@@ -78,7 +78,7 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
                     None if force is _no_force else _specific_force(force), extra_states, signals)
 
 
-def _layouts(acting: tuple[type[Effect], ...]) -> list[_Layout]:
+def _lay_out(acting: tuple[type[Effect], ...]) -> list[_Layout]:
     layouts, w, state = [], 2, STATES
     for index, effect in enumerate(acting):
         prepared = (w, w + len(effect.prepared or effect.signals))
@@ -89,7 +89,7 @@ def _layouts(acting: tuple[type[Effect], ...]) -> list[_Layout]:
 
 
 def _chain(function, add, layouts: list[_Layout], attribute: str):
-    """The function extended by `add(function, layout)` for each effect that has the attribute."""
+    """The function, wrapped by `add(function, layout)` for each effect that has the attribute."""
     for layout in layouts:
         if getattr(layout.effect, attribute):
             function = add(function, layout)
@@ -101,14 +101,14 @@ def _conversion_layout(layouts: list[_Layout]) -> _Layout:
     return next(layout for layout in layouts if layout.effect.converts and layout.effect.converts[0] == "kinematic")
 
 
-# The functions returned below refer to plain functions and integers only, which compilers can inline.
+# The functions below return functions that refer only to plain functions and integers, which compilers can inline.
 
 def _instant(state, w, p):
     return Instant(state[0], state[1], state[2], state[3], state[4], state[5], w[0], w[1], w, p)
 
 
 def _dynamics(base: Model, layouts: list[_Layout], base_begin: int):
-    """Functions slips(at), forces(slip_front, slip_rear, at), motion(force_front, force_rear, at) of the dynamics."""
+    """Functions slips(instant), forces(slip_front, slip_rear, instant), motion(force_front, force_rear, instant)."""
     if base.axles is None:
         conversion, axles = _conversion_layout(layouts), linear_tyre.AXLES
         index, (begin, end) = conversion.index, conversion.prepared
@@ -187,7 +187,7 @@ def _nothing(*arguments):
     return ()
 
 
-# Inputs: `signals` are the values of all declared signals; each effect gets those it declares.
+# Inputs: `signals` are the values of all declared signals; each effect receives the signals it declares.
 
 def _inputs_only(base_inputs, changed_inputs):
     def inputs(road_wheel_angle, velocity_x_dot, p, *signals):
@@ -205,7 +205,7 @@ def _inputs(base_inputs, changed_inputs, prepared):
 
 
 def _pick(signals: tuple[str, ...], selected: tuple[str, ...]):
-    """Function from the values of all signals to those of the selected ones."""
+    """Function that picks the values of the selected signals from the values of all signals."""
     def add(previous, index):
         def pick(values):
             return *previous(values), values[index]

@@ -36,7 +36,7 @@ PAUSE_SPEED = 0.5
 MAX_GAP = 0.1
 """s between samples of a pass."""
 MIN_LENGTH = 20.0
-"""m, of a pass; a shorter one ends within the horizon."""
+"""m, of a pass; faster than 4 m/s, a shorter one ends within the horizon of 5 s."""
 MAX_ORIGIN_DISTANCE = 5000.0
 """m, between map origins; at a larger distance the axes differ by more than 1 mrad at latitude 50."""
 SCHEMA = 1

@@ -4,17 +4,18 @@ At every start the passes near the car are candidates. A candidate predicts, as 
 
     v(s) = v_pass(s) v_now / v_pass(0),      k(s) = k_pass(s) + e''(s),     e(s) = A exp(-s / l_1) + B exp(-s / l_2)
 
-e: lateral distance to the pass, which a driver reduces to 0; A and B follow from the present distance and direction.
-Its weight is exp(-d^2 / 2), d^2 the sum of squared differences in position, direction, recent speed and recent
-curvature, each divided by its scale. The weighted mean of the candidates, "course" below, is combined with held inputs:
+e: lateral offset from the pass, which a driver reduces to 0; A and B follow from the present offset and direction.
+The weight of a candidate is exp(-d^2 / 2), with d^2 the sum of squared differences in position, direction, recent speed
+and recent curvature, each divided by its scale. The weighted mean of the candidates, "course" below, is mixed with
+other forecasts:
 
     curvature: held, course        speed: acceleration held, zero, decaying with DECAY_TIME, course
     weight of each ~ E^-2,     E: mean square error of ended forecasts, exponentially forgotten with FORGETTING_TIME
 
-The error of a curvature is that of the position after the distance driven, the error of a speed that of the distance
-driven. If the driver leaves the recorded line or speed, the weight of the held curvature or speed approaches 1 within
-seconds, independently of the other. Source: Bates and Granger, The combination of forecasts, 1969. Checked by:
-test_course.py; docs/manual/forecast.md.
+A forecast of curvature is scored by the position after the distance driven, a forecast of speed by the distance driven.
+If the driver leaves the recorded line or speed, the weight of the held curvature or speed approaches 1 within seconds,
+independently of the other. Source: Bates and Granger, The combination of forecasts, 1969. Checked by: test_course.py;
+docs/manual/forecast.md.
 """
 
 import math
@@ -34,27 +35,27 @@ from .types import InputSequence, wrap_angle
 from .vehicle import VehicleParameters
 
 RETURN_LENGTHS = (40.0, 100.0)
-"""m, l_1 and l_2: at 15 m/s a driver returns to the line within about 10 s."""
+"""m, l_1 and l_2 of the module: at 15 m/s a driver returns to the line within about 10 s."""
 SCALES = {"position": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
-"""m, rad, fraction of the speed, 1/m: differences between drives of one driver on one course."""
+"""Typical differences between drives of one driver on one course [m, rad, fraction of the speed, 1/m]."""
 MAX_DIFFERENCE = 7.0
-"""d of the best candidate above which no candidate is used."""
+"""Largest d of the best candidate with which the course is used."""
 RECENT_TIME = 2.0
-"""s of past driving that is compared with a candidate."""
+"""s, length of the past driving that is compared with a candidate."""
 BLEND_TIME = 0.3
 """s, time constant from the measured to the predicted steering and acceleration: the lag of a driver."""
 DECAY_TIME = 0.7
-"""s, time constant of a decaying acceleration: pedals change about once a second."""
+"""s, time constant of the decaying acceleration: pedals change about once a second."""
 FORGETTING_TIME = 10.0
-"""s, memory of the errors E: two horizons."""
-CURVATURE_PRIOR, SPEED_PRIOR = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
-"""m^2, initial E in the order above, from leave-one-run-out errors of real laps."""
+"""s, time constant of the mean square errors E: two horizons."""
+INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
+"""m^2, initial E, in the order of the module, from leave-one-run-out errors of real laps."""
 SQUARED_ERROR_LIMITS = (0.01, 9.0)
 """m^2, limits of a squared error: the accuracy of the INS, and the largest influence of one error."""
 MAX_JUMP = 2.0
-"""m, difference between displacement and distance driven above which the tracker restarts."""
+"""m, largest difference between displacement and distance driven; with a larger one the tracker restarts."""
 MIN_SPEED = 0.5
-"""m/s: curvature is not defined at standstill."""
+"""m/s, below which the course is not used: curvature is undefined at standstill."""
 
 
 class EgoMotion(NamedTuple):
@@ -73,31 +74,35 @@ class EgoMotion(NamedTuple):
 
     @property
     def direction(self) -> float:
-        """Direction of motion from east [rad]."""
+        """Course angle of the INS point from east, counter-clockwise + [rad]."""
         return self.yaw + math.atan2(self.velocity_y, self.velocity_x)
 
     @property
     def curvature(self) -> float:
+        """Curvature of the path [1/m], left +."""
         return self.yaw_rate / max(self.velocity_x, MIN_SPEED)
 
 
 @dataclass(frozen=True, eq=False)
 class CourseForecast:
-    """Forecast of a course. inputs: on the half-step grid of the horizon; None where the course is not used.
-    curvature_share, speed_share: weight of the course in the mixture, 0 to 1. spread: standard deviation of the
-    candidates' speeds at the end [m/s]. reason: why the course is not used, in one line, or "".
+    """Inputs predicted from a course. inputs: on the half-step grid of the horizon; None if the course is not used.
+
+    curvature_share, speed_share: weight of the course in the mixture, 0 to 1. speed_deviation: standard deviation of
+    the speeds of the candidates at the end of the horizon [m/s]. reason: why the course is not used, or "".
     """
 
     inputs: InputSequence | None
     curvature_share: float = 0.0
     speed_share: float = 0.0
-    spread: float = math.nan
+    speed_deviation: float = math.nan
     reason: str = ""
 
 
 class _PendingForecast(NamedTuple):
-    """A forecast that has not ended. end_ns: its end. distance [m], ego: at its start. distances: predicted for each
-    of the mixed speeds [m]. path: of the course, (points, 2) [m], SPACING apart."""
+    """A forecast whose horizon ends at end_ns. distance: driven before its start [m]. ego: motion at its start.
+
+    distances: predicted with each of the mixed speeds [m]. path: of the course, (points, 2) [m], SPACING apart.
+    """
 
     end_ns: int
     distance: float
@@ -107,10 +112,10 @@ class _PendingForecast(NamedTuple):
 
 
 class CourseTracker:
-    """Follows the car along a course; called at every start, in order of time.
+    """Follows the car along a course; `update` is called at every start, in order of time.
 
-    horizon, step [s]. Keeps the last RECENT_TIME of driving and the forecasts that have not ended. Restarts when time
-    runs backward or pauses for longer than a horizon, and when the position jumps.
+    horizon, step [s]. It keeps the last RECENT_TIME of driving and the forecasts that have not ended. It restarts when
+    time runs backward or pauses for longer than a horizon, and when the position jumps.
     """
 
     def __init__(self, course: Course, vehicle: VehicleParameters, horizon: float = 5.0, step: float = 0.05):
@@ -124,16 +129,16 @@ class CourseTracker:
         self._distance = 0.0
         self._past: deque[tuple[float, EgoMotion]] = deque()
         self._pending: deque[_PendingForecast] = deque()
-        self._curvature_errors, self._speed_errors = np.array(CURVATURE_PRIOR), np.array(SPEED_PRIOR)
+        self._curvature_errors, self._speed_errors = np.array(INITIAL_CURVATURE_ERRORS), np.array(INITIAL_SPEED_ERRORS)
 
     def update(self, ego: EgoMotion) -> CourseForecast:
-        """The forecast from this start; without inputs where the motion is not finite or no pass continues."""
+        """The forecast from this start; without inputs if no pass fits, or the car is slow or its motion not finite."""
         if not all(map(math.isfinite, ego)) or ego.velocity_x < MIN_SPEED:
-            return CourseForecast(None, reason="course: the motion of the car is unknown or too slow")
+            return CourseForecast(None, reason="course: the motion of the car is unknown, or the car is too slow")
         elapsed = self._advance(ego)
         self._score(ego, elapsed)
         near = self.course.find_near(ego.x, ego.y, ego.direction)
-        candidates = [found for point in near if (found := self._candidate(point, ego)) is not None]
+        candidates = [found for point in near if (found := self._predict_from_pass(point, ego)) is not None]
         if not candidates:
             return CourseForecast(None, reason="course: it ends within the horizon" if near else
                                   "course: no earlier drive near the car in its direction")
@@ -144,7 +149,7 @@ class CourseTracker:
         return self._mix(candidates, weights / weights.sum(), ego)
 
     def _advance(self, ego: EgoMotion) -> float:
-        """Time since the last start [s]; 0 after a restart."""
+        """Add a start; returns the time since the previous one [s], 0 after a restart."""
         elapsed = 0.0
         if self._past:
             last = self._past[-1][1]
@@ -162,66 +167,70 @@ class CourseTracker:
         return elapsed
 
     def _score(self, ego: EgoMotion, elapsed: float) -> None:
-        """Update the mean square errors with those of the forecasts that have ended."""
+        """Update the mean square errors with the errors of the forecasts that have ended."""
         share = min(elapsed / FORGETTING_TIME, 1.0)
         while self._pending and self._pending[0].end_ns <= ego.time_ns:
             ended = self._pending.popleft()
             driven = self._distance - ended.distance
             row = min(max(driven / SPACING, 0.0), len(ended.path) - 1.001)
             before, after = ended.path[int(row)], ended.path[int(row) + 1]
-            positions = np.array([_arc(ended.ego, driven), before + (row - int(row)) * (after - before)])
+            positions = np.array([_advance_on_arc(ended.ego, driven), before + (row - int(row)) * (after - before)])
             squares = np.square(positions - (ego.x, ego.y)).sum(axis=1), np.square(ended.distances - driven)
             self._curvature_errors, self._speed_errors = (
                 (1.0 - share) * errors + share * np.clip(new, *SQUARED_ERROR_LIMITS)
                 for errors, new in zip((self._curvature_errors, self._speed_errors), squares, strict=True))
 
-    def _candidate(self, point: NearPoint, ego: EgoMotion) -> tuple[float, np.ndarray, np.ndarray] | None:
-        """(d^2, speed and curvature every SPACING m ahead); None where the pass ends within the horizon."""
+    def _predict_from_pass(self, point: NearPoint, ego: EgoMotion) -> tuple[float, np.ndarray, np.ndarray] | None:
+        """(d^2, speed and curvature every SPACING m ahead); None if the pass ends within the horizon."""
         points = self.course.passes[point.pass_index].points
-        ahead = points[point.row:]
-        speed = ahead[:, 4] * (ego.velocity_x / ahead[0, 4])
+        x, y, direction, curvature, speed = points[point.row:].T
+        speed = speed * (ego.velocity_x / speed[0])
         arrival = np.cumsum(SPACING / speed)
         if arrival[-1] < 1.2 * self._time[-1]:
             return None
-        length = int(np.searchsorted(arrival, 2.0 * self._time[-1])) + 2
-        ahead, speed = ahead[:length], speed[:length]
-        behind = np.array([self._distance - distance for distance, _ in self._past])
-        rows = np.round(point.row - behind / SPACING).astype(int)
-        of_pass = points[np.maximum(rows, 0)][rows >= 0]
+        count = int(np.searchsorted(arrival, 2.0 * self._time[-1])) + 2
+        curvature, speed = curvature[:count], speed[:count]
+        distance_behind = np.array([self._distance - distance for distance, _ in self._past])
+        rows = np.round(point.row - distance_behind / SPACING).astype(int)
+        recorded = points[np.maximum(rows, 0)][rows >= 0]
         driven = np.array([[motion.velocity_x, motion.curvature] for _, motion in self._past])[rows >= 0]
-        turned = float(wrap_angle(ego.direction - ahead[0, 2]))
-        differences = {"position": point.distance, "direction": turned,
-                       "speed": float(np.sqrt(np.square(np.log(driven[:, 0] / of_pass[:, 4])).mean())),
-                       "curvature": float(np.sqrt(np.square(driven[:, 1] - of_pass[:, 3]).mean()))}
+        direction_error = float(wrap_angle(ego.direction - direction[0]))
+        differences = {"position": point.distance, "direction": direction_error,
+                       "speed": float(np.sqrt(np.square(np.log(driven[:, 0] / recorded[:, 4])).mean())),
+                       "curvature": float(np.sqrt(np.square(driven[:, 1] - recorded[:, 3]).mean()))}
         square = sum((differences[name] / scale) ** 2 for name, scale in SCALES.items())
-        across = math.cos(ahead[0, 2]) * (ego.y - ahead[0, 1]) - math.sin(ahead[0, 2]) * (ego.x - ahead[0, 0])
-        return min(square, 200.0), speed, ahead[:, 3] + _return_curvature(across, turned, len(ahead))
+        lateral_offset = math.cos(direction[0]) * (ego.y - y[0]) - math.sin(direction[0]) * (ego.x - x[0])
+        return min(square, 200.0), speed, curvature + _return_curvature(lateral_offset, direction_error, len(curvature))
 
     def _mix(self, candidates: list[tuple[float, np.ndarray, np.ndarray]], weights: np.ndarray,
              ego: EgoMotion) -> CourseForecast:
+        """The forecast from weighted candidates, mixed with the other forecasts by their errors."""
         length = min(len(speed) for _, speed, _ in candidates)
         speeds = np.stack([speed[:length] for _, speed, _ in candidates])
-        remembered, curvature = weights @ speeds, weights @ np.stack([k[:length] for *_, k in candidates])
-        arrival = np.concatenate([[0.0], np.cumsum(2.0 * SPACING / (remembered[1:] + remembered[:-1]))])
+        course_speed, curvature = weights @ speeds, weights @ np.stack([k[:length] for *_, k in candidates])
+        arrival = np.concatenate([[0.0], np.cumsum(2.0 * SPACING / (course_speed[1:] + course_speed[:-1]))])
         end = min(int(np.searchsorted(arrival, self._time[-1])), length - 1)
-        spread = float(np.sqrt(weights @ np.square(speeds[:, end] - remembered[end])))
+        speed_deviation = float(np.sqrt(weights @ np.square(speeds[:, end] - course_speed[end])))
         t, acceleration = self._time, ego.velocity_x_dot
         options = np.stack([ego.velocity_x + acceleration * t, np.full_like(t, ego.velocity_x),
                             ego.velocity_x + acceleration * DECAY_TIME * (1.0 - np.exp(-t / DECAY_TIME)),
-                            np.interp(t, arrival, remembered)]).clip(0.0)
+                            np.interp(t, arrival, course_speed)]).clip(0.0)
         distances = 0.5 * (options[:, 1:] + options[:, :-1]) @ np.diff(t)
         heading = ego.direction + cumulative_trapezoid(curvature, dx=SPACING, initial=0.0)
         path = np.array([[ego.x, ego.y]]) + cumulative_trapezoid(np.stack([np.cos(heading), np.sin(heading)], 1),
                                                                  dx=SPACING, axis=0, initial=0.0)
-        shares, speed_shares = (errors**-2.0 / (errors**-2.0).sum()
+        curvature_shares, speed_shares = (errors**-2.0 / (errors**-2.0).sum()
                                 for errors in (self._curvature_errors, self._speed_errors))
         self._pending.append(_PendingForecast(ego.time_ns + self._horizon_ns, self._distance, ego, distances, path))
         speed = speed_shares @ options
         distance = cumulative_trapezoid(speed, dx=float(t[1]), initial=0.0)
-        mixed = shares[0] * ego.curvature + shares[1] * np.interp(distance, SPACING * np.arange(length), curvature)
-        return CourseForecast(self._inputs(ego, speed, mixed), float(shares[1]), float(speed_shares[3]), spread)
+        mixed = (curvature_shares[0] * ego.curvature
+                 + curvature_shares[1] * np.interp(distance, SPACING * np.arange(length), curvature))
+        return CourseForecast(self._blend_inputs(ego, speed, mixed), float(curvature_shares[1]), float(speed_shares[3]),
+                              speed_deviation)
 
-    def _inputs(self, ego: EgoMotion, speed: np.ndarray, curvature: np.ndarray) -> InputSequence:
+    def _blend_inputs(self, ego: EgoMotion, speed: np.ndarray, curvature: np.ndarray) -> InputSequence:
+        """Inputs that follow the speed and curvature, blended from the measured inputs within BLEND_TIME."""
         share = 1.0 - np.exp(-self._time / BLEND_TIME)
         path = path_inputs(speed, curvature, self._time, self._vehicle)
         signals = {name: ego.road_wheel_angle + share * (angle - ego.road_wheel_angle)
@@ -230,24 +239,24 @@ class CourseTracker:
                              ego.velocity_x_dot + share * (path.velocity_x_dot - ego.velocity_x_dot), signals)
 
 
-def _arc(ego: EgoMotion, distance: float) -> tuple[float, float]:
-    """Position after a distance [m] of constant curvature."""
+def _advance_on_arc(ego: EgoMotion, distance: float) -> tuple[float, float]:
+    """Position (x, y) [m] after a distance [m] at the present curvature."""
     chord = ego.direction + 0.5 * ego.curvature * distance
     length = distance * float(np.sinc(0.5 * ego.curvature * distance / math.pi))
     return ego.x + length * math.cos(chord), ego.y + length * math.sin(chord)
 
 
-def _return_curvature(across: float, turned: float, count: int) -> np.ndarray:
-    """e'' every SPACING m, of a car `across` [m] from a line, left +, and `turned` [rad] from its direction."""
+def _return_curvature(lateral_offset: float, direction_error: float, count: int) -> np.ndarray:
+    """e'' of the module [1/m] every SPACING m. lateral_offset: e(0) [m], left +. direction_error: e'(0) [rad]."""
     l_1, l_2 = RETURN_LENGTHS
-    b = (turned + across / l_1) / (1.0 / l_1 - 1.0 / l_2)
+    b = (direction_error + lateral_offset / l_1) / (1.0 / l_1 - 1.0 / l_2)
     s = SPACING * np.arange(count)
-    return (across - b) / l_1**2 * np.exp(-s / l_1) + b / l_2**2 * np.exp(-s / l_2)
+    return (lateral_offset - b) / l_1**2 * np.exp(-s / l_1) + b / l_2**2 * np.exp(-s / l_2)
 
 
 def course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameters, horizon: float,
                   step: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
-    """Inputs from a course for `log_evaluation.evaluate_log`; one tracker follows the starts of a drive."""
+    """A course as inputs of `log_evaluation.evaluate_log`; one tracker follows the starts of a drive."""
 
     def ahead(starts_ns: np.ndarray) -> tuple[np.ndarray, ...]:
         tracker = CourseTracker(course, vehicle, horizon, step)

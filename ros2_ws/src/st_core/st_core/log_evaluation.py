@@ -1,8 +1,8 @@
 """Evaluation of models over a recorded drive: a prediction every 100 ms, compared with the measured motion.
 
-The offline counterpart of Predictor and Evaluator: from the same start it gives the same trajectory and the same error
-(`st verify` measures that). Whole trajectories exist for one block of starts at a time; for each start the mean, mean
-square and largest error of the horizon are kept, and the errors at whole seconds.
+The offline counterpart of Predictor and Evaluator: from the same start it gives the same trajectory and the same error,
+which `st verify` checks. Memory contains the trajectories of one block of starts at a time; for each start only the
+mean, mean square and largest error over the horizon and the errors at whole seconds are kept.
 """
 
 from collections import deque
@@ -26,31 +26,32 @@ from .timeseries import NANOSECOND, half_step_grid
 from .types import STATE_NAMES, InputSequence
 from .vehicle import VehicleParameters
 
-MODES: tuple[Mode, ...] = ("hindsight", "forecast")  # of every evaluation
-PLANNED_MODES: tuple[Mode, ...] = ("plan", "course")  # of an evaluation for which their inputs are given
+MODES: tuple[Mode, ...] = ("hindsight", "forecast")  # in every evaluation
+PLANNED_MODES: tuple[Mode, ...] = ("plan", "course")  # only in evaluations with planned inputs
 AXES = ("longitudinal", "lateral", "yaw")
 BLOCK = 1024  # starts predicted together; each model and mode then takes 7 MB
-PREFETCHED_BLOCKS = 2  # computed in advance, one per thread
+PREFETCHED_BLOCKS = 2  # blocks computed in advance, each in a thread
 CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate", "heading_change")
-ALL = slice(None)
+
+ALL_ROWS = slice(None)
 
 Progress = Callable[[int, int], None]
 Planned = tuple[np.ndarray, ...]
 BlockCallback = Callable[[np.ndarray, "Block"], None]
 FutureInputs = Callable[[np.ndarray], tuple[np.ndarray, ...]]
-"""Function of increasing starts (n,) [ns] that gives road wheel angle [rad], velocity_x_dot [m/s^2] and, for a path,
-`SLIP_FREE` [rad] over the horizon, each (n, 2 * steps + 1) on the half-step grid; NaN where not known. It is called
-once, with all starts."""
+"""Function of all starts of an evaluation (n,) [ns], increasing, called once. It returns road wheel angle [rad],
+velocity_x_dot [m/s^2] and, for a path, `SLIP_FREE` [rad] over the horizon, each (n, 2 * steps + 1) on the half-step
+grid; NaN where unknown."""
 
 
 @dataclass(frozen=True)
 class EvaluationSettings:
     """Settings of an evaluation. Raises ConfigurationError naming the key and the limit.
 
-    prediction: as for the live nodes; stale_after has no meaning here. interval: between starts [s].
-    acceleration: filter of the forward speed before its derivative, causal as in the car, or zero_phase.
-    inputs: measured inputs within an integration step, interpolate: at its start, middle and end; hold: the value at
-    its start throughout. Not specified in the paper.
+    prediction: as for the live nodes; stale_after is not used. interval: between starts [s]. acceleration: filter of
+    the forward speed before its derivative, causal (as in the car) or zero_phase. inputs: use of the measured inputs
+    within an integration step: interpolate = at its start, middle and end; hold = at its start only. The paper does not
+    specify which.
     """
 
     prediction: PredictionSettings = field(default_factory=PredictionSettings)
@@ -63,10 +64,10 @@ class EvaluationSettings:
             raise ConfigurationError(f"interval: {self.interval:g} s is outside 0.001 to 3600 s")
         for key, choices in (("acceleration", ("causal", "zero_phase")), ("inputs", ("interpolate", "hold"))):
             if getattr(self, key) not in choices:
-                raise ConfigurationError(f"{key}: {getattr(self, key)!r} is neither of {', '.join(choices)}")
+                raise ConfigurationError(f"{key}: {getattr(self, key)!r} is neither {' nor '.join(choices)}")
 
     def signals(self, log: DriveLog) -> LogSignals:
-        """The signals of a drive with the gap, filter and acceleration of these settings."""
+        """The signals of a drive, with the maximum gap and the filter of these settings."""
         return LogSignals(log, self.prediction.maximum_gap, self.prediction.filter_cutoff, self.acceleration)
 
     def as_dict(self) -> dict[str, float | str]:
@@ -77,11 +78,11 @@ class EvaluationSettings:
 
 @dataclass(frozen=True, eq=False)
 class ModelErrors:
-    """Errors of one model and mode at the INS point, one row per start; NaN where incomplete. Axes as AXES [m, m, rad].
+    """Errors of one model and mode at the INS point, one row per start; NaN where incomplete.
 
-    complete: (n,). mean, mean_square, largest: (n, 3) over all points of the horizon, the start included; largest is a
-    magnitude. at_seconds: (n, s, 3), the error at 1, 2, ... s. profile_rmse: (points, 3) over all complete starts, by
-    horizon point.
+    The last axis of each array is AXES [m, m, rad]. complete: (n,), whether the whole horizon was scored. mean,
+    mean_square, largest: (n, 3) over all points of the horizon, the start included; largest is a magnitude. at_seconds:
+    (n, s, 3), error at 1, 2, ... s. profile_rmse: (points, 3), root mean square over the complete starts.
     """
 
     complete: np.ndarray
@@ -93,7 +94,7 @@ class ModelErrors:
 
     @property
     def n_starts(self) -> int:
-        """Starts with a completely scored horizon."""
+        """Number of starts whose whole horizon was scored."""
         return int(self.complete.sum())
 
     def statistics(self, axis: str, over: Literal["means", "samples"] = "means") -> tuple[float, float, float]:
@@ -101,11 +102,11 @@ class ModelErrors:
         return self.by_axis(over)[axis]
 
     def by_axis(self, over: Literal["means", "samples"] = "means",
-                select: np.ndarray | slice = ALL) -> dict[str, tuple[float, float, float]]:
+                select: np.ndarray | slice = ALL_ROWS) -> dict[str, tuple[float, float, float]]:
         """{axis: (mean, largest magnitude, root mean square)} of the selected complete starts [m or rad].
 
-        over: means = of the horizon means, as in the paper's table; samples = of all points of all horizons.
-        select: rows. NaN without a start.
+        over: means = statistics of the means over each horizon, as in the paper's table; samples = of all points of all
+        horizons. select: rows. NaN if no selected start is complete.
         """
         complete = self.complete[select]
         if not complete.any():
@@ -121,11 +122,11 @@ class ModelErrors:
 class LogEvaluation:
     """Evaluation of all models on one drive.
 
-    starts_ns: (n,) of the predictions made. skipped: starts without one, by reason. incomplete: starts with a
-    horizon that could not be scored in hindsight, by reason. conditions: (n,) each, measured in the horizon, NaN if
-    that is incomplete: mean speed [m/s], mean lateral_acceleration v_x r [m/s^2], mean velocity_x_dot [m/s^2], RMS
-    steering_rate of the road wheels [rad/s], heading_change [rad]; left +.
-    errors: by (model, mode). horizon: (points,) [s].
+    start_ns: first INS sample of the drive. starts_ns: (n,) starts of the predictions. skipped: number of starts
+    without a prediction, by reason. incomplete: number of starts not scored to the end in hindsight, by reason.
+    conditions: (n,) each, measured over the horizon, NaN if it is incomplete: mean speed [m/s], mean
+    lateral_acceleration v_x r [m/s^2], mean velocity_x_dot [m/s^2], RMS steering_rate of the road wheels [rad/s],
+    heading_change [rad]; left +. errors: by (model, mode). horizon: (points,) [s].
     """
 
     name: str
@@ -158,12 +159,12 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
                  future_inputs: Mapping[Mode, FutureInputs] | None = None) -> LogEvaluation:
     """Predict with every model from every start, and score the predictions.
 
-    log: a drive, or its signals; of a drive they are computed with the settings.
-    starts_ns: increasing; default every `interval` of the drive from its first INS sample on. A start where INS or
-    steering is not known, or slower than minimum_speed, is skipped and counted. progress(done, total): called after
-    each block. on_block(starts_ns, block): called with the complete errors of each block. future_inputs: inputs of
-    further modes, plan and course; where they are not known, inputs are held. Source: paper, section on the comparison.
-    Checked by: test_log_evaluation.py, against the live classes.
+    log: a drive, or its signals, which are otherwise computed with the settings. starts_ns: increasing; default: every
+    `interval` of the drive from its first INS sample. A start at which INS or steering is unknown, or the car is slower
+    than minimum_speed, is skipped and counted. progress(done, total): called after each block of starts.
+    on_block(starts_ns, block): called with the errors of each block. future_inputs: inputs of the modes plan and
+    course; where they are unknown, inputs are held. Source: paper, section on the comparison. Checked by:
+    test_log_evaluation.py, against the live classes.
     """
     settings = settings or EvaluationSettings()
     chosen = [get_model(model) for model in models]
@@ -193,7 +194,7 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
 
 
 def regular_starts(log: DriveLog, interval: float) -> np.ndarray:
-    """Instants [ns] `interval` [s] apart, from the first INS sample, as long as both INS and steering are recorded."""
+    """Instants [ns], `interval` [s] apart from the first INS sample on, while INS and steering are both recorded."""
     if not log.overlap:
         return np.empty(0, np.int64)
     first = int(log.ins_time_ns[0])
@@ -205,7 +206,7 @@ def regular_starts(log: DriveLog, interval: float) -> np.ndarray:
 
 def usable_starts(signals: LogSignals, vehicle: VehicleParameters, requested: np.ndarray,
                   minimum_speed: float) -> tuple[np.ndarray, dict[str, int]]:
-    """The starts from which a prediction can be made, and the number of the others by reason."""
+    """The starts from which a prediction can be made, and the number of unusable starts by reason."""
     speed, yaw_rate, acceleration = signals.ins_at(requested, "velocity_x", "yaw_rate", "velocity_x_dot")
     angle = signals.road_wheel_angle_at(requested)
     no_ins, no_steering = np.isnan(speed) | np.isnan(acceleration), np.isnan(angle)
@@ -217,9 +218,9 @@ def usable_starts(signals: LogSignals, vehicle: VehicleParameters, requested: np
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Errors (n, points, 3) by model and mode of a few starts, NaN where not scored (see `evaluation.Score`).
+    """Evaluation of a few starts. errors: (n, points, 3), NaN where not scored, axes as AXES (see `evaluation.Score`).
 
-    incomplete: in hindsight, by reason.
+    trajectories: states (n, points, 6). conditions, incomplete: as in LogEvaluation.
     """
 
     errors: dict[tuple[str, Mode], np.ndarray]
@@ -231,30 +232,30 @@ class Block:
 def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
                     settings: EvaluationSettings,
                     future_inputs: Mapping[Mode, FutureInputs] | None = None) -> Iterator[tuple[slice, Block]]:
-    """Errors and whole trajectories of BLOCK starts at a time, with their rows of `starts_ns`.
+    """(rows of `starts_ns`, block) for BLOCK starts at a time.
 
     The next blocks are computed in threads: compiled kernels and array operations release the interpreter lock.
     """
     blocks = [slice(first, min(first + BLOCK, len(starts_ns))) for first in range(0, len(starts_ns), BLOCK)]
-    # In order of time and in this thread, since the tracker of a course has a state.
+    # All at once and in order of time, since a course tracker depends on the previous starts.
     inputs = {mode: of_mode(starts_ns) for mode, of_mode in (future_inputs or {}).items()} if len(starts_ns) else {}
 
-    def make(starts_ns: np.ndarray, rows: slice) -> Block:
+    def evaluate(rows: slice) -> Block:
         planned: dict[Mode, Planned] = {mode: tuple(v[rows] for v in values) for mode, values in inputs.items()}
-        return _evaluate_block(models, vehicle, signals, starts_ns, settings, planned)
+        return _evaluate_block(models, vehicle, signals, starts_ns[rows], settings, planned)
 
     if len(blocks) == 1:
-        yield blocks[0], make(starts_ns, blocks[0])
+        yield blocks[0], evaluate(blocks[0])
         return
     with ThreadPoolExecutor(PREFETCHED_BLOCKS) as pool:
         waiting: deque[tuple[slice, Future[Block]]] = deque()
         for rows in blocks:
-            waiting.append((rows, pool.submit(make, starts_ns[rows], rows)))
+            waiting.append((rows, pool.submit(evaluate, rows)))
             if len(waiting) > PREFETCHED_BLOCKS:
-                first, made = waiting.popleft()
-                yield first, made.result()
-        for rows, made in waiting:
-            yield rows, made.result()
+                first, block = waiting.popleft()
+                yield first, block.result()
+        for rows, block in waiting:
+            yield rows, block.result()
 
 
 def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
@@ -263,7 +264,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     instants, place = _instants(starts_ns, half_step_grid(0, steps, step))
     times = instants[place].T
     x, y, yaw, *others = signals.ins_at(instants, "x", "y", "yaw", "velocity_x", "yaw_rate", "velocity_x_dot")
-    measured_there = [values[place[::2]].T for values in (x, y, yaw)]
+    measured_pose = [values[place[::2]].T for values in (x, y, yaw)]
     speed, yaw_rate, acceleration, angle = (v[place].T for v in (*others, signals.road_wheel_angle_at(instants)))
     measured, held = (LogBatch(signals, starts_ns, step * steps, step, inputs=kind) for kind in ("measured", "held"))
     trajectories: dict[tuple[str, Mode], np.ndarray] = {}
@@ -276,7 +277,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
         trajectories[model.name, "forecast"] = held.predict(model, vehicle).states
         trajectories |= {(model.name, mode): batch.predict(model, vehicle).states for mode, batch in batches.items()}
     errors: dict[tuple[str, Mode], np.ndarray] = {
-        (model.name, mode): reading_errors(model, vehicle, trajectories[model.name, mode], *measured_there)
+        (model.name, mode): reading_errors(model, vehicle, trajectories[model.name, mode], *measured_pose)
         for model in models for mode in (*MODES, *future_inputs)}
     known = InputSequence(angle, acceleration).known_so_far
     for model in models:
@@ -296,14 +297,14 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
 
 
 def _fill_with_held(planned: Planned, angle: np.ndarray, acceleration: np.ndarray) -> Planned:
-    """Planned inputs (n, m), with the held ones (n,) for starts at which a planned one is not known."""
+    """Planned inputs (n, m); held inputs (n,) for starts with an unknown planned input."""
     known = np.isfinite(np.stack(planned)).all(axis=(0, 2))[:, None]
     held = angle[:, None], acceleration[:, None], angle[:, None]
     return tuple(np.where(known, values, held_value) for values, held_value in zip(planned, held, strict=False))
 
 
 def _instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(instants [ns], place): start i has its instant k at instants[place[k, i]]; shared where the windows overlap."""
+    """(instants [ns], place): instant k of start i is instants[place[k, i]]; overlapping windows share instants."""
     half, span = int(after_ns[1]), int(starts_ns[-1] - starts_ns[0] + after_ns[-1])
     from_first = starts_ns - starts_ns[0]
     grid = np.array_equal(after_ns, half * np.arange(len(after_ns))) and not np.any(from_first % half)
@@ -315,7 +316,7 @@ def _instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, 
 
 def predict_held_per_step(model: Model, vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
                           times_ns: np.ndarray, step: float) -> np.ndarray:
-    """(n, points, 6): as `LogBatch.predict`, but each step with the inputs at its start. times_ns: (n, points)."""
+    """States (n, points, 6), as `LogBatch.predict` but with inputs held over each step. times_ns: (n, points)."""
     corrected = signals.of(correct_log(model, signals.log, signals.maximum_gap))
     angle, acceleration = corrected.road_wheel_angle_at(times_ns), corrected.ins_at(times_ns, "velocity_x_dot")[0]
     states = corrected.states_at(starts_ns, model.effective_vehicle(vehicle))
@@ -331,14 +332,14 @@ def predict_held_per_step(model: Model, vehicle: VehicleParameters, signals: Log
 
 
 class _Collector:
-    """Statistics of errors (n, points, 3), collected block by block."""
+    """Collects the statistics of errors (n, points, 3), block by block, for ModelErrors."""
 
     def __init__(self, count: int, horizon: np.ndarray):
-        # The grid points at whole seconds; with a step that does not divide one second, those next to them.
-        self._seconds = [int(np.abs(horizon - s).argmin()) for s in range(1, int(horizon[-1] + 1e-9) + 1)]
+        # The grid points nearest to whole seconds, since the step need not divide one second.
+        self._second_points = [int(np.abs(horizon - s).argmin()) for s in range(1, int(horizon[-1] + 1e-9) + 1)]
         self._complete = np.zeros(count, bool)
         self._mean, self._square, self._largest = (np.full((count, 3), np.nan) for _ in range(3))
-        self._at = np.full((count, len(self._seconds), 3), np.nan)
+        self._at = np.full((count, len(self._second_points), 3), np.nan)
         self._squares = np.zeros((len(horizon), 3))
 
     def add(self, rows: slice, errors: np.ndarray) -> None:
@@ -351,7 +352,7 @@ class _Collector:
         self._complete[scored] = True
         square, size = np.square(errors), np.abs(errors)
         self._mean[scored], self._square[scored] = errors.mean(axis=1), square.mean(axis=1)
-        self._largest[scored], self._at[scored] = size.max(axis=1), errors[:, self._seconds]
+        self._largest[scored], self._at[scored] = size.max(axis=1), errors[:, self._second_points]
         self._squares += square.sum(axis=0)
 
     def result(self) -> ModelErrors:

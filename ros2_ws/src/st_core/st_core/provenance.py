@@ -14,7 +14,7 @@ KEYS = ("uncertainty", *TEXTS)
 
 @dataclass(frozen=True)
 class Provenance:
-    """uncertainty: standard deviation, SI, None if unknown. method, data: free text. date: YYYY-MM-DD."""
+    """uncertainty: standard deviation in SI, None if unknown. method, data: free text. date: YYYY-MM-DD."""
 
     uncertainty: float | None = None
     method: str = ""
@@ -22,25 +22,25 @@ class Provenance:
     date: str = ""
 
     def entries(self) -> str:
-        """The entries for a vehicle file, each preceded by a comma."""
+        """The entries as text for a vehicle file, each preceded by a comma."""
         parts = [] if self.uncertainty is None else [f"uncertainty: {number(self.uncertainty)}"]
         parts += [f"{key}: {quote(getattr(self, key))}" for key in TEXTS if getattr(self, key)]
         return "".join(f", {part}" for part in parts)
 
 
 def read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Provenance | None:
-    """The provenance in an entry of a vehicle file, None without one. factor: from the unit of the entry to SI.
+    """The provenance of an entry of a vehicle file; None if it has none. factor: from the unit of the entry to SI.
 
-    Raises ConfigurationError naming the key for an invalid uncertainty, or a text that is not a string.
+    Raises ConfigurationError, naming the key, for an invalid uncertainty or a text that is not a string.
     """
     if not any(name in entry for name in KEYS):
         return None
     uncertainty = entry.get("uncertainty")
     if uncertainty is not None:
         if isinstance(uncertainty, bool) or not isinstance(uncertainty, int | float):
-            raise ConfigurationError(f"{key}.uncertainty: {uncertainty!r} is not a number (1.0e+3, not 1e3)")
+            raise ConfigurationError(f"{key}.uncertainty: {uncertainty!r} is not a number (write 1.0e+3, not 1e3)")
         if not (math.isfinite(uncertainty) and uncertainty >= 0.0):
-            raise ConfigurationError(f"{key}.uncertainty: {uncertainty:g} is not a standard deviation, 0 or above")
+            raise ConfigurationError(f"{key}.uncertainty: {uncertainty:g} is not a standard deviation (finite, >= 0)")
         uncertainty = float(uncertainty) * factor
     texts = {}
     for name in TEXTS:

@@ -20,7 +20,7 @@ from .yaml_text import check_keys, load, number, quote
 class Quantity:
     """One key of a vehicle file: permitted units with their factor to SI, and limits in SI (inclusive).
 
-    required: the file must give it. default: of an optional quantity, SI.
+    required: whether every vehicle file must contain the key. default: value of an optional quantity, in SI.
     """
 
     units: Mapping[str, float]
@@ -50,7 +50,7 @@ OPTIONAL_QUANTITIES = {
     "side_area": _quantity("m^2", 0.1, 60.0, default=2.5),
     "side_force_arm": _quantity("m", -5.0, 5.0, default=0.25),
 }
-"""Optional quantities, for some effects only. The defaults are those of a front-wheel drive passenger car."""
+"""Quantities that only some effects need. The defaults are those of a front-wheel-drive passenger car."""
 VEHICLE_QUANTITIES = {
     "mass": _quantity("kg", 50.0, 60000.0),
     "yaw_inertia": _quantity("kg m^2", 10.0, 1.0e6),
@@ -76,7 +76,7 @@ TYRE_QUANTITIES = {
     "p_ey1": _quantity("1", -20.0, 1.0),
     "p_ey2": _quantity("1", -20.0, 20.0),
     "p_ey3": _quantity("1", -5.0, 5.0),
-    "p_ky1": _quantity("1", -200.0, -1.0),  # SAE: negative
+    "p_ky1": _quantity("1", -200.0, -1.0),  # negative, as in SAE axes
     "p_ky2": _quantity("1", 0.1, 20.0),
     "p_ky4": _quantity("1", 0.1, 4.0),
     "lambda_ky": _quantity("1", 0.01, 10.0, required=False),
@@ -88,14 +88,14 @@ TYRES = ("tyre_front", "tyre_rear")
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Default standard deviation. relative: `size` is a fraction of the value, else SI."""
+    """Default standard deviation: a fraction `size` of the value if `relative`, else `size` in SI."""
 
     size: float
     relative: bool
     source: str
 
-    def of(self, value: float) -> float:
-        """Standard deviation for a value in SI [SI]."""
+    def deviation_of(self, value: float) -> float:
+        """Standard deviation of a value; both in SI."""
         return self.size * abs(value) if self.relative else self.size
 
 
@@ -116,13 +116,13 @@ DEFAULT_UNCERTAINTIES: Mapping[str, Uncertainty] = {
     "cornering_stiffness_rear": Uncertainty(0.3, True, "tyres of one size differ by a factor of 2"),
     **{f"{tyre}.{key}": uncertainty for tyre in TYRES for key, uncertainty in _TYRE_UNCERTAINTIES.items()},
 }
-"""Used for entries of a vehicle file that give no `uncertainty`. Other keys, such as the steering ratio and the
-position of the INS, are often guesses: they constrain a fit only if the file gives their `uncertainty`."""
+"""Used for entries of a vehicle file without `uncertainty`. Values of other keys, such as the steering ratio and the
+position of the INS, are often guesses: they constrain a fit only if the file states their `uncertainty`."""
 DERIVED = "derived: C / (2 abs(K)) at the static load of one tyre"
 
 
 def road_wheel_angle(steering_wheel_angle: Number, offset: Number, ratio: Number) -> Number:
-    """delta = (measured - offset) / ratio [rad], left +, mean of the front axle; measured [rad], left +; ratio [1]."""
+    """Road wheel angle (angle - offset) / ratio, mean of the front axle. All angles [rad], left +; ratio [1]."""
     return (steering_wheel_angle - offset) / ratio
 
 
@@ -139,7 +139,7 @@ class VehicleParameters:
     on the front axle [1]; rear-wheel drive: drive_front 0. load_transfer_front: fraction of the lateral load transfer
     on the front axle [1]. side_area: side force coefficient times its reference area, C_y A [m^2]; side_force_arm [m]:
     its centre ahead of the CG. sources: where each value comes from, by key ("tyre_front.p_cy1" for the tyres).
-    provenance: of the values that were identified, by key.
+    provenance: uncertainty, method, data and date of identified values, by key.
 
     Raises ConfigurationError, naming the key and the limit, for a value out of bounds or contradictory lengths.
     """
@@ -174,7 +174,7 @@ class VehicleParameters:
         _check_limits("", self, VEHICLE_QUANTITIES)
         if not self.cg_to_front_axle < self.wheelbase:
             raise ConfigurationError(f"cg_to_front_axle: {self.cg_to_front_axle:g} m is not below wheelbase "
-                                     f"{self.wheelbase:g} m; the CG lies between the axles, correct one of the two")
+                                     f"{self.wheelbase:g} m; the CG must lie between the axles: correct one of the two")
         for tyre in TYRES:
             _check_limits(f"{tyre}.", getattr(self, tyre), TYRE_QUANTITIES)
 
@@ -196,28 +196,28 @@ class VehicleParameters:
     def uncertainty(self, key: str) -> float | None:
         """Standard deviation [SI] of a value, by its key in the file ("mass", "tyre_front.lambda_muy").
 
-        It is taken from the file, else from DEFAULT_UNCERTAINTIES; None if unknown.
+        The value of the file is used, else that of DEFAULT_UNCERTAINTIES; None if both are missing.
         """
         entry = self.provenance.get(key)
         if entry is not None and entry.uncertainty:
             return entry.uncertainty
         default = DEFAULT_UNCERTAINTIES.get(key)
-        return None if default is None else default.of(value_of(self, key)) or None
+        return None if default is None else default.deviation_of(value_of(self, key)) or None
 
     def road_wheel_angle(self, steering_wheel_angle: Number) -> Number:
-        """Road wheel angle [rad] at a measured steering wheel angle [rad], left +; see the function of this name."""
+        """Road wheel angle [rad], mean of the front axle, at a measured steering wheel angle [rad]; both left +."""
         return road_wheel_angle(steering_wheel_angle, self.steering_wheel_offset, self.steering_ratio)
 
     def steering_wheel_angle(self, road_wheel_angle: Number) -> Number:
-        """Reading of the steering wheel sensor [rad] at a road wheel angle [rad]: the inverse of `road_wheel_angle`."""
+        """Reading of the steering wheel sensor [rad] at a road wheel angle [rad]; the inverse of `road_wheel_angle`."""
         return road_wheel_angle * self.steering_ratio + self.steering_wheel_offset
 
     @classmethod
     def from_yaml(cls, text: str, origin: str = "vehicle") -> "VehicleParameters":
         """Parameters from the text of a vehicle file.
 
-        origin: name shown in errors, usually the path. lambda_ky of a tyre that does not give it is derived from the
-        axle's cornering stiffness at the static load of one tyre (`tyres.stiffness_scale`).
+        origin: name shown in errors, usually the path. A missing lambda_ky of a tyre is derived from the cornering
+        stiffness of its axle at the static load of one tyre (`tyres.stiffness_scale`).
         Raises ConfigurationError, one line: origin, key, what is wrong, the limit and what to do.
         """
         try:
@@ -236,7 +236,7 @@ class VehicleParameters:
         if not isinstance(name, str) or not name.strip():
             raise ConfigurationError(f"name: {name!r} is not a string; write the name of the car")
         origins = _Origins()
-        values: dict[str, Any] = _read("", document, VEHICLE_QUANTITIES, origins)
+        values: dict[str, Any] = _read_section("", document, VEHICLE_QUANTITIES, origins)
         tyres: dict[str, Any] = {}
         for tyre in TYRES:
             section = document[tyre]
@@ -244,13 +244,13 @@ class VehicleParameters:
                 raise ConfigurationError(f"{tyre}: not a mapping of `key: {{value, unit, source}}`")
             required = [key for key, quantity in TYRE_QUANTITIES.items() if quantity.required]
             check_keys(f"{tyre}.", section, list(TYRE_QUANTITIES), required)
-            tyres[tyre] = MagicFormula(**_read(f"{tyre}.", section, TYRE_QUANTITIES, origins))
+            tyres[tyre] = MagicFormula(**_read_section(f"{tyre}.", section, TYRE_QUANTITIES, origins))
         vehicle = cls(name=name, **values, **tyres, sources=origins.sources, provenance=origins.provenance)
         given = {tyre for tyre in TYRES if "lambda_ky" in document[tyre]}
         return vehicle.with_derived_scales([tyre for tyre in TYRES if tyre not in given])
 
     def with_derived_scales(self, tyres: Sequence[str] = TYRES) -> "VehicleParameters":
-        """lambda_ky of these tyres from the axle's cornering stiffness at the static load (`tyres.stiffness_scale`)."""
+        """The car with lambda_ky of these tyres derived from the cornering stiffness of the axle (see `from_yaml`)."""
         axles = {"tyre_front": (self.cornering_stiffness_front, self.static_tyre_load_front),
                  "tyre_rear": (self.cornering_stiffness_rear, self.static_tyre_load_rear)}
         changes = {name: getattr(self, name)._replace(lambda_ky=stiffness_scale(*axles[name], getattr(self, name)))
@@ -258,9 +258,9 @@ class VehicleParameters:
         return replace(self, **changes, sources={**self.sources, **{f"{name}.lambda_ky": DERIVED for name in tyres}})
 
     def with_values(self, values: Mapping[str, float]) -> "VehicleParameters":
-        """The car with other values (SI), by their keys in the file ("mass", "tyre_rear.p_cy1").
+        """The car with some values (SI) replaced, by their keys in the file ("mass", "tyre_rear.p_cy1").
 
-        A derived lambda_ky is recomputed. Raises ConfigurationError for an invalid car.
+        A derived lambda_ky is recomputed. Raises ConfigurationError for a value outside its limits.
         """
         fields: dict[str, Any] = {key: value for key, value in values.items() if "." not in key}
         for tyre in TYRES:
@@ -271,9 +271,9 @@ class VehicleParameters:
         return replace(self, **fields).with_derived_scales(derived)
 
     def to_yaml(self) -> str:
-        """A vehicle file, SI units, that `from_yaml` reads back to the same parameters (and hash).
+        """A vehicle file in SI units, which `from_yaml` reads back to the same parameters and hash.
 
-        A derived lambda_ky is left out, so that it follows a stiffness edited in the file.
+        A derived lambda_ky is left out: after an edit of the cornering stiffness in the file it is derived again.
         """
         rederived = self.with_derived_scales()
         derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED
@@ -321,13 +321,13 @@ class _Origins:
     provenance: dict[str, Provenance] = field(default_factory=dict)
 
 
-def _read(prefix: str, section: Mapping[str, Any], quantities: Mapping[str, Quantity],
-          origins: _Origins) -> dict[str, float]:
-    return {key: _read_one(prefix + key, section[key], quantity, origins)
+def _read_section(prefix: str, section: Mapping[str, Any], quantities: Mapping[str, Quantity],
+                  origins: _Origins) -> dict[str, float]:
+    return {key: _read_value(prefix + key, section[key], quantity, origins)
             for key, quantity in quantities.items() if key in section}
 
 
-def _read_one(key: str, entry: Any, quantity: Quantity, origins: _Origins) -> float:
+def _read_value(key: str, entry: Any, quantity: Quantity, origins: _Origins) -> float:
     units = " or ".join(quantity.units)
     example = f"write `{key.rpartition('.')[2]}: {{value: ..., unit: \"{quantity.si_unit}\", source: \"...\"}}`"
     if not isinstance(entry, dict):
@@ -344,7 +344,7 @@ def _read_one(key: str, entry: Any, quantity: Quantity, origins: _Origins) -> fl
         raise ConfigurationError(f"{key}: unit {unit!r} is not {units}; convert the value and write unit: {units}")
     value = entry["value"]
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ConfigurationError(f"{key}: {value!r} is not a number (1.0e+3, not 1e3); limit {quantity.limit()}")
+        raise ConfigurationError(f"{key}: {value!r} is not a number (write 1.0e+3, not 1e3); limit {quantity.limit()}")
     if not isinstance(entry["source"], str) or not entry["source"].strip():
         raise ConfigurationError(f"{key}: source {entry['source']!r} is not a string; state where the value comes from")
     origins.sources[key] = entry["source"]
