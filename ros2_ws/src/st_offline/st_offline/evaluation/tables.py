@@ -13,7 +13,7 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 from st_core.binning import bin_starts
-from st_core.log_evaluation import ALL, AXES, LogEvaluation, ModelErrors
+from st_core.log_evaluation import ALL_ROWS, AXES, LogEvaluation, ModelErrors
 from st_core.palette import MODEL_COLOUR
 
 from .drive_parts import DrivePart, assign_horizons
@@ -23,7 +23,7 @@ STATISTICS = ("mean", "max", "rmse")
 Entry = dict[str, Any]
 
 
-def entry(errors: ModelErrors, select: np.ndarray | slice = ALL) -> Entry:
+def entry(errors: ModelErrors, select: np.ndarray | slice = ALL_ROWS) -> Entry:
     """Statistics of horizon means and, in `samples`, of all points of all horizons; None if no start was scored."""
     complete = errors.complete[select]
     count = int(complete.sum())
@@ -34,7 +34,7 @@ def entry(errors: ModelErrors, select: np.ndarray | slice = ALL) -> Entry:
     }
 
 
-def by_model(evaluation: LogEvaluation, select: np.ndarray | slice = ALL) -> dict[str, dict[str, Entry]]:
+def by_model(evaluation: LogEvaluation, select: np.ndarray | slice = ALL_ROWS) -> dict[str, dict[str, Entry]]:
     """{model: {mode: entry}} of the selected starts (rows)."""
     return {model: {mode: entry(evaluation.errors[model, mode], select) for mode in evaluation.modes}
             for model in evaluation.models}
