@@ -11,7 +11,7 @@ from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
 from st_offline.bands.bands_report import intervals_of
-from st_offline.discovery.discovery_report import model_file
+from st_offline.discovery.discovery_report import build_model_file
 from st_offline.discovery.drives import Drive, Request
 from st_offline.discovery.vehicle_update import update_vehicle
 
@@ -28,7 +28,7 @@ def corrected(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[Veh
     if files is None:
         raise RuntimeError(f"st discover found no model: {found.outcome}")
     car = VehicleParameters.from_yaml(files.text) if files.text else vehicle
-    model = model_file(found, request, files)
+    model = build_model_file(found, request, files)
     if model is None:
         return car, get_model("nonlinear"), {}
     file = ModelFile.from_yaml(model.to_yaml())

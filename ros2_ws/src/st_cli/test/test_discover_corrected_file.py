@@ -16,10 +16,10 @@ from st_core.model_file import ModelFile
 from st_core.prediction import PredictionSettings
 from st_core.stability import slip_speed_needed
 from st_core.vehicle import VehicleParameters, value_of
-from st_offline.discovery.discovery_report import model_file
+from st_offline.discovery.discovery_report import build_model_file
 from st_offline.discovery.drives import Drive, Request, read_drive
-from st_offline.discovery.report_text import to_do
-from st_offline.discovery.vehicle_update import KEYS, edit_entries, folded_update, update_vehicle
+from st_offline.discovery.report_text import recommend
+from st_offline.discovery.vehicle_update import KEYS, edit_entries, fold_named_effects, update_vehicle
 from st_recordings.car_skeleton import STABILITY_SPEEDS
 from st_recordings.runs import ReadSettings, find_runs
 from support import ROOT
@@ -51,7 +51,7 @@ def request(drive: Drive, text: str = TEXT) -> Request:
 
 def corrected(drive: Drive, *effects: tuple[str, dict], text: str = TEXT):
     found = discovery([drive.log], [(name, values, 0.5) for name, values in effects], 1.0)
-    return found, folded_update(found, request(drive, text))
+    return found, fold_named_effects(found, request(drive, text))
 
 
 def test_file_that_predicts_worse_by_itself_is_not_written(driven):
@@ -80,13 +80,13 @@ def test_stiffer_tyres_raise_the_slip_speed_their_models_need(driven):
 def test_a_model_that_is_stiffer_than_the_car_raises_the_slip_speed_of_the_file(driven):
     found = discovery([driven.log], [("steering_ratio", {"factor": 0.92}, 0.5)], 1.0)
     best = augment("nonlinear", {"steering_ratio": {"factor": 0.92}, "yaw_inertia": {"factor": 0.5}})
-    one = folded_update(replace(found, model=best, minor=found.effects), request(driven))
+    one = fold_named_effects(replace(found, model=best, minor=found.effects), request(driven))
     assert one.vehicle.minimum_slip_speed > CAR.minimum_slip_speed and one.vehicle.yaw_inertia == CAR.yaw_inertia
     step = PredictionSettings().step
     assert slip_speed_needed((one.model,), one.vehicle, STABILITY_SPEEDS, step) == one.vehicle.minimum_slip_speed
     assert one.vehicle.sources["minimum_slip_speed"] == "stable with steps of 50 ms; before 3.0"
     assert f"for steering ratio; minimum_slip_speed 3 → {one.vehicle.minimum_slip_speed:.4g} m/s" in "".join(
-        to_do(found, one))
+        recommend(found, one))
 
 
 def test_without_a_new_file_the_slip_speed_of_the_model_is_advised(driven):
@@ -94,9 +94,9 @@ def test_without_a_new_file_the_slip_speed_of_the_model_is_advised(driven):
     found = replace(found, model=augment("nonlinear", {"mass": {"factor": 1.5}, "yaw_inertia": {"factor": 0.4}}))
     one = update_vehicle(found, request(driven))
     assert not one.text and one.slip_speed > CAR.minimum_slip_speed
-    assert f"minimum_slip_speed = {one.slip_speed:g} m/s" in "".join(to_do(found, one))
+    assert f"minimum_slip_speed = {one.slip_speed:g} m/s" in "".join(recommend(found, one))
     mild = augment("nonlinear", {"mass": {"factor": 1.5}})
-    assert update_vehicle(replace(found, model=mild), request(driven)).slip_speed == 0.0
+    assert update_vehicle(replace(found, model=mild), request(driven)).required_slip_speed == 0.0
 
 
 def test_effective_corrections_stay_in_the_model_and_are_marked(driven):
@@ -105,10 +105,10 @@ def test_effective_corrections_stay_in_the_model_and_are_marked(driven):
     named, best = (augment("nonlinear", {"mass": {"factor": mass}, "friction": {"factor": friction}})
                    for mass, friction in ((1.1, 1.0), (1.2, 0.9)))
     found = replace(found, model=best, named=named, effective=found.effects)
-    one = folded_update(found, request(driven))
+    one = fold_named_effects(found, request(driven))
     assert one.vehicle.mass == pytest.approx(1.1 * CAR.mass) and one.model.values["friction"]["factor"] == 0.9
     assert one.model.values["mass"]["factor"] == pytest.approx(1.2 / 1.1)
-    text = model_file(found, request(driven), one).to_yaml()
+    text = build_model_file(found, request(driven), one).to_yaml()
     assert text.count("effective: true") == 2
     assert ModelFile.from_yaml(text).effects["friction"]["factor"].effective
 
@@ -117,13 +117,13 @@ def test_effective_corrections_stay_in_the_model_and_are_marked(driven):
 def test_the_file_holds_what_its_effect_would_do(driven, name):
     values = values_of(name, 0.8)
     found, one = corrected(driven, (name, values))
-    assert one.folded == (name,) and not one.kept
+    assert one.folded == (name,) and not one.not_folded
     expected = EFFECTS[name].fold(CAR, EFFECTS[name].Theta(**values, constants=()))
     for key in KEYS:
         assert value_of(one.vehicle, key) == pytest.approx(value_of(expected, key), rel=1e-5, abs=1e-9), key
     for low, high in ((change[2], change[3]) for change in one.changes.values()):
         assert low <= high
-    assert model_file(found, request(driven), one) is None
+    assert build_model_file(found, request(driven), one) is None
 
 
 def test_only_the_lines_of_its_keys_change(driven):
@@ -165,7 +165,7 @@ def test_a_key_the_file_leaves_out_is_put_in():
 
 def test_effects_that_a_file_cannot_express_are_a_model_of_the_corrected_car(driven, tmp_path):
     found, one = corrected(driven, ("steering_ratio", {"factor": 0.9}), ("yaw_rate_bias", {"bias": 0.004}))
-    file = model_file(found, request(driven), one)
+    file = build_model_file(found, request(driven), one)
     assert set(file.effects) == {"yaw_rate_bias"} and file.vehicle_hash == one.vehicle.hash != CAR.hash
     assert file.effects["yaw_rate_bias"]["bias"].interval == pytest.approx((0.00392, 0.00408))
     assert ModelFile.from_yaml(file.to_yaml()).model().values["yaw_rate_bias"]["bias"] == 0.004
@@ -182,14 +182,14 @@ def test_recordings_of_the_road_wheels_keep_the_ratio_in_the_model(driven):
     bare = replace(driven, log=replace(driven.log, steering_wheel_angle=None))
     found, one = corrected(bare, ("steering_ratio", {"factor": 0.9}))
     assert not one.folded and one.text == "" and one.vehicle.hash == CAR.hash
-    assert one.kept["steering_ratio"]["steering_ratio"] == pytest.approx((17.3, 15.57))
-    assert set(model_file(found, request(bare), one).effects) == {"steering_ratio"}
+    assert one.not_folded["steering_ratio"]["steering_ratio"] == pytest.approx((17.3, 15.57))
+    assert set(build_model_file(found, request(bare), one).effects) == {"steering_ratio"}
 
 
 def test_what_does_not_commute_stays_in_the_model(driven):
     """Play is measured after the ratio of the file: with another ratio the same play is another effect."""
     _, one = corrected(driven, ("steering_backlash", {"play": 0.02}), ("steering_ratio", {"factor": 0.6}))
-    assert set(one.kept) == {"steering_ratio"} and not one.folded
+    assert set(one.not_folded) == {"steering_ratio"} and not one.folded
 
 
 def test_identify_starts_from_the_corrected_file_and_reports_contradictions(driven, tmp_path):

@@ -26,9 +26,9 @@ from st_core.discovery.result import (
 from st_core.discovery.where import window_errors
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import drives, quantities, report_text
-from st_offline.discovery.discovery_report import document, show, write_page
+from st_offline.discovery.discovery_report import document, print_result, write_page
 from st_offline.discovery.drives import Request, read_drive, read_result, write_result
-from st_offline.discovery.figures import Scene, agreement, axle_curves, maps, waterfall
+from st_offline.discovery.figures import Scene, draw_agreement, draw_axle_curves, draw_maps, draw_waterfall
 from st_offline.discovery.relation_report import RelationReport
 from st_offline.discovery.vehicle_update import VehicleUpdate, update_vehicle
 from st_offline.evaluation.drawing import FigureOutput
@@ -84,12 +84,12 @@ def test_names_not_distinguishable_are_listed_together(logs):
     stiff = CandidateEffect("front_stiffness", "vehicle parameters", {"factor": 1.31}, 0.2, "alternative", "")
     found = replace(found, candidates=(*found.candidates, stiff))
     assert "steering ratio × 0.8940 or front stiffness × 1.31" in report_text.title(found)
-    assert any("record the next drive" in text for text in report_text.to_do(found, None))
+    assert any("record the next drive" in text for text in report_text.recommend(found, None))
 
 
 def test_undetectable_effects_are_listed_with_their_size_parameters_of_the_car_first(logs):
     blind = tuple(NotTestable(name, "") for name in ("drag", "friction", "heading_misalignment", "steering_ratio"))
-    text = report_text.not_detectable(replace(discovery(logs, (), 1.0), not_testable=blind))
+    text = report_text.list_undetectable(replace(discovery(logs, (), 1.0), not_testable=blind))
     assert text == ("not detectable in these drives: friction of 40 %, steering ratio of 6 %, heading misalignment of "
                     "0.458°, drag")
 
@@ -100,10 +100,10 @@ def test_a_file_with_one_of_two_alternatives_names_the_other(logs, strength, why
     found = discovery(logs, (("yaw_inertia", {"factor": 0.86}, 0.5),), 1.7, alternatives={"yaw_inertia": ("mass",)})
     found = replace(found, separability=(Separability("yaw_inertia", "mass", 0.9, strength),))
     corrected = VehicleUpdate(CAR, "", found.model, ("yaw_inertia",), {"yaw_inertia": (1.0, 0.86, 0.8, 0.9)}, {})
-    reported = report_text.to_do(found, corrected)
+    reported = report_text.recommend(found, corrected)
     assert any(f"the first of yaw inertia × 0.8600 or mass × 1.020; {why} separate" in t for t in reported)
     more = replace(found, minor=found.effects)
-    reported = report_text.to_do(more, replace(corrected, text="name: x", error=(0.33, 0.31)))
+    reported = report_text.recommend(more, replace(corrected, text="name: x", error=(0.33, 0.31)))
     assert any("vehicle.yaml alone reduces the position error after 5 s by 6%, with model" in t for t in reported)
 
 
@@ -127,7 +127,8 @@ def test_kept_effects_are_listed_with_all_alternatives(logs):
     found = discovery(logs, (("tyre_stiffness", {"factor": 1.2}, 0.5),), 1.7,
                       alternatives={"tyre_stiffness": ("mass",)})
     found = replace(discovery(logs, STEPS, 1.72), minor=found.effects)
-    assert any("contains tyre stiffness × 1.2000 or mass × 1.020" in text for text in report_text.to_do(found, None))
+    advice = report_text.recommend(found, None)
+    assert any("contains tyre stiffness × 1.2000 or mass × 1.020" in text for text in advice)
 
 
 @pytest.mark.parametrize(("outcome", "message"), [
@@ -142,9 +143,9 @@ def test_the_unexplained_part_is_reported_with_the_names(logs):
     much = replace(named, signature=("errors are 3.1 times the noise",))
     message = "; a residual remains that no effect of the library explains: errors are 3.1 times the noise"
     assert report_text.title(much) == report_text.title(named) + message
-    assert "an effect that is not in the library; errors are 3.1 times the noise" in report_text.meaning(much)
-    assert any("values may contain a part of the residual" in text for text in report_text.to_do(much, None))
-    assert not any("part of the residual" in text for text in report_text.to_do(named, None))
+    assert "an effect that is not in the library; errors are 3.1 times the noise" in report_text.explain_effects(much)
+    assert any("values may contain a part of the residual" in text for text in report_text.recommend(much, None))
+    assert not any("part of the residual" in text for text in report_text.recommend(named, None))
 
 
 def test_varying_effects_are_reported_and_not_named(logs):
@@ -166,8 +167,10 @@ def test_first_lines_name_runs_and_references_with_seconds(logs):
 
 def test_angles_are_in_degrees_with_the_digits_their_interval_bears(logs):
     (p,) = fitted("heading_misalignment", {"angle": math.radians(0.5)}).values()
-    assert quantities.value(p) == "0.500° (0.490 to 0.510)" and quantities.value(p, interval=False) == "0.500°"
-    assert quantities.change(0.03, "1") == "3 %" and quantities.change(math.radians(-1.0), "rad") == "1°"
+    assert quantities.format_parameter(p) == "0.500° (0.490 to 0.510)"
+    assert quantities.format_parameter(p, interval=False) == "0.500°"
+    assert quantities.format_deviation(0.03, "1") == "3 %"
+    assert quantities.format_deviation(math.radians(-1.0), "rad") == "1°"
 
 
 def scene(found, logs, folder=None):
@@ -182,7 +185,7 @@ def test_every_figure_is_drawn_where_there_is_something_to_draw(logs, tmp_path):
     curve = ForceCurve("front", slip, *(tuple(9e4 * factor * s for s in slip) for factor in (0.8, 0.75, 0.85, 1.0)),
                        (0.1,) * 10)
     full = replace(full, axle_curves=(curve,))
-    for make in (waterfall, agreement, axle_curves):
+    for make in (draw_waterfall, draw_agreement, draw_axle_curves):
         drawn = make(scene(full, logs, tmp_path))
         assert drawn.svg.startswith("<svg") and (tmp_path / f"{drawn.key}.png").stat().st_size > 5000
         assert make(scene(empty, logs)) is None
@@ -194,21 +197,21 @@ def test_figures_of_the_driving_are_drawn_from_errors(tmp_path):
     found, settings = discovery(long, STEPS[:1], 1.72), DiscoverySettings(channels=("yaw_rate", "position"))
     before, after = (window_errors(long, model, CAR, settings) for model in (found.base, found.model))
     one = Scene(found, long, before, after, FigureOutput(tmp_path, ("png",)))
-    drawn = maps(one)
+    drawn = draw_maps(one)
     assert drawn.key == "map" and "complete model" in drawn.svg
 
 
 def test_a_negative_delay_is_named_before_anything_else_is_done(logs):
     found = discovery(logs, (("steering_delay", {"time": -0.06}, 0.5),), 1.7)
-    assert "steering delay is negative (-0.0600 s), which is not causal" in report_text.to_do(found, None)[0]
+    assert "steering delay is negative (-0.0600 s), which is not causal" in report_text.recommend(found, None)[0]
     later = discovery(logs, (("steering_delay", {"time": 0.06}, 0.5),), 1.7)
-    assert not any("causal" in text for text in report_text.to_do(later, None))
+    assert not any("causal" in text for text in report_text.recommend(later, None))
 
 
 @pytest.mark.parametrize(("number", "decimals", "shown"), [
     (-0.0004, 1, "-0.0004"), (0.04, 0, "0.04"), (-0.0, 1, "0"), (0.0, 2, "0"), (1.26, 1, "1.3"), (-0.26, 1, "-0.3")])
 def test_a_small_number_is_never_rounded_to_zero_and_zero_has_no_sign(number, decimals, shown):
-    assert quantities.decimal(number, decimals) == shown
+    assert quantities.format_decimal(number, decimals) == shown
 
 
 def test_errors_of_the_recordings_come_before_the_answer_is_used(logs):
@@ -230,7 +233,7 @@ def test_a_combination_that_differs_from_the_file_is_reported_when_no_effect_of_
     delay = Combination("total delay of the steering", "s", -0.0619, (-0.07, -0.05), 0.0, ("steering_delay",))
     late = replace(found, combinations=(delay,))
     assert "total delay of the steering -0.062 s (-0.070 to -0.050)" in report_text.title(late)
-    assert not any("weigh the car" in line for line in report_text.to_do(late, None))
+    assert not any("weigh the car" in line for line in report_text.recommend(late, None))
     same = replace(found, combinations=(replace(stiffness, interval=(30.0, 44.0)),))
     named = replace(found, combinations=(replace(stiffness, effects=(found.effects[0].name,)),))
     for one in (same, named):
@@ -247,17 +250,17 @@ def test_page_and_terminal_hold_the_answer_and_no_markup_of_a_name(logs, drive, 
     assert content["schema"] == 3 and content["files"]["vehicle.yaml"]["kept"]["steering_ratio"]
     json.dumps(content, allow_nan=False)
     page = tmp_path / "report.html"
-    write_page(page, found, corrected, content, [waterfall(scene(found, logs))])
+    write_page(page, found, corrected, content, [draw_waterfall(scene(found, logs))])
     text = page.read_text()
     assert report_text.title(found) in text and "&lt;b&gt;weave" in text and "<b>weave 20" not in text
     assert "2.5 % are asked for" in text and not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"', text)
-    show(found, corrected, [], {"report.html": page}, True, Console(width=300))
+    print_result(found, corrected, [], {"report.html": page}, True, Console(width=300))
     message = capsys.readouterr().out
     order = [message.index(text) for text in ("suspect: 2 runs", "5 s position error 1.72 m", "effect", "to do")]
     assert order == sorted(order)
     assert len(message.splitlines()) <= 25 and "--fresh repeats the search" in message
     for effect in found.effects:
-        assert all(quantities.value(p) in message for p in effect.parameters.values())
+        assert all(quantities.format_parameter(p) in message for p in effect.parameters.values())
 
 
 def test_page_and_terminal_hold_the_same_of_a_proposal(logs, drive, tmp_path, capsys):
@@ -268,9 +271,9 @@ def test_page_and_terminal_hold_the_same_of_a_proposal(logs, drive, tmp_path, ca
     table = Table("By run", "Note.", ("run", "m"), [("[weave]", "0.1")])
     reported = RelationReport([("proposal", ["a law, <b>bold"])], [table], "PROPOSAL: a law")
     page = tmp_path / "report.html"
-    write_page(page, found, None, document(found, question, None, {}), [waterfall(scene(found, logs))], reported)
+    write_page(page, found, None, document(found, question, None, {}), [draw_waterfall(scene(found, logs))], reported)
     text = html.unescape(page.read_text())
-    show(found, None, [], {"report.html": page}, False, Console(width=60), reported)
+    print_result(found, None, [], {"report.html": page}, False, Console(width=60), reported)
     message = capsys.readouterr().out
     for shown, parts in ((text, ("PROPOSAL: a law", "a law, <b>bold", "By run", "[weave]")),
                          (message, ("PROPOSAL: a law",))):

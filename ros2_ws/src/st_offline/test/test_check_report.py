@@ -85,7 +85,7 @@ class Lines:
     (1234.5, (1230.0, 1239.0), "m/s^2", "1234.5 ± 4.5 m/s²"), (None, None, "m", ""), (6, (6.0, 6.0), "1", "6"),
 ])
 def test_numbers_have_the_digits_their_interval_bears(value, interval, unit, text):
-    assert check_report.format_value(value, interval, unit) == text
+    assert check_report.format_estimate(value, interval, unit) == text
 
 
 def test_where_and_effect():

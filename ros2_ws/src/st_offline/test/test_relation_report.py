@@ -21,8 +21,8 @@ from st_core.relations.next_drive import NextDrives, Option
 from st_core.relations.selection import RunShares
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import quantities
-from st_offline.discovery.figures import display_unit, relation_figure
-from st_offline.discovery.relation_files import effect_file, name_of, relation_document, write_files
+from st_offline.discovery.figures import display_unit, draw_relation
+from st_offline.discovery.relation_files import effect_name, effect_source, relation_document, write_files
 from st_offline.discovery.relation_report import (
     RelationReport,
     next_drive_sentences,
@@ -62,9 +62,9 @@ def text_of(said: RelationSearch) -> str:
 @pytest.mark.parametrize(("place", "quantity", "parity", "by"), EVERY, ids=[f"{p}-{q}-{b}" for p, q, _, b in EVERY])
 def test_the_file_does_what_the_curve_does(tmp_path, registry, place, quantity, parity, by):
     one = proposal(place, quantity, parity, by)
-    (tmp_path / "law.py").write_text(effect_file(one, ["lap"], "2026-01-01T00:00:00"))
-    assert load_folder(str(tmp_path)) == (name_of(one),)
-    written = augment("nonlinear", {name_of(one): {"share": 1.0}})
+    (tmp_path / "law.py").write_text(effect_source(one, ["lap"], "2026-01-01T00:00:00"))
+    assert load_folder(str(tmp_path)) == (effect_name(one),)
+    written = augment("nonlinear", {effect_name(one): {"share": 1.0}})
     heights = {f"c{k}": h for k, h in enumerate(one.coefficients)}
     fitted = augment("nonlinear", {one.candidate.effect: heights | one.candidate.constants})
     state, readings = (0.0, 0.0, 12.0, -0.2, 0.1, 0.3), Measured(1.0, 2.0, 0.1, 12.0, 0.1, 0.3, 0.5, 3.6)
@@ -88,9 +88,9 @@ def test_the_file_does_what_the_curve_does(tmp_path, registry, place, quantity, 
 def test_the_file_meets_the_requirements_on_an_effect(tmp_path, registry, place, quantity, parity, by):
     one = proposal(place, quantity, parity, by)
     gentle = replace(one, coefficients=0.3 * one.coefficients)
-    (tmp_path / "law.py").write_text(effect_file(gentle, ["lap"], "2026-01-01T00:00:00"))
+    (tmp_path / "law.py").write_text(effect_source(gentle, ["lap"], "2026-01-01T00:00:00"))
     load_folder(str(tmp_path))
-    assert [each for each in check_effect(EFFECTS[name_of(one)], CAR) if each.problem] == []
+    assert [each for each in check_effect(EFFECTS[effect_name(one)], CAR) if each.problem] == []
 
 
 def test_the_curve_is_drawn_in_the_units_of_an_engineer():
@@ -98,9 +98,9 @@ def test_the_curve_is_drawn_in_the_units_of_an_engineer():
     assert [display_unit(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
         "°", "%", "m/s²", "rad per rad/s"]
     assert display_unit("1")[0] == 100.0 and display_unit("rad")[0] == pytest.approx(57.2958)
-    drawn = relation_figure(proposal("front_grip", "speed", NEITHER), FigureOutput(None, ()))
+    drawn = draw_relation(proposal("front_grip", "speed", NEITHER), FigureOutput(None, ()))
     assert "0.800 m without it, 0.500 m with it" in drawn.title and "y in 1, u in m/s" in drawn.caption
-    pushed = relation_figure(proposal("yaw_moment", "acceleration_x", NEITHER), FigureOutput(None, ()))
+    pushed = draw_relation(proposal("yaw_moment", "acceleration_x", NEITHER), FigureOutput(None, ()))
     assert "y in rad/s², u in m/s². " in pushed.caption
 
 
@@ -109,8 +109,8 @@ def test_what_comes_and_goes_is_told_and_a_law_of_time_is_no_file(tmp_path, regi
     one = replace(proposal("both_grip", "run_time", 0.0), shares=shares)
     said = RelationSearch(one, "it takes away 10 %", {})
     lines = text_of(said)
-    assert "nearly absent in other (its size by run, 95 %: lap 1.2 ± 0.2, other 0.1 ± 0.2)" in lines
-    assert "no effect file is written" in lines and "once beginning elsewhere on the course" in lines
+    assert "nearly absent in other (relative size by run, 95 %: lap 1.2 ± 0.2, other 0.1 ± 0.2)" in lines
+    assert "no effect file is written" in lines and "once from another starting point" in lines
     assert write_files(said, CAR, ["lap"], "2026-01-01", {}, tmp_path) == {} and not list(tmp_path.iterdir())
 
 
@@ -169,7 +169,7 @@ def test_without_a_proposal_the_reason_is_told(tmp_path):
     said = RelationSearch(None, "the curve of side_force over speed runs into its bound",
                      {"side_force over speed": (0.1, 0.2)})
     assert "none: the curve of side force on the body as a function of the speed runs into its bound" in text_of(said)
-    assert relation_document(said)["proposal"] is None and relation_document(None) == {}
+    assert relation_document(said)["proposal"] is None
 
 
 def test_the_error_of_every_run_and_both_sizes_of_a_value_are_tabled():
@@ -194,7 +194,7 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
                         [Option(brake, 0.5 * one.deviation, {rival: 6.0}, (4.0, 0.0)),
                          Option(sweep, 0.8 * one.deviation, {rival: 1.5}, (0.0, 0.1))])
     one = replace(one, drives=drives)
-    assert "y = 1 rad/s² is a moment of 2925 N m, from the yaw inertia of the" in text_of(RelationSearch(one, "", {}))
+    assert "y = 1 rad/s² corresponds to a moment of 2925 N m, with the yaw" in text_of(RelationSearch(one, "", {}))
     text = "\n".join(next_drive_sentences(one))
     assert "from side force on the body as a function of the speed: brake_in_turn, 3 times" in text
     assert "separation is then 6.0 times as large" in text
@@ -210,7 +210,7 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
     of_a_place = replace(one, others={"side_force over position_x": 0.9}, drives=replace(drives, current_separation={},
                                                                                          options=[]))
     text = "\n".join(next_drive_sentences(of_a_place))
-    assert "from effects of place, course or time: drive the same again" in text and "much better" not in text
+    assert "from effects of place, heading or time: repeat the drive twice" in text and "much better" not in text
 
 
 def test_a_run_that_becomes_much_worse_is_in_the_first_line():

@@ -72,7 +72,7 @@ def unit_symbol(text: str) -> str:
     return "" if text == "1" else text.replace("^2", "²")
 
 
-def format_value(value: float | None, interval: Sequence[float] | None = None, unit: str = "1") -> str:
+def format_estimate(value: float | None, interval: Sequence[float] | None = None, unit: str = "1") -> str:
     """An estimate with the significant digits of its interval, such as "57.30 ± 0.02 m"; empty for none."""
     if value is None:
         return ""
@@ -90,7 +90,7 @@ def format_quantity(name: str, value: Sequence[float]) -> str:
     """An estimate (value, low, high) as text. name: of the finding for this quantity."""
     kind = name.rpartition("_")[2]
     unit = QUANTITY_UNITS.get(name, "s" if kind == "lag" else "1")
-    return format_value(value[0], value[1:], unit)
+    return format_estimate(value[0], value[1:], unit)
 
 
 def describe_stretches(finding: Finding) -> str:

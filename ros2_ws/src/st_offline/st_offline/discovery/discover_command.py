@@ -1,4 +1,4 @@
-"""The command `st discover`: read recordings, discover, write and show the results."""
+"""The command `st discover`: reads recordings, identifies effects, writes and prints the results."""
 
 import hashlib
 import time
@@ -26,32 +26,34 @@ from st_recordings.runs.errors import join_problems
 
 from ..evaluation.drawing import FigureOutput, PageFigure, check_formats
 from ..terminal import progress_bars
-from .discovery_report import document, model_file, show, write_page
+from .discovery_report import build_model_file, document, print_result, write_page
 from .drives import Drive, Request, cache_folder, clock_deviations, read_drives, read_result, result_key, write_result
-from .figures import Scene, agreement, axle_curves, maps, relation_figure, waterfall
+from .figures import Scene, draw_agreement, draw_axle_curves, draw_maps, draw_relation, draw_waterfall
 from .relation_files import relation_document, write_files
 from .relation_report import RelationReport, relation_report
 from .vehicle_update import VehicleUpdate, update_vehicle
 
 
 def run_command(request: Request, console: Console) -> int:
-    """Exit status: 1 if some runs could not be used, else 0. Raises ConfigurationError, StCoreError."""
+    """Run the command; returns the exit status: 1 if a run could not be used, else 0.
+
+    Raises ConfigurationError, StCoreError.
+    """
     check_formats(request.formats)
     own = load_own_effects(request.effects)
     base = load_base_model(request.base, request.vehicle, request.vehicle_file)
     folder = new_folder(request.output, "discover")
     marks = [time.perf_counter()]
     with progress_bars(console) as progress:
-        drives, healthy = _read(request, progress)
+        drives, healthy = _read_runs(request, progress)
         request = replace(request, drives=drives, healthy=healthy, own_effects=own)
         marks.append(time.perf_counter())
         found, from_cache = _find_result(request, base, progress)
         request = replace(request, drives=[
             replace(d, log=apply_clock_corrections([d.log], found.clock_errors)[0]) if d.log else d for d in drives])
         marks.append(time.perf_counter())
-        search = needs_search(found) if request.propose is None else request.propose
         relations = None
-        if search:
+        if needs_search(found) if request.propose is None else request.propose:
             bar = progress.add_task("searching for a relation beyond the library", total=None)
             reported = {(one["name"], channel) for d in drives if d.log is not None for one in d.about["findings"]
                         if one["severity"] != "note" for channel in one["channels"]}
@@ -65,17 +67,17 @@ def run_command(request: Request, console: Console) -> int:
         output = FigureOutput(folder / "figures", request.formats)
         drawn = draw(found, request, output) if request.report else None
         if drawn is not None and relations and relations.relation:
-            drawn.insert(0, relation_figure(relations.relation, output))
+            drawn.insert(0, draw_relation(relations.relation, output))
         update = update_vehicle(found, request)
         report = relation_report(relations, found, request.vehicle, str(folder)) if relations else None
         files = write_results(found, request, update, folder, drawn, seconds, relations, report)
     recordings = (*drives, *healthy)
-    show(found, update, recordings, files, from_cache, console, report)
+    print_result(found, update, recordings, files, from_cache, console, report)
     return 1 if any(d.problem for d in recordings) else 0
 
 
 def load_own_effects(folder: Path | None) -> dict[str, str]:
-    """Load a folder of effects; sha256 of its files by name. Raises ConfigurationError."""
+    """Load a folder of user-defined effects; returns sha256 of its files by name. Raises ConfigurationError."""
     if folder is None:
         return {}
     load_folder(str(folder.absolute()))
@@ -91,8 +93,8 @@ def load_base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) ->
     try:
         text = Path(name).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise ConfigurationError(f"--base {name}: cannot be read: {why}") from None
+        cause = getattr(error, "strerror", None) or error
+        raise ConfigurationError(f"--base {name}: cannot be read: {cause}") from None
     file = ModelFile.from_yaml(text, name)
     try:
         file.check_vehicle(vehicle, vehicle_file)
@@ -101,8 +103,8 @@ def load_base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) ->
     return file.model()
 
 
-def _read(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive]]:
-    """(suspect, reference) drives. Raises ConfigurationError if none can be used."""
+def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive]]:
+    """(suspect, reference) drives. Raises ConfigurationError if no suspect drive or no given reference can be used."""
     sources = find_runs(request.runs)
     healthy = find_runs(request.reference) if request.reference else []
     if not sources:
@@ -116,11 +118,11 @@ def _read(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive
     if healthy and not _logs(reference):
         raise ConfigurationError("no --reference run can be used: " + join_problems(d.problem for d in reference))
     _check_reference(suspect, reference)
-    return suspect, _with_unique_names(suspect, reference)
+    return suspect, _rename_duplicates(suspect, reference)
 
 
 def _check_reference(suspect: Sequence[Drive], reference: Sequence[Drive]) -> None:
-    """Raises ConfigurationError for a drive on both lists, and for a reference recorded with another car."""
+    """Raise ConfigurationError for a drive given both as run and as reference, and for a reference of another car."""
     used = {digest for d in suspect if d.log is not None for digest in d.about["files"].values()}
     cars = {d.about["vehicle"]: d.name for d in suspect if d.log is not None and d.about["vehicle"]}
     for drive in (d for d in reference if d.log is not None):
@@ -132,8 +134,8 @@ def _check_reference(suspect: Sequence[Drive], reference: Sequence[Drive]) -> No
                                      f"with {car!r}: a reference is a drive of the same car without the fault")
 
 
-def _with_unique_names(suspect: Sequence[Drive], reference: Sequence[Drive]) -> list[Drive]:
-    """The reference drives; those with the name of a run are renamed, because results identify runs by name."""
+def _rename_duplicates(suspect: Sequence[Drive], reference: Sequence[Drive]) -> list[Drive]:
+    """The reference drives; one with the name of a suspect drive is renamed, because results identify runs by name."""
     names = {d.name for d in suspect}
     renamed = []
     for drive in reference:
@@ -148,7 +150,7 @@ def _logs(drives: Sequence[Drive]) -> list[DriveLog]:
 
 
 def _find_result(request: Request, base: Model, progress: Progress) -> tuple[Discovery, bool]:
-    """The result, and whether it is a cached one for the same inputs."""
+    """(result, whether it was read from the cache)."""
     bar = progress.add_task("", total=None)
 
     def stage(name: str, done: int, total: int) -> None:
@@ -159,43 +161,41 @@ def _find_result(request: Request, base: Model, progress: Progress) -> tuple[Dis
     name = result_key(logs, reference, request.vehicle, base, request.settings, request.own_effects, sensors, clocks)
     folder = cache_folder() if request.cached else None
     file = folder / f"{name}.json" if folder else None
-    found = read_result(file) if file else None
-    if found is not None:
-        return found, True
-    found = discover(logs, request.vehicle, base, reference, request.settings, stage, sensors, request.jobs,
-                     clocks)
+    if file and (cached := read_result(file)) is not None:
+        return cached, True
+    found = discover(logs, request.vehicle, base, reference, request.settings, stage, sensors, request.jobs, clocks)
     if file:
         write_result(file, found)
     return found, False
 
 
 def sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
-    """Estimates of sensor errors by the checks, (value, low, high) by name, pooled over the drives."""
+    """Sensor errors estimated by the checks and pooled over the drives, (value, low, high) by name."""
     return pool_estimates([{name: value for name, value in d.about["estimates"].items() if None not in value}
                            for d in drives if d.log is not None])
 
 
 def draw(found: Discovery, request: Request, output: FigureOutput) -> list[PageFigure]:
-    """The figures of the page, in its order."""
+    """The figures, in the order of the page."""
     runs = _logs(request.drives)
-    # Channels that all runs have.
+    # found.errors contains only channels that are in all runs.
     settings = replace(request.settings, channels=tuple(c for c in found.errors if c in request.settings.channels))
 
     def errors(model):
         return window_errors(runs, model, request.vehicle, settings, found.acceleration_gain)
 
     scene = Scene(found, runs, errors(found.base), errors(found.model) if found.model else None, output)
-    makers = (waterfall, axle_curves, maps, agreement)
-    return [figure for make in makers if (figure := make(scene))]
+    functions = (draw_waterfall, draw_axle_curves, draw_maps, draw_agreement)
+    return [figure for function in functions if (figure := function(scene))]
 
 
 def write_results(found: Discovery, request: Request, update: VehicleUpdate | None, folder: Path,
                   drawn: Sequence[PageFigure] | None, seconds: dict[str, float],
                   relations: RelationSearch | None = None, report: RelationReport | None = None) -> dict[str, Path]:
-    """Write all files; returns paths by kind. drawn: None for no page. report: of relations beyond the library."""
+    """Write all files; returns their paths by kind. drawn: figures, None for no page. report: of `relations`."""
     files = {"discovery.json": folder / "discovery.json"}
     if update is not None:
-        model = model_file(found, request, update)
+        model = build_model_file(found, request, update)
         for name, text in (("vehicle.yaml", update.text), ("model.yaml", model.to_yaml() if model else "")):
             if text:
                 files[name] = folder / name

@@ -1,4 +1,4 @@
-"""Results of a discovery: discovery.json (docs/manual/discovery.md), model.yaml, page and summary on the terminal."""
+"""Writes the results of a discovery: discovery.json (docs/manual/discovery.md), model.yaml, page and terminal."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -28,8 +28,8 @@ from .relation_report import RelationReport
 from .vehicle_update import VehicleUpdate
 
 SCHEMA = 3
-VERDICTS = ("alternative", "varies")  # first in the table of other effects
-MAX_ROWS = 8  # of a table; discovery.json has all
+FIRST_VERDICTS = ("alternative", "varies")  # these effects come first in the table of other effects
+MAX_ROWS = 8  # of a table; discovery.json contains all
 
 
 def document(found: Discovery, request: Request, update: VehicleUpdate | None,
@@ -38,7 +38,7 @@ def document(found: Discovery, request: Request, update: VehicleUpdate | None,
     changes = {} if update is None else {
         key: dict(zip(("before", "after", "interval"), (before, after, (low, high)), strict=True))
         for key, (before, after, low, high) in update.changes.items()}
-    files = {"vehicle.yaml": {"folded": update.folded if update else (), "kept": update.kept if update else {},
+    files = {"vehicle.yaml": {"folded": update.folded if update else (), "kept": update.not_folded if update else {},
                               "changes": changes, "error": update.error if update else (),
                               "objections": update.objections if update else ()}}
     return {"schema": SCHEMA, **json_ready(found.document()), "files": json_ready(files),
@@ -46,7 +46,7 @@ def document(found: Discovery, request: Request, update: VehicleUpdate | None,
 
 
 def provenance(found: Discovery, request: Request, seconds: Mapping[str, float]) -> dict[str, Any]:
-    """All inputs of the discovery."""
+    """Inputs, settings and versions from which the discovery can be repeated."""
     return {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "vehicle": {"name": request.vehicle.name, "file": request.vehicle_file, "hash": request.vehicle.hash},
@@ -65,10 +65,10 @@ def provenance(found: Discovery, request: Request, seconds: Mapping[str, float])
     }
 
 
-def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
-    """The effects that are not in vehicle.yaml, for that vehicle; None without any. Effects at null are left out.
+def build_model_file(found: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
+    """Model file of the effects that are not in vehicle.yaml; None without any. Effects at neutral values are omitted.
 
-    With reference drives a value may be the change from them; its interval is then shifted to the total value.
+    If a value is the change from the reference drives, its interval is shifted to the total value.
     """
     intervals: dict[tuple[str, str], Interval] = {}
     for one in found.effects:
@@ -79,15 +79,15 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
             intervals[one.name, name] = (min(low, total), max(high, total))
     files = {f"{d.name}: {Path(name).name}": digest for d in (*request.drives, *request.healthy) if d.log is not None
              for name, digest in d.about["files"].items()}
-    companion = f", used with the vehicle.yaml that has {', '.join(update.folded)}" if update.folded else ""
+    companion = f", for the vehicle.yaml that contains {', '.join(update.folded)}" if update.folded else ""
     note = f"st discover, outcome {found.outcome}, from {request.base}{companion}"
     about = ModelProvenance(f"{datetime.now(UTC):%Y-%m-%d}", data=files, note=note)
     named = {e.name: e.parameters for e in found.effects}
     complete = ModelFile.of(update.model, update.vehicle, about, intervals, "st discover: found in the runs")
-    from_start = ("st discover: value of the healthy car, from the reference drives" if request.healthy
-                  else "part of the base")
+    base_source = ("st discover: value of the healthy car, from the reference drives" if request.healthy
+                   else "part of the base model")
     minor = {r.subject: r.text for r in found.reasons if r.rule == MINOR}
-    kept = {}
+    effects = {}
     for effect in update.model.effects:
         name, values = effect.name, update.model.values[effect.name]
         if all(values[p.name] == p.null for p in effect.parameters if p.fit):
@@ -96,25 +96,25 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
             not all(p.interval[0] <= values[key] <= p.interval[1] for key, p in named[name].items())
             if name in named else name not in minor and values != found.named.values.get(name))
         if name in named and not effective:
-            kept[name] = complete.effects[name]
+            effects[name] = complete.effects[name]
             continue
         source = ("st discover: effective correction" if effective else
-                  f"st discover: not named: {minor[name]}" if name in minor else from_start)
-        kept[name] = {p.name: replace(complete.effects[name][p.name], source=source, effective=effective,
-                                      interval=None if effective else complete.effects[name][p.name].interval)
-                      if p.fit else complete.effects[name][p.name] for p in effect.parameters}
-    if not kept:
+                  f"st discover: not named: {minor[name]}" if name in minor else base_source)
+        effects[name] = {p.name: replace(complete.effects[name][p.name], source=source, effective=effective,
+                                         interval=None if effective else complete.effects[name][p.name].interval)
+                         if p.fit else complete.effects[name][p.name] for p in effect.parameters}
+    if not effects:
         return None
-    return ModelFile(complete.base, kept, complete.vehicle, complete.vehicle_name, complete.vehicle_hash, about)
+    return ModelFile(complete.base, effects, complete.vehicle, complete.vehicle_name, complete.vehicle_hash, about)
 
 
 def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, content: dict[str, Any],
                figures: Sequence[PageFigure], relation: RelationReport | None = None) -> None:
-    """content: of discovery.json. relation: of the relation proposed beyond the library."""
-    about, plain = content["provenance"], quantities.plain
+    """Write the page. content: of discovery.json. relation: report of the search for a relation beyond the library."""
+    about, plain = content["provenance"], quantities.to_words
     refused = {name: {"findings": findings} for name, findings in about["refused"].items()}
     recordings = {**refused, **about["runs"], **about["reference"]}
-    text = template("discovery/discovery.html.jinja", plain=plain, channel=quantities.channel).render(
+    text = template("discovery/discovery.html.jinja", plain=plain, channel=quantities.channel_label).render(
         title=report_text.title(found), found=found, content=content, figures=figures, relation=relation,
         report=report_text,
         summary=report_text.summary(found, update, {name: findings_from_json(run) for name, run in recordings.items()}),
@@ -123,77 +123,79 @@ def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, conte
 
 
 def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Table]]:
-    """The folded tables of the page, narrow and wide ones, largest entries first."""
-    metres = quantities.metres
+    """Tables of the page by layout (narrow, wide), largest entries first."""
+    metres = quantities.format_metres
     channels = []
     for name, g in sorted(found.errors.items(), key=lambda item: item[1].augmented / max(item[1].base, 1e-12)):
-        up, unit = quantities.factor(g.unit), quantities.display_unit(g.unit)
+        up, unit = quantities.display_factor(g.unit), quantities.display_unit(g.unit)
         base, after, floor, worst, low, high = (f"{up * x:.3g}" for x in (
             g.base, g.augmented, g.floor, g.worst, *g.interval))
-        channels.append((f"{quantities.channel(name)}, {unit}", base, after, f"{low} to {high}", floor,
+        channels.append((f"{quantities.channel_label(name)}, {unit}", base, after, f"{low} to {high}", floor,
                          f"{g.worst_run} {worst}" if g.worst_run else "", ", ".join(g.worse_runs)))
-    changes = [(_with_unit(key), f"{one['before']:.5g}", f"{one['after']:.5g}{_limit(key, one['after'])}",
+    changes = [(_key_with_unit(key), f"{one['before']:.5g}", f"{one['after']:.5g}{_limit_note(key, one['after'])}",
                 f"{one['interval'][0]:.5g} to {one['interval'][1]:.5g}")
                for key, one in content["files"]["vehicle.yaml"]["changes"].items()]
     parts = [(one.part, f"{metres(one.last)}, {one.share_last:.0%}", f"{metres(one.first)}, {one.share_first:.0%}",
               f"{one.loss_last:.0%}", f"{one.loss_first:.0%}") for one in sorted(found.budget, key=lambda b: -b.last)]
-    where = [(quantities.channel(w.channel), *report_text.condition(w))
+    where = [(quantities.channel_label(w.channel), *report_text.describe_condition(w))
              for w in sorted(found.where, key=lambda w: -w.interval[0])[:MAX_ROWS]]
     combinations = [(f"{c.name}, {c.unit}".replace("^2", "²"), f"{c.value:.4g}",
                      f"{c.interval[0]:.4g} to {c.interval[1]:.4g}", f"{c.file:.4g}")
                     for c in sorted(found.combinations, key=lambda c: -abs(c.value - c.file)
                                     / max(c.interval[1] - c.interval[0], 1e-12))]
-    expected = "the noise" if found.start == "vehicle file" else "that of the reference drives"
+    expected = "the noise" if found.start == "vehicle file" else "the error of the reference drives"
     narrow = [
-        Table("Corrections of the vehicle file", "The values and intervals of the effects, in the keys of the file and "
-              "SI units.", ("key", "given file", "vehicle.yaml", "95 %"), changes),
-        Table("Held-out error of each channel", "Root mean square at the end of the horizon; of the position after 5 s "
-              "the mean. After: with model.yaml. Sorted by the reduction.",
-              ("error of", "before", "after", "reduced by (95 %)", "noise", "worst run", "worse in"),
+        Table("Corrections of the vehicle file", "Values and intervals of the effects as entries of the file, in SI "
+              "units.", ("key", "given file", "vehicle.yaml", "95 % interval"), changes),
+        Table("Held-out error of each channel", "Root mean square at the end of the horizon; for the position after "
+              "5 s, the mean. \"After\" is with model.yaml. Sorted by the reduction.",
+              ("error of", "before", "after", "reduced by (95 %)", "noise", "run with the largest", "larger in"),
               channels),
-        Table("Parts of the error", "Mean position error after 5 s. Last: reduction when all other parts are in the "
-              "model; first: when it is the only one. Loss: of the sum that the fit minimises. Unexplained includes "
-              "noise.", ("part", "last", "first", "loss, last", "loss, first"), parts),
+        Table("Parts of the error", "Reduction of the mean position error after 5 s by each part when it is added to "
+              "the model last, after all other parts, or first, as the only one. Loss: the same for the sum that the "
+              "fit minimises. The unexplained part includes the noise.",
+              ("part", "last", "first", "loss, last", "loss, first"), parts),
         Table("Where the base model has the largest errors", "", ("error of", "where", f"times {expected} (95 %)"),
               where),
-        Table("Identifiable combinations", "Predictions depend on these. A single effect has another interval: it also "
-              "depends on the deviations of the vehicle file. Cornering stiffness: secant at "
-              f"{math.degrees(SMALL_SLIP):.1f}° of slip. Stability factor: road-wheel angle = wheelbase / radius "
-              "(1 + K v²). Yaw gain: yaw rate per steering-wheel angle.",
-              ("combination", "value", "95 %", "vehicle file"), combinations)]
+        Table("Identifiable combinations", "Predictions depend on these combinations. The interval of a single effect "
+              "differs, because it also depends on the uncertainties of the vehicle file. Cornering stiffness: secant "
+              f"at a slip angle of {math.degrees(SMALL_SLIP):.1f}°. Stability factor K: road-wheel angle = wheelbase / "
+              "radius (1 + K v²). Yaw gain: yaw rate per steering-wheel angle.",
+              ("combination", "value", "95 % interval", "vehicle file"), combinations)]
     return {"narrow": [one for one in narrow if one.rows], "wide": [one for one in _wide_tables(found) if one.rows]}
 
 
 def _wide_tables(found: Discovery) -> list[Table]:
-    plain = quantities.plain
+    plain = quantities.to_words
     tried = [c for c in found.candidates if c.name not in {e.name for e in (*found.effects, *found.minor)}]
-    candidates = [(plain(c.name), quantities.fitted(c.name, c.parameters), f"{100 * c.gain:.1f}", c.verdict, c.why)
-                  for c in sorted(tried, key=lambda c: (c.verdict not in VERDICTS, -c.gain))[:MAX_ROWS]]
-    hidden = [(plain(n.name), n.reason, n.manoeuvre) for n in sorted(
-        found.not_testable, key=lambda n: report_text.rank(n.name))[:MAX_ROWS]]
+    candidates = [
+        (plain(c.name), quantities.format_fitted(c.name, c.parameters), f"{100 * c.gain:.1f}", c.verdict, c.why)
+        for c in sorted(tried, key=lambda c: (c.verdict not in FIRST_VERDICTS, -c.gain))[:MAX_ROWS]]
+    undetectable = [(plain(n.name), n.reason, n.manoeuvre) for n in sorted(
+        found.not_testable, key=lambda n: report_text.rank_by_kind(n.name))[:MAX_ROWS]]
     options = found.next_manoeuvre.options if found.next_manoeuvre else {}
-    driven = ", ".join(f"{name} {report_text.separation(strength)}"
-                       for name, strength in sorted(options.items(), key=lambda o: -o[1]))
+    separations = ", ".join(f"{name} {report_text.format_separation(strength)}"
+                            for name, strength in sorted(options.items(), key=lambda o: -o[1]))
     return [
-        Table("Names that are not separable", "Separation: effect of the second that the first cannot reproduce."
-              + (f" After the next drive, for the pair that it separates least: {driven}." if driven else ""),
-              report_text.PAIR_HEAD, report_text.pair_rows(found)),
-        Table("Other effects that were tried", "Improvement: share of the errors over all channels that the effect "
-              "reduces in addition to the result. An alternative is fitted in place of the named effect.",
+        Table("Effects that are not separable", "Separation: the part of the alternative that the effect cannot "
+              "reproduce." + (f" After each possible next drive, for the pair that it separates least: {separations}."
+                              if separations else ""), report_text.PAIR_HEAD, report_text.pair_rows(found)),
+        Table("Other effects that were tried", "Improvement: reduction of the errors over all channels by this effect, "
+              "in addition to the result. An alternative is fitted in place of the named effect.",
               ("effect", "fitted", "improvement, %", "verdict", "why"), candidates,
               f"the first {len(candidates)} of {len(tried)}; all in discovery.json"),
-        Table("Not detectable in these drives", "", ("effect", "why", "drive"), hidden,
-              f"the first {len(hidden)} of {len(found.not_testable)}")]
+        Table("Not detectable in these drives", "", ("effect", "why", "recommended manoeuvre"), undetectable,
+              f"the first {len(undetectable)} of {len(found.not_testable)}")]
 
 
-def _with_unit(key: str) -> str:
+def _key_with_unit(key: str) -> str:
     known = quantity(key)
     unit = known.si_unit.removesuffix("1") if known else ""
     return f"{key}, {unit.replace('^2', '²')}" if unit else key
 
 
-def _limit(key: str, value: float) -> str:
-    """A remark on a value [SI] at a limit of the vehicle file; "" for others."""
+def _limit_note(key: str, value: float) -> str:
+    """Remark on a value [SI] that is at a limit of the vehicle file; "" for other values."""
     known = quantity(key)
     ends = () if known is None else (known.minimum, known.maximum)
     return " (limit of the file)" if any(math.isclose(value, end, rel_tol=1e-4) for end in ends) else ""
@@ -202,13 +204,13 @@ def _limit(key: str, value: float) -> str:
 FILE_MEANINGS = {
     "report.html": "one page, with all figures", "discovery.json": "all numbers; keys in docs/manual/discovery.md",
     "vehicle.yaml": "the corrected vehicle file, for --vehicle of every command",
-    "effects": "the proposed relation as an effect; its folder is for --effects of st evaluate, st demo, st live",
+    "effects": "the proposed relation as an effect; give its folder as --effects to st evaluate, st demo, st live",
     "proposed.yaml": "a model with the relation, for --model with --effects and the original vehicle file",
     "model.yaml": "all effects that are not in the vehicle file, for --model of st demo, st live, st evaluate"}
 MAX_ADVICE = 3  # sentences on the terminal; the page contains all
 
 
-def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive], files: Mapping[str, Path],
+def print_result(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive], files: Mapping[str, Path],
          from_cache: bool, console: Console, relation: RelationReport | None = None) -> None:
     """Print the result, the values of its effects, what to do, and the files.
 
@@ -218,7 +220,7 @@ def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Dr
     def print_line(name: str, text: str) -> None:
         console.print(f"[bold]{name}[/bold]: {escape(text)}", highlight=False)
 
-    for role, text in report_text.drives(found):
+    for role, text in report_text.describe_drives(found):
         print_line(role, text)
     console.print(f"[bold]{escape(report_text.title(found))}[/bold]", highlight=False)
     if relation is not None and relation.headline:
@@ -229,11 +231,10 @@ def show(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Dr
         console.print(rows_table(rows, padding=(0, 1)))
         console.print(f"[dim]{report_text.EFFECT_NOTE}.[/dim]", highlight=False)
     about = {drive.name: findings_from_json(drive.about) for drive in recordings}
-    advice = report_text.to_do(found, update)[1:MAX_ADVICE]
-    for question, text in (*report_text.summary(found, update, about),
-                           *(("to do", text) for text in advice),
-                           *(("warning", text) for text in found.warnings)):
-        print_line(question, text)
+    advice = report_text.recommend(found, update)[1:MAX_ADVICE]
+    for heading, text in (*report_text.summary(found, update, about), *(("to do", text) for text in advice),
+                          *(("warning", text) for text in found.warnings)):
+        print_line(heading, text)
     for drive in recordings:
         if drive.problem:
             report_problem(drive.name, drive.problem, console)

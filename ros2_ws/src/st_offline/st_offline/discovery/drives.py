@@ -1,4 +1,4 @@
-"""Inputs of a discovery: options, drives as read, and the cache of results."""
+"""Reads the drives of a discovery, and caches its results."""
 
 import hashlib
 import json
@@ -33,10 +33,10 @@ RESULT_FORMAT = 3  # version of the format of cached results; other versions are
 
 @dataclass(frozen=True)
 class Drive:
-    """One run as read, or the problem why it cannot be used (log is then None).
+    """One run, or the problem because of which it cannot be used (log is then None).
 
-    about: for the report, with the findings (also of a refused run) and estimates of the checks. vehicle: name of the
-    car in the recording, "" if there is none.
+    about: data for the report, with findings and estimates of the checks and the name of the recorded car ("" if
+    unknown); only findings for a run with errors.
     """
 
     name: str
@@ -47,13 +47,14 @@ class Drive:
 
 @dataclass(frozen=True)
 class Request:
-    """base: name or model file. vehicle_text: of vehicle_file. settings: of the search.
+    """Options of `st discover`, and the drives and effects read with them.
 
-    runs, reference: paths of recordings; drives, healthy: the same as read. read: options. effects: folder of
-    user-defined effects; own_effects: sha256 of each file in it. output: folder, None for runs/discover-<time>. jobs:
-    number of processes. formats: of figure files. report: whether one is written. cached: whether a cached result may
-    be used. force: use runs in which a check finds an error. propose: search for a relation beyond the library; None:
-    if the residual is large.
+    base: name of a model, or a model file. vehicle_text: content of vehicle_file. settings: of the search.
+    runs, reference: paths of recordings. drives, healthy: suspect and reference drives read from them. read: reading
+    options. effects: folder of user-defined effects; own_effects: sha256 of each file in it.
+    output: folder, None for runs/discover-<time>. jobs: number of processes. formats: of figure files. report: whether
+    to write a page. cached: whether to use a cached result. force: whether to use runs with errors. propose: whether to
+    search for a relation beyond the library; None: only if the residual is large.
     """
 
     base: str
@@ -79,7 +80,7 @@ class Request:
 
 def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,
                 done: Callable[[], None], force: bool = False) -> list[Drive]:
-    """Read every run, in the order of the sources. jobs: number of parallel processes."""
+    """Read all runs, in the order of the sources. jobs: number of processes. done: called after each run."""
     if jobs <= 1 or len(sources) < 2:
         drives = []
         for source in sources:
@@ -87,7 +88,7 @@ def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settin
             done()
         return drives
     with ProcessPoolExecutor(min(jobs, len(sources))) as pool:
-        # A source with a problem is handled here: its error cannot be pickled.
+        # A source with a problem is not sent to another process, because its error cannot be pickled.
         futures = {number: pool.submit(read_drive, source, vehicle, settings, force)
                    for number, source in enumerate(sources) if source.problem is None}
         for _ in as_completed(futures.values()):
@@ -97,7 +98,7 @@ def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settin
 
 
 def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, force: bool = False) -> Drive:
-    """Read one run. An error in its files is stored as its `problem`."""
+    """Read and check one run; an error becomes the `problem` of the drive."""
     try:
         if source.problem is not None:
             raise source.problem
@@ -119,7 +120,7 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
 
 
 def clock_deviations(drives: Sequence[Drive]) -> dict[str, float]:
-    """Standard deviation of the steering clock [s] by run, if it was aligned."""
+    """Standard deviation of the offset of the steering clock [s], by run with aligned clocks."""
     return {d.name: s for d in drives if d.log is not None and (s := d.about.get("clock_deviation_s"))}
 
 
@@ -134,21 +135,21 @@ def cache_folder() -> Path | None:
 def result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
                settings: DiscoverySettings, effects: Mapping[str, str],
                sensors: Mapping[str, Sequence[float]], clocks: Mapping[str, float]) -> str:
-    """Cache key of a result: hash of all its inputs, including the code."""
+    """Cache key of a result: a hash of all its inputs and of the code of st_core."""
     values = base.values if isinstance(base, AugmentedModel) else {}
     files = sorted(file for folder in st_core.__path__ for file in Path(folder).rglob("*.py"))
     code = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
     content = [RESULT_FORMAT, code, [_digest(log) for log in runs], [_digest(log) for log in reference],
                vehicle.hash, sorted((name, one.uncertainty) for name, one in vehicle.provenance.items()),
-               _base(base), {effect: dict(entry) for effect, entry in values.items()}, asdict(settings),
+               _base_name(base), {effect: dict(entry) for effect, entry in values.items()}, asdict(settings),
                sorted(effects.items()), sorted((name, list(value)) for name, value in sensors.items()), clocks]
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
 
 
 def write_result(file: Path, found: Discovery) -> None:
-    """Write a result for `read_result`, atomically; a failure, such as a full disk, is ignored."""
+    """Write a result to the cache, atomically; errors such as a full disk are ignored."""
     def parts(model: AugmentedModel) -> list[Any]:
-        return [_base(model), {effect: dict(values) for effect, values in model.values.items()}]
+        return [_base_name(model), {effect: dict(values) for effect, values in model.values.items()}]
 
     models = {name: getattr(found, name) for name in MODELS}
     content = found.document() | {name: model and parts(model) for name, model in models.items()}
@@ -162,7 +163,7 @@ def write_result(file: Path, found: Discovery) -> None:
 
 
 def read_result(file: Path) -> Discovery | None:
-    """The result in a file of `write_result`; None for a missing or damaged file."""
+    """The result that `write_result` wrote to a file; None if the file is missing or damaged."""
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         hints = get_type_hints(Discovery)
@@ -175,7 +176,7 @@ def read_result(file: Path) -> Discovery | None:
 
 
 def _restore(kind: Any, value: Any) -> Any:
-    """Lists and dicts of `Discovery.document` as dataclasses, tuples and mappings of the type `kind`."""
+    """A value of type `kind` from its JSON form: dicts become dataclasses, lists become tuples."""
     origin, inner = get_origin(kind), get_args(kind)
     if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind)
@@ -189,14 +190,14 @@ def _restore(kind: Any, value: Any) -> Any:
     return value
 
 
-def _base(model: Model) -> str:
+def _base_name(model: Model) -> str:
     return model.base.name if isinstance(model, AugmentedModel) else model.name
 
 
 def _digest(log: DriveLog) -> str:
-    content = hashlib.sha256(log.name.encode())
+    digest = hashlib.sha256(log.name.encode())
     for column in fields(DriveLog):
         values = getattr(log, column.name)
         if isinstance(values, np.ndarray):
-            content.update(column.name.encode() + values.tobytes())
-    return content.hexdigest()
+            digest.update(column.name.encode() + values.tobytes())
+    return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""Figures of a discovery: error by step, axle forces, effects by part of the driving, errors on the map, relation."""
+"""Draws the figures of a discovery: error by step, axle forces, error map, local estimates of effects, relation."""
 
 import textwrap
 from collections import Counter
@@ -20,16 +20,16 @@ from st_core.relations.candidates import QUANTITIES
 
 from ..evaluation.drawing import BAD, TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
 from . import quantities, report_text
-from .relation_files import title_of
+from .relation_files import full_title
 
 AFTER = MODEL_COLOUR["augmented"]
-HALF_WIDTH = 6.8  # inch; two of them in a row of the page
-MIN_ASPECT = 0.3  # ratio of width to length of a track, below which its axes have different scales
+HALF_WIDTH = 6.8  # inch; for two figures side by side on the page
+MIN_ASPECT = 0.3  # width / length of a track; for narrower ones, the axes have different scales
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Data of the figures. before, after: errors of all runs with base and augmented model."""
+    """Data of the figures. before, after: errors of all runs with the base model and with the complete model."""
 
     found: Discovery
     runs: Sequence[DriveLog]
@@ -39,19 +39,20 @@ class Scene:
 
     @property
     def colour(self) -> str:
-        """Of the base model."""
+        """Colour of the base model."""
         return MODEL_COLOUR.get(self.found.base.base.name, TEXT)
 
     @property
     def channel(self) -> str:
+        """Channel whose error exceeds the expected error most."""
         return report_text.worst_channel(self.found, list(self.before.squares))
 
 
-def waterfall(scene: Scene) -> PageFigure | None:
-    """Held-out 5 s position error from the base model to the last step."""
+def draw_waterfall(scene: Scene) -> PageFigure | None:
+    """Held-out position error after 5 s at each step of the search; None if the position is not a channel."""
     steps = scene.found.steps
     if not steps or not all(np.isfinite((s.position_5s.base, s.position_5s.augmented)).all() for s in steps):
-        return None  # position is not a channel
+        return None
     floor = scene.found.errors["position_5s"].floor if "position_5s" in scene.found.errors else 0.0
     with style():
         figure, axes = plt.subplots(figsize=(WIDTH, 1.1 + 0.3 * (len(steps) + 2)))
@@ -59,21 +60,22 @@ def waterfall(scene: Scene) -> PageFigure | None:
         first, last = steps[0].position_5s.base, steps[-1].position_5s.augmented
         rows = [f"{scene.found.base.base.name} model, {scene.found.start}"]
         axes.barh(0, first, color=scene.colour, height=0.62)
-        _label(axes, first, 0, quantities.metres(first))
+        _annotate(axes, first, 0, quantities.format_metres(first))
         for row, step in enumerate(steps, 1):
             before, after = step.position_5s.base, step.position_5s.augmented
             axes.plot([before, before], [row - 0.7, row + 0.31], color=TEXT, lw=0.6, alpha=0.5)
             axes.barh(row, before - after, left=after, color=AFTER if after <= before else BAD, height=0.62, alpha=0.65)
             ends = [before - edge for edge in step.position_5s.interval]
             axes.plot(ends, [row, row], color=TEXT, lw=1.0)
-            change = f"{after - before:+.2f} m".replace("-", "−")
-            small = abs(after - before) < report_text.MIN_CHANGE and report_text.most_reduced_channel(step)
-            _label(axes, max(before, after, *ends), row, small or change)
+            text = f"{after - before:+.2f} m".replace("-", "−")
+            if abs(after - before) < report_text.MIN_CHANGE:
+                text = report_text.most_reduced_channel(step) or text
+            _annotate(axes, max(before, after, *ends), row, text)
             rows.append(_step_label(scene.found, step))
         end = "model without effective corrections" if scene.found.effective else "complete model"
         axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
         axes.barh(len(steps) + 1, last, color=AFTER, height=0.62)
-        _label(axes, last, len(steps) + 1, quantities.metres(last))
+        _annotate(axes, last, len(steps) + 1, quantities.format_metres(last))
         axes.axvline(floor, color=MEASURED_COLOUR, lw=1.4, ls="--")
         axes.set_yticks(range(len(steps) + 2), [*rows, end])
         axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
@@ -85,24 +87,23 @@ def waterfall(scene: Scene) -> PageFigure | None:
                    *([Patch(color=BAD, alpha=0.65, label="increase")] if rises else []),
                    Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise alone")]
         figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
-        caption = ("Each row adds one effect and refits all values: value and change are those of that step. Line: "
-                   "95 % interval of the change. In parentheses: part of the fit, not named.")
+        caption = ("Each row adds one effect and refits all values; its value and change belong to that step. Line: "
+                   "95 % interval of the change. Effects in parentheses are part of the fit, but not named.")
         return save_figure(figure, scene.output, "waterfall", "Error of each step of the search", caption)
 
 
 def _step_label(found: Discovery, step: Step) -> str:
     """Effect and values of a step, in parentheses if it is not named."""
-    text = f"{quantities.plain(step.effect)}  {quantities.short_values(step.effect, step.parameters)}"
+    text = f"{quantities.to_words(step.effect)}  {quantities.format_briefly(step.effect, step.parameters)}"
     return f"+ {text}" if step.effect in {e.name for e in found.effects} else f"+ ({text})"
 
 
-def _label(axes: plt.Axes, x: float, row: int, text: str) -> None:
+def _annotate(axes: plt.Axes, x: float, row: int, text: str) -> None:
     axes.annotate(text, (x, row), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
 
 
-def axle_curves(scene: Scene) -> PageFigure | None:
-    """Force of each axle versus slip angle, within the driven range, with its band, and the fraction of samples at each
-    slip angle."""
+def draw_axle_curves(scene: Scene) -> PageFigure | None:
+    """Force of each axle versus slip angle with its 90 % interval, and the distribution of the driven slip angles."""
     curves = scene.found.axle_curves
     if not curves or not scene.found.model:
         return None
@@ -115,7 +116,7 @@ def axle_curves(scene: Scene) -> PageFigure | None:
             axes.fill_between(slip, low, high, color=AFTER, alpha=0.25, lw=0)
             axes.plot(slip, force, color=AFTER)
             axes.plot(slip, of_file, color=scene.colour, ls="--")
-            axes.set_title(f"{curve.axle} axle: {report_text.force_ratio(curve)}", fontsize=7)
+            axes.set_title(f"{curve.axle} axle: {report_text.format_force_ratio(curve)}", fontsize=7)
             below.stairs(100.0 * np.array(curve.density), slip, color=MEASURED_COLOUR, fill=True)
             below.set_xlabel("slip angle, °")
         panels[0][0].set_ylabel("lateral force, kN")
@@ -128,71 +129,71 @@ def axle_curves(scene: Scene) -> PageFigure | None:
                            "The band includes the uncertainty of the other vehicle parameters.")
 
 
-def maps(scene: Scene) -> PageFigure | None:
-    """The track of one run, coloured by the error of the channel with the largest excess, before and after."""
-    run, levels = _worst_run(scene)
+def draw_maps(scene: Scene) -> PageFigure | None:
+    """The track of one run, coloured by the error of `scene.channel` with the base model and the complete model."""
+    run, errors = _find_worst_run(scene)
     if run is None:
         return None
-    sides = [("before", scene.before)] + ([("after", scene.after)] if scene.after else [])
-    top = quantities.factor(UNITS[scene.channel]) * max(float(np.nanmax(levels)), 1e-12)
+    models = [("base model", scene.before)] + ([("complete model", scene.after)] if scene.after else [])
     unit = UNITS[scene.channel]
+    largest = quantities.display_factor(unit) * max(float(np.nanmax(errors)), 1e-12)
     with style():
         log = scene.runs[run]
-        shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if _aspect(log) > MIN_ASPECT else 0.5
+        shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if _aspect_ratio(log) > MIN_ASPECT else 0.5
         size = (HALF_WIDTH, float(np.clip(0.4 * HALF_WIDTH * shape, 1.2, 3.5)) + 0.9)
-        figure, panels = plt.subplots(1, len(sides), figsize=size, sharex=True, sharey=True, squeeze=False)
+        figure, panels = plt.subplots(1, len(models), figsize=size, sharex=True, sharey=True, squeeze=False)
         stride = max(1, len(log.x) // 600)
-        for axes, (name, samples) in zip(panels[0], sides, strict=True):
+        for axes, (name, samples) in zip(panels[0], models, strict=True):
             rows = np.flatnonzero(samples.run == run)
             rows = rows[:: max(1, len(rows) // 500)]
             x, y = samples.x[rows], samples.y[rows]
-            level = quantities.factor(unit) * np.sqrt(samples.squares[scene.channel][rows])
+            error = quantities.display_factor(unit) * np.sqrt(samples.squares[scene.channel][rows])
             axes.plot(log.x[::stride], log.y[::stride], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
-            points = axes.scatter(x, y, c=level, s=14, cmap="cividis", zorder=2, linewidths=0, rasterized=True,
-                                  vmin=0.0, vmax=top)
-            if _aspect(log) > MIN_ASPECT:
+            points = axes.scatter(x, y, c=error, s=14, cmap="cividis", zorder=2, linewidths=0, rasterized=True,
+                                  vmin=0.0, vmax=largest)
+            if _aspect_ratio(log) > MIN_ASPECT:
                 axes.set_aspect("equal", adjustable="box")
-            axes.set_title("base model" if name == "before" else "complete model", fontsize=9)
+            axes.set_title(name, fontsize=9)
             axes.set_xlabel("east, m")
         panels[0][0].set_ylabel("north, m")
         bar = figure.colorbar(points, ax=list(panels[0]))
-        bar.set_label(f"{quantities.channel(scene.channel)} error, {quantities.display_unit(unit)}")
-        title = f"{log.name}: {quantities.channel(scene.channel)} error on the map"
-        caption = "Every point is one prediction, coloured by its error; one colour scale for all panels."
+        bar.set_label(f"{quantities.channel_label(scene.channel)} error, {quantities.display_unit(unit)}")
+        title = f"{log.name}: {quantities.channel_label(scene.channel)} error on the map"
+        caption = "Each point is one prediction, coloured by its error. All panels have the same colour scale."
         return save_figure(figure, scene.output, "map", title, caption)
 
 
-def _worst_run(scene: Scene) -> tuple[int | None, np.ndarray]:
-    """(run with the largest error in the channel, of the tracks that are not straight if there are any; its errors
-    [SI])."""
+def _find_worst_run(scene: Scene) -> tuple[int | None, np.ndarray]:
+    """(index of the run with the largest error in `scene.channel`, its errors [SI]); prefers tracks that are not
+    straight. The index is None without errors."""
     samples = scene.before
     squares = samples.squares.get(scene.channel)
     if squares is None or not len(squares):
         return None, np.empty(0)
     runs = np.unique(samples.run)
-    wide = [_aspect(scene.runs[r]) > MIN_ASPECT for r in runs]
+    wide = [_aspect_ratio(scene.runs[r]) > MIN_ASPECT for r in runs]
     runs = runs[wide] if any(wide) else runs
     run = int(max(runs, key=lambda r: float(squares[samples.run == r].mean())))
     return run, np.sqrt(squares[samples.run == run])
 
 
-def _aspect(log: DriveLog) -> float:
-    """Smaller over larger extent of the track."""
+def _aspect_ratio(log: DriveLog) -> float:
+    """Smaller extent of the track, to the east or to the north, divided by the larger one."""
     width, height = np.ptp(log.x), np.ptp(log.y)
     return float(min(width, height) / max(width, height, 1e-9))
 
 
 MAX_PANELS = 6
-MAX_ROWS = 14  # of a partition
-MAX_RATIO = 3.0  # end of the axis, where intervals are cut off
+MAX_ROWS = 14  # a partition with more parts is drawn in one row
+MAX_RATIO = 3.0  # end of the axis, at which intervals are cut off
 
 
-def agreement(scene: Scene) -> PageFigure | None:
-    """Ratio of the local to the overall estimate of each effect, by part of the driving."""
+def draw_agreement(scene: Scene) -> PageFigure | None:
+    """Ratio of the local estimate to the overall estimate of each effect, for each part of the driving."""
     effects = [e for e in scene.found.effects if any(e.agreement.values())]
     if not effects:
         return None
-    effects = report_text.by_size(effects)[:MAX_PANELS]
+    effects = report_text.sort_by_size(effects)[:MAX_PANELS]
     estimates = {e.name: [(partition, v) for partition, entries in e.agreement.items() for v in entries]
                  for e in effects}
     parts = dict.fromkeys((partition, v.where) for entries in estimates.values() for partition, v in entries)
@@ -210,7 +211,7 @@ def agreement(scene: Scene) -> PageFigure | None:
             _draw_ratios(axes, [(row, v) for partition, row, v in ratios if partition not in crowded])
             for _, row, v in (one for one in ratios if one[0] in crowded):
                 axes.plot(np.clip(v.ratio, *axes.get_xlim()), row, "|", ms=7, color=AFTER, alpha=0.6)
-            title = textwrap.fill(quantities.plain(effect.name), 64 // len(effects), break_long_words=False)
+            title = textwrap.fill(quantities.to_words(effect.name), 64 // len(effects), break_long_words=False)
             axes.set_title(title, fontsize=8)
         for row in (row for row in range(1, len(labels)) if labels[row - 1][0] != labels[row][0]):
             for axes in panels[0]:
@@ -218,61 +219,63 @@ def agreement(scene: Scene) -> PageFigure | None:
         figure.supxlabel("ratio of the local to the overall estimate", fontsize=8)
         panels[0][0].set_yticks(range(len(labels)), [where for _, where in labels], fontsize=7)
         panels[0][0].set_ylim(len(labels) - 0.5, -0.5)
-        caption = ("Point: effect refitted to one part of the driving, the other effects fixed, divided by the overall "
-                   "estimate; filled where the 95 % interval (bar) excludes zero. Solid line: the overall estimate; "
-                   "dotted: zero. A property of the car is the same everywhere.")
+        caption = ("Point: the effect refitted to one part of the driving, with the other effects fixed, divided by "
+                   "the overall estimate; filled if the 95 % interval (bar) excludes zero. Solid line: the overall "
+                   "estimate; dotted line: zero. A property of the car is the same everywhere.")
         return save_figure(figure, scene.output, "agreement", "Local estimates of each effect", caption)
 
 
 def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) -> None:
-    """Points and intervals of (row, value)."""
+    """Draw (row, local estimate) with 95 % intervals, and set the range of the axis."""
     axes.axvline(0.0, color=TEXT, lw=0.8, ls=":")
     axes.axvline(1.0, color=TEXT, lw=0.8)
     for row, estimate in ratios:
         reach = report_text.Z95 * estimate.deviation
         low, high = estimate.ratio - reach, estimate.ratio + reach
-        clear = low > 0.0 or high < 0.0
+        is_significant = low > 0.0 or high < 0.0
         axes.plot(np.clip([low, high], -MAX_RATIO, MAX_RATIO), [row, row], color=AFTER, lw=1.2)
         axes.plot(np.clip(estimate.ratio, -MAX_RATIO, MAX_RATIO), row, "o", ms=4.5, color=AFTER,
-                  mfc=AFTER if clear else "none")
+                  mfc=AFTER if is_significant else "none")
     ends = [v.ratio + side * report_text.Z95 * v.deviation for _, v in ratios for side in (-1.0, 1.0)]
     axes.set_xlim(max(min([-0.2, *ends]), -MAX_RATIO) - 0.05, min(max([1.2, *ends]), MAX_RATIO) + 0.05)
 
 
-def relation_figure(relation: Relation, output: FigureOutput) -> PageFigure:
-    """Curve and 95 % band above, distribution of the driving below; angles in degrees, fractions in per cent."""
+def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
+    """Curve of a relation with its 95 % interval, and the distribution of the driving below it."""
     c = relation.candidate
-    (up, unit), (across, across_unit) = display_unit(c.unit), display_unit(QUANTITIES[c.quantity])
-    at, value, band = across * relation.at, up * relation.value, up * report_text.Z95 * relation.deviation
+    (y_scale, unit), (x_scale, x_unit) = display_unit(c.unit), display_unit(QUANTITIES[c.quantity])
+    at, value = x_scale * relation.at, y_scale * relation.value
+    half_width = y_scale * report_text.Z95 * relation.deviation
     with style():
         figure, (curve, driven) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
         curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")
-        curve.fill_between(at, value - band, value + band, color=AFTER, alpha=0.25, lw=0, label="95 % interval")
+        curve.fill_between(at, value - half_width, value + half_width, color=AFTER, alpha=0.25, lw=0,
+                           label="95 % interval")
         curve.plot(at, value, color=AFTER, label="proposed relation")
         for k, (low, high) in enumerate(relation.drives.sparse):
             for axes in (curve, driven):
-                axes.axvspan(across * low, across * high, color=MEASURED_COLOUR, alpha=0.12, lw=0,
+                axes.axvspan(x_scale * low, x_scale * high, color=MEASURED_COLOUR, alpha=0.12, lw=0,
                              label="sparsely driven" if axes is curve and not k else None)
-        curve.set_ylabel(f"{textwrap.fill(quantities.axis(c), 28)}, {unit}")
+        curve.set_ylabel(f"{textwrap.fill(quantities.axis_label(c), 28)}, {unit}")
         curve.legend(loc="best")
         driven.set_axisbelow(True)
         driven.bar(at, 100.0 * relation.density, width=at[1] - at[0], color=MEASURED_COLOUR)
         # Most driving is straight at constant speed; a linear scale would hide the other bins.
         driven.set(yscale="log", ylim=(0.02, 100.0), yticks=(0.1, 1.0, 10.0, 100.0))
         driven.yaxis.set_major_formatter("{x:g}")
-        driven.set(ylabel="share of the\ndriving, %", xlabel=f"{quantities.QUANTITIES[c.quantity]}, {across_unit}")
+        driven.set(ylabel="share of the\ndriving, %", xlabel=f"{quantities.QUANTITIES[c.quantity]}, {x_unit}")
         before, after = relation.position_5s
-        title = (f"PROPOSAL: {title_of(relation)}; held-out position error after 5 s: "
+        title = (f"PROPOSAL: {full_title(relation)}; held-out position error after 5 s: "
                  f"{before:.3f} m without it, {after:.3f} m with it")
         units = f"y in {c.unit}, u in {QUANTITIES[c.quantity]}".replace("^2", "²")
-        first = f"As a formula: {relation.formulas[0].text}, {units}. " if relation.formulas else ""
-        caption = (f"{first}Dotted, zero: the model without the relation. Fitted by simulation together with all "
-                   "identified effects; constant beyond the driven range. Grey: sparsely driven; there the curve is "
-                   "interpolated, and the interval assumes the same smoothness. The other figures do not contain the "
-                   "relation.")
+        formula = f"As a formula: {relation.formulas[0].text}, {units}. " if relation.formulas else ""
+        caption = (f"{formula}The dotted line at zero is the model without the relation. The curve is fitted by "
+                   "simulation together with all identified effects; it is constant beyond the driven range. In the "
+                   "grey, sparsely driven ranges it is interpolated, and the interval assumes the same smoothness. The "
+                   "other figures do not contain the relation.")
         return save_figure(figure, output, "relation", title, caption)
 
 
 def display_unit(unit: str) -> tuple[float, str]:
-    """(factor, unit) in which a curve is drawn."""
-    return (100.0, "%") if unit == "1" else (quantities.factor(unit), quantities.display_unit(unit))
+    """(factor from SI, unit) in which a curve is drawn."""
+    return (100.0, "%") if unit == "1" else (quantities.display_factor(unit), quantities.display_unit(unit))

@@ -1,4 +1,4 @@
-"""Names and numbers of a discovery in reports: angles in degrees, number of digits according to the interval."""
+"""Formats the names and numbers of a discovery for reports: angles in degrees, digits according to the interval."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -10,56 +10,56 @@ from st_core.effects import EFFECTS, Parameter
 from st_core.relations import Candidate
 from st_core.vehicle import VehicleParameters
 
-MAX_DECIMALS = 6
-ON_BOUND = Limits().at_bound  # distance from a bound, in parameter scales
+MAX_DECIMALS = 6  # numbers that need more are written with an exponent
+BOUND_TOLERANCE = Limits().at_bound  # distance from a bound, divided by the typical size of the parameter
 _DISPLAY = {"rad": ("°", 57.29577951308232), "rad/s": ("°/s", 57.29577951308232)}
 
 
-def factor(unit: str) -> float:
-    """From SI to the unit of reports."""
+def display_factor(unit: str) -> float:
+    """Factor from an SI unit to the unit used in reports."""
     return _DISPLAY.get(unit, ("", 1.0))[1]
 
 
 def display_unit(unit: str) -> str:
-    """The unit of reports."""
+    """Unit used in reports for an SI unit."""
     return _DISPLAY.get(unit, (unit.replace("^2", "²"), 1.0))[0]
 
 
-def channel(name: str) -> str:
-    """Name of a channel in reports."""
-    return LABELS.get(name, plain(name))
+def channel_label(name: str) -> str:
+    """Name of a channel used in reports."""
+    return LABELS.get(name, to_words(name))
 
 
-def plain(name: str) -> str:
-    """Name of an effect as separate words."""
+def to_words(name: str) -> str:
+    """Name of an effect or parameter, with spaces instead of underscores."""
     return name.replace("_", " ")
 
 
-def with_unit(number: str, unit: str) -> str:
-    """unit: SI; angles in degrees."""
+def append_unit(number: str, unit: str) -> str:
+    """A number with the report unit that corresponds to an SI unit."""
     text = "" if unit == "1" else display_unit(unit)
     return f"{number}{'' if not text or text.startswith('°') else ' '}{text}"
 
 
-def size(value: float, unit: str) -> str:
-    """A value of a channel with its unit; angles in degrees."""
-    return with_unit(f"{value * factor(unit):.3g}", unit)
+def format_value(value: float, unit: str) -> str:
+    """A value [SI] with its report unit."""
+    return append_unit(f"{value * display_factor(unit):.3g}", unit)
 
 
-def metres(value: float) -> str:
-    """A length [m]; in millimetres below 0.1 m."""
+def format_metres(value: float) -> str:
+    """A length [m] to the centimetre; to the millimetre below 0.1 m."""
     if not math.isfinite(value):
         return "unknown"
     return f"{value:.2f} m" if abs(value) >= 0.095 else f"{value:.3f} m"
 
 
-def decimals(uncertainty: float) -> int:
-    """Decimals up to the second significant digit of an uncertainty; 3 if the uncertainty is unknown."""
+def count_decimals(uncertainty: float) -> int:
+    """Number of decimals up to the second significant digit of an uncertainty; 3 if the uncertainty is unknown."""
     is_known = math.isfinite(uncertainty) and uncertainty > 0.0
     return max(1 - math.floor(math.log10(uncertainty) + 1e-6), 0) if is_known else 3
 
 
-def decimal(number: float, count: int) -> str:
+def format_decimal(number: float, count: int) -> str:
     """A number with `count` decimals; with an exponent if `count` exceeds MAX_DECIMALS."""
     if count <= MAX_DECIMALS:
         text = f"{number:.{count}f}"
@@ -68,49 +68,50 @@ def decimal(number: float, count: int) -> str:
     return f"{number:.{max(significant, 1)}g}"
 
 
-def value(p: FittedParameter, parameter: Parameter | None = None, interval: bool = True) -> str:
-    """Value and 95 % interval, in significant digits; with the null 1 as a factor.
+def format_parameter(p: FittedParameter, parameter: Parameter | None = None, interval: bool = True) -> str:
+    """Value and 95 % interval; a parameter with the neutral value 1 is written as a factor.
 
-    parameter: of the effect; a value on one of its bounds is reported as such. The interval may cross a bound.
+    parameter: definition of `p`, needed to report a value on a bound. The interval may cross a bound.
     """
     typical_size = abs(parameter.initial - parameter.null) if parameter else 0.0
     bounds = [] if parameter is None or parameter.shape else [
         bound for bound in parameter.bounds if bound not in (parameter.null, parameter.theory)]
-    half_width = 0.5 * (p.interval[1] - p.interval[0]) * factor(p.unit)
-    number, *ends = (decimal(x * factor(p.unit), decimals(half_width)) for x in (p.value, *p.interval))
-    text = f"× {number}" if p.unit == "1" and p.null == 1.0 else with_unit(number, p.unit)
-    on_bound = " on its bound" if any(abs(p.value - bound) < ON_BOUND * typical_size for bound in bounds) else ""
+    half_width = 0.5 * (p.interval[1] - p.interval[0]) * display_factor(p.unit)
+    number, *ends = (format_decimal(x * display_factor(p.unit), count_decimals(half_width))
+                     for x in (p.value, *p.interval))
+    text = f"× {number}" if p.unit == "1" and p.null == 1.0 else append_unit(number, p.unit)
+    on_bound = " on its bound" if any(abs(p.value - bound) < BOUND_TOLERANCE * typical_size for bound in bounds) else ""
     return f"{text}{on_bound}{f' ({ends[0]} to {ends[1]})' if interval else ''}"
 
 
-def values(effect: str, parameters: Mapping[str, FittedParameter], interval: bool = True) -> list[str]:
-    """A text for each parameter of an effect, with the name of the parameter if there are several."""
+def format_parameters(effect: str, parameters: Mapping[str, FittedParameter], interval: bool = True) -> list[str]:
+    """Text for each parameter of an effect; starts with the name of the parameter if there are several."""
     known = {p.name: p for p in EFFECTS[effect].parameters} if effect in EFFECTS else {}
-    return [f"{plain(name) + ' ' if len(parameters) > 1 else ''}{value(p, known.get(name), interval)}"
+    return [f"{to_words(name) + ' ' if len(parameters) > 1 else ''}{format_parameter(p, known.get(name), interval)}"
             for name, p in parameters.items()]
 
 
-def short_values(effect: str, parameters: Mapping[str, FittedParameter]) -> str:
-    """Values without intervals."""
-    return ", ".join(values(effect, parameters, interval=False))
+def format_briefly(effect: str, parameters: Mapping[str, FittedParameter]) -> str:
+    """Values of an effect without intervals."""
+    return ", ".join(format_parameters(effect, parameters, interval=False))
 
 
-def fitted(name: str, numbers: Mapping[str, float]) -> str:
-    """Values of an effect without intervals, in few digits; with the null 1 as a factor."""
+def format_fitted(name: str, numbers: Mapping[str, float]) -> str:
+    """Values of an effect of unknown uncertainty, to about two significant digits of the deviation from neutral."""
     known = {p.name: p for p in EFFECTS[name].parameters} if name in EFFECTS else {}
     texts = []
     for key, number in numbers.items():
         unit, null = (known[key].unit, known[key].null) if key in known else ("1", 0.0)
         count = max(2, 1 - math.floor(math.log10(abs(number - null)))) if number != null else 2
         text = (f"× {number:.{count}f}" if (unit, null) == ("1", 1.0) else
-                with_unit(f"{float(f'{number * factor(unit):.2g}'):g}", unit))
-        texts.append(f"{plain(key) + ' ' if len(numbers) > 1 else ''}{text}")
+                append_unit(f"{float(f'{number * display_factor(unit):.2g}'):g}", unit))
+        texts.append(f"{to_words(key) + ' ' if len(numbers) > 1 else ''}{text}")
     return ", ".join(texts)
 
 
-def change(deviation: float, unit: str) -> str:
-    """A deviation from null: factors in per cent."""
-    return f"{float(f'{100 * abs(deviation):.2g}'):g} %" if unit == "1" else size(abs(deviation), unit)
+def format_deviation(deviation: float, unit: str) -> str:
+    """Magnitude of a deviation from the neutral value; dimensionless ones in per cent."""
+    return f"{float(f'{100 * abs(deviation):.2g}'):g} %" if unit == "1" else format_value(abs(deviation), unit)
 
 
 TERMS = {
@@ -127,20 +128,19 @@ QUANTITIES = {
     "steering": "road-wheel angle", "acceleration_y": "lateral acceleration", "acceleration_x": "forward acceleration",
     "speed": "speed", "yaw_rate": "yaw rate", "steering_rate": "rate of the road-wheel angle",
     "lagging_steering": "road-wheel angle, lagging by 0.2 s",
-    "lean": "lateral acceleration, lagging by 0.15 s as the body rolls", "north": "sine of the course",
-    "east": "cosine of the course", "position_x": "position to the east", "position_y": "position to the north",
+    "lean": "lateral acceleration, lagging by 0.15 s like the roll angle", "north": "sine of the yaw angle",
+    "east": "cosine of the yaw angle", "position_x": "position to the east", "position_y": "position to the north",
     "run_time": "time in the run",
 }
 SIGNS = {"acceleration_x": " (derivative of the forward speed, also where a bend slows the car; braking −)",
-         "steering": " (left +)", "lagging_steering": " (left +)",
-         "acceleration_y": " (left +)", "lean": " (left +)", "yaw_rate": " (left +)",
-         "steering_rate": " (to the left +)", "slip_front": " (axle moving to its left +)",
-         "slip_rear": " (axle moving to its left +)"}
+         **dict.fromkeys(("slip_front", "slip_rear"), " (axle moving to its left +)"),
+         **dict.fromkeys(("steering", "steering_rate", "lagging_steering", "acceleration_y", "lean", "yaw_rate"),
+                         " (left +)")}
 """Positive direction of a quantity."""
 
 
-def axis(c: Candidate) -> str:
-    """Label of the vertical axis. Grip is relative to the force, force to the static load."""
+def axis_label(c: Candidate) -> str:
+    """Label of the vertical axis, with the reference of relative values and the positive direction."""
     per = {"front_force": " over its static load", "rear_force": " over its static load",
            "yaw_moment": " over the yaw inertia", "side_force": " over the mass"}.get(c.term, "")
     side = (", + reads too large" if c.of_sensor else ", relative, + more force" if c.term.endswith("grip")
@@ -148,25 +148,28 @@ def axis(c: Candidate) -> str:
     return f"{TERMS[c.term]}{side}{f', for each unit of {QUANTITIES[c.factor]}' if c.factor else ''}"
 
 
-def in_newtons(c: Candidate, vehicle: VehicleParameters) -> str:
-    """Unit of y as a force or moment of that car; "" for other terms."""
-    sizes = {"yaw_moment": f"1 rad/s² is a moment of {vehicle.yaw_inertia:.4g} N m, from the yaw inertia",
-             "side_force": f"1 m/s² is a force of {vehicle.mass:.4g} N, from the mass",
-             "front_force": f"1 is a force of {2.0 * vehicle.static_tyre_load_front:.4g} N, from the axle load",
-             "rear_force": f"1 is a force of {2.0 * vehicle.static_tyre_load_rear:.4g} N, from the axle load"}
-    return f"y = {sizes[c.term]} of the vehicle file" if c.term in sizes and not c.factor else ""
+def explain_unit(c: Candidate, vehicle: VehicleParameters) -> str:
+    """Force or moment on this car that corresponds to one unit of y; "" for other terms."""
+    sizes = {"yaw_moment": ("1 rad/s²", f"moment of {vehicle.yaw_inertia:.4g} N m", "yaw inertia"),
+             "side_force": ("1 m/s²", f"force of {vehicle.mass:.4g} N", "mass"),
+             "front_force": ("1", f"force of {2.0 * vehicle.static_tyre_load_front:.4g} N", "axle load"),
+             "rear_force": ("1", f"force of {2.0 * vehicle.static_tyre_load_rear:.4g} N", "axle load")}
+    if c.term not in sizes or c.factor:
+        return ""
+    unit, load, source = sizes[c.term]
+    return f"y = {unit} corresponds to a {load}, with the {source} of the vehicle file"
 
 
-def title(c: Candidate, constant: bool = False) -> str:
-    """Term and quantity of a relation, written out. constant: whether its formula is a constant."""
+def relation_title(c: Candidate, constant: bool = False) -> str:
+    """Description of a relation by its term and quantity. constant: whether its formula is a constant."""
     per = f", for each {QUANTITIES[c.factor]}" if c.factor else ""
     if constant:
         return f"{TERMS[c.term]}{per}, the same at every {QUANTITIES[c.quantity]}"
     return f"{TERMS[c.term]}{per}, as a function of the {QUANTITIES[c.quantity]}"
 
 
-def written_out(name: str) -> str:
-    """A relation by `Candidate.name`, written out."""
+def spell_out(name: str) -> str:
+    """Description of the relation with this `Candidate.name`."""
     term, _, rest = name.partition(" over ")
     quantity, _, by = rest.partition(" times ")
     if term not in TERMS or quantity not in QUANTITIES:
@@ -174,8 +177,8 @@ def written_out(name: str) -> str:
     return f"{TERMS[term]} as a function of the {QUANTITIES[quantity]}" + (f" times {QUANTITIES[by]}" if by else "")
 
 
-def spell_out(text: str, names: Iterable[str]) -> str:
-    """A sentence with the names of relations written out."""
+def spell_out_all(text: str, names: Iterable[str]) -> str:
+    """The text with each of these names of relations replaced by its description."""
     for name in sorted(names, key=len, reverse=True):  # a name may begin with another
-        text = text.replace(name, written_out(name))
+        text = text.replace(name, spell_out(name))
     return text

@@ -1,4 +1,4 @@
-"""Files of a proposed relation: an effect file, a model file that uses it, and its part of discovery.json."""
+"""Writes a proposed relation as an effect file, a model file that uses it, and a part of discovery.json."""
 
 import shutil
 from collections.abc import Sequence
@@ -14,13 +14,12 @@ from st_core.vehicle import VehicleParameters
 
 from . import quantities
 
-LIBRARY = Path(source_file(Effect)).parent
+EFFECTS_FOLDER = Path(source_file(Effect)).parent
 KNOTS = 21  # of the linear interpolation that approximates the fitted spline
-SLOT = {"front_steer": "front axle", "rear_steer": "rear axle", "front_force": "front axle", "rear_force": "rear axle",
+SLOTS = {"front_steer": "front axle", "rear_steer": "rear axle", "front_force": "front axle", "rear_force": "rear axle",
         "front_grip": "front axle", "rear_grip": "rear axle", "both_grip": "both axles", "yaw_moment": "body",
-        "side_force": "body",
-        "sensor_yaw_rate": "yaw rate", "sensor_acceleration_y": "acceleration", "sensor_velocity_y": "velocity",
-        "sensor_heading": "heading"}
+        "side_force": "body", "sensor_yaw_rate": "yaw rate", "sensor_acceleration_y": "acceleration",
+        "sensor_velocity_y": "velocity", "sensor_heading": "heading"}
 STATE_EXPRESSIONS = {
     "steering": "instant.road_wheel_angle", "acceleration_y": "instant.velocity_x * instant.yaw_rate",
     "acceleration_x": "instant.velocity_x_dot", "speed": "instant.velocity_x", "yaw_rate": "instant.yaw_rate",
@@ -28,26 +27,26 @@ STATE_EXPRESSIONS = {
     "position_x": "instant.x", "position_y": "instant.y"}
 READING_EXPRESSIONS = {"acceleration_y": "measured.velocity_x * measured.yaw_rate", "speed": "measured.velocity_x",
                        "yaw_rate": "measured.yaw_rate"}
-READING_FIELD = {"sensor_yaw_rate": "yaw_rate", "sensor_acceleration_y": "acceleration_y",
+READING_FIELDS = {"sensor_yaw_rate": "yaw_rate", "sensor_acceleration_y": "acceleration_y",
                  "sensor_velocity_y": "velocity_y", "sensor_heading": "yaw"}
 MAP_QUANTITIES = ("north", "east", "position_x", "position_y")  # fixed to the map
-OPS = {"east": "absolute, cos, maximum, minimum", "north": "absolute, maximum, minimum, sin"}
-SLIPS = "slip_angles(slip_front, slip_rear, extra, instant, prepared, theta)"
-FORCES = "axle_forces(forces, slip_front, slip_rear, instant, prepared, theta)"
-FORCES_BEFORE = "front, rear = forces(slip_front, slip_rear, instant)\n        "
-HOOKS = {
+IMPORTED_OPS = {"east": "absolute, cos, maximum, minimum", "north": "absolute, maximum, minimum, sin"}
+SLIP_HOOK = "slip_angles(slip_front, slip_rear, extra, instant, prepared, theta)"
+FORCE_HOOK = "axle_forces(forces, slip_front, slip_rear, instant, prepared, theta)"
+COMPUTE_FORCES = "front, rear = forces(slip_front, slip_rear, instant)\n        "
+HOOKS = {  # (signature, body) by term
     # Steering a wheel to the left reduces its slip to the left.
-    "front_steer": (SLIPS, "return slip_front - {y}, slip_rear"),
-    "rear_steer": (SLIPS, "return slip_front, slip_rear - {y}"),
-    "front_force": (FORCES, f"{FORCES_BEFORE}return front + theta.constants * {{y}}, rear"),
-    "rear_force": (FORCES, f"{FORCES_BEFORE}return front, rear + theta.constants * {{y}}"),
-    "front_grip": (FORCES, f"{FORCES_BEFORE}return front * (1.0 + {{y}}), rear"),
-    "rear_grip": (FORCES, f"{FORCES_BEFORE}return front, rear * (1.0 + {{y}})"),
-    "both_grip": (FORCES, f"{FORCES_BEFORE}y = 1.0 + {{y}}\n        return front * y, rear * y"),
+    "front_steer": (SLIP_HOOK, "return slip_front - {y}, slip_rear"),
+    "rear_steer": (SLIP_HOOK, "return slip_front, slip_rear - {y}"),
+    "front_force": (FORCE_HOOK, f"{COMPUTE_FORCES}return front + theta.constants * {{y}}, rear"),
+    "rear_force": (FORCE_HOOK, f"{COMPUTE_FORCES}return front, rear + theta.constants * {{y}}"),
+    "front_grip": (FORCE_HOOK, f"{COMPUTE_FORCES}return front * (1.0 + {{y}}), rear"),
+    "rear_grip": (FORCE_HOOK, f"{COMPUTE_FORCES}return front, rear * (1.0 + {{y}})"),
+    "both_grip": (FORCE_HOOK, f"{COMPUTE_FORCES}y = 1.0 + {{y}}\n        return front * y, rear * y"),
     "yaw_moment": ("acceleration(instant, prepared, theta)", "y = {y}\n        return 0.0 * y, 0.0 * y, y"),
     "side_force": ("acceleration(instant, prepared, theta)", "y = {y}\n        return 0.0 * y, y, 0.0 * y"),
 }
-LOAD = {"front_force": "cg_to_rear_axle", "rear_force": "cg_to_front_axle"}
+OPPOSITE_AXLES = {"front_force": "cg_to_rear_axle", "rear_force": "cg_to_front_axle"}
 EFFECT_FILE = '''"""PROPOSAL, not an established effect: {title}.
 
 Fitted by st discover --propose to {count} drives, {created}: {runs}.
@@ -90,24 +89,25 @@ class {cls}(Effect):
 '''
 
 
-def name_of(relation: Relation) -> str:
-    """Name of the effect, with a number if the model already has a relation for the same term."""
+def effect_name(relation: Relation) -> str:
+    """Name of the effect; ends with a number if the model already has a relation for the same term."""
     name = f"proposed_{relation.candidate.term}"
-    before = sum(e.name == name or e.name.startswith(f"{name}_") for e in relation.model.effects)
-    return f"{name}_{before + 1}" if before else name
+    existing = sum(e.name == name or e.name.startswith(f"{name}_") for e in relation.model.effects)
+    return f"{name}_{existing + 1}" if existing else name
 
 
-def title_of(relation: Relation) -> str:
-    """Term and quantity, written out."""
-    return quantities.title(relation.candidate, bool(relation.formulas) and relation.formulas[0].shape == "constant")
+def full_title(relation: Relation) -> str:
+    """Description of the relation by its term and quantity."""
+    is_constant = bool(relation.formulas) and relation.formulas[0].shape == "constant"
+    return quantities.relation_title(relation.candidate, is_constant)
 
 
 def _title_with_causes(relation: Relation) -> str:
     causes = relation.formulas[0].causes if relation.formulas else ""
-    return title_of(relation) + (f" (in textbooks: {causes})" if causes else "")
+    return full_title(relation) + (f" (in textbooks: {causes})" if causes else "")
 
 
-def effect_file(relation: Relation, runs: Sequence[str], created: str) -> str:
+def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
     """Source of an effect file: the fitted curve, interpolated linearly between KNOTS points."""
     c = relation.candidate
     meaning = ALL_TERMS[c.term][1] + (f", for each {QUANTITIES[c.factor]} of {c.factor.replace('_', ' ')}"
@@ -123,37 +123,37 @@ def effect_file(relation: Relation, runs: Sequence[str], created: str) -> str:
         quantity_unit=QUANTITIES[c.quantity],
         unit=c.unit, meaning=f"y [{c.unit}]: {meaning}.", before=relation.position_5s[0], after=relation.position_5s[1],
         p_value=relation.p_value, formulas=formulas, heights=terms,
-        cls="".join(word.title() for word in name_of(relation).split("_")),
-        odd=", odd=True" if c.changes_sides else "", name=name_of(relation),
-        ops=OPS.get(c.quantity, "absolute, maximum, minimum"), memory=_memory_declaration(c),
-        physics=f"y = curve of {c.quantity}: {meaning}", body=_body(relation),
-        kind=_kind(c), slot=SLOT[c.term])
+        cls="".join(word.title() for word in effect_name(relation).split("_")),
+        odd=", odd=True" if c.changes_sides else "", name=effect_name(relation),
+        ops=IMPORTED_OPS.get(c.quantity, "absolute, maximum, minimum"), memory=_memory_declaration(c),
+        physics=f"y = curve of {c.quantity}: {meaning}", body=_hooks_source(relation),
+        kind=_effect_kind(c), slot=SLOTS[c.term])
 
 
-def _body(relation: Relation) -> str:
+def _hooks_source(relation: Relation) -> str:
     c = relation.candidate
-    if c.term in READING_FIELD:
-        field, u = READING_FIELD[c.term], READING_EXPRESSIONS[c.quantity]
+    if c.term in READING_FIELDS:
+        field, u = READING_FIELDS[c.term], READING_EXPRESSIONS[c.quantity]
         return "".join(f"\n    @staticmethod\n    def {hook}(measured, theta):\n"
                        f"        y = theta.share * relation({u})\n"
                        f"        return measured._replace({field}=measured.{field} {sign} y)\n"
                        for hook, sign in (("observe", "+"), ("correct", "-"))).rstrip("\n")
     hook, text = HOOKS[c.term]
     before = ""
-    if c.term in LOAD:
+    if c.term in OPPOSITE_AXLES:
         before = ("\n    @staticmethod\n    def constants(vehicle):  # static load of the axle [N]\n"
-                  f"        return 9.81 * vehicle.mass * vehicle.{LOAD[c.term]} / vehicle.wheelbase\n")
-    y = f"theta.share * relation({_quantity(c.quantity)})" + (f" * {_quantity(c.factor)}" if c.factor else "")
+                  f"        return 9.81 * vehicle.mass * vehicle.{OPPOSITE_AXLES[c.term]} / vehicle.wheelbase\n")
+    y = f"theta.share * relation({_expression(c.quantity)})" + (f" * {_expression(c.factor)}" if c.factor else "")
     return f"{before}\n    @staticmethod\n    def {hook}:\n        {text.format(y=y)}{_memory_hooks(c)}"
 
 
-def _memory_quantity(c: Candidate) -> str:
-    """The quantity with memory of a candidate; "" for none."""
+def _quantity_with_memory(c: Candidate) -> str:
+    """The quantity of a candidate that depends on earlier values, such as a lag; "" for none."""
     return next((q for q in (c.quantity, c.factor) if q in MEMORY), "")
 
 
-def _quantity(name: str) -> str:
-    """Expression of a quantity in a hook of the slip angles or of the motion."""
+def _expression(name: str) -> str:
+    """Python expression of a quantity, for a hook of the effect file."""
     if name not in MEMORY:
         return STATE_EXPRESSIONS[name]
     source, kind, tau = MEMORY[name]
@@ -161,24 +161,24 @@ def _quantity(name: str) -> str:
 
 
 def _memory_declaration(c: Candidate) -> str:
-    if not _memory_quantity(c):
+    if not _quantity_with_memory(c):
         return ""
-    unit = QUANTITIES[MEMORY[_memory_quantity(c)][0]]
+    unit = QUANTITIES[MEMORY[_quantity_with_memory(c)][0]]
     return f'\n    extra_states = ("lagging",)\n    extra_units = ("{unit}",)'
 
 
 def _memory_hooks(c: Candidate) -> str:
-    """Hooks of a relation with memory."""
-    if not _memory_quantity(c):
+    """Hooks that integrate the quantity with memory; "" without one."""
+    if not _quantity_with_memory(c):
         return ""
-    source, _, tau = MEMORY[_memory_quantity(c)]
-    now = STATE_EXPRESSIONS[source]
-    return (f"\n\n    @staticmethod\n    def start(slips, instant, prepared, theta):\n        return ({now},)\n\n"
+    source, _, tau = MEMORY[_quantity_with_memory(c)]
+    current = STATE_EXPRESSIONS[source]
+    return (f"\n\n    @staticmethod\n    def start(slips, instant, prepared, theta):\n        return ({current},)\n\n"
             "    @staticmethod\n    def rates(extra, slips, forces, instant, prepared, theta):\n"
-            f"        return (({now} - extra[0]) / {tau!r},)")
+            f"        return (({current} - extra[0]) / {tau!r},)")
 
 
-def _kind(c: Candidate) -> str:
+def _effect_kind(c: Candidate) -> str:
     if c.quantity in MAP_QUANTITIES:
         return "surroundings"
     return "sensors" if c.of_sensor else "physics"
@@ -186,31 +186,31 @@ def _kind(c: Candidate) -> str:
 
 def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequence[str], created: str,
                 digests: dict[str, str], folder: Path) -> dict[str, Path]:
-    """Write the effect file and the model file that uses it; paths by kind, empty without a relation.
+    """Write the effect file and the model file that uses it; returns the paths by kind, empty without a relation.
 
-    A relation with the time in the run is not written, as it is not valid in other drives. The user's effects in the
-    model are copied, so that one folder of effects is enough for every command.
+    A relation with the time in the run is not written, because it does not apply to other drives. User-defined effects
+    of the model are copied, because a command accepts only one folder of effects.
     """
     relation = found.relation
     if relation is None or relation.candidate.quantity == "run_time":
         return {}
     effects = folder / "effects"
     effects.mkdir()
-    file = effects / f"{name_of(relation)}.py"
-    file.write_text(effect_file(relation, runs, created), encoding="utf-8")
-    for user_folder in {Path(source_file(e)).parent for e in relation.model.effects} - {LIBRARY}:
+    file = effects / f"{effect_name(relation)}.py"
+    file.write_text(effect_source(relation, runs, created), encoding="utf-8")
+    for user_folder in {Path(source_file(e)).parent for e in relation.model.effects} - {EFFECTS_FOLDER}:
         for module in user_folder.glob("*.py"):
             if not (effects / module.name).exists():
                 shutil.copyfile(module, effects / module.name)
     about = ModelProvenance(created[:10], data=digests, note=f"PROPOSAL of st discover: {_title_with_causes(relation)}")
-    plain = ModelFile.of(relation.model, vehicle, about, source="fitted together with the relation")
-    active = {name: parts for name, parts in plain.effects.items()
+    fitted = ModelFile.of(relation.model, vehicle, about, source="fitted together with the relation")
+    active = {name: parts for name, parts in fitted.effects.items()
               if any(parts[p.name].value != p.null for e in relation.model.effects if e.name == name
                      for p in e.parameters if p.fit)}
     share = {"share": Estimate(1.0, None, "st discover --propose")}
-    model = ModelFile(plain.base, {**active, name_of(relation): share}, plain.vehicle, plain.vehicle_name,
-                      plain.vehicle_hash, about)
-    load_file(str(effects.absolute()), name_of(relation))
+    model = ModelFile(fitted.base, {**active, effect_name(relation): share}, fitted.vehicle, fitted.vehicle_name,
+                      fitted.vehicle_hash, about)
+    load_file(str(effects.absolute()), effect_name(relation))
     try:
         (folder / "proposed.yaml").write_text(model.to_yaml(), encoding="utf-8")
     finally:
@@ -218,10 +218,8 @@ def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequenc
     return {"effects": file, "proposed.yaml": folder / "proposed.yaml"}
 
 
-def relation_document(found: RelationSearch | None) -> dict:
+def relation_document(found: RelationSearch) -> dict:
     """The part `relation` of discovery.json (schema in docs/manual/discovery.md)."""
-    if found is None:
-        return {}
     relation = found.relation
     tried = [{"relation": name, "gain": gain, "p_value": p_value, "detection_limit": found.detection_limits.get(name)}
              for name, (gain, p_value) in found.tried.items()]
@@ -234,14 +232,14 @@ def relation_document(found: RelationSearch | None) -> dict:
         "curve": {key: getattr(relation, key).tolist() for key in ("at", "value", "deviation", "density")},
         "gain": relation.gain, "p_value": relation.p_value, "position_5s": list(relation.position_5s),
         "runs": {name: list(pair) for name, pair in relation.runs.items()}, "others": dict(relation.others),
-        "redundant": dict(relation.redundant), "next_drives": _drives(relation),
+        "redundant": dict(relation.redundant), "next_drives": _drives_document(relation),
         "shares": {name: list(pair) for name, pair in relation.shares.by_run.items()},
         "p_equal": relation.shares.p_equal,
         "readings": [{"shape": r.shape, "text": r.text, "explained": r.kept, "causes": r.causes}
                      for r in relation.formulas]}}
 
 
-def _drives(relation: Relation) -> dict:
+def _drives_document(relation: Relation) -> dict:
     drives, separating = relation.drives, relation.drives.most_separating()
     precise = drives.most_precise(relation.deviation)
     return {"sparse": [list(between) for between in drives.sparse],

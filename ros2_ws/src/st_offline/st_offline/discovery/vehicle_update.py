@@ -1,4 +1,4 @@
-"""The user's vehicle file with the named effects; the other effects are in the model file."""
+"""Writes the named effects of a discovery into the user's vehicle file, as far as its entries can express them."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -27,27 +27,29 @@ from st_recordings.car_skeleton import STABILITY_SPEEDS
 
 from .drives import Request
 
-HORIZON, STEP, INTERVAL = 5.0, 0.05, 5.0  # s, of the predictions that are compared, and between their starts
+HORIZON, STEP = 5.0, 0.05  # s, of the predictions that are compared
+START_INTERVAL = 5.0  # s, between their starts
 MIN_SPEED = 1.5  # m/s, at a start
 POSE_TOLERANCE = 1e-3  # m, rad; predictions that differ less at the end of the horizon count as equal
-MAX_POSITION_DIFFERENCE = 0.02  # m, mean, up to which effective corrections are kept with another vehicle file
-SIGNIFICANCE_LEVEL = 0.05  # p-value of a paired t-test of the starts of a drive, which do not overlap
+MAX_POSITION_DIFFERENCE = 0.02  # m; with a larger mean difference, the effective corrections are dropped
+SIGNIFICANCE_LEVEL = 0.05  # of a paired t-test over the predictions of a drive, which do not overlap
 SIGNIFICANT_DIGITS = 6  # of a written value
 VALUE_TOLERANCE = 1e-5  # largest relative difference from rounding to SIGNIFICANT_DIGITS
-SLIP_SPEED = "minimum_slip_speed"
+SLIP_SPEED_KEY = "minimum_slip_speed"
 KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE_QUANTITIES))
 
 
 @dataclass(frozen=True)
 class VehicleUpdate:
-    """vehicle, text: the updated car, content of vehicle.yaml; the original car and "" if that file is not written.
+    """A vehicle file with effects folded into its entries, and the model for it.
 
-    model: for that vehicle, the effects that are not in the file; folded ones at null, or at a remainder that still
-    improves the prediction. folded: effects in the file. changes: (before, after, low, high) by key, SI. kept: (before,
-    after) by key of each effect that is not folded because predictions would change. error: (original, updated) mean
-    position error after 5 s of the base model with each file, on each drive with the values found without it [m].
-    worse: drives in which it is significantly larger with the updated file. objections: implausible values of the car.
-    slip_speed: minimum_slip_speed that the model needs [m/s], 0 if the value of the file is sufficient.
+    vehicle, text: updated car and content of vehicle.yaml; original car and "" if vehicle.yaml is not written.
+    model: effects for `vehicle`; a folded effect keeps only a remainder that improves the prediction.
+    folded: effects in vehicle.yaml. not_folded: effects that change predictions when folded, with (before, after) by
+    key. changes: (before, after, low, high) by key, SI.
+    error: mean held-out position error of the base model after 5 s, (original file, updated file) [m].
+    worse: drives with a significantly larger error with the updated file. objections: implausible values of the car.
+    required_slip_speed: minimum_slip_speed that the model needs [m/s], 0 if the value in the file is sufficient.
     """
 
     vehicle: VehicleParameters
@@ -55,40 +57,40 @@ class VehicleUpdate:
     model: AugmentedModel
     folded: tuple[str, ...]
     changes: Mapping[str, tuple[float, float, float, float]]
-    kept: Mapping[str, Mapping[str, tuple[float, float]]]
+    not_folded: Mapping[str, Mapping[str, tuple[float, float]]]
     error: tuple[float, float] = (math.nan, math.nan)
     worse: tuple[str, ...] = ()
     objections: tuple[str, ...] = ()
-    slip_speed: float = 0.0
+    required_slip_speed: float = 0.0
 
     @property
     def improves(self) -> bool:
-        """Whether the file predicts better on average and in no drive significantly worse."""
+        """Whether the mean error does not grow, and no drive has a significantly larger error."""
         return not (self.error[1] > self.error[0] or self.worse)
 
 
 def update_vehicle(found: Discovery, request: Request) -> VehicleUpdate | None:
-    """`folded_update` if it predicts held-out drives better than the original file and none significantly worse, else
-    the original; None without a model."""
-    update = folded_update(found, request)
+    """Update from `fold_named_effects` if it improves held-out predictions, else with the original file; None without a
+    model."""
+    update = fold_named_effects(found, request)
     if update is None or not update.text or update.improves:
         return update
-    return _without_file(request.vehicle, found.model or update.model, update.kept, update.error, update.worse)
+    return _without_file(request.vehicle, found.model or update.model, update.not_folded, update.error, update.worse)
 
 
-def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
-    """The vehicle file with the named effects, whether or not it predicts better; None without a model.
+def fold_named_effects(found: Discovery, request: Request) -> VehicleUpdate | None:
+    """Fold the named effects into the vehicle file, whether or not it then predicts better; None without a model.
 
-    Each named effect with an entry in a vehicle file is folded in, in the order in which they act, if predictions do
-    not change. They change where recordings contain the angle of the road wheels, or where an earlier effect does not
-    commute with it (play in the steering). Minor and effective corrections never change the vehicle file.
+    Effects that an entry can express are folded in the order in which they act. An effect is skipped if predictions
+    would change: if the recordings contain the road-wheel angle, or if the effect does not commute with an earlier one,
+    such as play in the steering. Minor and effective corrections never change the vehicle file.
     """
     if found.model is None or found.named is None:
         return None
     drives = [d.log for d in request.drives if d.log is not None]
-    expected = _errors(found.named, request.vehicle, drives)
+    expected = _final_errors(found.named, request.vehicle, drives)
     folded: tuple[type[Effect], ...] = ()
-    kept = {}
+    not_folded = {}
     named = {e.name for e in found.effects}
     for effect in found.named.effects:
         if not effect.fold or effect.name not in named:
@@ -96,50 +98,52 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
         candidate = (*folded, effect)
         try:
             car = fold(request.vehicle, candidate, found.named.values)
-            errors = _errors(without_effects(found.named, candidate), car, drives)
-        except StCoreError:  # impossible, or outside the limits of a vehicle file
+            errors = _final_errors(without_effects(found.named, candidate), car, drives)
+        except StCoreError:  # outside the limits of a vehicle file, or not predictable
             continue
         if all(a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=POSE_TOLERANCE, equal_nan=True)
                for a, b in zip(errors, expected, strict=True)):
             folded = candidate
         else:
-            kept[effect.name] = _changes(request.vehicle, fold(request.vehicle, (effect,), found.named.values))
+            alone = fold(request.vehicle, (effect,), found.named.values)
+            not_folded[effect.name] = _changed_values(request.vehicle, alone)
     if not folded:
-        return _without_file(request.vehicle, found.model, kept)
+        return _without_file(request.vehicle, found.model, not_folded)
     car = fold(request.vehicle, folded, found.named.values)
     model = _remaining_model(found, car, folded, drives, request.vehicle)
-    needed = _slip_speed(car, model)
-    if needed > car.minimum_slip_speed:  # the model is used with the written file, which must keep it stable
+    needed = _required_slip_speed(car, model)
+    if needed > car.minimum_slip_speed:  # the written file must keep the model stable
         car = replace(car, minimum_slip_speed=needed)
         model = _remaining_model(found, car, folded, drives, request.vehicle)
     error, worse = _held_out_error(found, request.vehicle, folded, drives)
-    changes = {key: (*change, *_interval(found, request.vehicle, folded, key))
-               for key, change in _changes(request.vehicle, car).items()}
-    if SLIP_SPEED in changes:  # derived, without an interval of its own
-        changes[SLIP_SPEED] = (*changes[SLIP_SPEED][:2], car.minimum_slip_speed, car.minimum_slip_speed)
-    text = updated_vehicle_text(request, car, changes, *_origin(found, folded))
+    changes = {key: (*change, *_confidence_interval(found, request.vehicle, folded, key))
+               for key, change in _changed_values(request.vehicle, car).items()}
+    if SLIP_SPEED_KEY in changes:  # computed for stability, not estimated
+        changes[SLIP_SPEED_KEY] = (*changes[SLIP_SPEED_KEY][:2], car.minimum_slip_speed, car.minimum_slip_speed)
+    text = updated_vehicle_text(request, car, changes, *_source_and_provenance(found, folded))
     vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
     reported = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
-    return VehicleUpdate(vehicle, text, model, tuple(effect.name for effect in folded), reported, kept, error,
+    return VehicleUpdate(vehicle, text, model, tuple(effect.name for effect in folded), reported, not_folded, error,
                          worse, objections(vehicle, request.vehicle))
 
 
-def _without_file(vehicle: VehicleParameters, model: AugmentedModel, kept: Mapping[str, Mapping[str, Any]],
+def _without_file(vehicle: VehicleParameters, model: AugmentedModel, not_folded: Mapping[str, Mapping[str, Any]],
                   *measured: Any) -> VehicleUpdate:
     """Update that keeps the original file. measured: `error` and `worse`, if an updated file was tried."""
-    needed = _slip_speed(vehicle, model)
-    return replace(VehicleUpdate(vehicle, "", model, (), {}, kept, *measured),
-                   slip_speed=needed if needed > vehicle.minimum_slip_speed else 0.0)
+    needed = _required_slip_speed(vehicle, model)
+    return replace(VehicleUpdate(vehicle, "", model, (), {}, not_folded, *measured),
+                   required_slip_speed=needed if needed > vehicle.minimum_slip_speed else 0.0)
 
 
-def _slip_speed(car: VehicleParameters, model: AugmentedModel) -> float:
-    """minimum_slip_speed [m/s] at which base models and model are stable; models stable at no speed are ignored."""
+def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float:
+    """minimum_slip_speed [m/s] at which the base models and this model are stable; ignores models that no value
+    stabilises."""
     step = PredictionSettings().step
     needed = [slip_speed_needed((one,), car, STABILITY_SPEEDS, step) for one in ("linear", "nonlinear", model)]
     return max((speed for speed in needed if speed is not None), default=car.minimum_slip_speed)
 
 
-def _origin(found: Discovery, folded: Sequence[type[Effect]]) -> tuple[str, Provenance]:
+def _source_and_provenance(found: Discovery, folded: Sequence[type[Effect]]) -> tuple[str, Provenance]:
     """(source of the values, provenance of the file)."""
     runs, date = [run for run in found.runs if run.role == "suspect"], f"{datetime.now(UTC):%Y-%m-%d}"
     source = (f"st discover, {date}, {len(runs)} run{'' if len(runs) == 1 else 's'}, "
@@ -149,8 +153,7 @@ def _origin(found: Discovery, folded: Sequence[type[Effect]]) -> tuple[str, Prov
 
 def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                     drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
-    """(original, updated) mean position error of the base model [m], and the drives in which it is significantly larger
-    by a paired t-test; see `VehicleUpdate`."""
+    """`error` and `worse` of `VehicleUpdate`; each drive is predicted with values fitted without it."""
     sums, worse = np.zeros(3), []
     for drive in drives:
         assert found.named is not None
@@ -159,7 +162,7 @@ def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequen
             car = fold(vehicle, folded, values)
         except StCoreError:  # the values without this drive are outside the limits of a vehicle file
             return (0.0, math.inf), (drive.name,)
-        before, after = (np.hypot(*_errors(found.base, one, [drive])[0][:, :2].T) for one in (vehicle, car))
+        before, after = (np.hypot(*_final_errors(found.base, one, [drive])[0][:, :2].T) for one in (vehicle, car))
         known = np.isfinite(before) & np.isfinite(after)
         before, after = before[known], after[known]
         sums += before.sum(), after.sum(), len(before)
@@ -170,8 +173,7 @@ def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequen
 
 def _remaining_model(found: Discovery, car: VehicleParameters, folded: Sequence[type[Effect]],
                      drives: Sequence[DriveLog], vehicle: VehicleParameters) -> AugmentedModel:
-    """Model for the updated vehicle that predicts the same as the complete model; without effective corrections if the
-    predictions differ."""
+    """Model for the updated vehicle; without effective corrections if it cannot predict like the complete model."""
     assert found.model is not None and found.named is not None
     values: dict[str, dict[str, float]] = {}
     for effect in folded:
@@ -182,52 +184,51 @@ def _remaining_model(found: Discovery, car: VehicleParameters, folded: Sequence[
             values[effect.name][p.name] = float(np.clip(remaining, *p.bounds))
     model = found.model.with_values(values)
     difference = np.concatenate([a - b for a, b in zip(
-        _errors(model, car, drives), _errors(found.model, vehicle, drives), strict=True)])
+        _final_errors(model, car, drives), _final_errors(found.model, vehicle, drives), strict=True)])
     similar = np.nanmean(np.hypot(difference[:, 0], difference[:, 1])) < MAX_POSITION_DIFFERENCE
     return model if similar else without_effects(found.named, folded)
 
 
-def _changes(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, tuple[float, float]]:
-    """(before, after) of every key that differs."""
+def _changed_values(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, tuple[float, float]]:
+    """(before, after) of each key that differs between two vehicles."""
     pairs = {key: (value_of(vehicle, key), value_of(other, key)) for key in KEYS}
     return {key: pair for key, pair in pairs.items() if not math.isclose(*pair, rel_tol=1e-9, abs_tol=1e-12)}
 
 
 def changed_keys(vehicle: VehicleParameters, effect: type[Effect], values: Mapping[str, float]
                  ) -> dict[str, tuple[float, float]]:
-    """(before, after) of every key of the vehicle file that an effect changes."""
+    """(before, after) of each key of the vehicle file that an effect changes."""
     if not effect.fold:
         return {}
     try:
-        pairs = _changes(vehicle, fold(vehicle, (effect,), {effect.name: values}))
+        pairs = _changed_values(vehicle, fold(vehicle, (effect,), {effect.name: values}))
     except StCoreError:  # outside the limits of a vehicle file
         return {}
     return {key: pair for key, pair in pairs.items() if not key.endswith("lambda_ky")}
 
 
 def without_effects(model: AugmentedModel, effects: Iterable[type[Effect]]) -> AugmentedModel:
-    """The model with these effects at null."""
+    """The model with these effects at their neutral values."""
     return model.with_values({e.name: {p.name: p.null for p in e.parameters} for e in effects})
 
 
-def _errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Sequence[DriveLog]) -> list[np.ndarray]:
-    """Errors (starts, 3) at the end of the horizon, by drive, with the steering computed with the vehicle's ratio and
-    offset."""
-    found = []
+def _final_errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Sequence[DriveLog]) -> list[np.ndarray]:
+    """Pose errors (starts, 3) of each drive at the end of the horizon; `vehicle` converts the steering wheel angle."""
+    errors = []
     for drive in drives:
         log = drive
         if drive.steering_wheel_angle is not None:
             log = replace(drive, road_wheel_angle=vehicle.road_wheel_angle(drive.steering_wheel_angle))
         signals = LogSignals(log, 0.1, 5.0)
-        starts, _ = usable_starts(signals, vehicle, regular_starts(log, INTERVAL), MIN_SPEED)
+        starts, _ = usable_starts(signals, vehicle, regular_starts(log, START_INTERVAL), MIN_SPEED)
         batch = LogBatch(signals, starts, HORIZON, STEP, points=(HORIZON,), substeps="auto")
-        found.append(batch.errors(batch.predict(model, vehicle))[:, -1, :])
-    return found
+        errors.append(batch.errors(batch.predict(model, vehicle))[:, -1, :])
+    return errors
 
 
-def _interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
+def _confidence_interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
               key: str) -> tuple[float, float]:
-    """95 % interval of a quantity of the file, from the intervals of the folded effects, assumed independent."""
+    """95 % interval of an entry of the file, from the intervals of the folded effects, assumed to be independent."""
     assert found.named is not None  # it contains the effects
     values = {name: dict(entry) for name, entry in found.named.values.items()}
     centre = value_of(fold(vehicle, folded, values), key)
@@ -248,23 +249,24 @@ def _interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[typ
 
 def updated_vehicle_text(request: Request, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]],
                          source: str, about: Provenance) -> str:
-    """The user's vehicle file with these keys replaced; everything else, comments included, is unchanged.
+    """The user's vehicle file with these keys replaced; comments and all other entries are unchanged.
 
-    A derived lambda_ky is written only where the edited file would give another value. A file that cannot be edited so
-    that it reads as `car` is written as a whole.
+    A derived lambda_ky is written only if the edited file would give another value. If no edit of the file yields
+    `car`, the whole file is written anew.
     """
     original = yaml.safe_load(request.vehicle_text)
     derived = [f"{tyre}.lambda_ky" for tyre in TYRES if "lambda_ky" not in original[tyre]]
     stable = f"stable with steps of {1e3 * PredictionSettings().step:g} ms"
-    entries = {key: _entry(change[:2], stable, about) if key == SLIP_SPEED else _entry(change, source, about)
-               for key, change in changes.items() if key not in derived}
+    entries = {key: _entry_writer(change, source, about) for key, change in changes.items() if key not in derived}
+    if SLIP_SPEED_KEY in entries:
+        entries[SLIP_SPEED_KEY] = _entry_writer(changes[SLIP_SPEED_KEY][:2], stable, about)
     try:
-        first = VehicleParameters.from_yaml(edit_entries(request.vehicle_text, entries))
+        edited = VehicleParameters.from_yaml(edit_entries(request.vehicle_text, entries))
     except (ConfigurationError, yaml.YAMLError):
-        first = car
-    entries |= {key: _entry((value_of(request.vehicle, key), value_of(car, key)), source, about)
-                for key in derived if not _close(first, car, key, VALUE_TOLERANCE)}
-    sources = {key: f"{stable if key == SLIP_SPEED else source}; before {number(change[0])}"
+        edited = car
+    entries |= {key: _entry_writer((value_of(request.vehicle, key), value_of(car, key)), source, about)
+                for key in derived if not _agrees(edited, car, key, VALUE_TOLERANCE)}
+    sources = {key: f"{stable if key == SLIP_SPEED_KEY else source}; before {number(change[0])}"
                for key, change in changes.items()}
     return edit_or_rewrite(request.vehicle_text, entries,
                            replace(car, sources={**request.vehicle.sources, **sources}), VALUE_TOLERANCE)
@@ -272,59 +274,62 @@ def updated_vehicle_text(request: Request, car: VehicleParameters, changes: Mapp
 
 def edit_or_rewrite(text: str, entries: Mapping[str, Callable[[str, float], str]], car: VehicleParameters,
                     tolerance: float) -> str:
-    """A vehicle file with these entries replaced; the whole car, newly written, if the result would not read as `car`.
+    """A vehicle file with these entries replaced; a new file if the edited one would not be read as `car`.
 
-    tolerance: relative, of every value.
+    tolerance: largest relative difference of a value.
     """
     try:
         new = edit_entries(text, entries)
         read = VehicleParameters.from_yaml(new)
     except (ConfigurationError, yaml.YAMLError):
         return car.to_yaml()
-    return new if all(_close(read, car, key, tolerance) for key in KEYS) else car.to_yaml()
+    return new if all(_agrees(read, car, key, tolerance) for key in KEYS) else car.to_yaml()
 
 
-def _close(car: VehicleParameters, other: VehicleParameters, key: str, tolerance: float) -> bool:
+def _agrees(car: VehicleParameters, other: VehicleParameters, key: str, tolerance: float) -> bool:
     return math.isclose(value_of(car, key), value_of(other, key), rel_tol=tolerance, abs_tol=1e-4 * tolerance)
 
 
-def _entry(change: Sequence[float], source: str, about: Provenance) -> Callable[[str, float], str]:
-    """Function (unit in the file, its factor to SI) -> YAML entry. change: (before, after[, low, high]), SI."""
+def _entry_writer(change: Sequence[float], source: str, about: Provenance) -> Callable[[str, float], str]:
+    """Function that formats a YAML entry, called with the unit of the file and its factor to SI.
+
+    change: (before, after[, low, high]), SI.
+    """
     def entry(unit: str, factor: float) -> str:
         before, after, *ends = (number(float(f"{value / factor:.{SIGNIFICANT_DIGITS}g}")) for value in change)
         interval = f", 95 % interval {ends[0]} to {ends[1]}" if ends else ""
-        spread = (change[3] - change[2]) / (2 * 1.96) if ends else 0.0
-        known = replace(about, uncertainty=float(f"{spread / factor:.3g}") if spread > 0.0 else None)
+        deviation = (change[3] - change[2]) / (2 * 1.96) if ends else 0.0
+        provenance = replace(about, uncertainty=float(f"{deviation / factor:.3g}") if deviation > 0.0 else None)
         return (f"{{value: {after}, unit: {quote(unit)}, source: {quote(f'{source}{interval}; before {before}')}"
-                f"{known.entries()}}}")
+                f"{provenance.entries()}}}")
     return entry
 
 
 def edit_entries(text: str, entries: Mapping[str, Callable[[str, float], str]]) -> str:
-    """A vehicle file with these entries, "mass" or "tyre_front.p_dy1", replaced or inserted."""
+    """A vehicle file with these entries replaced or inserted; keys such as "mass" or "tyre_front.p_dy1"."""
     root = yaml.compose(text, Loader=yaml.SafeLoader)
-    changes = [_change(root, key, entry) for key, entry in entries.items()]
+    changes = [_locate_edit(root, key, entry) for key, entry in entries.items()]
     for start, end, new in sorted(changes, reverse=True):
         text = text[:start] + new + text[end:]
     return text
 
 
-def _change(root: yaml.Node, key: str, entry: Callable[[str, float], str]) -> tuple[int, int, str]:
-    """(start, end, replacement) of one entry."""
+def _locate_edit(root: yaml.Node, key: str, entry: Callable[[str, float], str]) -> tuple[int, int, str]:
+    """(start, end, replacement) of one entry in the text of the file."""
     tyre, _, name = key.rpartition(".")
-    section, known = _child(root, tyre) if tyre else root, quantity(key)
+    section, known = _find_entry(root, tyre) if tyre else root, quantity(key)
     assert isinstance(section, yaml.MappingNode) and known is not None  # it was read as a vehicle file
-    units, node = known.units, _child(section, name)
+    units, node = known.units, _find_entry(section, name)
     if node is None:
         first = section.value[0][0].start_mark
         unit = next(iter(units))
         gap = ", " if section.flow_style else "\n" + " " * first.column
         return first.index, first.index, f"{name}: {entry(unit, units[unit])}{gap}"
-    # The end of a block is where the next key begins, so that comments in between are part of the block.
+    # YAML ends a block at the next key; the end of its last value leaves the comments in between untouched.
     last = node if node.flow_style else node.value[-1][1]
     unit = next(value.value for name, value in node.value if name.value == "unit")
     return node.start_mark.index, last.end_mark.index, entry(unit, units[unit])
 
 
-def _child(section: yaml.Node, key: str) -> yaml.MappingNode | None:
+def _find_entry(section: yaml.Node, key: str) -> yaml.MappingNode | None:
     return next((value for name, value in section.value if name.value == key), None)
