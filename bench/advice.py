@@ -12,7 +12,7 @@ from st_core.log_evaluation import EvaluationSettings
 from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
 from st_offline.evaluation import advice as advice_report
-from st_offline.evaluation.advice import cheapest, measure
+from st_offline.evaluation.advice import find_cheapest, measure_runs
 from st_offline.evaluation.drawing import TEXT, WIDTH, FigureOutput, save_figure, style
 from st_offline.evaluation.work import Task
 from st_recordings.paths import config, project_root
@@ -74,11 +74,11 @@ def run() -> dict:
     sources = [one for one in find_runs(folders) if not one.name.startswith(OTHERS)]
     file = config("vehicle/hyundai_genesis.yaml")
     task = Task(VehicleParameters.from_yaml(file.read_text(), str(file)), MODELS, EvaluationSettings())
-    advice = measure(sources, task)
+    advice = measure_runs(sources, task)
     figure(advice.costs, advice.accuracies, TOLERANCE, FigureOutput(project_root() / "docs" / "images", ("png",)))
-    rows = advice_report.rows(advice.costs, advice.accuracies)
-    choice = advice_report.choice_rows(cheapest(advice.costs, advice.accuracies, TOLERANCE))
-    title, caption = advice_report.choice_title(TOLERANCE), advice_report.caption(advice.accuracies)
+    rows = advice_report.advice_rows(advice.costs, advice.accuracies)
+    choice = advice_report.choice_rows(find_cheapest(advice.costs, advice.accuracies, TOLERANCE))
+    title, caption = advice_report.choice_title(TOLERANCE), advice_report.table_caption(advice.accuracies)
     renew(PAGE, "advice", "\n".join([
         f"Genesis, {len(sources)} real drives. {caption[0].upper()}{caption[1:]}.", "", *table(rows), "",
         f"{title}:", "", *table(choice), "", "![Error and band against cost](../images/advice.png)"]) + "\n")

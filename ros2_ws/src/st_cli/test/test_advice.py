@@ -10,7 +10,15 @@ from st_cli.cli import app
 from st_core.bands import ErrorSamples
 from st_core.log_evaluation import EvaluationSettings
 from st_core.prediction import PredictionSettings
-from st_offline.evaluation.advice import Cost, cheapest, choice_rows, model_accuracy, processor_time, rows, steps
+from st_offline.evaluation.advice import (
+    Cost,
+    advice_rows,
+    choice_rows,
+    find_cheapest,
+    model_accuracy,
+    processor_time,
+    vary_step,
+)
 from support import ROOT
 from typer.testing import CliRunner
 
@@ -56,7 +64,7 @@ def test_the_cheapest_that_is_good_enough_is_chosen_and_none_where_none_is():
              ("floats", 0.1): Cost(2e-3, None, 1e-6)}
     assert processor_time(costs["floats", 0.1]) == 2e-3
     accuracies = {("slow", 0.05): good, ("quick", 0.1): bad, ("floats", 0.1): good}
-    chosen = cheapest(costs, accuracies, 0.5)
+    chosen = find_cheapest(costs, accuracies, 0.5)
     assert chosen[6.0] == (("quick", 0.1), *[("slow", 0.05)] * 4)
     assert chosen[12.0][4] is None
     shown = choice_rows(chosen)
@@ -66,17 +74,17 @@ def test_the_cheapest_that_is_good_enough_is_chosen_and_none_where_none_is():
 
 def test_costs_stand_beside_the_least_and_what_failed_is_a_dash():
     costs = {("a", 0.05): Cost(3e-4, None, 2e-5), ("b", 0.05): Cost(1e-4, 1e-5, 1e-5)}
-    first, second = rows(costs, {("b", 0.05): model_accuracy(runs(1, 0.1), "linear", SETTINGS)})
+    first, second = advice_rows(costs, {("b", 0.05): model_accuracy(runs(1, 0.1), "linear", SETTINGS)})
     assert (first["floats, µs (x)"], first["compiled, µs (x)"], first["error 5 s, m"]) == ("300 (3.0)", "-", "-")
     assert second["batch, µs (x)"] == "10 (1.0)" and second["band 5 s, m"] == "-"
 
 
 def test_only_steps_that_divide_a_second_and_the_horizon_are_tried():
-    assert [one.prediction.step for one in steps(SETTINGS)] == [0.05, 0.1, 0.2]
+    assert [one.prediction.step for one in vary_step(SETTINGS)] == [0.05, 0.1, 0.2]
     odd = replace(SETTINGS, prediction=PredictionSettings(horizon=5.0, step=0.25))
-    assert [one.prediction.step for one in steps(odd)] == [0.25, 0.5, 1.0]
+    assert [one.prediction.step for one in vary_step(odd)] == [0.25, 0.5, 1.0]
     short = replace(SETTINGS, prediction=PredictionSettings(horizon=0.5, step=0.05))
-    assert [one.prediction.step for one in steps(short)] == [0.05, 0.1]
+    assert [one.prediction.step for one in vary_step(short)] == [0.05, 0.1]
 
 
 def test_evaluate_advises(tmp_path):
@@ -87,7 +95,7 @@ def test_evaluate_advises(tmp_path):
              "linear", "--advise", "0.5", "--figures", "png", "--output", tmp_path / "o"]
     result = CliRunner().invoke(app, list(map(str, words)), env={"COLUMNS": "240"})
     assert result.exit_code == 0, result.output
-    assert "Cheapest with a lateral error within 0.5 m" in result.output and "6 to 9 m/s" in result.output
+    assert "step with a lateral error within 0.5 m" in result.output and "6 to 9 m/s" in result.output
     with (tmp_path / "o" / "advice.csv").open(newline="", encoding="utf-8") as stream:
         found = list(csv.DictReader(stream))
     assert [(row["model"], row["step, s"]) for row in found] == [

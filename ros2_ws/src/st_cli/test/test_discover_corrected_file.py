@@ -93,8 +93,8 @@ def test_without_a_new_file_the_slip_speed_of_the_model_is_advised(driven):
     found = discovery([driven.log], [("mass", {"factor": 1.5}, 0.5)], 1.0)
     found = replace(found, model=augment("nonlinear", {"mass": {"factor": 1.5}, "yaw_inertia": {"factor": 0.4}}))
     one = update_vehicle(found, request(driven))
-    assert not one.text and one.slip_speed > CAR.minimum_slip_speed
-    assert f"minimum_slip_speed = {one.slip_speed:g} m/s" in "".join(recommend(found, one))
+    assert not one.text and one.required_slip_speed > CAR.minimum_slip_speed
+    assert f"minimum_slip_speed = {one.required_slip_speed:g} m/s" in "".join(recommend(found, one))
     mild = augment("nonlinear", {"mass": {"factor": 1.5}})
     assert update_vehicle(replace(found, model=mild), request(driven)).required_slip_speed == 0.0
 

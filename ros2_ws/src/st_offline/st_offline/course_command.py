@@ -1,4 +1,4 @@
-"""`st course build`: reads runs and writes the path of each, with its speed and curvature, into one file."""
+"""The command `st course build`: writes the paths of runs, with speed and curvature, into a course file."""
 
 import math
 from collections.abc import Sequence
@@ -13,13 +13,14 @@ from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunError, find_runs, read
 from st_recordings.runs.ncom import origin_offset
 
-from .terminal import line
+from .terminal import print_line
 
 
 def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: ReadSettings, output: Path,
                  console: Console) -> int:
-    """Exit status: 0 if every run was used, 1 if some could not be. Raises ConfigurationError and OutputError, one
-    line, if no course can be built or written.
+    """Run the command; returns the exit status: 0 if every run was used, else 1.
+
+    Raises ConfigurationError or OutputError if no course can be built or written.
     """
     if output.exists():
         raise OutputError(f"{output} exists: name another --output (existing files are not overwritten)")
@@ -30,19 +31,19 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
         try:
             with console.status(escape(source.name)):
                 run = read(source, vehicle, reading)
-                found: Sequence[Pass] = split_into_passes(run.log, list(run.provenance["files"].values()))
+                new: Sequence[Pass] = split_into_passes(run.log, list(run.provenance["files"].values()))
                 if "origin" in run.provenance:
                     latitude, longitude = map(math.degrees, run.provenance["origin"][:2])
                     origin = origin or (latitude, longitude)
-                    found = Course(tuple(found)).shift(*origin_offset(origin, latitude, longitude)).passes
+                    new = Course(tuple(new)).shift(*origin_offset(origin, latitude, longitude)).passes
         except (RunError, StCoreError) as error:
             failed += 1
-            line(f"[red]{escape(source.name)}: {escape(' '.join(str(error).split()))}[/red]", console)
+            print_line(f"[red]{escape(source.name)}: {escape(' '.join(str(error).split()))}[/red]", console)
             continue
-        passes += found
-        length = SPACING * sum(len(one.points) for one in found)
-        line(f"{escape(source.name)}: {length / 1000.0:.2f} km in {len(found)} part{'' if len(found) == 1 else 's'}",
-             console)
+        passes += new
+        length = SPACING * sum(len(one.points) for one in new)
+        plural = "s" * (len(new) != 1)
+        print_line(f"{escape(source.name)}: {length / 1000.0:.2f} km in {len(new)} part{plural}", console)
     if not passes:
         raise ConfigurationError("no run can be used for a course")
     try:
@@ -51,5 +52,5 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
     except OSError as error:
         raise OutputError(f"{output}: cannot be written: {error.strerror}") from None
     drives = len({one.recording for one in passes})
-    line(f"{escape(str(output))}: course of {drives} drive{'s' * (drives != 1)}", console)
+    print_line(f"{escape(str(output))}: course of {drives} drive{'s' * (drives != 1)}", console)
     return 1 if failed else 0

@@ -25,16 +25,16 @@ def rows_table(rows: Sequence[Mapping[str, str]], **options) -> Table:
     return table
 
 
-def line(text: str, console: Console) -> None:
+def print_line(text: str, console: Console) -> None:
     """Print one line without wrapping; `text` may contain markup."""
     console.print(text, highlight=False, soft_wrap=True)
 
 
 def report_problem(name: str, problem: str, console: Console) -> None:
-    line(f"[red]{escape(name)}[/red]: {escape(problem)}", console)
+    print_line(f"[red]{escape(name)}[/red]: {escape(problem)}", console)
 
 
 def list_files(files: Mapping[Path, str], console: Console) -> None:
     """Print files, each with a description."""
     for file, what in files.items():
-        line(f"  {escape(str(file))}  [dim]{what}[/dim]", console)
+        print_line(f"  {escape(str(file))}  [dim]{what}[/dim]", console)

@@ -26,7 +26,7 @@ from st_offline.checking.check_report import (
     print_runs,
 )
 from st_offline.checking.gate import Refused
-from st_offline.checking.run_corrections import run_yaml, with_corrections
+from st_offline.checking.run_corrections import append_corrections, run_yaml
 from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunSource
 from st_recordings.runs.raw import summarise_alignment
@@ -259,11 +259,11 @@ def test_what_was_corrected_before_is_corrected_further():
               "leave_out": [[0.0, 1.0]], "units": {"t": "ms"}}
     new = {"correct": {"yaw_rate": {"scale": 3.0, "add": 0.25, "earlier": 0.02}, "position": {"ahead": 1.0}},
            "leave_out": [[5.0, 6.0]], "units": {"yaw": "deg"}}
-    after = with_corrections(before, new)
+    after = append_corrections(before, new)
     assert after["correct"] == {"yaw_rate": {"scale": 6.0, "add": 3.0 * 0.5 + 0.25, "earlier": pytest.approx(0.12)},
                                 "y": {"scale": -1.0}, "position": {"ahead": 1.0}}
     assert after["leave_out"] == [[0.0, 1.0], [5.0, 6.0]] and after["units"] == {"t": "ms", "yaw": "deg"}
-    only_scaled = with_corrections(before, {"correct": {"yaw_rate": {"scale": 3.0}}})["correct"]["yaw_rate"]
+    only_scaled = append_corrections(before, {"correct": {"yaw_rate": {"scale": 3.0}}})["correct"]["yaw_rate"]
     assert only_scaled == {"scale": 6.0, "add": 1.5, "earlier": 0.1}
 
 
@@ -304,7 +304,7 @@ def test_a_correction_is_offered_only_if_there_is_one():
     looked_at = replace(COARSE, severity=Severity.WARNING)
     assert len(page_summary([run("drive", (looked_at,))])) == 1
     (_, correct) = page_summary([replace(run("drive", (JUMPS,)), where="a/run.yaml")])
-    assert correct.startswith("Correct: `st check a/run.yaml --propose-correction run.yaml`, with the other options")
+    assert correct.startswith("To correct the recording, run `st check a/run.yaml --propose-correction run.yaml` with")
 
 
 def test_one_kind_in_two_channels_is_two_findings():

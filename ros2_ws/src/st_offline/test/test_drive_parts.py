@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 from st_core.log import DriveLog
-from st_offline.evaluation.drive_parts import assign_horizons, drive_parts
+from st_offline.evaluation.drive_parts import assign_horizons, segment_drive
 from st_recordings.runs import Label
 
 
@@ -26,7 +26,7 @@ def drive(*parts: tuple[float, float, float]) -> DriveLog:
 
 
 def names(log: DriveLog) -> list[str]:
-    return [part.name for part in drive_parts(log)]
+    return [part.name for part in segment_drive(log)]
 
 
 def test_turns_are_named_by_side_and_size():
@@ -50,7 +50,7 @@ def test_wide_curve_is_no_straight():
 
 def test_parts_follow_each_other_and_their_turns_add_up():
     log = drive((5, 6, 0), (6, 6, 90), (4, 8, 0), (6, 8, -100), (6, 4, 0))
-    parts = drive_parts(log)
+    parts = segment_drive(log)
     assert parts[0].start == 0.0 and parts[-1].end == pytest.approx(log.duration, abs=0.1)
     assert all(a.end == b.start for a, b in itertools.pairwise(parts))
     assert sum(p.heading_change for p in parts) == pytest.approx(log.yaw[-1] - log.yaw[0], abs=1e-6)
@@ -63,13 +63,13 @@ def test_a_flicker_makes_no_part():
 
 def test_labels_win():
     log = drive((5, 6, 0), (6, 6, 90), (5, 6, 0))
-    found = drive_parts(log, [Label("S1", 1.0, 3.0), Label("S2", 5.0, 11.0)])
+    found = segment_drive(log, [Label("S1", 1.0, 3.0), Label("S2", 5.0, 11.0)])
     assert [(p.name, p.start, p.end) for p in found] == [("S1", 1.0, 3.0), ("S2", 5.0, 11.0)]
     assert np.degrees(found[1].heading_change) == pytest.approx(90.0, abs=1.0)
 
 
 def test_each_horizon_belongs_to_at_most_one_part():
-    parts = drive_parts(drive((5, 6, 0), (6, 6, 90), (5, 6, 0)))
+    parts = segment_drive(drive((5, 6, 0), (6, 6, 90), (5, 6, 0)))
     rows = [np.arange(300)[row] for row in assign_horizons(parts, np.linspace(0.0, 15.9, 300))]
     assert len(set(np.concatenate(rows))) == sum(map(len, rows)) and [len(r) > 50 for r in rows] == [True, True, True]
 
@@ -77,4 +77,4 @@ def test_each_horizon_belongs_to_at_most_one_part():
 def test_nothing_measured_has_no_parts():
     empty = np.empty(0)
     none = np.empty(0, np.int64)
-    assert drive_parts(DriveLog("none", none, empty, empty, empty, empty, empty, empty, none, empty)) == []
+    assert segment_drive(DriveLog("none", none, empty, empty, empty, empty, empty, empty, none, empty)) == []

@@ -8,8 +8,8 @@ import pytest
 from rich.console import Console
 from st_core.log_evaluation import MODES, ModelErrors
 from st_offline.evaluation import tables
-from st_offline.evaluation.evaluation_report import pooled_bins
-from st_offline.evaluation.work import RunReport, slug
+from st_offline.evaluation.evaluation_report import pool_bins
+from st_offline.evaluation.work import RunReport, to_file_name
 
 
 def errors(mean: np.ndarray, seed: int = 0) -> ModelErrors:
@@ -67,7 +67,7 @@ def test_bold_goes_by_printed_magnitude_and_may_be_shared():
 
 @pytest.mark.parametrize(("value", "text"), [(-0.004, "0.00"), (-0.006, "-0.01"), (None, "-"), (12.346, "12.35")])
 def test_numbers_to_the_centimetre(value, text):
-    assert tables.in_metres(value) == text
+    assert tables.format_metres(value) == text
 
 
 def test_terminal_shows_every_run_and_escapes_names():
@@ -90,12 +90,12 @@ def test_csv_has_one_row_per_run_model_and_mode(tmp_path):
 
 def test_entry_counts_and_takes_only_what_is_selected():
     mean = np.array([[1.0, -2.0, 0.1], [3.0, 0.0, 0.1], [np.nan] * 3, [100.0, 0.0, 0.0]])
-    found = tables.entry(errors(mean), np.array([True, True, True, False]))
+    found = tables.summarise_errors(errors(mean), np.array([True, True, True, False]))
     assert (found["n_starts"], found["n_incomplete"]) == (2, 1)
     assert found["longitudinal"] == pytest.approx({"mean": 2.0, "max": 3.0, "rmse": np.sqrt(5.0)})
     assert found["samples"]["longitudinal"]["mean"] == pytest.approx(2.0)
     assert found["samples"]["longitudinal"]["rmse"] > found["longitudinal"]["rmse"]
-    nothing = tables.entry(errors(mean), np.zeros(4, bool))
+    nothing = tables.summarise_errors(errors(mean), np.zeros(4, bool))
     assert nothing["n_starts"] == 0 and nothing["lateral"] == {"mean": None, "max": None, "rmse": None}
 
 
@@ -103,10 +103,10 @@ def test_pooled_runs_are_as_one_run():
     rng = np.random.default_rng(3)
     whole = errors(rng.normal(0.2, 1.0, (90, 3)))
     parts = [np.arange(90) < 20, (np.arange(90) >= 20) & (np.arange(90) < 75), np.arange(90) >= 75]
-    documents = [{"linear": dict.fromkeys(MODES, tables.entry(whole, part))} for part in parts]
-    empty = {"linear": dict.fromkeys(MODES, tables.entry(whole, np.zeros(90, bool)))}
-    joined = tables.pooled([*documents, empty])["linear"]["forecast"]
-    expected = tables.entry(whole)
+    documents = [{"linear": dict.fromkeys(MODES, tables.summarise_errors(whole, part))} for part in parts]
+    empty = {"linear": dict.fromkeys(MODES, tables.summarise_errors(whole, np.zeros(90, bool)))}
+    joined = tables.pool_models([*documents, empty])["linear"]["forecast"]
+    expected = tables.summarise_errors(whole)
     assert joined["n_starts"] == 90
     for axis in ("longitudinal", "lateral", "yaw"):
         assert joined[axis] == pytest.approx(expected[axis])
@@ -120,10 +120,10 @@ def test_pooled_bins_come_in_their_own_order():
     first = RunReport("a", bins=[one("speed", "6 to 9", 6.0), one("direction", "right", None)])
     second = RunReport("b", bins=[one("speed", "3 to 6", 3.0), one("speed", "6 to 9", 6.0),
                                   one("direction", "left", 0.1), one("direction", "straight", -0.1)])
-    found = [(e["label"], e["count"]) for e in pooled_bins([first, second])]
+    found = [(e["label"], e["count"]) for e in pool_bins([first, second])]
     assert found == [("3 to 6", 1), ("6 to 9", 2), ("left", 1), ("straight", 1), ("right", 1)]
 
 
 @pytest.mark.parametrize(("name", "file"), [("S6", "S6"), ("a/b c", "a_b_c"), ("../x", "_x"), ("", "run")])
 def test_names_become_safe_file_names(name, file):
-    assert slug(name) == file
+    assert to_file_name(name) == file

@@ -126,7 +126,7 @@ def test_what_is_written_says_what_it_is(tmp_path, registry):
     lines = text_of(said)
     assert "without the relation, 0.500 m with it; noise floor 0.060 m" in lines
     assert "do not separate it from: side force on the body as a function of the speed (0.90)" in lines
-    assert "mass is named above, but is redundant with this relation (without it 0.4% of" in lines
+    assert "mass is named above, but is redundant with this relation (without it, 0.4% of" in lines
     assert "1 of 1 runs" in lines
     assert "widest interval at -6 m/s²: " in lines and "± 1.1 ° (95 %)" in lines
     assert "y = 2 u (linear; keeps 97% of" in lines and "textbook causes: a cause. These" in lines
@@ -182,7 +182,7 @@ def test_the_error_of_every_run_and_both_sizes_of_a_value_are_tabled():
 
 def test_the_files_are_named_with_the_options_that_take_them():
     lines = text_of(RelationSearch(proposal("rear_steer", "acceleration_y", -1.0), "", {}))
-    assert "--model out/proposed.yaml --effects out/effects of st evaluate" in lines
+    assert "st export --model out/proposed.yaml --effects out/effects;" in lines
     assert "st effects check out/effects/proposed_rear_steer.py" in lines
 
 
@@ -198,7 +198,7 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
     text = "\n".join(next_drive_sentences(one))
     assert "from side force on the body as a function of the speed: brake_in_turn, 3 times" in text
     assert "separation is then 6.0 times as large" in text
-    assert "for a narrower interval: brake_in_turn, 3 times" in text and "The widest 95 % interval then falls" in text
+    assert "for a narrower interval: brake_in_turn, 3 times" in text and "The widest 95 % interval shrinks" in text
     assert "from ± 0.02 to ± 0.0098 rad/s²" in text
     content = relation_document(RelationSearch(one, "", {}))["proposal"]["next_drives"]
     assert content["most_separating"] == {"manoeuvre": "brake_in_turn", "from": rival}

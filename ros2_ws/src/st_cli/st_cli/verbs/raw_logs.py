@@ -25,7 +25,7 @@ def align(
     """
     from rich.console import Console
     from st_offline.alignment_figure import alignment_figure
-    from st_offline.terminal import line
+    from st_offline.terminal import print_line
     from st_recordings.paths import new_folder
     from st_recordings.runs.raw import read_pair, summarise_alignment
 
@@ -36,18 +36,18 @@ def align(
             pair = read_pair(files, settings)
         folder = new_folder(output, f"align-{pair.name}")
     for warning in pair.warnings:
-        line(f"[yellow]{warning}[/yellow]", console)
+        print_line(f"[yellow]{warning}[/yellow]", console)
     if read_options.car is None and read_options.dbc is None:
         shared.report_default_car("align", pair.dbc)
     alignment = pair.alignment
     report(pair, console)
     about = {**summarise_alignment(alignment), "ins_can_latency": pair.latency}
     (folder / "alignment.json").write_text(json.dumps(about, indent=2, allow_nan=False) + "\n")
-    line(f"  {folder / 'alignment.json'}", console)
+    print_line(f"  {folder / 'alignment.json'}", console)
     if pair.shared and alignment.offset_ns:
         title = f"{pair.name}: {describe_alignment(alignment, pair.can.start_ns, pair.ins.absolute)}"
         alignment_figure(pair.shared, alignment, title, folder / "alignment.png")
-        line(f"  {folder / 'alignment.png'}  [dim]both signals, aligned[/dim]", console)
+        print_line(f"  {folder / 'alignment.png'}  [dim]both signals, aligned[/dim]", console)
     raise typer.Exit(1 if alignment.verdict == "refused" else 0)
 
 
@@ -64,7 +64,7 @@ def describe_alignment(alignment, start_ns: int, absolute: bool) -> str:
 def report(pair, console) -> None:
     """Print the result: verdict, offset, drift, their deviations, and the signals."""
     from rich.table import Table
-    from st_offline.terminal import line
+    from st_offline.terminal import print_line
 
     alignment = pair.alignment
     style = VERDICT_STYLE[alignment.verdict]
@@ -91,7 +91,7 @@ def report(pair, console) -> None:
             table.add_row("common time", f"{alignment.overlap:.1f} s", "")
         console.print(table)
     for reason in alignment.reasons:
-        line(f"  [{style}]·[/{style}] {reason}", console)
+        print_line(f"  [{style}]·[/{style}] {reason}", console)
     if alignment.signals:
         table = Table(box=None, padding=(0, 2))
         table.add_column("signal")
@@ -160,7 +160,7 @@ def _import_one(source, parameters, folder: Path, settings, force: bool, console
     from st_offline.alignment_figure import alignment_figure
     from st_offline.checking.check_report import print_findings
     from st_offline.checking.gate import make_run_check
-    from st_offline.terminal import line
+    from st_offline.terminal import print_line
     from st_recordings.runs.write import import_run
 
     began = time.perf_counter()
@@ -172,17 +172,17 @@ def _import_one(source, parameters, folder: Path, settings, force: bool, console
                                                         completed=share))
     seconds = time.perf_counter() - began
     for warning in done.warnings:
-        line(f"[yellow]{warning}[/yellow]", console)
+        print_line(f"[yellow]{warning}[/yellow]", console)
     print_findings({source.name: done.findings}, console)
     alignment = done.run.alignment
     text = describe_alignment(alignment, done.run.can.start_ns, absolute=True)
     if done.run.shared:
         alignment_figure(done.run.shared, alignment, f"{source.name}: {text}", folder / "alignment.png")
     style = VERDICT_STYLE[alignment.verdict]
-    line(f"[bold]{source.name}[/bold]  [{style}]{text}[/{style}]", console)
-    line("  " + ", ".join(f"{topic} {count}" for topic, count in done.counts.items()), console)
-    line(f"  {folder}  [dim]{done.span:.0f} s of driving in {seconds:.1f} s, {done.span / seconds:.0f} times real "
-         "time[/dim]", console)
+    print_line(f"[bold]{source.name}[/bold]  [{style}]{text}[/{style}]", console)
+    print_line("  " + ", ".join(f"{topic} {count}" for topic, count in done.counts.items()), console)
+    print_line(f"  {folder}  [dim]{done.span:.0f} s of driving in {seconds:.1f} s, {done.span / seconds:.0f} times "
+               "real time[/dim]", console)
 
 
 def ncom(

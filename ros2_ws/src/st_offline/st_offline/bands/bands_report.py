@@ -16,7 +16,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 from st_core.vehicle import VehicleParameters
 
 from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
-from ..terminal import line, rows_table
+from ..terminal import print_line, rows_table
 from .scoring import Sums, pooled_sums, summarise_adaptive, summarise_bands, top_level
 
 MODE_TITLES = {"hindsight": "model (measured inputs)", "forecast": "forecast (inputs held)"}
@@ -117,8 +117,8 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
             reported = [{column: row[column] for column in ("model", "inputs", *columns)} for row in rows]
             console.print(rows_table(reported, title=title, width=min(console.width, 120)), highlight=False)
         if known := content["known_recordings"]:
-            line(f"[yellow]{len(known)} of the files were used for calibration: not a test of the bands[/yellow]",
-                 console)
+            print_line(f"[yellow]{len(known)} of the files were used for calibration: not a test of the bands[/yellow]",
+                       console)
     elif not adaptive:
         console.print(NO_BANDS, highlight=False, soft_wrap=True)
     if adaptive:

@@ -1,4 +1,4 @@
-"""`st calibrate`: reads runs, collects the errors of their predictions, calibrates bands and writes their file."""
+"""The command `st calibrate`: calibrates bands from the prediction errors of runs, and writes them into a file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,13 +29,13 @@ from st_recordings.runs import LoadedRun, RunError, RunSource, find_runs, read
 
 from ..checking.gate import check_for_use
 from ..evaluation.work import Task, load_models, model_hashes
-from ..terminal import line
+from ..terminal import print_line
 
 
 @dataclass(frozen=True)
 class Job:
-    """task: car, models and settings, as for an evaluation. levels: probabilities. together: the recordings in one
-    entry of `runs` are similar and count as one run."""
+    """Options of `st calibrate`. task: car, models and settings of the predictions. levels: probabilities. together:
+    whether the similar recordings of one entry of `runs` count as one run."""
 
     runs: Sequence[Path]
     task: Task
@@ -45,14 +45,16 @@ class Job:
 
 
 def run_command(job: Job, console: Console) -> int:
-    """Exit status: 0 if every run was used, 1 if some could not be. Raises StCoreError and OutputError, one line, if no
-    bands can be calibrated."""
+    """Run the command; returns the exit status: 0 if every run was used, else 1.
+
+    Raises StCoreError or OutputError if no bands can be calibrated or written.
+    """
     if job.output.exists():
         raise OutputError(f"{job.output} exists: name another --output (existing files are not overwritten)")
     models = load_models(job.task)
     recordings: dict[str, str] = {}
     problems: list[str] = []
-    groups = [collect(find_runs(paths), job.task, models, recordings, problems, console)
+    groups = [collect_errors(find_runs(paths), job.task, models, recordings, problems, console)
               for paths in ([[path] for path in job.runs] if job.together else [job.runs])]
     samples = [join_runs(group) for group in groups if group] if job.together else groups[0]
     bands = make_bands(samples, job.task, models, recordings, job.levels, console)
@@ -62,33 +64,33 @@ def run_command(job: Job, console: Console) -> int:
     except OSError as error:
         raise OutputError(f"{job.output}: cannot be written: {error.strerror}") from None
     starts = sum(len(one.conditions) for one in samples)
-    line(f"{escape(str(job.output))}: bands of {', '.join(bands.models)} from {len(samples)} runs, {starts} starts; "
-         f"{len(samples)} runs support at most {highest_level(len(samples)):.1%}", console)
+    print_line(f"{escape(str(job.output))}: bands of {', '.join(bands.models)} from {len(samples)} runs, {starts} "
+               f"starts; {len(samples)} runs support at most {highest_level(len(samples)):.1%}", console)
     return 1 if problems else 0
 
 
-def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], recordings: dict[str, str],
-            problems: list[str], console: Console) -> list[ErrorSamples]:
-    """Samples of each run. A run that cannot be used is reported and left out.
+def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Model], recordings: dict[str, str],
+                   problems: list[str], console: Console) -> list[ErrorSamples]:
+    """Prediction errors of each run. A run that cannot be used is printed, added to `problems` and left out.
 
-    Adds to `recordings`, sha256 by file, and to `problems`.
+    The files of the used runs are added to `recordings` (sha256 by name).
     """
     samples: list[ErrorSamples] = []
     for source in sources:
         try:
             with console.status(escape(source.name)):
                 run = read(source, task.vehicle, task.read)
-                before = {digest: name for name, digest in recordings.items()}
+                used = {digest: name for name, digest in recordings.items()}
                 for digest in run.provenance["files"].values():
-                    if digest in before:  # a copy is not an independent sample
-                        raise RunError(source.where, f"has the same content as {before[digest]}",
-                                       "give every recording once")
+                    if digest in used:  # a copy is not an independent sample
+                        raise RunError(source.where, f"has the same content as {used[digest]}",
+                                       "give each recording once")
                 _refuse_other_car(source, run, task.vehicle)
                 check_for_use(source.where, run, task.vehicle, task.force, models, task.settings.prediction.step)
                 samples.append(error_samples(models, task.vehicle, task.settings.signals(run.log), task.settings))
         except (RunError, StCoreError) as error:
             problems.append(f"{source.name}: {' '.join(str(error).split())}")
-            line(f"[red]{escape(problems[-1])}[/red]", console)
+            print_line(f"[red]{escape(problems[-1])}[/red]", console)
             continue
         recordings.update({Path(file).name: digest for file, digest in run.provenance["files"].items()})
     return samples
@@ -96,24 +98,24 @@ def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], r
 
 def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Model], recordings: dict[str, str],
                levels: Sequence[float] = LEVELS, console: Console | None = None) -> Bands:
-    """Calibrated bands of all models. Raises StCoreError, one line, for too few runs."""
+    """Calibrate the bands of all models. Raises StCoreError for too few runs."""
     check_levels(levels, len(samples))
     settings = task.settings.as_dict()
     time = times(task.settings.prediction.horizon, task.settings.prediction.step)
-    found: dict[tuple[str, str], Band] = {}
+    calibrated: dict[tuple[str, str], Band] = {}
     for model in models:
         for mode in MODES:
             if console is not None:
                 console.print(f"[dim]{escape(model.name)}, {mode}[/dim]", highlight=False)
-            found[model.name, mode] = calibrate(samples, (model.name, mode), time, levels)
+            calibrated[model.name, mode] = calibrate(samples, (model.name, mode), time, levels)
     hashes = {name: configuration_of(task.vehicle, settings, digest)
               for name, digest in model_hashes(task, models).items()}
     return Bands(task.vehicle.name, task.vehicle.hash, settings, recordings, len(samples),
-                 CalibrationDomain.of([one.conditions for one in samples]), found, hashes)
+                 CalibrationDomain.of([one.conditions for one in samples]), calibrated, hashes)
 
 
 def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:
-    """Raises RunError if the recording is of a car with another name; values may have been updated since."""
+    """Raise RunError if the recording is of a car with another name; its values may have been updated since."""
     text = recorded_configuration(run.provenance.get("recorded", {})).vehicle
     if text is None:
         return

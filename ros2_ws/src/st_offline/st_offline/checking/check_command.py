@@ -1,4 +1,4 @@
-"""`st check`: read runs, check them, print and write the findings."""
+"""The command `st check`: checks runs, prints and writes the findings."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,25 +16,27 @@ from st_recordings.runs.bag import read_metadata_records
 from st_recordings.runs.errors import join_problems
 from st_recordings.runs.raw import summarise_alignment
 
-from ..terminal import line, list_files, progress_bars, report_problem
+from ..terminal import list_files, print_line, progress_bars, report_problem
 from .check_page import write_page
 from .check_report import CheckedRun, document, print_runs
 from .gate import RUN_ERRORS, check_log, describe_problem
 from .run_corrections import check_file_name, run_yaml
 
-MODELS = ("linear", "nonlinear")
+MODELS = ("linear", "nonlinear")  # checked for stable integration
 
 
 @dataclass(frozen=True)
 class Job:
-    """Arguments of the verb. vehicle: read from vehicle_file; given: whether the user named that file. output: None for
-    runs/check-<time>. json: file in place of check.json in the folder. correction_file: run.yaml to write.
+    """Options of `st check`.
+
+    vehicle: read from vehicle_file; vehicle_is_given: whether the user named that file. output: folder, None for
+    runs/check-<time>. json: replaces check.json in that folder. correction_file: run.yaml to write.
     """
 
     paths: Sequence[Path]
     vehicle: VehicleParameters
     vehicle_file: str
-    given: bool
+    vehicle_is_given: bool
     read: ReadSettings
     output: Path | None = None
     json: Path | None = None
@@ -42,9 +44,9 @@ class Job:
 
 
 def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None] | None = None) -> int:
-    """Exit status: 1 if a run has an error or could not be read, else 0. Raises ConfigurationError, OutputError.
+    """Run the command; returns the exit status: 1 if a run has an error or could not be read, else 0.
 
-    Raises ConfigurationError, OutputError. report_vehicle: called with each vehicle file in use, if none was given.
+    report_vehicle: called with each vehicle file in use, if none was given. Raises ConfigurationError, OutputError.
     """
     sources = find_runs(job.paths)
     if job.correction_file is not None:
@@ -68,20 +70,20 @@ def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None
     for name, problem in failed.items():
         report_problem(name, problem, console)
     for number, quantity in enumerate(compare_runs([run.checked for run in good])):
-        line(f"{'' if number else '[bold]all runs together[/bold]' + chr(10)}  {escape(quantity.text)}", console)
-    if report_vehicle and not job.given:
+        print_line(f"{'' if number else '[bold]all runs together[/bold]' + chr(10)}  {escape(quantity.text)}", console)
+    if report_vehicle and not job.vehicle_is_given:
         for file in sorted({run.vehicle_from for run in good}):
             report_vehicle(file)
     target = job.correction_file
     texts = {} if target is None else {target: run_yaml(sources[0], good[0].checked.findings, target, job.read)}
-    list_files(write(good, failed, folder, job.json, texts, console), console)
+    list_files(write_results(good, failed, folder, job.json, texts, console), console)
     return int(bool(failed) or any(run.checked.of(Severity.ERROR) for run in good))
 
 
 def check_run(source: RunSource, job: Job) -> CheckedRun:
-    """Read and check one run. Raises one of gate.RUN_ERRORS for files that cannot be read."""
+    """Read and check one run. Raises one of gate.RUN_ERRORS for a run that cannot be read."""
     car, car_from = job.vehicle, job.vehicle_file
-    if source.kind == "bag" and not job.given:
+    if source.kind == "bag" and not job.vehicle_is_given:
         car, _, car_from = find_configuration(read_metadata_records(source.where), None)
     run = read(source, car, job.read)
     checked = check_log(run.log, car, run.auxiliary, MODELS)
@@ -89,9 +91,9 @@ def check_run(source: RunSource, job: Job) -> CheckedRun:
                       summarise_alignment(run.alignment), source.arguments)
 
 
-def write(good: Sequence[CheckedRun], failed: Mapping[str, str], folder: Path, json: Path | None,
-          texts: Mapping[Path, str], console: Console) -> dict[Path, str]:
-    """Write all files; returns their descriptions by file. texts: text of a run.yaml by its file."""
+def write_results(good: Sequence[CheckedRun], failed: Mapping[str, str], folder: Path, json: Path | None,
+                  texts: Mapping[Path, str], console: Console) -> dict[Path, str]:
+    """Write all files; returns their descriptions by path. texts: contents of further files by path."""
     content = document(good, failed)
     page, numbers = folder / "report.html", json or folder / "check.json"
     with console.status("drawing, writing the page"):

@@ -1,4 +1,4 @@
-"""The page of `st check`: findings, corrections, and a figure of each comparison."""
+"""Writes the page of `st check`: findings, corrections, and a figure of each comparison."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -23,20 +23,20 @@ from ..evaluation.drawing import (
     style,
 )
 from ..evaluation.evaluation_report import MAX_FIGURES
-from ..evaluation.work import slug
+from ..evaluation.work import to_file_name
 from ..pages import template
 from . import check_report
 from .check_report import CheckedRun, residual_rms
 
 HEIGHT = 3.1  # inch
 MAX_LINE_GAP = 1.5  # s; a line is interrupted at longer gaps
-MIN_SHADE_WIDTH = 0.004  # fraction of the width of the figure, so that short stretches are visible
+MIN_SHADE_WIDTH = 0.004  # fraction of the width of the figure; narrower shading would be invisible
 SHADE = {Severity.ERROR: BAD, Severity.WARNING: WARN, Severity.NOTE: MEASURED_COLOUR}
 DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
 
 def draw_panel(pair: Comparison, checked: Checked, output: FigureOutput) -> PageFigure:
-    """Figure of one comparison, with the stretches of its findings shaded."""
+    """Draw one comparison, with the stretches of its findings shaded."""
     findings = sorted((finding for finding in checked.findings if finding.name in pair.findings),
                       key=check_report.severity_rank)
     with style():
@@ -69,7 +69,7 @@ def draw_panel(pair: Comparison, checked: Checked, output: FigureOutput) -> Page
 
 
 def page_title(good: Sequence[CheckedRun]) -> str:
-    """Verdict on all runs in one sentence."""
+    """Title of the page: the verdict on all runs."""
     if len(good) == 1:
         return f"{good[0].name}: {check_report.headline(good[0].checked)}"
     affected = {severity: [run.name for run in good if run.checked.of(severity)]
@@ -83,7 +83,7 @@ def page_title(good: Sequence[CheckedRun]) -> str:
 
 
 def page_summary(good: Sequence[CheckedRun]) -> list[str]:
-    """Meaning of the findings, recommendation, clocks: at most three sentences."""
+    """At most three sentences: meaning of the findings, recommendation, clocks."""
     findings = [finding for run in good for finding in run.checked.findings]
     worst = min(findings, key=check_report.severity_rank, default=None)
     clocks = check_report.describe_clocks({run.name: run.alignment for run in good})
@@ -96,27 +96,27 @@ def page_summary(good: Sequence[CheckedRun]) -> list[str]:
     meaning = check_report.MEANING[worst.severity]
     sign = next(filter(None, (check_report.advise_steering_sign(
         run.checked.findings, run.where, run.alignment["method"] != "none") for run in good)), "")
-    correct = (f"Correct: `st check {good[0].where if len(good) == 1 else 'RUN'} --propose-correction run.yaml`, with "
-               "the other options of this check, writes the corrections into a run.yaml; use that instead of the "
-               "recording.")
-    exist = any(finding.advice is not None and finding.advice.kind == "run.yaml" for finding in findings
-                if finding.severity is not Severity.NOTE)
+    correct = (f"To correct the recording, run `st check {good[0].where if len(good) == 1 else 'RUN'} "
+               "--propose-correction run.yaml` with the other options of this check, and use the run.yaml that it "
+               "writes instead of the recording.")
+    is_correctable = any(finding.advice is not None and finding.advice.kind == "run.yaml" for finding in findings
+                         if finding.severity is not Severity.NOTE)
     sentences = (f"{meaning[0].upper()}{meaning[1:]}{size}{refused}.",
-                 f"{sign[0].upper()}{sign[1:]}." if sign else correct if exist else "", f"{clocks}." if clocks else "")
+                 f"{sign[0].upper()}{sign[1:]}." if sign else correct if is_correctable else "",
+                 f"{clocks}." if clocks else "")
     return [sentence for sentence in sentences if sentence]
 
 
 def write_page(file: Path, good: Sequence[CheckedRun], failed: Mapping[str, str], content: dict[str, Any]) -> None:
-    """content: of check.json."""
+    """Write the page. content: of check.json."""
     text = template("checking/check.html.jinja").render(
-        title=page_title(good), summary=page_summary(good), runs=good, content=content, figures=_figures(good),
-        problems=failed,
-        groups=check_report.group_by_name({run.name: run.checked.findings for run in good}))
+        title=page_title(good), summary=page_summary(good), runs=good, content=content, figures=_draw_figures(good),
+        problems=failed, groups=check_report.group_by_name({run.name: run.checked.findings for run in good}))
     file.write_text(text, encoding="utf-8")
 
 
-def _figures(runs: Sequence[CheckedRun]) -> list[PageFigure]:
-    """At most MAX_FIGURES comparisons, those with the worst findings first."""
+def _draw_figures(runs: Sequence[CheckedRun]) -> list[PageFigure]:
+    """Draw at most MAX_FIGURES comparisons, those with the most severe findings first."""
     ranked: list[tuple[int, float, int, CheckedRun, Comparison]] = []
     for run in runs:
         for comparison in run.checked.comparisons:
@@ -126,4 +126,4 @@ def _figures(runs: Sequence[CheckedRun]) -> list[PageFigure]:
             ranked.append((worst, -largest, len(ranked), run, comparison))
     return [replace(drawn, title=f"{run.name}: {drawn.title}" if len(runs) > 1 else drawn.title)
             for *_, run, comparison in sorted(ranked)[:MAX_FIGURES]
-            for drawn in [draw_panel(comparison, run.checked, FigureOutput(None, (), f"{slug(run.name)}-"))]]
+            for drawn in [draw_panel(comparison, run.checked, FigureOutput(None, (), f"{to_file_name(run.name)}-"))]]

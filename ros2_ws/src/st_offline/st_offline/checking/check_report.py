@@ -1,4 +1,4 @@
-"""Findings of the checks as text, on the terminal, and in check.json (docs/manual/checks.md)."""
+"""Formats the findings of the checks as text, on the terminal, and in check.json (docs/manual/checks.md)."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,17 +17,15 @@ from st_recordings.paths import json_ready
 from st_recordings.results import collect_versions
 from st_recordings.runs.raw import summarise_alignment
 
-from ..terminal import line
+from ..terminal import print_line
 
 MAX_ZONE_DEVIATION = 120.0  # s, from a multiple of half an hour, for an offset explained by time zones
-MAX_STRETCHES = 4
+MAX_STRETCHES = 4  # time intervals of a finding that are listed
 MAX_LISTED = 3  # findings in a headline
 MAX_RUNS = 8  # runs that are printed one by one; with more, each finding is printed once
 SEVERITY_ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
-MEANING = {
-    Severity.ERROR: "an evaluation would be meaningless", Severity.WARNING: "an evaluation would be biased",
-    Severity.NOTE: "negligible here",
-}
+MEANING = {Severity.ERROR: "an evaluation would be meaningless", Severity.WARNING: "an evaluation would be biased",
+           Severity.NOTE: "negligible here"}
 QUANTITY_UNITS = {**{f"{channel}_bias": unit for channel, unit in CHANNEL_UNITS.items()},
                   **dict.fromkeys(("yaw_offset", "heading_misaligned", "steering_offset"), "rad"),
                   **dict.fromkeys(("position_reference", "measuring_point"), "m")}
@@ -41,16 +39,16 @@ def severity_rank(finding: Finding) -> int:
 
 
 def count_by_severity(findings: Sequence[Finding]) -> str:
-    """"2 errors, 1 warning"; empty for none."""
+    """Number of findings of each severity, such as "2 errors, 1 warning"; empty without findings."""
     counts = ((kind.value, sum(finding.severity is kind for finding in findings)) for kind in SEVERITY_ORDER)
     return ", ".join(f"{count} {name}{'' if count == 1 else 's'}" for name, count in counts if count)
 
 
 def verdict(checked: Checked) -> str:
-    """One line on a run: number of findings by severity, and their meaning for an evaluation."""
+    """Number of findings of a run by severity, and their meaning for an evaluation, in one line."""
     if not checked.findings:
         count = len(checked.comparisons)
-        compared = f"in {count} comparison{'' if count == 1 else 's'}" if count else "but nothing to compare"
+        compared = f"in {count} comparison{'' if count == 1 else 's'}" if count else "but nothing could be compared"
         return f"nothing found, {compared}"
     worst = min(checked.findings, key=severity_rank).severity
     if worst is Severity.WARNING and all(finding.concerns_only_acceleration for finding in checked.of(worst)):
@@ -59,7 +57,7 @@ def verdict(checked: Checked) -> str:
 
 
 def headline(checked: Checked) -> str:
-    """Verdict with the texts of the most severe findings."""
+    """Number of findings of a run by severity, with the texts of the most severe ones."""
     if not checked.findings:
         return verdict(checked)
     worst = min(checked.findings, key=severity_rank).severity
@@ -73,7 +71,7 @@ def unit_symbol(text: str) -> str:
 
 
 def format_estimate(value: float | None, interval: Sequence[float] | None = None, unit: str = "1") -> str:
-    """An estimate with the significant digits of its interval, such as "57.30 ± 0.02 m"; empty for none."""
+    """An estimate rounded according to its interval, such as "57.30 ± 0.02 m"; empty without a value."""
     if value is None:
         return ""
     ending = f" {unit_symbol(unit)}" if unit_symbol(unit) else ""
@@ -87,7 +85,7 @@ def format_estimate(value: float | None, interval: Sequence[float] | None = None
 
 
 def format_quantity(name: str, value: Sequence[float]) -> str:
-    """An estimate (value, low, high) as text. name: of the finding for this quantity."""
+    """Text of an estimate (value, low, high). name: of the finding for this quantity."""
     kind = name.rpartition("_")[2]
     unit = QUANTITY_UNITS.get(name, "s" if kind == "lag" else "1")
     return format_estimate(value[0], value[1:], unit)
@@ -104,7 +102,7 @@ def describe_stretches(finding: Finding) -> str:
 
 
 def describe_effect(finding: Finding) -> str:
-    """Effect on the position after 5 s; empty if unknown."""
+    """Effect of a finding on predictions or fits; empty if unknown."""
     if finding.concerns_only_acceleration:
         return "no effect on predictions, but results of identify and discover are biased"
     if finding.effect is None:
@@ -113,35 +111,35 @@ def describe_effect(finding: Finding) -> str:
     return f"shifts the position after 5 s by about {size} m"
 
 
-def describe_correction(found: Advice | None) -> str:
-    """The correction and where to write it; empty if unknown."""
-    return f"{ADVICE_PLACE[found.kind]}{found.line}" if found else ""
+def describe_correction(advice: Advice | None) -> str:
+    """The correction and its place; empty without advice."""
+    return f"{ADVICE_PLACE[advice.kind]}{advice.line}" if advice else ""
 
 
 def advise_steering_sign(findings: Iterable[Finding], source: str = "RUN", can: bool | None = None) -> str:
-    """Advice for a steering angle of the opposite sign; empty where the sign is right.
+    """Advice for a steering angle with the opposite sign; empty if the sign is right.
 
-    can: whether the steering is in a CAN log rather than in a table; None where that is unknown.
+    can: whether the steering is in a CAN log (or in a table); None if unknown.
     """
     if not any(finding.name == "steering_sign" for finding in findings):
         return ""
     log = "add --steering-sign -1 (1 if car.yaml has -1), or change steering_sign in car.yaml"
     table = ("add --steering-field COLUMN --steering-sign -1, or write a run.yaml with "
              f"`st check {source} --propose-correction run.yaml` and use it instead")
-    what = {True: log, False: table, None: f"for logs of a CAN bus, {log}; for a table, {table}"}[can]
-    return f"the steering angle has the opposite sign (left is positive): {what}"
+    advice = {True: log, False: table, None: f"for logs of a CAN bus, {log}; for a table, {table}"}[can]
+    return f"the steering angle has the opposite sign (left is positive): {advice}"
 
 
 def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
-    """Sentence on the steering clocks of several runs; for more than two, the range of the estimated offsets."""
-    found = [alignment for alignment in alignments.values() if alignment["method"] not in ("none", "by hand")]
-    if len(found) <= 2:
+    """Sentence on the steering clocks of several runs; for more than two runs, with the range of the offsets."""
+    estimated = [alignment for alignment in alignments.values() if alignment["method"] not in ("none", "by hand")]
+    if len(estimated) <= 2:
         return "; ".join(f"{name}: {text}" for name, alignment in alignments.items()
                          if (text := describe_clock(alignment)))
-    offsets = sorted(alignment["offset_s"] for alignment in found)
-    deviation = max(alignment["offset_deviation_s"] or 0.0 for alignment in found)
-    doubtful = sum(alignment["verdict"] != "good" for alignment in found)
-    of_all = (f"INS minus steering clock of {len(found)} runs: {offsets[0]:+.3f} to {offsets[-1]:+.3f} s"
+    offsets = sorted(alignment["offset_s"] for alignment in estimated)
+    deviation = max(alignment["offset_deviation_s"] or 0.0 for alignment in estimated)
+    doubtful = sum(alignment["verdict"] != "good" for alignment in estimated)
+    of_all = (f"INS minus steering clock of {len(estimated)} runs: {offsets[0]:+.3f} to {offsets[-1]:+.3f} s"
               f"{_zone_note(offsets[0])}, found from the data, standard deviation up to {1e3 * deviation:.1f} ms, "
               f"{doubtful or 'none'} of them doubtful")
     by_hand = [f"{name}: {describe_clock(alignment)}" for name, alignment in alignments.items()
@@ -150,7 +148,7 @@ def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def describe_clock(alignment: Mapping[str, Any]) -> str:
-    """Sentence on the clock of the steering, from `summarise_alignment`; empty if there is only one clock."""
+    """Sentence on the steering clock of a run, from its `summarise_alignment`; empty if there is only one clock."""
     if alignment["method"] == "none":
         return ""
     origin = "set by hand" if alignment["method"] == "by hand" else (
@@ -160,7 +158,7 @@ def describe_clock(alignment: Mapping[str, Any]) -> str:
 
 
 def _zone_note(offset: float) -> str:
-    """Note for an offset [s] near a difference between time zones, else empty."""
+    """Note on an offset [s] that is close to a difference between time zones; empty for other offsets."""
     half_hours = round(offset / 1800.0)
     if not 0 < abs(half_hours) <= 28 or abs(offset - 1800.0 * half_hours) > MAX_ZONE_DEVIATION:
         return ""
@@ -169,8 +167,10 @@ def _zone_note(offset: float) -> str:
 
 @dataclass(frozen=True)
 class CheckedRun:
-    """One run of `st check`. vehicle_from: file or recording. warnings: of the reader, with the corrections applied.
-    alignment: from `summarise_alignment`. where: files, folder or run.yaml, as given by the user.
+    """One run of `st check`.
+
+    vehicle_from: file or recording. warnings: of the reader, including the corrections that it applied. files: sha256
+    by name. alignment: from `summarise_alignment`. where: files, folder or run.yaml, as given by the user.
     """
 
     name: str
@@ -185,12 +185,12 @@ class CheckedRun:
 
 
 def findings_as_json(findings: Sequence[Finding]) -> list[dict[str, Any]]:
-    """Findings as values for JSON."""
+    """Findings as JSON values."""
     return [json_ready(finding.as_dict()) for finding in findings]
 
 
 def findings_from_json(about: Mapping[str, Any]) -> list[Finding]:
-    """Findings of a run, read from a report (its key "findings")."""
+    """Findings under the key "findings" of the JSON values of a run."""
     return [_finding_from_json(entry) for entry in about.get("findings", ())]
 
 
@@ -204,7 +204,7 @@ def _finding_from_json(entry: Mapping[str, Any]) -> Finding:
 
 
 def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str, Any]:
-    """The content of check.json. failed: problem by run."""
+    """The content of check.json. failed: problem of each run that could not be read."""
     return {
         "schema": SCHEMA,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -227,7 +227,7 @@ def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str,
 
 
 def residual_rms(comparison: Comparison) -> float:
-    """Root mean square of measured minus derived, in the unit of the comparison; NaN without common samples."""
+    """Root mean square of measured minus derived values, in the unit of the comparison; NaN without common samples."""
     residual = np.asarray(comparison.measured) - np.asarray(comparison.derived)
     residual = residual[np.isfinite(residual)]
     return float(np.sqrt(np.square(residual).mean())) if len(residual) else float("nan")
@@ -237,65 +237,64 @@ SEVERITY_STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NO
 
 
 def print_run(run: CheckedRun, console: Console) -> None:
-    """Print the verdict, the clock, and each finding with its correction."""
+    """Print the verdict on a run, its clock, and each finding with its correction."""
     worst = min((finding.severity for finding in run.checked.findings), key=SEVERITY_ORDER.index, default=Severity.NOTE)
     colour = "green" if worst is Severity.NOTE else SEVERITY_STYLE[worst]
     if hint := advise_steering_sign(run.checked.findings, run.where, run.alignment["method"] != "none"):
-        line(f"[bold red]{escape(run.name)}: {escape(hint)}[/]", console)
-    line(f"[bold]{escape(run.name)}[/bold]: [{colour}]{escape(verdict(run.checked))}[/]  "
-         f"[dim]{run.duration:.0f} s, {escape(run.vehicle.name)} from {escape(run.vehicle_from)}[/dim]", console)
+        print_line(f"[bold red]{escape(run.name)}: {escape(hint)}[/]", console)
+    print_line(f"[bold]{escape(run.name)}[/bold]: [{colour}]{escape(verdict(run.checked))}[/]  "
+               f"[dim]{run.duration:.0f} s, {escape(run.vehicle.name)} from {escape(run.vehicle_from)}[/dim]", console)
     if text := describe_clock(run.alignment):
-        line(f"  {escape(text)}", console)
+        print_line(f"  {escape(text)}", console)
     for finding in run.checked.findings:
-        line(f"  [{SEVERITY_STYLE[finding.severity]}]{finding.severity.value}[/] [bold]{escape(finding.name)}[/bold]: "
-             f"{escape(finding.text)}", console)
+        print_line(f"  [{SEVERITY_STYLE[finding.severity]}]{finding.severity.value}[/] "
+                   f"[bold]{escape(finding.name)}[/bold]: {escape(finding.text)}", console)
         details = "; ".join(filter(None, (describe_stretches(finding), describe_effect(finding))))
-        line(f"    [dim]{escape(details)}[/dim]", console)
+        print_line(f"    [dim]{escape(details)}[/dim]", console)
         if finding.advice:
-            line(f"    {'correction, ' if ADVICE_PLACE[finding.advice.kind] else 'advice: '}"
-                 f"{escape(describe_correction(finding.advice))}", console)
+            print_line(f"    {'correction, ' if ADVICE_PLACE[finding.advice.kind] else 'advice: '}"
+                       f"{escape(describe_correction(finding.advice))}", console)
 
 
 def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
-    """Print the runs one by one; if many, each finding with the names of its runs, and the runs without findings."""
+    """Print the runs one by one; of more than MAX_RUNS, print each finding once, with the names of its runs."""
     if len(runs) <= MAX_RUNS:
         for run in runs:
             print_run(run, console)
         return
     if text := describe_clocks({run.name: run.alignment for run in runs}):
-        line(f"  {escape(text)}", console)
+        print_line(f"  {escape(text)}", console)
     print_findings({run.name: run.checked.findings for run in runs}, console, "report.html")
     clean = [run.name for run in runs if not run.checked.findings]
     names = f": {', '.join(clean)}" if clean else ""
-    line(f"[green]nothing found[/] in {len(clean)} of {len(runs)} runs{escape(names)}", console)
+    print_line(f"[green]nothing found[/] in {len(clean)} of {len(runs)} runs{escape(names)}", console)
     hints = {advise_steering_sign(run.checked.findings, can=run.alignment["method"] != "none") for run in runs}
     for hint in sorted(filter(None, hints)):
-        line(f"[bold red]{escape(hint)}[/]", console)
+        print_line(f"[bold red]{escape(hint)}[/]", console)
 
 
 def group_by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
-    """Findings grouped by name, channels and sign, most severe and largest first: (finding with the largest effect,
-    runs of the group).
+    """Group the findings of several runs: (finding with the largest effect, names of the runs), most severe first.
 
-    A lag and a lead, or an offset to the left and one to the right, are two findings: the text states the side.
+    A group has one name, one set of channels and one sign, because the text states the side.
     """
-    found: dict[tuple[str, tuple[str, ...], bool], list[tuple[Finding, str]]] = {}
+    by_key: dict[tuple[str, tuple[str, ...], bool], list[tuple[Finding, str]]] = {}
     for name, findings in runs.items():
         for finding in findings:
             key = finding.name, finding.channels, (finding.value or 0.0) < 0.0
-            found.setdefault(key, []).append((finding, name))
+            by_key.setdefault(key, []).append((finding, name))
 
     def order(finding: Finding) -> tuple[int, float]:
         unknown = math.inf if finding.severity is Severity.ERROR else 0.0
         return severity_rank(finding), -(unknown if finding.effect is None else finding.effect)
 
     groups = [(min((finding for finding, _ in group), key=order), [name for _, name in group])
-              for group in found.values()]
+              for group in by_key.values()]
     return sorted(groups, key=lambda group: order(group[0]))
 
 
 def print_findings(runs: Mapping[str, Sequence[Finding]], console: Console, details: str = "st check") -> None:
-    """Print each error and warning of the runs once, and the number of notes. details: command that lists all."""
+    """Print each error and warning once, and the number of notes. details: command or file that lists everything."""
     notes = 0
     for finding, names in group_by_name(runs):
         if finding.severity is Severity.NOTE:
@@ -304,8 +303,8 @@ def print_findings(runs: Mapping[str, Sequence[Finding]], console: Console, deta
         parts = [finding.text, describe_effect(finding), describe_correction(finding.advice)] if len(names) == 1 else [
             f"{finding.text} (largest of {len(names)})", describe_effect(finding), f"corrections: {details}"]
         severity = finding.severity
-        line(f"{escape(', '.join(dict.fromkeys(names)))}: [{SEVERITY_STYLE[severity]}]{severity.value}: "
-             f"{escape(' | '.join(filter(None, parts)))}[/]", console)
+        print_line(f"{escape(', '.join(dict.fromkeys(names)))}: [{SEVERITY_STYLE[severity]}]{severity.value}: "
+                   f"{escape(' | '.join(filter(None, parts)))}[/]", console)
     if notes:
-        line(f"[dim]{notes} note{'' if notes == 1 else 's'} of the checks, negligible here: {details} lists them[/dim]",
-             console)
+        print_line(f"[dim]{notes} negligible note{'' if notes == 1 else 's'} of the checks: {details} lists "
+                   f"{'it' if notes == 1 else 'them'}[/dim]", console)

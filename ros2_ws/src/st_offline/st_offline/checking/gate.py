@@ -25,7 +25,7 @@ ADVICE = "follow the advice of `st check`, or use it anyway with --force"
 
 
 class Refused(RunError):
-    """A recording with errors that make an evaluation meaningless. findings: all of the run."""
+    """A recording has errors that make an evaluation meaningless. findings: all findings of the run."""
 
     def __init__(self, where: Path | str, findings: Sequence[Finding]):
         self.findings = tuple(findings)
@@ -34,13 +34,13 @@ class Refused(RunError):
         sign = check_report.advise_steering_sign(findings, str(where))
         super().__init__(where, f"{sign}; {errors}" if sign else errors, ADVICE)
 
-    def __reduce__(self):  # errors are pickled by their arguments, for the parent process
+    def __reduce__(self):  # by default, exceptions are pickled with the arguments of their base class
         return Refused, (self.path, self.findings)
 
 
 def check_log(log: DriveLog, vehicle: VehicleParameters, auxiliary: AuxiliaryData | None,
               models: Sequence[str | Model] = (), step: float = STEP) -> Checked:
-    """All findings of a drive. models: checked for stable integration with `step` [s]; empty without predictions."""
+    """Check a drive. models: are also checked for stable integration with `step` [s]; empty without predictions."""
     checked = check(log, vehicle, auxiliary)
     too_long = step_too_long(models, vehicle, log, step) if models else None
     if too_long is None:
@@ -49,24 +49,24 @@ def check_log(log: DriveLog, vehicle: VehicleParameters, auxiliary: AuxiliaryDat
 
 
 def refuse_errors(where: Path | str, findings: Sequence[Finding], force: bool) -> None:
-    """Raises Refused for findings with an error, unless forced."""
+    """Raise Refused if a finding is an error, unless forced."""
     if not force and any(finding.severity is Severity.ERROR for finding in findings):
         raise Refused(where, findings)
 
 
 def make_run_check(where: Path | str, vehicle: VehicleParameters,
                    force: bool) -> Callable[[LoadedRun], tuple[Finding, ...]]:
-    """Function for `import_run`: returns the findings of a drive, or raises Refused."""
-    def findings_of(run: LoadedRun) -> tuple[Finding, ...]:
+    """Function for `import_run` that returns the findings of a drive, or raises Refused."""
+    def check_run(run: LoadedRun) -> tuple[Finding, ...]:
         findings = check_log(run.log, vehicle, run.auxiliary).findings
         refuse_errors(where, findings, force)
         return findings
 
-    return findings_of
+    return check_run
 
 
 def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings | None = None) -> list[Finding]:
-    """Findings of a bag to be played or compared, with the vehicle, models and step stored in it, if any.
+    """Check a bag with the vehicle, models and step that are stored in it, if any.
 
     Raises Refused, and RunError for a bag that cannot be read.
     """
@@ -84,14 +84,14 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
 
 def check_for_use(where: Path | str, run: LoadedRun, vehicle: VehicleParameters, force: bool,
                   models: Sequence[str | Model] = (), step: float = STEP) -> list[dict[str, Any]]:
-    """Findings of a drive as values for JSON. Raises Refused for a drive with errors, unless forced."""
+    """Check a drive; returns its findings as JSON values. Raises Refused for a drive with errors, unless forced."""
     findings = check_log(run.log, vehicle, run.auxiliary, models, step).findings
     refuse_errors(where, findings, force)
     return findings_as_json(findings)
 
 
 def describe_problem(error: Exception, source: RunSource) -> str:
-    """One line that describes one of RUN_ERRORS."""
+    """One line on an exception that is one of RUN_ERRORS."""
     if isinstance(error, MemoryError):
         return f"{source.where}: too large for the memory of this machine"
     if isinstance(error, OSError):

@@ -1,4 +1,4 @@
-"""Text of the run.yaml that `st check --propose-correction` writes."""
+"""Formats the run.yaml that `st check --propose-correction` writes."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -17,22 +17,23 @@ from st_recordings.runs.run_file import RUN_FILE, RUN_SUFFIX, TABLE_KEYS
 
 from . import check_report
 
-CSV_KEYS = {"columns", "units"}
+CSV_KEYS = {"columns", "units"}  # apply only to tables
 HEADER = "# Proposed by st check. Every command that reads it lists the corrections.\n"
 
 
 def check_file_name(file: Path) -> None:
-    """Raises OutputError for a file name that no command reads, and for an existing file."""
+    """Raise OutputError for a file name that no command reads, and for an existing file."""
     if file.name != RUN_FILE and not file.name.endswith(RUN_SUFFIX):
         raise OutputError(f"--propose-correction {file}: name it run.yaml or NAME.run.yaml; commands read only these")
     if file.exists():
-        raise OutputError(f"--propose-correction {file}: exists; choose another name (no file is overwritten)")
+        raise OutputError(f"--propose-correction {file}: exists; choose another name (existing files are not "
+                          "overwritten)")
 
 
 def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
-    """Text of a run.yaml: the run as it was read, and its corrections, each below its finding.
+    """Text of a run.yaml: comments with the findings, the run as it was read, and its corrections.
 
-    Corrections of notes, which are negligible, and other advice become comments. Paths are relative to `file`.
+    Other advice, and corrections of notes, which are negligible, are only comments. Paths are relative to `file`.
     """
     corrections: dict[str, Any] = {}
     lines = [HEADER]
@@ -42,7 +43,7 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
             continue
         applicable = finding.advice.kind == "run.yaml" and finding.severity is not Severity.NOTE
         readable = applicable and (source.kind in TABLE_KEYS or not CSV_KEYS & finding.advice.entry.keys())
-        if not (readable and merge(corrections, finding.advice.entry)):
+        if not (readable and merge_entry(corrections, finding.advice.entry)):
             reason = ("" if not applicable else
                       "not applied, a more severe finding has another value: " if readable else
                       "not applied, only a csv or vbo has columns and units: ")
@@ -50,7 +51,7 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
     if read.steering_sign != 1 or read.steering_latency:
         lines.append(f"# read with --steering-sign {read.steering_sign} --steering-latency "
                      f"{read.steering_latency:g}\n")
-    settings = with_corrections(_settings(source, file, read), corrections)
+    settings = append_corrections(_settings(source, file, read), corrections)
     parts = [_relative(path, file) for path in source.files]
     files = {READERS[source.kind].key: parts if source.kind in TABLE_KEYS and len(parts) > 1 else parts[0],
              **({"can": [_relative(path, file) for path in source.can]} if source.can else {})}
@@ -58,16 +59,16 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
     return "".join(lines) + yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)
 
 
-def merge(corrections: dict[str, Any], entry: Mapping[str, Any]) -> bool:
-    """Adds an entry in place, concatenating lists. Returns False, without a change, if it contradicts another entry."""
+def merge_entry(corrections: dict[str, Any], entry: Mapping[str, Any]) -> bool:
+    """Add an entry to `corrections` and return True; return False if it contradicts an earlier entry."""
     if not _is_consistent(corrections, entry):
         return False
     _merge_into(corrections, as_yaml_values(entry))
     return True
 
 
-def with_corrections(settings: Mapping[str, Any], corrections: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of a run.yaml with further corrections (2), applied after its own (1):
+def append_corrections(settings: Mapping[str, Any], corrections: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of a run.yaml with further corrections (2), which act after its own (1):
 
         scale = scale2 scale1,  add = scale2 add1 + add2,  earlier = earlier1 + earlier2,  ahead = ahead1 + ahead2
     """

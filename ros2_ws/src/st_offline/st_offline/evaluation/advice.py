@@ -1,4 +1,4 @@
-"""`st evaluate --advise`: processor time and accuracy of each model at three steps on the same runs."""
+"""Measures processor time and accuracy of each model at several integration steps, for `st evaluate --advise`."""
 
 import itertools
 import math
@@ -30,10 +30,11 @@ from st_recordings.runs import RunError, RunSource, read
 
 from ..evaluation.tables import write_csv
 from ..evaluation.work import Task, load_models
-from ..terminal import line, list_files, rows_table
+from ..terminal import list_files, print_line, rows_table
 
-REPETITIONS, ROUND_TIME = 5, 0.02  # measurements of each call; minimum processor time of a measurement [s]
-BATCH_STARTS = 960  # 20 groups of the compiled lanes
+REPETITIONS = 5  # measurements of each call
+MIN_MEASUREMENT_TIME = 0.02  # s, processor time
+MAX_BATCH = 960  # predictions; 20 groups of the compiled lanes
 
 Call = Callable[[], object]
 CallKey = tuple[str, float, str]
@@ -41,22 +42,25 @@ CallKey = tuple[str, float, str]
 
 @dataclass(frozen=True)
 class Cost:
-    """Processor time of one prediction [s]. floats: a single one, without numba. compiled: a single one, with numba;
-    None if the model cannot be compiled. batch: mean of one prediction in a batch of a whole drive."""
+    """Processor time per prediction [s].
+
+    floats: of a single prediction without numba. compiled: of a single prediction with numba, None if the model cannot
+    be compiled. batch: mean over a batch of at most MAX_BATCH predictions.
+    """
 
     floats: float
     compiled: float | None
     batch: float
 
 
-def costs(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
+def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
           settings: Mapping[float, EvaluationSettings]) -> dict[tuple[str, float], Cost]:
-    """By model and step [s], of this drive. settings: by step."""
+    """Cost by model and step [s], measured with the inputs of one drive. settings: by step."""
     calls: dict[tuple[str, float, str], tuple[Call, int]] = {}
     for step, one in settings.items():
         starts, _ = usable_starts(signals, vehicle, regular_starts(signals.log, one.interval),
                                   one.prediction.minimum_speed)
-        starts = starts[:BATCH_STARTS]
+        starts = starts[:MAX_BATCH]
         batch = LogBatch(signals, starts, one.prediction.horizon, step, inputs="held")
         middle = starts[len(starts) // 2:][:1]
         state = VehicleState(*signals.states_at(middle, vehicle)[0])
@@ -69,39 +73,39 @@ def costs(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSigna
             if model.name in compiled:
                 calls[model.name, step, "compiled"] = partial(compiled[model.name], state, held), 1
             calls[model.name, step, "batch"] = partial(batch.predict, model, vehicle), len(starts)
-    seconds = median_times(calls)
+    seconds = measure_median_times(calls)
     return {(model.name, step): Cost(seconds[model.name, step, "floats"], seconds.get((model.name, step, "compiled")),
                                      seconds[model.name, step, "batch"]) for model in models for step in settings}
 
 
-def median_times(calls: Mapping[CallKey, tuple[Call, int]]) -> dict[CallKey, float]:
-    """Median processor time [s] per prediction of each call; in every round all calls are measured."""
+def measure_median_times(calls: Mapping[CallKey, tuple[Call, int]]) -> dict[CallKey, float]:
+    """Median processor time [s] per prediction of each call. calls: (function, number of predictions) by key."""
     measured_times: dict[CallKey, list[float]] = {key: [] for key in calls}
     for call, _ in calls.values():
-        call()
-    for _ in range(REPETITIONS):
+        call()  # warm-up
+    for _ in range(REPETITIONS):  # rounds over all calls, so that a busy period does not affect only one of them
         for key, (call, predictions) in calls.items():
             count, begin = 0, time.process_time()
-            while not count or time.process_time() - begin < ROUND_TIME:
+            while not count or time.process_time() - begin < MIN_MEASUREMENT_TIME:
                 call()
                 count += 1
             measured_times[key].append((time.process_time() - begin) / (count * predictions))
     return {key: float(np.median(values)) for key, values in measured_times.items()}
 
 
-ACROSS = 1  # index of the axes along, across, yaw
-LEVELS = (0.9, 0.5)
+LATERAL = 1  # index in (longitudinal, lateral, yaw)
+BAND_LEVELS = (0.9, 0.5)
 WITHIN_SHARE = 0.9  # fraction of the starts that must be within the tolerance
-MIN_STARTS = 100  # in a speed bin: ten seconds of driving at 10 Hz
+MIN_STARTS = 100  # of a speed bin, ten seconds of driving at 10 Hz
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Accuracy of one model and step with measured inputs, by whole `second` ahead.
+    """Accuracy of one model and step with measured inputs, for each whole `second` ahead.
 
-    rms: of the lateral error [m]. level, width: level of the calibrated band and its mean lateral half-width [m]; None
-    with too few runs. within: by lower edge of the speed bin [m/s], the lateral error [m] that WITHIN_SHARE of the
-    starts do not exceed up to each second; all runs have the same weight.
+    rms: lateral error [m]. level, width: level and mean lateral half-width [m] of the calibrated band, None with too
+    few runs. within: lateral error [m] that WITHIN_SHARE of the starts do not exceed up to each second, by lower edge
+    of the speed bin [m/s]; all runs have the same weight.
     """
 
     second: tuple[int, ...]
@@ -112,28 +116,29 @@ class Accuracy:
 
 
 def model_accuracy(runs: Sequence[ErrorSamples], model: str, settings: EvaluationSettings) -> Accuracy:
-    """Accuracy from the errors of this model in at least one run. Raises StCoreError if no band can be fitted."""
+    """Accuracy of a model over one or more runs. Raises StCoreError if no band can be fitted."""
     pair = model, "hindsight"
     time = times(settings.prediction.horizon, settings.prediction.step)
     seconds = range(1, math.floor(time[-1] + 1e-9) + 1)
     at = [int(np.abs(time - second).argmin()) for second in seconds]
-    across = [np.abs(run.errors[pair][:, :, ACROSS].astype(float)) for run in runs]
-    rms = np.sqrt(np.mean([np.square(one[:, at]).mean(axis=0) for one in across], axis=0))
-    level = next((one for one in LEVELS if len(runs) >= MIN_RUNS and one <= highest_level(len(runs)) + 1e-9), None)
+    lateral = [np.abs(run.errors[pair][:, :, LATERAL].astype(float)) for run in runs]
+    rms = np.sqrt(np.mean([np.square(one[:, at]).mean(axis=0) for one in lateral], axis=0))
+    level = next((one for one in BAND_LEVELS if len(runs) >= MIN_RUNS and one <= highest_level(len(runs)) + 1e-9), None)
     width = None
     if level is not None:
-        # Mean of all starts, including those outside the calibration domain.
+        # The mean includes starts outside the calibration domain.
         band = calibrate(runs, pair, time, (level,))
-        width = tuple(np.mean([band.half_widths(run.conditions, level)[:, at, ACROSS].mean(axis=0) for run in runs],
+        width = tuple(np.mean([band.half_widths(run.conditions, level)[:, at, LATERAL].mean(axis=0) for run in runs],
                               axis=0).tolist())
-    highest = [np.maximum.accumulate(one, axis=1)[:, at] for one in across]
+    largest = [np.maximum.accumulate(one, axis=1)[:, at] for one in lateral]
     within = {}
     for low, high in zip(SPEED_EDGES, (*SPEED_EDGES[1:], math.inf), strict=True):
         speed = [run.conditions[:, CONDITIONS.index("speed")] for run in runs]
-        parts = [one[(v >= low) & (v < high)] for one, v in zip(highest, speed, strict=True)]
+        parts = [one[(v >= low) & (v < high)] for one, v in zip(largest, speed, strict=True)]
         if sum(map(len, parts)) >= MIN_STARTS:
-            spread = [np.quantile(part, np.linspace(0.0, 1.0, 201), axis=0) for part in parts if len(part)]
-            within[low] = tuple(np.quantile(np.concatenate(spread), WITHIN_SHARE, axis=0).tolist())
+            # The same number of quantiles represents each run, whatever its length.
+            quantiles = [np.quantile(part, np.linspace(0.0, 1.0, 201), axis=0) for part in parts if len(part)]
+            within[low] = tuple(np.quantile(np.concatenate(quantiles), WITHIN_SHARE, axis=0).tolist())
     return Accuracy(tuple(seconds), tuple(rms.tolist()), level, width, within)
 
 
@@ -141,13 +146,13 @@ Key = tuple[str, float]  # model, step [s]
 
 
 def processor_time(cost: Cost) -> float:
-    """Processor time of one prediction [s], compiled if possible."""
+    """Processor time of a single prediction [s], compiled if possible."""
     return cost.floats if cost.compiled is None else cost.compiled
 
 
-def cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
+def find_cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
              tolerance: float) -> dict[float, tuple[Key | None, ...]]:
-    """By lower edge of the speed bin [m/s]: for each second ahead the (model, step) with the least processor time whose
+    """For each speed bin (lower edge [m/s]) and second ahead, the (model, step) with the least processor time whose
     lateral error is within the tolerance [m] in WITHIN_SHARE of the starts; None if there is none."""
     order = sorted(accuracies, key=lambda key: processor_time(costs[key]))
     speeds = sorted({low for one in accuracies.values() for low in one.within})
@@ -157,12 +162,12 @@ def cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
             for low in speeds}
 
 
-MULTIPLES = (1, 2, 4)  # of the integration step of the task
+STEP_MULTIPLES = (1, 2, 4)  # of the integration step of the task
 
 
 @dataclass(frozen=True)
 class Advice:
-    """costs and accuracies by model and step [s]. unusable: reason for a missing accuracy."""
+    """Costs and accuracies by model and step [s]. unusable: reason why an accuracy is missing."""
 
     costs: Mapping[Key, Cost]
     accuracies: Mapping[Key, Accuracy]
@@ -170,25 +175,25 @@ class Advice:
 
 
 def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
-    """Print the tables and write advice.csv. Runs that cannot be used have been reported by the evaluation."""
+    """Print the tables and write advice.csv. Runs that cannot be used are skipped: the evaluation reported them."""
     with console.status("cost and accuracy of each model and step"):
-        advice = measure(sources, task)
-    found = rows(advice.costs, advice.accuracies)
-    console.print(table(found, "Cost, error and band of each model and step", caption(advice.accuracies)))
-    chosen = choice_rows(cheapest(advice.costs, advice.accuracies, tolerance))
-    console.print(table(chosen, choice_title(tolerance), ""))
-    for (model, step), why in advice.unusable.items():
-        line(f"[yellow]{escape(model)}, {step:g} s: {escape(why)}[/yellow]", console)
+        advice = measure_runs(sources, task)
+    rows = advice_rows(advice.costs, advice.accuracies)
+    console.print(make_table(rows, "Cost, error and band of each model and step", table_caption(advice.accuracies)))
+    chosen = choice_rows(find_cheapest(advice.costs, advice.accuracies, tolerance))
+    console.print(make_table(chosen, choice_title(tolerance), ""))
+    for (model, step), reason in advice.unusable.items():
+        print_line(f"[yellow]{escape(model)}, {step:g} s: {escape(reason)}[/yellow]", console)
     if task.folder is None:
         return
     file = task.folder / "advice.csv"
-    write_csv(file, iter(found))
+    write_csv(file, iter(rows))
     list_files({file: "cost, error and band of each model and step"}, console)
 
 
-def measure(sources: Sequence[RunSource], task: Task) -> Advice:
-    """Costs and accuracies from all usable runs. Raises ConfigurationError if there is none."""
-    settings = {one.prediction.step: one for one in steps(task.settings)}
+def measure_runs(sources: Sequence[RunSource], task: Task) -> Advice:
+    """Measure costs and accuracies on all usable runs. Raises ConfigurationError if there is none."""
+    settings = {one.prediction.step: one for one in vary_step(task.settings)}
     models = load_models(task)
     samples: dict[Key, list[ErrorSamples]] = {}
     unusable: dict[Key, str] = {}
@@ -217,7 +222,7 @@ def measure(sources: Sequence[RunSource], task: Task) -> Advice:
                         continue
         if longest is None:
             raise ConfigurationError("--advise: every run is shorter than the horizon; give longer ones")
-        cost = costs(models, task.vehicle, longest, settings)
+        cost = measure_costs(models, task.vehicle, longest, settings)
     accuracies = {}
     for (name, step), runs in samples.items():
         if not runs or (name, step) in unusable:
@@ -229,58 +234,58 @@ def measure(sources: Sequence[RunSource], task: Task) -> Advice:
     return Advice(cost, accuracies, unusable)
 
 
-def steps(settings: EvaluationSettings) -> list[EvaluationSettings]:
-    """Settings with MULTIPLES of the step, where a second and the horizon are whole numbers of steps."""
-    found = []
-    for multiple in MULTIPLES:
+def vary_step(settings: EvaluationSettings) -> list[EvaluationSettings]:
+    """Settings with STEP_MULTIPLES of the step; a longer step must divide one second and the horizon."""
+    variants = []
+    for multiple in STEP_MULTIPLES:
         step = round(multiple * settings.prediction.step, 9)
-        whole = all(math.isclose(span / step, round(span / step), abs_tol=1e-9)
-                    for span in (1.0, settings.prediction.horizon))
-        if multiple == 1 or whole:
-            found.append(replace(settings, prediction=replace(settings.prediction, step=step)))
-    return found
+        divides = all(math.isclose(span / step, round(span / step), abs_tol=1e-9)
+                      for span in (1.0, settings.prediction.horizon))
+        if multiple == 1 or divides:
+            variants.append(replace(settings, prediction=replace(settings.prediction, step=step)))
+    return variants
 
 
-def rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy]) -> list[dict[str, str]]:
-    """One row for each model and step; columns by their titles. Costs also as multiples of the lowest of the column."""
+def advice_rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy]) -> list[dict[str, str]]:
+    """One row for each model and step. Costs are also multiples of the lowest cost of the column."""
     least = {kind: min(v for v in (getattr(one, kind) for one in costs.values()) if v is not None)
              for kind in ("floats", "compiled", "batch") if any(getattr(one, kind) for one in costs.values())}
-    found = []
+    seconds = max((one.second for one in accuracies.values()), default=())
+    rows = []
     for (model, step), cost in costs.items():
         row = {"model": model, "step, s": f"{step:g}"}
         row |= {f"{kind}, µs (x)": f"{1e6 * spent:.3g} ({spent / least[kind]:.1f})"
                 if (spent := getattr(cost, kind)) is not None else "-" for kind in least}
-        one = accuracies.get((model, step))
-        seconds = one.second if one else max((w.second for w in accuracies.values()), default=())
-        for name, values in (("error", one and one.rms), ("band", one and one.width)):
+        accuracy = accuracies.get((model, step))
+        for name, values in (("error", accuracy and accuracy.rms), ("band", accuracy and accuracy.width)):
             row |= {f"{name} {second} s, m": "-" if not values else f"{values[k]:.2f}"
                     for k, second in enumerate(seconds)}
-        found.append(row)
-    return found
+        rows.append(row)
+    return rows
 
 
 def choice_rows(chosen: Mapping[float, tuple[Key | None, ...]]) -> list[dict[str, str]]:
     """One row for each speed, one column for each second ahead."""
-    high = {low: f"{low:g} to {above:g} m/s" for low, above in itertools.pairwise(SPEED_EDGES)}
-    return [{"speed": high.get(low, f"above {low:g} m/s")}
+    labels = {low: f"{low:g} to {high:g} m/s" for low, high in itertools.pairwise(SPEED_EDGES)}
+    return [{"speed": labels.get(low, f"above {low:g} m/s")}
             | {f"{k + 1} s": "none" if key is None else f"{key[0]}, {key[1]:g} s"
                                            for k, key in enumerate(keys)} for low, keys in chosen.items()]
 
 
-def table(found: Sequence[Mapping[str, str]], title: str, caption: str) -> Table:
-    return rows_table(found, title=title, title_justify="left", title_style="bold", caption=caption,
+def make_table(rows: Sequence[Mapping[str, str]], title: str, caption: str) -> Table:
+    return rows_table(rows, title=title, title_justify="left", title_style="bold", caption=caption,
                       caption_justify="left", padding=(0, 1))
 
 
-def caption(accuracies: Mapping[Key, Accuracy]) -> str:
+def table_caption(accuracies: Mapping[Key, Accuracy]) -> str:
     levels = {one.level for one in accuracies.values()}
     level = next(iter(levels), None)
     bands = "band: none, fewer than 3 runs" if level is None else (
         f"band: mean lateral half-width of the {level:.0%} band, whole path, calibrated on these runs")
-    return ("processor time of one prediction, in brackets as a multiple of the smallest; error: lateral RMS with "
+    return ("processor time per prediction, in brackets as a multiple of the lowest; error: lateral RMS error with "
             f"measured inputs; {bands}")
 
 
 def choice_title(tolerance: float) -> str:
-    return (f"Cheapest with a lateral error within {tolerance:g} m up to that second in {WITHIN_SHARE:.0%} of the "
-            "starts, measured inputs")
+    return (f"Cheapest model and step with a lateral error within {tolerance:g} m up to each second, in "
+            f"{WITHIN_SHARE:.0%} of the starts, with measured inputs")

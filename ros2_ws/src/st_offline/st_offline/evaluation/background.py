@@ -13,10 +13,10 @@ T = TypeVar("T")
 
 @contextmanager
 def in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
-    """Start `work`; the yielded function waits for its result, which must be picklable.
+    """Start `work` in a child process; the yielded function waits for its result, which must be picklable.
 
-    The work is done in this process in a Dask worker, which cannot have children, and if the child was killed for lack
-    of memory.
+    This process does the work itself if it is a Dask worker, which cannot have children, or if the child fails, for
+    example for lack of memory.
     """
     if multiprocessing.current_process().daemon:
         yield work

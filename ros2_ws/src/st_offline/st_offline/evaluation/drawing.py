@@ -25,21 +25,21 @@ _VARIABLES = {
     MEASURED_COLOUR: "var(--measured)",
     **{colour: f"var(--{model})" for model, colour in MODEL_COLOUR.items()},
 }
-SETTINGS = {
+RC_SETTINGS = {
     **RC, "text.color": TEXT, "axes.edgecolor": TEXT, "axes.labelcolor": TEXT, "xtick.color": TEXT, "ytick.color": TEXT,
     "grid.color": GRID, "svg.fonttype": "none", "svg.hashsalt": "st", "font.family": "sans-serif", "pdf.fonttype": 42,
 }
 FORMATS = ("png", "pdf", "svg")
 WIDTH = 9.0  # inch; the page shows it 1:1 at 96 dpi
-TITLE_LETTERS = 104  # per line of a title, at WIDTH
-TICK_ROOM = 0.09  # inch
+TITLE_CHARACTERS = 104  # per line of a title, at WIDTH
+HALF_TICK_LABEL = 0.09  # inch
 PAGE_DPI = 110  # of raster images inside an SVG
-MAX_POINTS = 900  # per line; more cannot be distinguished on 9 inches
+MAX_POINTS = 900  # per line; more cannot be distinguished at WIDTH
 
 
 @dataclass(frozen=True)
 class PageFigure:
-    """One figure: key for file names, title with the finding, caption, and the SVG for the page."""
+    """A figure of a page. key: for file names. title: states the finding."""
 
     key: str
     title: str
@@ -49,7 +49,7 @@ class PageFigure:
 
 @dataclass(frozen=True)
 class FigureOutput:
-    """Where figures go. folder: of the files, None for no files. prefix: of the ids on the page."""
+    """Destination of figures. folder: of the files, None for no files. prefix: of the ids on the page."""
 
     folder: Path | None
     formats: tuple[str, ...]
@@ -57,7 +57,7 @@ class FigureOutput:
 
 
 def check_formats(formats: Sequence[str]) -> None:
-    """Raises ConfigurationError for an unknown format."""
+    """Raise ConfigurationError for an unknown format."""
     unknown = [form for form in formats if form not in FORMATS]
     if unknown:
         raise ConfigurationError(f"--figures: {unknown[0]} is not one of {', '.join(FORMATS)}")
@@ -65,12 +65,12 @@ def check_formats(formats: Sequence[str]) -> None:
 
 def style():
     """Matplotlib settings of all figures, as a context manager."""
-    return plt.rc_context(SETTINGS)
+    return plt.rc_context(RC_SETTINGS)
 
 
 def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, caption: str) -> PageFigure:
-    """Save the figure and close it. Files carry the title; on the page it is a heading."""
-    lines = textwrap.wrap(title, round(TITLE_LETTERS * figure.get_figwidth() / WIDTH))
+    """Save the figure as files, which contain the title, and as SVG for the page, without it; close the figure."""
+    lines = textwrap.wrap(title, round(TITLE_CHARACTERS * figure.get_figwidth() / WIDTH))
     heading = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontweight="bold", fontsize=10)
     # The layout is computed once, because it takes longer than the drawing. The engine "none" would still run before
     # each file, and without an engine the style would set one again.
@@ -84,17 +84,17 @@ def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, capt
                                metadata={"CreationDate": None} if form == "pdf" else None)
         width, height = figure.get_size_inches()
         # Half a tick label extends above the highest axes.
-        below = heading.get_window_extent().y0 / figure.dpi + TICK_ROOM
+        top = heading.get_window_extent().y0 / figure.dpi + HALF_TICK_LABEL
         heading.set_visible(False)
         svg = io.StringIO()
         figure.savefig(svg, format="svg", transparent=True, metadata={"Date": None}, dpi=PAGE_DPI,
-                       bbox_inches=Bbox([[0.0, 0.0], [width, min(below, height)]]))
+                       bbox_inches=Bbox([[0.0, 0.0], [width, min(top, height)]]))
     plt.close(figure)
     return PageFigure(key, title, caption, page_svg(svg.getvalue(), f"{output.prefix}{key}-"))
 
 
 def page_svg(svg: str, prefix: str) -> str:
-    """The <svg> element for a page: colours as variables, fonts of the page, unique ids, a third of the size."""
+    """The <svg> element for a page, with CSS colour variables, the fonts of the page, unique ids and short numbers."""
     svg = svg[svg.index("<svg"):]
     svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", svg, flags=re.S)
     for colour, variable in _VARIABLES.items():
@@ -103,20 +103,21 @@ def page_svg(svg: str, prefix: str) -> str:
     svg = re.sub(r"font-family: [^;\"]*;? ?", "", svg)
     svg = re.sub(r'<g id="[^"]*"', "<g", svg)
     svg = re.sub(r'(\bid="|url\(#|xlink:href="#)', rf"\g<1>{prefix}", svg)
-    svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"-?\d+\.\d{2,}", _rounded, tag.group()), svg)  # not in texts
+    # Numbers are rounded inside tags only, not in the text between them.
+    svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"-?\d+\.\d{2,}", _round_number, tag.group()), svg)
     svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
     svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r'\1 role="img"', svg, count=1)
     return re.sub(r"\s*\n\s*", " ", svg)
 
 
-def _rounded(number: re.Match) -> str:
-    # To 0.1 points, in drawings 650 points wide; small numbers are opacities and line widths.
+def _round_number(number: re.Match) -> str:
+    # Coordinates need 0.1 points in a drawing 650 points wide; small numbers may be opacities and line widths.
     value = float(number.group())
     return f"{value:.1f}" if abs(value) >= 2.0 else f"{value:.3g}"
 
 
 def reduce_points(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A line of at most MAX_POINTS with the same appearance: the smallest and largest value of each section."""
+    """Reduce a line to at most MAX_POINTS that look the same: the smallest and largest value of each section."""
     if len(time) <= MAX_POINTS:
         return time, values
     edges = np.linspace(0, len(time), MAX_POINTS // 2 + 1).astype(int)
@@ -131,6 +132,6 @@ def reduce_points(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def break_at_gaps(time: np.ndarray, values: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
-    """The line with a NaN between points that are more than `gap` apart in time."""
+    """Insert a NaN between points of a line that are more than `gap` [s] apart, which interrupts the line there."""
     at = np.flatnonzero(np.diff(time) > gap) + 1
     return np.insert(time.astype(float), at, np.nan), np.insert(values.astype(float), at, np.nan)

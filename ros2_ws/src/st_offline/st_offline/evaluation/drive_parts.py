@@ -1,4 +1,4 @@
-"""Segments a drive into manoeuvres: by the labels of the run, else into detected turns, circles, straights, braking."""
+"""Divides a drive into its labelled parts, or into detected turns, circles, straights and brakings."""
 
 import itertools
 from collections.abc import Sequence
@@ -9,13 +9,13 @@ from scipy.ndimage import uniform_filter1d
 from st_core.log import DriveLog
 from st_recordings.runs import Label
 
-GRID = 0.1  # s
+GRID_STEP = 0.1  # s
 SMOOTHING = 1.0  # s, moving average; short enough for both sides of a double lane change
 STANDSTILL_SPEED = 0.5  # m/s
 # A bend begins above the first limit of curvature or lateral acceleration, and ends below the second limits of both.
-CURVATURE = (0.01, 0.005)  # 1/m
-LATERAL_ACCELERATION = (0.8, 0.4)  # m/s^2
-SHORTEST = 1.5  # s; a shorter part is merged into its longer neighbour
+CURVATURE_LIMITS = (0.01, 0.005)  # 1/m
+LATERAL_ACCELERATION_LIMITS = (0.8, 0.4)  # m/s^2
+MIN_PART_DURATION = 1.5  # s; a shorter part is merged into its longer neighbour
 MIN_LONGITUDINAL_ACCELERATION = 0.7  # m/s^2, mean magnitude in a straight that is called braking or accelerating
 MIN_TURN, MIN_U_TURN, MIN_CIRCLE = np.radians([30.0, 150.0, 240.0])  # heading change
 
@@ -30,8 +30,8 @@ class DrivePart:
     heading_change: float
 
 
-def drive_parts(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart]:
-    """The labelled parts if there are any, else the detected ones, in order of time."""
+def segment_drive(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart]:
+    """The labelled parts of a drive; without labels, the detected parts, in the order of time."""
     if len(log.ins_time_ns) < 2:
         return []
     time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
@@ -39,15 +39,16 @@ def drive_parts(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart]:
         edges = [np.interp((part.start, part.end), time, log.yaw) for part in labels]
         return [DrivePart(part.name, part.start, part.end, float(yaw[1] - yaw[0]))
                 for part, yaw in zip(labels, edges, strict=True)]
-    grid = np.arange(0.0, time[-1] + 0.5 * GRID, GRID)
+    grid = np.arange(0.0, time[-1] + 0.5 * GRID_STEP, GRID_STEP)
     speed, yaw_rate, yaw = (np.interp(grid, time, v) for v in (log.velocity_x, log.yaw_rate, log.yaw))
-    width = 2 * round(0.5 * SMOOTHING / GRID) + 1
-    states = _states(*(uniform_filter1d(values, min(width, len(grid)), mode="nearest") for values in (speed, yaw_rate)))
+    width = 2 * round(0.5 * SMOOTHING / GRID_STEP) + 1
+    states = _classify_samples(*(uniform_filter1d(values, min(width, len(grid)), mode="nearest")
+                                 for values in (speed, yaw_rate)))
     parts = []
-    for first, last in _stretches(states, round(SHORTEST / GRID)):
+    for first, last in _merge_short_stretches(states, round(MIN_PART_DURATION / GRID_STEP)):
         start, end, heading_change = float(grid[first]), float(grid[last]), float(yaw[last] - yaw[first])
-        acceleration = float(speed[last] - speed[first]) / max(end - start, GRID)
-        parts.append(DrivePart(_name(states[first], heading_change, acceleration), start, end, heading_change))
+        acceleration = float(speed[last] - speed[first]) / max(end - start, GRID_STEP)
+        parts.append(DrivePart(_name_part(states[first], heading_change, acceleration), start, end, heading_change))
     return parts
 
 
@@ -56,11 +57,11 @@ def assign_horizons(parts: Sequence[DrivePart], middles: np.ndarray) -> list[sli
     return [slice(*np.searchsorted(middles, (part.start, part.end)).tolist()) for part in parts]
 
 
-def _states(speed: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:
+def _classify_samples(speed: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:
     """State of each sample, with hysteresis: -2 standing, -1 right, 0 straight, 1 left."""
     curvature, lateral = yaw_rate / np.maximum(speed, 1.0), speed * yaw_rate
-    enter = (np.abs(curvature) > CURVATURE[0]) | (np.abs(lateral) > LATERAL_ACCELERATION[0])
-    stay = (np.abs(curvature) > CURVATURE[1]) | (np.abs(lateral) > LATERAL_ACCELERATION[1])
+    enter = (np.abs(curvature) > CURVATURE_LIMITS[0]) | (np.abs(lateral) > LATERAL_ACCELERATION_LIMITS[0])
+    stay = (np.abs(curvature) > CURVATURE_LIMITS[1]) | (np.abs(lateral) > LATERAL_ACCELERATION_LIMITS[1])
     sides = np.sign(yaw_rate).astype(int)
     states = np.zeros(len(speed), int)
     side = 0
@@ -70,7 +71,7 @@ def _states(speed: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:
     return states
 
 
-def _stretches(states: np.ndarray, shortest: int) -> list[tuple[int, int]]:
+def _merge_short_stretches(states: np.ndarray, shortest: int) -> list[tuple[int, int]]:
     """(first, last) index of each stretch of equal states. A stretch of fewer than `shortest` samples is merged into
     its longer neighbour; `states` is modified in place."""
     spans = list(itertools.pairwise([0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)]))
@@ -88,7 +89,7 @@ def _stretches(states: np.ndarray, shortest: int) -> list[tuple[int, int]]:
     return [(a, min(b, len(states) - 1)) for a, b in spans]
 
 
-def _name(state: int, heading_change: float, acceleration: float) -> str:
+def _name_part(state: int, heading_change: float, acceleration: float) -> str:
     if state == -2:
         return "standing"
     size = abs(heading_change)
@@ -96,6 +97,6 @@ def _name(state: int, heading_change: float, acceleration: float) -> str:
         if abs(acceleration) <= MIN_LONGITUDINAL_ACCELERATION:
             return "straight"
         return "braking" if acceleration < 0.0 else "accelerating"
-    closed = "circle" if size >= MIN_CIRCLE else "U-turn" if size >= MIN_U_TURN else "turn"
-    shape = "wide curve" if state == 0 else closed
-    return ("left " if (state or heading_change) > 0 else "right ") + (shape if size >= MIN_TURN else "bend")
+    turn = "circle" if size >= MIN_CIRCLE else "U-turn" if size >= MIN_U_TURN else "turn"
+    shape = "bend" if size < MIN_TURN else "wide curve" if state == 0 else turn
+    return f"{'left' if (state or heading_change) > 0 else 'right'} {shape}"

@@ -1,4 +1,4 @@
-"""`st evaluate`: finds the runs, evaluates them in this process or in Dask workers, writes and prints the results."""
+"""The command `st evaluate`: evaluates runs in this process or in Dask workers, writes and prints the results."""
 
 import contextlib
 import time
@@ -15,39 +15,43 @@ from st_recordings.runs.errors import join_problems
 
 from ..bands.bands_report import print_tables
 from ..checking.check_report import describe_clock, findings_from_json, print_findings
-from ..terminal import line, list_files, progress_bars, report_problem
+from ..terminal import list_files, print_line, progress_bars, report_problem
 from .drawing import check_formats
-from .evaluation_report import Choices, headline, settings_in_words, summary, write_results
+from .evaluation_report import Choices, describe_settings, headline, summary, write_results
 from .tables import terminal_table
 from .work import Progress, RunReport, Task, evaluate_run
 
 FILE_DESCRIPTIONS = {
     "page": "the whole report, one file", "json": "all numbers; keys in docs/manual/evaluation.md",
-    "table": "the table above", "latex": "the same in the paper's form", "seconds": "by second of the horizon",
-    "bins": "by condition", "manoeuvres": "by part of the drive",
+    "table": "the table above", "latex": "the table above, in the form of the paper",
+    "seconds": "errors by second of the horizon", "bins": "errors by driving condition",
+    "manoeuvres": "errors by part of the drive",
 }
 
 
 def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: str, vehicle_file: str, workers: int,
                 scheduler: str | None, console: Console, tolerance: float | None = None) -> int:
-    """Exit status: 0 if every run was evaluated, 1 if some could not be. tolerance [m]: for advice on the model; None
-    for no advice. Raises ConfigurationError, OutputError."""
+    """Run the command; returns the exit status: 0 if every run was evaluated, else 1.
+
+    over: means or samples, in the table. tolerance: lateral error [m] for the advice on models; None for no advice.
+    Raises ConfigurationError, OutputError.
+    """
     check_formats(task.formats)
     began = time.perf_counter()
     sources = find_runs(paths)
-    _refuse_if_all([source.problem for source in sources])
+    _raise_if_all_failed([source.problem for source in sources])
     task = replace(task, folder=new_folder(output, "evaluate"))
     choices = Choices(task, over, vehicle_file)
     found = evaluate_all(sources, task, workers, scheduler, console)
-    _refuse_if_all([report.problem for report in found])
+    _raise_if_all_failed([report.problem for report in found])
     good = [report for report in found if not report.problem]
     title = headline(good, over)
     with console.status("writing the report"):
         files = write_results(found, choices, title)
     console.print(terminal_table(good, over, title, console.width))
-    line(summary(good, over, task.settings.prediction.horizon)[0], console)
-    for key, value in settings_in_words(choices).items():
-        line(f"[dim]{key}: {escape(value)}[/dim]", console)
+    print_line(summary(good, over, task.settings.prediction.horizon)[0], console)
+    for key, value in describe_settings(choices).items():
+        print_line(f"[dim]{key}: {escape(value)}[/dim]", console)
     print_tables([report.bands for report in good], task.bands is not None, task.adaptive, console)
     if tolerance is not None:
         from .advice import advise  # imports take half a second and are needed for advice only
@@ -55,28 +59,28 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
         advise([s for s, report in zip(sources, found, strict=True) if not report.problem], task, tolerance, console)
     for report in good:
         if text := describe_clock(report.about["alignment"]):
-            line(f"{escape(report.name)}: {escape(text)}", console)
+            print_line(f"{escape(report.name)}: {escape(text)}", console)
     print_findings({report.name: findings_from_json(report.about) for report in found}, console)
     list_files({files[key]: what for key, what in FILE_DESCRIPTIONS.items()}, console)
     failed = [report for report in found if report.problem]
     for report in failed:
         report_problem(report.name, report.problem, console)
-    spent = ", ".join(f"{part} {sum(r.seconds.get(part, 0.0) for r in good):.1f} s"
+    times = ", ".join(f"{part} {sum(r.seconds.get(part, 0.0) for r in good):.1f} s"
                       for part in ("read", "predict", "draw"))
     hours = sum(r.about["duration"] for r in good) / 3600.0
     console.print(f"[dim]{len(good)} run{'' if len(good) == 1 else 's'}, {hours:.2f} h of driving in "
-                  f"{time.perf_counter() - began:.1f} s ({spent})[/dim]", highlight=False)
+                  f"{time.perf_counter() - began:.1f} s ({times})[/dim]", highlight=False)
     return 1 if failed else 0
 
 
-def _refuse_if_all(problems: Sequence[RunError | str | None]) -> None:
+def _raise_if_all_failed(problems: Sequence[RunError | str | None]) -> None:
     if all(problems):
         raise ConfigurationError("no run can be used: " + join_problems(map(str, problems)))
 
 
 def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
                  console: Console) -> list[RunReport]:
-    """Reports of all runs, in the order of the sources."""
+    """Evaluate all runs with a progress display; returns the reports in the order of the sources."""
     found: dict[str, RunReport] = {}
     with progress_bars(console) as progress:
         runs = progress.add_task("runs", total=len(sources))
@@ -89,7 +93,7 @@ def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, schedul
                                                        completed=done)
 
         try:
-            for report in reports(sources, task, workers, scheduler, watch):
+            for report in evaluate_runs(sources, task, workers, scheduler, watch):
                 found[report.name] = report
                 progress.advance(runs)
         except WorkersError as error:
@@ -101,14 +105,14 @@ MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is restarted, and its r
 
 
 class WorkersError(RuntimeError):
-    """Workers are not available; the text gives the reason."""
+    """Dask workers are not available; the message gives the reason."""
 
 
-def reports(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
+def evaluate_runs(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
             progress: Callable[[RunSource], Progress] | None = None) -> Iterator[RunReport]:
-    """One report per run; in order with one worker, else in order of completion.
+    """Yield the report of each run: without Dask in the order of the sources, else in the order of completion.
 
-    scheduler: address of a Dask scheduler with workers that see the same files. Raises WorkersError.
+    scheduler: address of a Dask scheduler whose workers can read the files under the same paths. Raises WorkersError.
     """
     if workers <= 1 and not scheduler:
         for source in sources:
@@ -125,11 +129,12 @@ def reports(sources: Sequence[RunSource], task: Task, workers: int, scheduler: s
                 host="127.0.0.1", silence_logs=50))
             client = stack.enter_context(Client(cluster, timeout="10s"))
         except (OSError, TimeoutError) as error:
-            raise WorkersError(f"no Dask scheduler at {scheduler or 'this machine'}: {error}") from None
+            problem = f"no Dask scheduler at {scheduler}" if scheduler else "Dask workers cannot be started"
+            raise WorkersError(f"{problem}: {error}") from None
         futures = {client.submit(evaluate_run, source, task, pure=False, retries=0): source for source in sources}
         for future in as_completed(futures):
-            problem = future.exception()
+            failure = future.exception()
             source = futures[future]
-            yield future.result() if problem is None else RunReport(
-                source.name, problem=f"{source.where}: the worker ended: {' '.join(str(problem).split())[:200]}")
+            yield future.result() if failure is None else RunReport(
+                source.name, problem=f"{source.where}: the worker failed: {' '.join(str(failure).split())[:200]}")
             future.release()

@@ -1,4 +1,4 @@
-"""Results of an evaluation: evaluation.json, tables, page. Schema: docs/manual/evaluation.md."""
+"""Writes the results of an evaluation: evaluation.json (docs/manual/evaluation.md), tables and page."""
 
 import json
 import math
@@ -22,36 +22,36 @@ from ..checking.check_report import describe_clocks, describe_effect, findings_f
 from ..pages import template
 from . import tables
 from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
-from .tables import REPORTED_AXES, in_metres, pooled, pooled_by, values
-from .work import RunReport, Task, slug
+from .tables import REPORTED_AXES, axis_statistics, format_metres, pool_entries, pool_models
+from .work import RunReport, Task, to_file_name
 
 SCHEMA = 2
 MAX_FIGURE_BYTES = 4_500_000  # on the page, so that it stays below 5 MB
-MAX_FIGURES = 6  # on the page; the others are files
-MAX_RUNS = 40  # in the overview
+MAX_FIGURES = 6  # on the page; the others are only files
+MAX_RUNS = 40  # in the overview figure
 
 
 @dataclass(frozen=True)
 class Choices:
-    """Settings that the report prints. over: means or samples, in the table."""
+    """Settings of the report. over: whether the table is over means or samples."""
 
     task: Task
     over: str
     vehicle_file: str
 
 
-def settings_in_words(choices: Choices) -> dict[str, str]:
-    """Every setting with its value, as text."""
-    s, p = choices.task.settings, choices.task.settings.prediction
+def describe_settings(choices: Choices) -> dict[str, str]:
+    """Text of each setting, by name."""
+    settings, prediction = choices.task.settings, choices.task.settings.prediction
     filters = {"causal": "causal, as in the car", "zero_phase": "zero-phase (forward and backward)"}
-    inputs = {"interpolate": "interpolated within a step", "hold": "held over each step"}[s.inputs]
+    inputs = {"interpolate": "interpolated within a step", "hold": "held over each step"}[settings.inputs]
     return {
         "vehicle": f"{choices.task.vehicle.name} ({choices.vehicle_file}, {choices.task.vehicle.hash[:12]})",
-        "starts": f"every {s.interval:g} s, from {p.minimum_speed:g} m/s up",
-        "horizon": f"{p.horizon:g} s in steps of {p.step * 1000:g} ms, Runge-Kutta 4",
-        "forward acceleration": f"derivative of the INS speed after a {p.filter_cutoff:g} Hz low-pass filter, "
-                                f"{filters[s.acceleration]}",
-        "measured inputs": f"{inputs}; unknown in gaps longer than {p.maximum_gap:g} s",
+        "starts": f"every {settings.interval:g} s, at {prediction.minimum_speed:g} m/s or more",
+        "horizon": f"{prediction.horizon:g} s in steps of {prediction.step * 1000:g} ms, Runge-Kutta 4",
+        "forward acceleration": f"derivative of the INS speed after a {prediction.filter_cutoff:g} Hz low-pass filter, "
+                                f"{filters[settings.acceleration]}",
+        "measured inputs": f"{inputs}; unknown in gaps longer than {prediction.maximum_gap:g} s",
         **({"course": choices.task.course[0]} if choices.task.course else {}),
         "table": f"mean | max | RMSE over {tables.OVER_LABELS[choices.over]}",
     }
@@ -61,6 +61,7 @@ def document(reports: Sequence[RunReport], choices: Choices) -> dict[str, Any]:
     """The content of evaluation.json."""
     good = [r for r in reports if not r.problem]
     vehicle: VehicleParameters = choices.task.vehicle
+    parts = [one for r in good for one in r.manoeuvres if _count_starts(one)]
     return {
         "schema": SCHEMA,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -68,21 +69,20 @@ def document(reports: Sequence[RunReport], choices: Choices) -> dict[str, Any]:
         "settings": {**choices.task.settings.as_dict(), "table_over": choices.over},
         "versions": collect_versions(),
         "runs": {r.name: r.models for r in good},
-        "all_runs": pooled([r.models for r in good]),
+        "all_runs": pool_models([r.models for r in good]),
         "seconds": {r.name: r.seconds_ahead for r in good},
         "bins": {r.name: r.bins for r in good},
-        "bins_all_runs": pooled_bins(good),
+        "bins_all_runs": pool_bins(good),
         "manoeuvres": {r.name: r.manoeuvres for r in good},
-        "manoeuvres_all_runs": sorted(pooled_by([one for r in good for one in r.manoeuvres if _starts(one)], "name"),
-                                      key=lambda entry: -_starts(entry)),
+        "manoeuvres_all_runs": sorted(pool_entries(parts, "name"), key=lambda entry: -_count_starts(entry)),
         "about": {r.name: r.about for r in good},
-        **_bands(good, choices.task),
+        **_summarise_bands(good, choices.task),
         "failed": {r.name: r.problem for r in reports if r.problem},
         "refused": {r.name: r.about["findings"] for r in reports if r.problem and r.about},
     }
 
 
-def _bands(good: Sequence[RunReport], task: Task) -> dict[str, Any]:
+def _summarise_bands(good: Sequence[RunReport], task: Task) -> dict[str, Any]:
     sums = pooled_sums([r.bands for r in good])
     fixed = {"bands": {r.name: summarise_bands(r.bands) for r in good},
              "bands_all_runs": {"file": task.bands[0], **summarise_bands(sums), "shares": summarise_shares(sums)}
@@ -91,22 +91,21 @@ def _bands(good: Sequence[RunReport], task: Task) -> dict[str, Any]:
                      "adaptive_bands_all_runs": summarise_adaptive(sums)} if task.adaptive else {})
 
 
-def pooled_bins(reports: Sequence[RunReport]) -> list[dict[str, Any]]:
-    """The bins of all runs pooled, in the order of their values."""
-    entries = pooled_by([one for r in reports for one in r.bins], "quantity", "label")
+def pool_bins(reports: Sequence[RunReport]) -> list[dict[str, Any]]:
+    """Bins pooled over all runs, sorted by quantity and value."""
+    entries = pool_entries([one for r in reports for one in r.bins], "quantity", "label")
     quantities = list(dict.fromkeys(e["quantity"] for e in entries))
-    lowest = float("-inf")
-    order = {"left": 0, "straight": 1, "right": 2}  # directions have no order of size
-    return sorted(entries, key=lambda e: (quantities.index(e["quantity"]), order.get(e["label"], -1),
-                                          lowest if e["low"] is None else e["low"]))
+    direction_order = {"left": 0, "straight": 1, "right": 2}
+    return sorted(entries, key=lambda e: (quantities.index(e["quantity"]), direction_order.get(e["label"], -1),
+                                          -math.inf if e["low"] is None else e["low"]))
 
 
-def _starts(one: dict[str, Any]) -> int:
+def _count_starts(one: dict[str, Any]) -> int:
     return max((modes["hindsight"]["n_starts"] for modes in one["models"].values()), default=0)
 
 
 def write_results(reports: Sequence[RunReport], choices: Choices, title: str) -> dict[str, Path]:
-    """Write all files except those in the folders of the runs; returns the files by kind."""
+    """Write all files except those in the folders of the runs; returns their paths by kind."""
     folder = choices.task.folder
     assert folder is not None  # set by the command
     good = [r for r in reports if not r.problem]
@@ -116,17 +115,17 @@ def write_results(reports: Sequence[RunReport], choices: Choices, title: str) ->
     for name, rows in tables.csv_rows(good).items():
         files[name] = folder / f"{name}.csv"
         tables.write_csv(files[name], rows)
-    words = settings_in_words(choices)
+    words = describe_settings(choices)
     about = f"{words['vehicle']}; starts {words['starts']}; horizon {words['horizon']}; {words['measured inputs']}."
     files["latex"].write_text(tables.latex_table(good, choices.over, about))
-    drawn = overview(good, choices.over, FigureOutput(folder, choices.task.formats))
+    drawn = draw_overview(good, choices.over, FigureOutput(folder, choices.task.formats))
     of_bands = band_figures(content.get("bands_all_runs"), FigureOutput(folder, choices.task.formats))
     write_page(files["page"], title, reports, content, words, drawn, of_bands, choices.over)
     return files
 
 
 def _json_by_line(content: dict[str, Any]) -> str:
-    # A line for each key and each entry of its lists; with an indent the json module is ten times slower.
+    # A line for each key and each entry of its lists; the `indent` of the json module would be ten times slower.
     def line(value: Any) -> str:
         return json.dumps(value, allow_nan=False, ensure_ascii=False)
 
@@ -137,10 +136,10 @@ def _json_by_line(content: dict[str, Any]) -> str:
 
 def write_page(file: Path, title: str, reports: Sequence[RunReport], content: dict[str, Any],
                settings: dict[str, str], overview: PageFigure | None, bands: Sequence[PageFigure], over: str) -> None:
-    """content: of evaluation.json. bands: figures of the tested bands."""
+    """Write the page. content: of evaluation.json. bands: figures of the tested bands."""
     good = [r for r in reports if not r.problem]
     leading = [overview] if overview and len(good) > 1 else [f for r in good for f in r.figures[1:2]]
-    bytes_left, of_run = MAX_FIGURE_BYTES, list[PageFigure]()  # figures of the first run; of other runs only files
+    bytes_left, of_run = MAX_FIGURE_BYTES, list[PageFigure]()  # figures of the first run; other runs have only files
     for figure in (f for f in good[0].figures if f not in leading) if good else ():
         bytes_left -= len(figure.svg.encode())
         if len(leading) + len(bands) + len(of_run) < MAX_FIGURES and bytes_left > 0:
@@ -155,19 +154,20 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
         adaptive_rows=adaptive_rows(content.get("adaptive_bands_all_runs")),
         share_rows=share_rows(pooled_bands.get("shares", {})),
         over=over, what=tables.OVER_LABELS[over], axes=tables.REPORTED_AXES, kinds=tables.STATISTICS, modes=modes,
-        figures={good[0].name: of_run} if of_run else {}, in_metres=tables.in_metres, best=tables.is_best,
-        values=tables.values, slug=slug)
+        figures={good[0].name: of_run} if of_run else {}, in_metres=tables.format_metres, best=tables.is_best,
+        values=tables.axis_statistics, slug=to_file_name)
     file.write_text(text, encoding="utf-8")
 
 
-def overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> PageFigure | None:
-    """RMSE in hindsight of every model and run; at most MAX_RUNS, those with the largest lateral error."""
+def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> PageFigure | None:
+    """Draw the RMSE in hindsight of each model and run, of at most MAX_RUNS with the largest lateral errors."""
     if not reports:
         return None
     models = list(dict.fromkeys(m for r in reports for m in r.models))
 
     def rmse(report: RunReport, model: str, axis: str) -> float:
-        return (values(report.models, model, "hindsight", axis, over)["rmse"] or 0.0) if model in report.models else 0.0
+        known = model in report.models
+        return (known and axis_statistics(report.models, model, "hindsight", axis, over)["rmse"]) or 0.0
 
     chosen = list(reports)
     if len(chosen) > MAX_RUNS:
@@ -176,14 +176,14 @@ def overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> P
     with style():
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.4 + 0.24 * len(chosen)), sharey=True)
         layout = figure.get_layout_engine()
-        assert isinstance(layout, ConstrainedLayoutEngine)  # by the style
+        assert isinstance(layout, ConstrainedLayoutEngine)  # set by `style`
         layout.set(w_pad=0.12)  # inch, between the last label of one axis and the first of the next
         for axes, axis in zip(panels, REPORTED_AXES, strict=True):
             for row, report in enumerate(chosen):
                 sizes = [rmse(report, model, axis) for model in models if model in report.models]
                 axes.plot([min(sizes), max(sizes)], [row, row], color=TEXT, lw=0.6, alpha=0.5, zorder=1)
                 for k, model in enumerate(m for m in models if m in report.models):
-                    # Markers of decreasing size, so that all of several equal ones are visible.
+                    # The size of the markers decreases, so that equal values remain visible.
                     axes.plot(sizes[k], row, "o", ms=8 - 2 * k, color=MODEL_COLOUR.get(model, TEXT), mew=0, zorder=2)
             axes.set_xlim(left=0)
             axes.set_xlabel(f"{axis} RMSE, m")
@@ -193,37 +193,37 @@ def overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> P
         figure.legend(handles=handles, loc="outside lower left", ncols=6)
         caption = "Hindsight: measured inputs over the horizon."
         if len(chosen) < len(reports):
-            caption += f" The {MAX_RUNS} of {len(reports)} runs with the largest lateral error."
+            caption += f" Shown are the {MAX_RUNS} of {len(reports)} runs with the largest lateral errors."
         return save_figure(figure, output, "overview", "RMSE of each run and model", caption)
 
 
 def headline(reports: Sequence[RunReport], over: str) -> str:
-    """Lateral RMSE in hindsight of each model for all runs, the smallest first."""
-    models = pooled([r.models for r in reports])
-    sizes = [(values(models, m, "hindsight", "lateral", over)["rmse"], m) for m in models]
+    """Lateral RMSE of each model in hindsight over all runs, the smallest first."""
+    models = pool_models([r.models for r in reports])
+    sizes = [(axis_statistics(models, m, "hindsight", "lateral", over)["rmse"], m) for m in models]
     ranked = sorted((size, m) for size, m in sizes if size is not None)
     name = reports[0].name if len(reports) == 1 else f"{len(reports)} runs"
-    return f"{name}: lateral RMSE " + ", ".join(f"{model} {in_metres(size)} m" for size, model in ranked)
+    return f"{name}: lateral RMSE " + ", ".join(f"{model} {format_metres(size)} m" for size, model in ranked)
 
 
-INPUTS = {"forecast": "", "plan": "with the inputs of the plan ", "course": "with those of the course "}
+FORECAST_LABELS = {"forecast": "", "plan": "with the inputs of the plan ", "course": "with the inputs of the course "}
 
 
 def summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str]:
-    """At most three sentences: the errors, the findings of the checks, the clock of the steering."""
-    models = pooled([r.models for r in reports])
-    best = min(models, key=lambda m: values(models, m, "hindsight", "lateral", over)["rmse"] or math.inf)
-    held, *ahead = (f"{words}{in_metres(values(models, best, mode, 'lateral', over)['rmse'])} m"
-                    for mode, words in INPUTS.items() if mode in models[best])
+    """At most three paragraphs: the errors, the findings of the checks, the clock of the steering."""
+    models = pool_models([r.models for r in reports])
+    best = min(models, key=lambda m: axis_statistics(models, m, "hindsight", "lateral", over)["rmse"] or math.inf)
+    held, *ahead = (f"{words}{format_metres(axis_statistics(models, best, mode, 'lateral', over)['rmse'])} m"
+                    for mode, words in FORECAST_LABELS.items() if mode in models[best])
     minutes = sum(r.about["duration"] for r in reports) / 60.0
     groups = [(one, names) for one, names in group_by_name({r.name: findings_from_json(r.about) for r in reports})
               if one.severity is not Severity.NOTE]
     biased = "; ".join(f"{one.name} in {', '.join(names)} ({describe_effect(one) or one.text})"
                        for one, names in groups)
     steering = describe_clocks({report.name: report.about["alignment"] for report in reports})
-    return [f"{minutes:.1f} minutes, predictions of {horizon:g} s. With the measured inputs (hindsight) the error is "
-            "that of the model; with the inputs of the start held (forecast) it includes the driver's later inputs: "
-            f"lateral RMSE of {best} {', '.join([held, *ahead])}.",
+    return [f"{minutes:.1f} minutes of driving, predictions over {horizon:g} s. With the measured inputs (hindsight), "
+            "the error is due to the model; with the inputs of the start held (forecast), it also contains the effect "
+            f"of the driver's later inputs: the lateral RMSE of {best} is then {', '.join([held, *ahead])}.",
             f"Faults of the recordings bias these errors: {biased}." if biased else
             "The checks found no error or warning.",
             *([f"{steering}."] if steering else [])]

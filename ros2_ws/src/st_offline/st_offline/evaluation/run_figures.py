@@ -1,4 +1,4 @@
-"""Figures of one run: segments, errors versus time, error versus time ahead, slip and forces."""
+"""Draws the figures of one run: predicted paths, errors versus start time and versus horizon, slip and forces."""
 
 import math
 from collections.abc import Sequence
@@ -19,10 +19,10 @@ from st_core.vehicle import VehicleParameters
 from .background import in_background
 from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, break_at_gaps, reduce_points, save_figure, style
 
-SIDE = {"longitudinal": "ahead", "lateral": "left"}
-AXIS_LABEL = {axis: f"{axis} error, m\n(+ = predicted {side})" for axis, side in SIDE.items()}
+POSITIVE_SIDE = {"longitudinal": "ahead", "lateral": "left"}
+AXIS_LABEL = {axis: f"{axis} error, m\n(+ = predicted {side})" for axis, side in POSITIVE_SIDE.items()}
 AXLES = ("front", "rear")
-NOTICEABLE_ERROR = 0.5  # m; the free width on each side of a car in the middle of its lane
+NOTICEABLE_ERROR = 0.5  # m, the free width on each side of a car in the middle of its lane
 
 
 @dataclass(frozen=True)
@@ -41,50 +41,50 @@ class Drawing:
         return self.evaluation.name
 
     def line(self, model: str) -> dict[str, Any]:
-        """Arguments of matplotlib for the line of a model."""
+        """Matplotlib arguments for the line of a model."""
         return {"color": MODEL_COLOUR.get(model, TEXT), "ls": MODEL_LINE.get(model, "solid")}
 
 
-def complete_in_all(evaluation: LogEvaluation) -> np.ndarray:
-    """Mask of the starts that every model completed in hindsight."""
+def completed_by_all(evaluation: LogEvaluation) -> np.ndarray:
+    """Mask of the starts with a complete horizon (hindsight) for every model."""
     return np.all([e.complete for (_, mode), e in evaluation.errors.items() if mode == "hindsight"], axis=0)
 
 
-def chosen_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarray:
-    """Rows of the complete starts nearest to the times [s], or of four evenly spaced ones."""
-    complete = np.flatnonzero(complete_in_all(evaluation))
+def choose_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarray:
+    """Rows of the complete starts nearest to the times [s]; without times, of four evenly spaced ones."""
+    complete = np.flatnonzero(completed_by_all(evaluation))
     if not len(complete):
         return complete
     if times:
         rows = [complete[np.abs(evaluation.time[complete] - t).argmin()] for t in times]
     else:
-        # Without the first and the last start, which are the least representative.
+        # The first and the last start are excluded, because they are the least representative.
         rows = complete[np.linspace(0, len(complete) - 1, 6).round().astype(int)[1:-1]]
     return np.unique(rows)
 
 
-def legend(figure: plt.Figure, drawing: Drawing, extra: Sequence[Line2D], solid: bool = False,
+def add_legend(figure: plt.Figure, drawing: Drawing, extra: Sequence[Line2D], solid: bool = False,
            models: Sequence[Model] | None = None) -> None:
-    """Legend below the figure: the models and extra lines. solid: whether all models are drawn as solid lines."""
+    """Add a legend of the models and extra lines below the figure. solid: whether all models have solid lines."""
     handles = [Line2D([], [], **drawing.line(m.name) | ({"ls": "solid"} if solid else {}), label=m.name)
                for m in (drawing.models if models is None else models)]
     figure.legend(handles=[*handles, *extra], loc="outside lower left", ncols=6)
 
 
-def run_figures(drawing: Drawing) -> list[PageFigure]:
-    """All figures for which this run has data."""
+def draw_run(drawing: Drawing) -> list[PageFigure]:
+    """Draw all figures for which this run has data, half of them on a second core."""
     if not any(e.n_starts for e in drawing.evaluation.errors.values()):
         return []
-    first, others = (segments, horizon_means), (slip, error_against_horizon)
-    with style(), in_background(lambda: [make(drawing) for make in others]) as rest:
-        drawn = [make(drawing) for make in first] + rest()
+    first, others = (draw_segments, draw_horizon_means), (draw_slip_and_forces, draw_error_against_horizon)
+    with style(), in_background(lambda: [draw(drawing) for draw in others]) as get_others:
+        drawn = [draw(drawing) for draw in first] + get_others()
     return [figure for figure in drawn if figure is not None]
 
 
-def segments(drawing: Drawing) -> PageFigure | None:
-    """Measured and predicted paths from a few starts, and the errors over those horizons: the paper's first figure."""
+def draw_segments(drawing: Drawing) -> PageFigure | None:
+    """Measured and predicted paths from a few starts, with the errors over their horizons: figure 1 of the paper."""
     evaluation = drawing.evaluation
-    rows = chosen_starts(evaluation, drawing.starts)
+    rows = choose_starts(evaluation, drawing.starts)
     if not len(rows):
         return None
     starts, length = evaluation.starts_ns[rows], float(evaluation.horizon[-1])
@@ -94,7 +94,7 @@ def segments(drawing: Drawing) -> PageFigure | None:
     first: list[plt.Axes | None] = [None, None]
     for column, (row, start_ns) in enumerate(zip(rows, starts, strict=True)):
         axes = figure.add_subplot(layout[0, column])
-        _measured_path(axes, drawing, start_ns, length)
+        _draw_measured_path(axes, drawing, start_ns, length)
         for model in drawing.models:
             states = tuple(block.trajectories[model.name, "hindsight"][column].T)
             predicted = predict_readings(model, drawing.vehicle, states)
@@ -109,21 +109,22 @@ def segments(drawing: Drawing) -> PageFigure | None:
             for model in drawing.models:
                 errors = block.errors[model.name, "hindsight"][column]
                 axes.plot(evaluation.horizon, errors[:, k], **drawing.line(model.name))
-            axes.set(xlim=(0, length), ylabel="" if column else f"{axis}, m\n(+ = {SIDE[axis]})",
+            axes.set(xlim=(0, length), ylabel="" if column else f"{axis}, m\n(+ = {POSITIVE_SIDE[axis]})",
                      xlabel="horizon, s" if k else "")
             axes.tick_params(labelleft=not column)
-    legend(figure, drawing, [Line2D([], [], color=MEASURED_COLOUR, lw=5, alpha=0.45, label="measured, the horizon")])
+    measured_line = Line2D([], [], color=MEASURED_COLOUR, lw=5, alpha=0.45, label="measured over the horizon")
+    add_legend(figure, drawing, [measured_line])
     ends = {m.name: float(np.linalg.norm(block.errors[m.name, "hindsight"][:, -1, :2], axis=1).max())
             for m in drawing.models}
-    worst = ", ".join(f"{model} {value:.2f} m" for model, value in ends.items())
-    these = "these starts" if len(rows) > 1 else "this start"
-    title = f"{drawing.name}: largest distance after {length:g} s from {these}: {worst}"
-    caption = ("Predictions with the measured inputs (hindsight) from chosen starts, and their errors over the "
+    largest = ", ".join(f"{model} {value:.2f} m" for model, value in ends.items())
+    starts_text = "these starts" if len(rows) > 1 else "this start"
+    title = f"{drawing.name}: largest position error {length:g} s after {starts_text}: {largest}"
+    caption = ("Predictions with the measured inputs (hindsight) from selected starts, and their errors over the "
                "horizon, along and across the measured heading.")
     return save_figure(figure, drawing.output, "segments", title, caption)
 
 
-def _measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length: float) -> None:
+def _draw_measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length: float) -> None:
     log, span = drawing.signals.log, round(length * 1e9)
     inside = slice(*np.searchsorted(log.ins_time_ns, (start_ns, start_ns + span)))
     around = slice(*np.searchsorted(log.ins_time_ns, (start_ns - span, start_ns + 2 * span)))
@@ -143,8 +144,8 @@ def _measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length: floa
     axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
 
 
-def horizon_means(drawing: Drawing) -> PageFigure:
-    """Horizon-mean errors of all models, speed and acceleration versus start time: the paper's second figure."""
+def draw_horizon_means(drawing: Drawing) -> PageFigure:
+    """Mean errors over the horizon, speed and acceleration versus start time: figure 2 of the paper."""
     evaluation = drawing.evaluation
     figure, (upper, lower, context) = plt.subplots(
         3, 1, figsize=(WIDTH, 5.2), height_ratios=(1.3, 1.3, 0.9), sharex=True)
@@ -152,31 +153,31 @@ def horizon_means(drawing: Drawing) -> PageFigure:
         axes.axhline(0, color=TEXT, lw=0.6)
         for model in drawing.models:
             line = evaluation.errors[model.name, "hindsight"].mean[:, k]
-            # Linear and nonlinear often coincide: the wider line then remains visible on both sides.
+            # The lines of the linear and the nonlinear model often coincide; the wider one remains visible below.
             width = 2.4 if model.name == "linear" else 1.0
-            axes.plot(*_over_time(evaluation, line), **drawing.line(model.name) | {"ls": "-", "lw": width})
+            axes.plot(*_reduce_over_time(evaluation, line), **drawing.line(model.name) | {"ls": "-", "lw": width})
         axes.set_ylabel(AXIS_LABEL[axis])
     speed, lateral = evaluation.conditions["speed"], evaluation.conditions["lateral_acceleration"]
-    context.plot(*_over_time(evaluation, speed), color=TEXT, lw=1.0)
-    context.plot(*_over_time(evaluation, lateral), color=MEASURED_COLOUR, lw=1.0)
+    context.plot(*_reduce_over_time(evaluation, speed), color=TEXT, lw=1.0)
+    context.plot(*_reduce_over_time(evaluation, lateral), color=MEASURED_COLOUR, lw=1.0)
     context.set_ylabel("mean over the\nhorizon, m/s, m/s²")
     context.set_xlabel("start of the prediction $t_0$, s after the first INS measurement")
     extra = [Line2D([], [], color=TEXT, lw=1.0, label="speed, m/s"),
              Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="lateral acceleration, m/s² (+ = left)")]
-    legend(figure, drawing, extra, solid=True)
+    add_legend(figure, drawing, extra, solid=True)
     length = evaluation.horizon[-1]
-    title = f"{drawing.name}: {ranking(evaluation)}"
-    caption = f"Error averaged over each {length:g} s horizon (hindsight: measured inputs), over its start time."
+    title = f"{drawing.name}: {describe_ranking(evaluation)}"
+    caption = f"Error averaged over each {length:g} s horizon (hindsight: measured inputs), versus its start time."
     return save_figure(figure, drawing.output, "horizon_means", title, caption)
 
 
-def _over_time(evaluation: LogEvaluation, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _reduce_over_time(evaluation: LogEvaluation, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     gap = max(1.0, 3.0 * float(np.ptp(evaluation.time)) / 600.0)
     return break_at_gaps(*reduce_points(evaluation.time, values), gap)
 
 
-def error_against_horizon(drawing: Drawing) -> PageFigure:
-    """Root mean square error at each point of the horizon, hindsight and forecast."""
+def draw_error_against_horizon(drawing: Drawing) -> PageFigure:
+    """Root mean square error at each point of the horizon, in hindsight and as a forecast."""
     evaluation = drawing.evaluation
     lines: tuple[tuple[Mode, float, float], ...] = ("hindsight", 1.6, 1.0), ("forecast", 0.9, 0.7)
     figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.4))
@@ -191,37 +192,37 @@ def error_against_horizon(drawing: Drawing) -> PageFigure:
         axes.set_ylim(bottom=0.01)
         axes.set(xlim=(0, evaluation.horizon[-1]), xlabel="horizon, s", ylabel=f"{axis} RMSE, m")
         axes.yaxis.set_major_formatter("{x:g}")
-    legend(figure, drawing, [Line2D([], [], color=TEXT, lw=0.9, ls=":", label="forecast: inputs held")])
+    add_legend(figure, drawing, [Line2D([], [], color=TEXT, lw=0.9, ls=":", label="forecast: inputs held")])
     parts = []
     for model in drawing.models:
         profile = evaluation.errors[model.name, "hindsight"].profile_rmse[:, 1]
         beyond = np.flatnonzero(profile > NOTICEABLE_ERROR)
         parts.append(f"{model.name} " + (f"after {evaluation.horizon[beyond[0]]:.1f} s" if len(beyond) else "never"))
     title = f"{drawing.name}: lateral RMSE exceeds {NOTICEABLE_ERROR:g} m in hindsight: {', '.join(parts)}"
-    caption = ("RMSE over all starts at each point of the horizon. Hindsight: measured inputs, the error of the "
-               "model. Forecast: inputs held, the error for a planner.")
+    caption = ("RMSE over all starts at each point of the horizon. Hindsight uses the measured inputs and shows the "
+               "error of the model; the forecast holds the inputs of the start, as a planner without a plan does.")
     return save_figure(figure, drawing.output, "error_against_horizon", title, caption)
 
 
-def ranking(evaluation: LogEvaluation) -> str:
-    """Lateral RMSE of every model in hindsight, the best first, and the ratio of worst to best."""
+def describe_ranking(evaluation: LogEvaluation) -> str:
+    """Lateral RMSE of the models in hindsight, smallest first, with the ratio of the largest to the smallest."""
     values = sorted((evaluation.errors[m, "hindsight"].statistics("lateral")[2], m) for m in evaluation.models)
     values = [(v, m) for v, m in values if math.isfinite(v)]
     if not values:
         return "no complete horizon"
     text = "lateral RMSE of the horizon means: " + ", ".join(f"{m} {v:.2f} m" for v, m in values)
     ratio = values[-1][0] / max(values[0][0], 1e-6)
-    return text + (f" ({ratio:.1f} times)" if len(values) > 1 and ratio > 1.15 else "")
+    return text + (f" (ratio {ratio:.1f})" if len(values) > 1 and ratio > 1.15 else "")
 
 
-def slip(drawing: Drawing) -> PageFigure | None:
+def draw_slip_and_forces(drawing: Drawing) -> PageFigure | None:
     """Predicted slip angles and lateral forces of both axles, and slip angles from the measured motion."""
     models = [m for m in drawing.models if m.axles is not None and not m.extra_states and not m.signals]
     evaluation, signals, vehicle = drawing.evaluation, drawing.signals, drawing.vehicle
-    rows = chosen_starts(evaluation, drawing.starts)
+    rows = choose_starts(evaluation, drawing.starts)
     if not models or not len(rows):
         return None
-    lateral = np.where(complete_in_all(evaluation), np.abs(evaluation.conditions["lateral_acceleration"]), -1.0)
+    lateral = np.where(completed_by_all(evaluation), np.abs(evaluation.conditions["lateral_acceleration"]), -1.0)
     row = int(rows[0] if len(drawing.starts) == 1 else lateral.argmax())
     start = evaluation.starts_ns[row : row + 1]
     _, block = next(evaluate_blocks(models, vehicle, signals, start, evaluation.settings))
@@ -229,13 +230,13 @@ def slip(drawing: Drawing) -> PageFigure | None:
     angle, acceleration = signals.road_wheel_angle_at(times), signals.ins_at(times, "velocity_x_dot")[0]
     measured = signals.states_at(times, vehicle)
     figure, grid = plt.subplots(2, 2, figsize=(WIDTH, 4.6), sharex=True, sharey="row")
-    measured_slip = _slip_angles(get_model("linear"), drawing.vehicle, measured, angle, acceleration)[0]
+    measured_slip = _slip_and_forces(get_model("linear"), drawing.vehicle, measured, angle, acceleration)[0]
     for column in (0, 1):
         grid[0, column].plot(evaluation.horizon, np.degrees(measured_slip[column]), color=MEASURED_COLOUR, lw=1.0)
     ends = []
     for model in models:
         states = block.trajectories[model.name, "hindsight"][0]
-        slips, forces = _slip_angles(model, drawing.vehicle, states, angle, acceleration)
+        slips, forces = _slip_and_forces(model, drawing.vehicle, states, angle, acceleration)
         for column in (0, 1):
             grid[0, column].plot(evaluation.horizon, np.degrees(slips[column]), **drawing.line(model.name))
             grid[1, column].plot(evaluation.horizon, forces[column] / 1000.0, **drawing.line(model.name))
@@ -250,19 +251,19 @@ def slip(drawing: Drawing) -> PageFigure | None:
     grid[0, 0].set_ylabel("slip angle, °\n(+ = slides to the left)")
     grid[1, 0].set_ylabel("lateral force of the axle, kN\n(+ = to the left)")
     measured_line = Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="from the measured motion")
-    legend(figure, drawing, [measured_line], models=models)
+    add_legend(figure, drawing, [measured_line], models=models)
     title = f"{drawing.name} from {evaluation.time[row]:.1f} s: at the end {'; '.join(ends)}"
     peak = np.degrees(np.nanmax(np.abs(measured_slip)))
     caption = (f"Slip angles and forces that the models predict with the measured inputs; measured slip angles reach "
-               f"{peak:.1f}°. Start: the requested one, else that with the largest lateral acceleration.")
+               f"{peak:.1f}°. Start: the requested one, else the one with the largest lateral acceleration.")
     return save_figure(figure, drawing.output, "slip_and_forces", title, caption)
 
 
-def _slip_angles(model: Model, vehicle: VehicleParameters, states: np.ndarray, angle: np.ndarray,
+def _slip_and_forces(model: Model, vehicle: VehicleParameters, states: np.ndarray, angle: np.ndarray,
                  acceleration: np.ndarray) -> tuple[tuple, tuple]:
-    """((front, rear) slip angles [rad], (front, rear) axle forces [N]) of a model in states (n, 6)."""
+    """((front, rear) slip angles [rad], (front, rear) axle forces [N]) of a model for states (n, 6)."""
     p = model.parameters(vehicle)
     w = model.inputs(angle, acceleration, p)
-    assert model.axles is not None  # those without are not drawn
+    assert model.axles is not None  # the caller draws only models with axles
     front, rear = model.axles.slip_angles(tuple(states.T), w, p)
     return (front, rear), model.axles.forces(front, rear, w, p)

@@ -1,6 +1,6 @@
-"""Errors of evaluated runs: statistics for evaluation.json, and tables for terminal, CSV and LaTeX.
+"""Summarises the errors of evaluated runs for evaluation.json, and formats them for terminal, CSV and LaTeX.
 
-reports: `work.RunReport` of each run.
+reports: the `work.RunReport` of each run.
 """
 
 import csv
@@ -23,8 +23,8 @@ STATISTICS = ("mean", "max", "rmse")
 Entry = dict[str, Any]
 
 
-def entry(errors: ModelErrors, select: np.ndarray | slice = ALL_ROWS) -> Entry:
-    """Statistics of horizon means and, in `samples`, of all points of all horizons; None if no start was scored."""
+def summarise_errors(errors: ModelErrors, select: np.ndarray | slice = ALL_ROWS) -> Entry:
+    """Statistics of the means over each horizon and, in `samples`, of all points; None if no start was scored."""
     complete = errors.complete[select]
     count = int(complete.sum())
     return {
@@ -34,14 +34,14 @@ def entry(errors: ModelErrors, select: np.ndarray | slice = ALL_ROWS) -> Entry:
     }
 
 
-def by_model(evaluation: LogEvaluation, select: np.ndarray | slice = ALL_ROWS) -> dict[str, dict[str, Entry]]:
-    """{model: {mode: entry}} of the selected starts (rows)."""
-    return {model: {mode: entry(evaluation.errors[model, mode], select) for mode in evaluation.modes}
+def summarise_by_model(evaluation: LogEvaluation, select: np.ndarray | slice = ALL_ROWS) -> dict[str, dict[str, Entry]]:
+    """{model: {mode: entry}} for the selected starts (rows)."""
+    return {model: {mode: summarise_errors(evaluation.errors[model, mode], select) for mode in evaluation.modes}
             for model in evaluation.models}
 
 
-def by_second(evaluation: LogEvaluation) -> dict[str, dict[str, dict[str, Entry]]]:
-    """{model: {mode: {second: {axis: {mean, max, rmse}}}}}: errors of the complete starts at 1, 2, ... s."""
+def summarise_by_second(evaluation: LogEvaluation) -> dict[str, dict[str, dict[str, Entry]]]:
+    """{model: {mode: {second: {axis: {mean, max, rmse}}}}}: errors of the complete starts after 1, 2, ... s."""
     found: dict[str, dict[str, dict[str, Entry]]] = {model: {} for model in evaluation.models}
     for (model, mode), errors in evaluation.errors.items():
         values = errors.at_seconds[errors.complete]
@@ -51,40 +51,40 @@ def by_second(evaluation: LogEvaluation) -> dict[str, dict[str, dict[str, Entry]
     return found
 
 
-def by_bin(evaluation: LogEvaluation) -> list[Entry]:
-    """One entry for each bin with a start; see st_core.binning."""
+def summarise_by_bin(evaluation: LogEvaluation) -> list[Entry]:
+    """One entry for each bin that contains a start; see st_core.binning."""
     return [{"quantity": b.quantity, "label": b.label, "low": b.low, "high": b.high,
-             "models": by_model(evaluation, b.mask)} for b in bin_starts(evaluation)]
+             "models": summarise_by_model(evaluation, b.mask)} for b in bin_starts(evaluation)]
 
 
-def by_manoeuvre(evaluation: LogEvaluation, parts: Sequence[DrivePart]) -> list[Entry]:
+def summarise_by_manoeuvre(evaluation: LogEvaluation, parts: Sequence[DrivePart]) -> list[Entry]:
     """One entry for each part of the drive; a start belongs to the part that contains the middle of its horizon."""
     middles = evaluation.time + 0.5 * float(evaluation.horizon[-1])
     return [{"name": part.name, "start": part.start, "end": part.end,
-             "heading_change_deg": math.degrees(part.heading_change), "models": by_model(evaluation, rows)}
+             "heading_change_deg": math.degrees(part.heading_change), "models": summarise_by_model(evaluation, rows)}
             for part, rows in zip(parts, assign_horizons(parts, middles), strict=True)]
 
 
-def pooled(entries: Sequence[Mapping[str, Mapping[str, Entry]]]) -> dict[str, dict[str, Entry]]:
-    """{model: {mode: entry}} of several such documents, pooled as if all starts were in one run."""
+def pool_models(entries: Sequence[Mapping[str, Mapping[str, Entry]]]) -> dict[str, dict[str, Entry]]:
+    """Pool several {model: {mode: entry}} as if all starts were in one run."""
     found: dict[str, dict[str, list[Entry]]] = {}
     for document in entries:
         for model, modes in document.items():
             for mode, one in modes.items():
                 found.setdefault(model, {}).setdefault(mode, []).append(one)
-    return {model: {mode: _joined(parts) for mode, parts in modes.items()} for model, modes in found.items()}
+    return {model: {mode: _pool(parts) for mode, parts in modes.items()} for model, modes in found.items()}
 
 
-def pooled_by(entries: Sequence[Entry], *keys: str) -> list[Entry]:
-    """Entries that agree in `keys` joined into one, in order of first appearance of each."""
+def pool_entries(entries: Sequence[Entry], *keys: str) -> list[Entry]:
+    """Pool the entries that agree in `keys`, in the order of their first appearance."""
     groups: dict[tuple, list[Entry]] = {}
     for one in entries:
         groups.setdefault(tuple(one[key] for key in keys), []).append(one)
     return [{**{k: v for k, v in group[0].items() if k in {*keys, "low", "high"}}, "count": len(group),
-             "models": pooled([one["models"] for one in group])} for group in groups.values()]
+             "models": pool_models([one["models"] for one in group])} for group in groups.values()]
 
 
-def _joined(entries: Sequence[Entry]) -> Entry:
+def _pool(entries: Sequence[Entry]) -> Entry:
     joined: Entry = {key: sum(e[key] for e in entries) for key in ("n_starts", "n_incomplete") if key in entries[0]}
     for axis in AXES:
         known = [(e["n_starts"], e[axis]) for e in entries if e["n_starts"]]
@@ -93,7 +93,7 @@ def _joined(entries: Sequence[Entry]) -> Entry:
             sum(n * v["mean"] for n, v in known) / total, max(v["max"] for _, v in known),
             math.sqrt(sum(n * v["rmse"] ** 2 for n, v in known) / total)) if total else _statistics(*[math.nan] * 3)
     if "samples" in entries[0]:
-        joined["samples"] = _joined([e["samples"] for e in entries])
+        joined["samples"] = _pool([e["samples"] for e in entries])
     return joined
 
 
@@ -102,8 +102,8 @@ def _statistics(*values: float) -> Entry:
     return {kind: float(v) if math.isfinite(v) else None for kind, v in zip(STATISTICS, values, strict=True)}
 
 
-DIGITS = 2  # centimetres, as in the paper
-WIDE = 100  # characters, width of the table with forecasts
+DECIMALS = 2  # centimetres, as in the paper
+MIN_FORECAST_WIDTH = 100  # characters; the table in a narrower terminal has no forecasts
 REPORTED_AXES = ("longitudinal", "lateral")
 NOTE = "mean | max | RMSE over {what}, m; bold: smallest magnitude of each run"
 OVER_LABELS = {"means": "the horizon means", "samples": "all samples of all horizons"}
@@ -111,29 +111,29 @@ OVER_LABELS = {"means": "the horizon means", "samples": "all samples of all hori
 Models = Mapping[str, Any]  # {model: {mode: entry}}
 
 
-def values(models: Models, model: str, mode: str, axis: str, over: str) -> Mapping[str, float | None]:
-    """{mean, max, rmse} of an entry; over: means or samples."""
+def axis_statistics(models: Models, model: str, mode: str, axis: str, over: str) -> Mapping[str, float | None]:
+    """{mean, max, rmse} of a model. over: means or samples."""
     entry = models[model][mode]
     return entry[axis] if over == "means" else entry["samples"][axis]
 
 
 def is_best(models: Models, model: str, mode: str, axis: str, kind: str, over: str) -> bool:
-    """Whether no model has a smaller magnitude, in the printed digits; several may be best, as in the paper."""
-    sizes = {m: round(abs(size), DIGITS) for m in models
-             if (size := values(models, m, mode, axis, over)[kind]) is not None}
+    """Whether no model has a smaller printed magnitude; several models may be best, as in the paper."""
+    sizes = {m: round(abs(size), DECIMALS) for m in models
+             if (size := axis_statistics(models, m, mode, axis, over)[kind]) is not None}
     return model in sizes and sizes[model] == min(sizes.values())
 
 
-def in_metres(value: float | None) -> str:
-    """Number with two decimals, without a negative zero."""
+def format_metres(value: float | None) -> str:
+    """Number with DECIMALS decimals, "-" for None; a negative zero loses its sign."""
     if value is None:
         return "-"
-    return f"{value:.{DIGITS}f}".replace(f"-{0:.{DIGITS}f}", f"{0:.{DIGITS}f}")
+    return f"{value:.{DECIMALS}f}".replace(f"-{0:.{DECIMALS}f}", f"{0:.{DECIMALS}f}")
 
 
 def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) -> Table:
-    """The paper's table (hindsight), in a wide terminal with the RMSE of the forecasts."""
-    wide = width >= WIDE
+    """The table of the paper (hindsight); in a wide terminal, with the RMSE of the forecasts."""
+    wide = width >= MIN_FORECAST_WIDTH
     ahead = list(dict.fromkeys(mode for r in reports for modes in r.models.values() for mode in modes
                                if mode != "hindsight"))
     heading = Text(f"{title}\n{NOTE.format(what=OVER_LABELS[over])}", style="bold")
@@ -145,12 +145,12 @@ def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) ->
     for report in reports:
         for number, model in enumerate(report.models):
             cells = [Text(" | ").join(
-                Text(f"{in_metres(values(report.models, model, 'hindsight', axis, over)[kind]):>5}",
+                Text(f"{format_metres(axis_statistics(report.models, model, 'hindsight', axis, over)[kind]):>5}",
                      style="bold" if is_best(report.models, model, "hindsight", axis, kind, over) else "")
                 for kind in STATISTICS) for axis in REPORTED_AXES]
-            forecasts = [" | ".join(f"{in_metres(values(report.models, model, mode, axis, over)['rmse']):>5}"
-                                    for axis in REPORTED_AXES) if mode in report.models[model] else ""
-                         for mode in ahead]
+            forecasts = [" | ".join(
+                f"{format_metres(axis_statistics(report.models, model, mode, axis, over)['rmse']):>5}"
+                for axis in REPORTED_AXES) if mode in report.models[model] else "" for mode in ahead]
             starts = str(report.models[model]["hindsight"]["n_starts"])
             table.add_row(Text("" if number else report.name), Text(model, style=MODEL_COLOUR.get(model, "")), starts,
                           *cells, *(forecasts if wide else []))
@@ -159,22 +159,22 @@ def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) ->
 
 
 def latex_table(reports: Sequence[Any], over: str, what: str) -> str:
-    """The table in the paper's form, for the packages booktabs and multirow. what: settings and data in the caption."""
+    """The table in the form of the paper, for the packages booktabs and multirow. what: end of the caption."""
     models = list(next((r.models for r in reports), {}))
-    legend = ", ".join(f"m$_{{{k + 1}}}$ {_tex(model)}" for k, model in enumerate(models))
+    legend = ", ".join(f"m$_{{{k + 1}}}$ {_escape_tex(model)}" for k, model in enumerate(models))
     lines = [
         r"\begin{table}[t]", r"\centering",
         rf"\caption{{Mean error, maximum absolute error and RMSE over {OVER_LABELS[over]}; {legend}. "
-        rf"Bold: lowest magnitude. {_tex(what)}}}",
+        rf"Bold: lowest magnitude. {_escape_tex(what)}}}",
         r"\begin{tabular}{cccc}",
         r"& & \multicolumn{2}{c}{\textbf{Error (mean $\mid$ max $\mid$ RMSE) [m]}} \\", r"\cmidrule(lr){3-4}",
         r"& & \textbf{Longitudinal} & \textbf{Lateral} \\",
     ]
 
-    def triple(report: Any, model: str, axis: str) -> str:
+    def format_triple(report: Any, model: str, axis: str) -> str:
         parts = []
         for kind in STATISTICS:
-            text = in_metres(values(report.models, model, "hindsight", axis, over)[kind])
+            text = format_metres(axis_statistics(report.models, model, "hindsight", axis, over)[kind])
             bold = rf"\mathbf{{{text}}}" if is_best(report.models, model, "hindsight", axis, kind, over) else text
             parts.append(rf"\phantom{{-}}{bold}" if kind == "mean" and not text.startswith("-") else bold)
         return "$" + r" \mid ".join(parts) + "$"
@@ -182,13 +182,13 @@ def latex_table(reports: Sequence[Any], over: str, what: str) -> str:
     for report in reports:
         lines.append(r"\midrule")
         for k, model in enumerate(report.models):
-            head = rf"\multirow[c]{{{len(models)}}}{{*}}{{{_tex(report.name)}}} " if k == 0 else ""
-            cells = " & ".join(triple(report, model, axis) for axis in REPORTED_AXES)
+            head = rf"\multirow[c]{{{len(models)}}}{{*}}{{{_escape_tex(report.name)}}} " if k == 0 else ""
+            cells = " & ".join(format_triple(report, model, axis) for axis in REPORTED_AXES)
             lines.append(rf"{head}& m$_{{{k + 1}}}$ & {cells} \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
 
 
-def _tex(text: str) -> str:
+def _escape_tex(text: str) -> str:
     special = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
     return "".join(special.get(c, "\\" + c if c in "&%$#_{}" else c) for c in text)
 
@@ -197,7 +197,7 @@ Row = dict[str, Any]
 
 
 def write_csv(file: Path, rows: Iterator[Row]) -> None:
-    """Write rows of equal keys; numbers are not rounded, unknown ones empty."""
+    """Write rows with equal keys; numbers are not rounded, and a cell is empty for None."""
     with file.open("w", newline="") as stream:
         writer = csv.writer(stream)
         for number, row in enumerate(rows):
@@ -205,7 +205,7 @@ def write_csv(file: Path, rows: Iterator[Row]) -> None:
 
 
 def csv_rows(reports: Sequence[Any]) -> dict[str, Iterator[Row]]:
-    """Rows by file name: for each run, model and mode; also by second, bin, and part of the drive."""
+    """Rows for each run, model and mode, by file name: of the table, and by second, bin and part of the drive."""
     bins = (({"run": r.name, "quantity": one["quantity"], "bin": one["label"], "low": one["low"], "high": one["high"]},
              one["models"]) for r in reports for one in r.bins)
     parts = (({"run": r.name, "manoeuvre": one["name"], "start_s": round(one["start"], 3),
@@ -213,8 +213,8 @@ def csv_rows(reports: Sequence[Any]) -> dict[str, Iterator[Row]]:
              for r in reports for one in r.manoeuvres)
     return {
         "table": (row for r in reports for row in _model_rows({"run": r.name}, r.models)),
-        "seconds": ({"run": r.name, "model": model, "mode": mode, "horizon_s": second, **_flat(entry)} for r in reports
-                    for model, modes in r.seconds_ahead.items() for mode, seconds in modes.items()
+        "seconds": ({"run": r.name, "model": model, "mode": mode, "horizon_s": second, **_flatten(entry)}
+                    for r in reports for model, modes in r.seconds_ahead.items() for mode, seconds in modes.items()
                     for second, entry in seconds.items()),
         "bins": (row for head, models in bins for row in _model_rows(head, models)),
         "manoeuvres": (row for head, models in parts for row in _model_rows(head, models))}
@@ -224,10 +224,10 @@ def _model_rows(head: Row, models: Models) -> Iterator[Row]:
     for model, modes in models.items():
         for mode, entry in modes.items():
             yield {**head, "model": model, "mode": mode, "n_starts": entry["n_starts"],
-                   "n_incomplete": entry["n_incomplete"], **_flat(entry),
-                   **{f"samples_{key}": value for key, value in _flat(entry["samples"]).items()}}
+                   "n_incomplete": entry["n_incomplete"], **_flatten(entry),
+                   **{f"samples_{key}": value for key, value in _flatten(entry["samples"]).items()}}
 
 
-def _flat(entry: Mapping[str, Any]) -> Row:
+def _flatten(entry: Mapping[str, Any]) -> Row:
     units = {"longitudinal": "m", "lateral": "m", "yaw": "rad"}
     return {f"{axis}_{kind}_{units[axis]}": entry[axis][kind] for axis in AXES for kind in STATISTICS}

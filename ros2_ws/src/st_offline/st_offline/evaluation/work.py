@@ -1,4 +1,4 @@
-"""Evaluation of one run, from its files to its part of the report, in this process or in a worker."""
+"""Evaluates one run, from its files to its part of the report, in this process or in a worker."""
 
 import math
 import re
@@ -37,16 +37,19 @@ from ..checking.gate import RUN_ERRORS, Refused, check_for_use, describe_problem
 from . import tables
 from .background import in_background
 from .drawing import FigureOutput, PageFigure
-from .drive_parts import drive_parts
-from .run_figures import Drawing, ranking, run_figures
+from .drive_parts import segment_drive
+from .run_figures import Drawing, describe_ranking, draw_run
 
 
 @dataclass(frozen=True)
 class Task:
-    """Settings of an evaluation. models: by name, or (file name, content) of a model.yaml. starts: times drawn in
-    detail [s], () for automatic ones. folder: of the results; None: nothing is written. formats: of the figures.
-    force: evaluate runs with errors in the checks. bands, course: (file name, content). adaptive: test adaptive bands.
-    effects: folder of user-defined effects in the model files."""
+    """Settings of an evaluation.
+
+    models: by name, or (file name, content) of a model.yaml. starts: times of the predictions drawn in detail [s], ()
+    for automatic ones. folder: of the results; None: nothing is written. formats: of the figures. force: whether to
+    evaluate runs in which the checks find errors. bands, course: (file name, content). adaptive: whether to test
+    adaptive bands. effects: folder of user-defined effects in the model files.
+    """
 
     vehicle: VehicleParameters
     models: tuple[str | tuple[str, str], ...]
@@ -66,9 +69,9 @@ class Task:
 class RunReport:
     """Results of one run, picklable.
 
-    problem: why the run was not evaluated; it then has at most the findings of the checks. finding: one sentence.
-    about: provenance, counts, alignment, warnings, findings of the checks. bands: sums of bands.scoring. seconds: wall
-    time by part.
+    problem: why the run was not evaluated; `about` then contains at most the findings of the checks. finding: ranking
+    of the models in one sentence. about: provenance, counts, alignment, warnings, findings of the checks. bands: sums
+    of bands.scoring. seconds: wall time by part.
     """
 
     name: str
@@ -85,10 +88,10 @@ class RunReport:
 
 
 def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None) -> RunReport:
-    """Read, evaluate and draw one run. Errors are reported in `problem`, never raised."""
+    """Read, evaluate and draw one run. An error of the run becomes its `problem`."""
     try:
         with warnings.catch_warnings():
-            # The checks report a step that is too long as a finding.
+            # The checks already report a step that is too long as a finding.
             warnings.simplefilter("ignore", StepTooLongWarning)
             return _evaluate(source, task, progress)
     except Refused as error:
@@ -102,7 +105,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     run = read(source, task.vehicle, task.read)
     marks.append(time.perf_counter())
     models = load_models(task)
-    with in_background(lambda: (_findings(source, run, task, models), drive_parts(run.log, run.labels))) as checked:
+    with in_background(lambda: (_check_run(source, run, task, models), segment_drive(run.log, run.labels))) as checked:
         signals = task.settings.signals(run.log)
         bands = load_bands(task, models)
         scorer = Scorer(bands, signals) if bands else None
@@ -114,17 +117,17 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
                 one.add(starts, block)  # type: ignore[attr-defined]
 
         try:
-            ahead = inputs_ahead(run, signals, task.vehicle, task.settings.prediction, load_course(task.course))
+            ahead = future_inputs(run, signals, task.vehicle, task.settings.prediction, load_course(task.course))
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
                                       on_block=score, future_inputs=ahead)
-        finally:  # a failed check explains more than the exception that the same fault causes here
+        finally:  # a finding of the checks explains more than the exception that the same fault causes here
             findings, parts = checked()
             if isinstance(findings, Refused):
                 raise findings
     marks.append(time.perf_counter())
     _require_scores(source, run, evaluation)
     output = _figure_output(task, source.name, evaluation)
-    figures = run_figures(Drawing(evaluation, models, task.vehicle, signals, task.starts, output))
+    figures = draw_run(Drawing(evaluation, models, task.vehicle, signals, task.starts, output))
     marks.append(time.perf_counter())
     about = {
         "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
@@ -134,25 +137,26 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         "findings": findings}
     sums: dict[str, Any] = adaptive.sums() if adaptive else {}
     if scorer:
-        shares = share_sums(models, task.vehicle, signals, task.settings, intervals_of(model_files(task)))
+        shares = share_sums(models, task.vehicle, signals, task.settings, intervals_of(parse_model_files(task)))
         sums = scorer.sums(run.provenance["files"]) | shares | sums
     return RunReport(
-        source.name, "", ranking(evaluation), about, tables.by_model(evaluation), tables.by_second(evaluation),
-        tables.by_bin(evaluation), tables.by_manoeuvre(evaluation, parts), figures, sums,
+        source.name, "", describe_ranking(evaluation), about, tables.summarise_by_model(evaluation),
+        tables.summarise_by_second(evaluation), tables.summarise_by_bin(evaluation),
+        tables.summarise_by_manoeuvre(evaluation, parts), figures, sums,
         dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True)))
 
 
 def _figure_output(task: Task, name: str, evaluation: LogEvaluation) -> FigureOutput:
-    """Output of the figures of a run; also writes starts.csv to its folder."""
-    folder = task.folder / "runs" / slug(name) if task.folder else None
+    """Create the folder of a run, with starts.csv; returns the output for its figures."""
+    folder = task.folder / "runs" / to_file_name(name) if task.folder else None
     if folder:
         folder.mkdir(parents=True, exist_ok=True)
         write_starts(folder / "starts.csv", evaluation)
-    return FigureOutput(folder, task.formats, f"{slug(name)}-")
+    return FigureOutput(folder, task.formats, f"{to_file_name(name)}-")
 
 
 def _require_scores(source: RunSource, run: LoadedRun, evaluation: LogEvaluation) -> None:
-    """Raises RunError with the reasons if no prediction was scored."""
+    """Raise RunError with the reasons if no prediction was scored."""
     if any(errors.n_starts for errors in evaluation.errors.values()):
         return
     length = float(evaluation.horizon[-1])
@@ -164,7 +168,9 @@ def _require_scores(source: RunSource, run: LoadedRun, evaluation: LogEvaluation
         f"{reason} ({count} starts)" for reason, count in skipped.items()))
 
 
-def _findings(source: RunSource, run: LoadedRun, task: Task, models: Sequence[Model]) -> list[dict[str, Any]] | Refused:
+def _check_run(source: RunSource, run: LoadedRun, task: Task,
+               models: Sequence[Model]) -> list[dict[str, Any]] | Refused:
+    """Findings of the checks, or the error for a refused run."""
     try:
         return check_for_use(source.where, run, task.vehicle, task.force, models, task.settings.prediction.step)
     except Refused as error:
@@ -172,7 +178,7 @@ def _findings(source: RunSource, run: LoadedRun, task: Task, models: Sequence[Mo
 
 
 def load_models(task: Task) -> list[Model]:
-    """The models of a task. Raises ConfigurationError for an unknown one, a bad file, or two of one name."""
+    """Models of a task. Raises ConfigurationError for an unknown model, an invalid file, or two models of one name."""
     models: list[Model] = []
     if task.effects:
         load_folder(str(task.effects.absolute()))
@@ -190,16 +196,16 @@ def load_models(task: Task) -> list[Model]:
     names = [model.name for model in models]
     for name in names:
         if names.count(name) > 1:
-            raise ConfigurationError(f"two models are named {name}: give each name once, and one model file at a time")
+            raise ConfigurationError(f"two models are named {name}: give each name once, and at most one model file")
     return models
 
 
-def model_files(task: Task) -> list[ModelFile]:
+def parse_model_files(task: Task) -> list[ModelFile]:
     return [ModelFile.from_yaml(*reversed(one)) for one in task.models if not isinstance(one, str)]
 
 
 def load_bands(task: Task, models: Sequence[Model]) -> Bands | None:
-    """The bands of a task, None without. Raises ConfigurationError for bands of another car, model or configuration."""
+    """Bands of a task, None without a file. Raises ConfigurationError for bands of another car, model or setting."""
     if task.bands is None:
         return None
     origin, text = task.bands
@@ -212,45 +218,44 @@ def load_bands(task: Task, models: Sequence[Model]) -> Bands | None:
 
 
 def model_hashes(task: Task, models: Sequence[Model]) -> dict[str, str]:
-    """Hash of the model file by model; "" for a model of the paper."""
-    return {model.name: "" for model in models} | {file.model().name: file.hash for file in model_files(task)}
+    """Hash of the model file by model; "" for a built-in model."""
+    return {model.name: "" for model in models} | {file.model().name: file.hash for file in parse_model_files(task)}
 
 
-def slug(name: str) -> str:
-    """A name as a file name: letters, digits, dot, dash and underscore."""
+def to_file_name(name: str) -> str:
+    """A name in which all characters other than letters, digits, dot, dash and underscore are replaced."""
     return re.sub(r"[^\w.-]+", "_", name, flags=re.ASCII).strip(".") or "run"
 
 
 def write_starts(file: Path, evaluation: LogEvaluation) -> None:
-    """Write one row per prediction: time, conditions, horizon means of all models (docs/manual/evaluation.md)."""
-    def text(values: np.ndarray, digits: int) -> list[str]:
-        return ["" if math.isnan(v) else f"{v:.{digits}f}" for v in values.tolist()]
+    """Write one row per prediction: time, conditions, mean errors over the horizon (docs/manual/evaluation.md)."""
+    def format_numbers(values: np.ndarray, decimals: int) -> list[str]:
+        return ["" if math.isnan(v) else f"{v:.{decimals}f}" for v in values.tolist()]
 
-    columns = {"start_ns": evaluation.starts_ns.astype(str), "t0_s": text(evaluation.time, 3),
-               **{name: text(values, 5) for name, values in evaluation.conditions.items()},
-               **{f"{model}_{mode}_{axis}_mean": text(errors.mean[:, k], 5)
+    columns = {"start_ns": evaluation.starts_ns.astype(str), "t0_s": format_numbers(evaluation.time, 3),
+               **{name: format_numbers(values, 5) for name, values in evaluation.conditions.items()},
+               **{f"{model}_{mode}_{axis}_mean": format_numbers(errors.mean[:, k], 5)
                   for (model, mode), errors in evaluation.errors.items() for k, axis in enumerate(AXES)}}
     tables.write_csv(file, (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)))
 
 
-INPUTS = ("planned_road_wheel_angle", "planned_velocity_x_dot")
-"""Columns of a CSV [rad, left +; m/s^2]: inputs at the time of the row as a planner had planned them
-before the start of the prediction."""
-PATH = ("planned_speed", "planned_curvature")  # alternatively speed and curvature of the CG [m/s; 1/m, left +]
+PLANNED_INPUTS = ("planned_road_wheel_angle", "planned_velocity_x_dot")
+"""Columns of a CSV [rad, left +; m/s^2]: inputs at the time of the row, as planned before the prediction started."""
+PLANNED_PATH = ("planned_speed", "planned_curvature")  # alternative columns, for the CG [m/s; 1/m, left +]
 
 
-def inputs_ahead(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters, prediction: PredictionSettings,
+def future_inputs(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters, prediction: PredictionSettings,
                  course: Course | None) -> dict[Mode, FutureInputs]:
-    """Inputs in the horizon by mode: plan, if the recording has one, and course, if given; see `evaluate_log`.
+    """Inputs over the horizon for `evaluate_log`: "plan" if the recording contains one, "course" if a course is given.
 
-    Passes of the run itself are left out of the course. If both origins are known, the course is transformed into the
+    The passes of this run are removed from the course. If both origins are known, the course is transformed into the
     map of the run; otherwise both must be in the same map. Raises RunError for planned columns that are not numbers,
     and for a course at another location.
     """
-    found: dict[Mode, FutureInputs] = {}
+    inputs: dict[Mode, FutureInputs] = {}
     plan = _planned_columns(run.provenance["files"], vehicle)
     if plan is not None:
-        found["plan"] = recorded_plan(*plan, prediction.steps, prediction.step, prediction.maximum_gap)
+        inputs["plan"] = recorded_plan(*plan, prediction.steps, prediction.step, prediction.maximum_gap)
     if course is not None:
         others = course.exclude(list(run.provenance["files"].values()))
         if course.origin is not None and "origin" in run.provenance:
@@ -260,21 +265,21 @@ def inputs_ahead(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters
             except StCoreError as error:
                 raise RunError(Path(run.log.name), f"--course: {error}",
                                "leave the option out, or give a course of this location") from None
-        found["course"] = course_inputs(others, signals, vehicle, prediction.horizon, prediction.step)
-    return found
+        inputs["course"] = course_inputs(others, signals, vehicle, prediction.horizon, prediction.step)
+    return inputs
 
 
 def load_course(file: tuple[str, str] | None) -> Course | None:
-    """The course of (file name, content). Raises ConfigurationError, one line."""
+    """Course from (file name, content); None without a file. Raises ConfigurationError."""
     return None if file is None else Course.from_yaml(file[1], file[0])
 
 
 def _planned_columns(files: Mapping[str, str],
                      vehicle: VehicleParameters) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
-    """Time [ns] and columns as in `recorded_plan`, of the first CSV with planned columns; None without one."""
+    """Time [ns] and inputs for `recorded_plan` from the first CSV with planned columns; None without one."""
     for file in (Path(name) for name in files if name.lower().endswith(".csv")):
         names = read_header(file)
-        kind = next((kind for kind in (INPUTS, PATH) if set(kind) <= set(names)), None)
+        kind = next((kind for kind in (PLANNED_INPUTS, PLANNED_PATH) if set(kind) <= set(names)), None)
         if kind is None or "t" not in names:
             continue
         try:
@@ -286,7 +291,7 @@ def _planned_columns(files: Mapping[str, str],
         if not np.isfinite(seconds).all() or (np.diff(seconds) <= 0.0).any():
             raise ConfigurationError(f"{file}: t does not increase in rows with planned columns; sort or correct them")
         time_ns = np.round(seconds * 1e6).astype(np.int64) * 1000
-        if kind == INPUTS:
+        if kind == PLANNED_INPUTS:
             return time_ns, (first, second)
         path = path_inputs(first, second, seconds, vehicle)
         return time_ns, (path.road_wheel_angle, path.velocity_x_dot, path.signals[SLIP_FREE])

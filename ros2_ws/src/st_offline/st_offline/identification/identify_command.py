@@ -31,7 +31,7 @@ from ..checking.check_report import findings_as_json, print_findings
 from ..discovery.vehicle_update import edit_or_rewrite
 from ..evaluation.drawing import FigureOutput, PageFigure
 from ..pages import template
-from ..terminal import line, list_files, rows_table
+from ..terminal import list_files, print_line, rows_table
 from .driving import DRIVING
 from .experiment import COLUMN_NAMES, Experiment, Setup, rows
 from .workshop import CG_HEIGHT, LAMBDA, SCALES, STEERING_RATIO, TYRE
@@ -97,9 +97,9 @@ def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Seq
                              ("dim", [f"left out: {name}: {why}" for name, why in outcome.rejected]),
                              ("yellow", outcome.warnings)):
             for text in texts:
-                line(f"  [{style}]{escape(text)}[/]", console)
+                print_line(f"  [{style}]{escape(text)}[/]", console)
     for sentence in stale:
-        line(f"  [yellow]{escape(sentence)}[/yellow]", console)
+        print_line(f"  [yellow]{escape(sentence)}[/yellow]", console)
 
 
 def findings_by_drive(found: Sequence[Identification]) -> dict[str, tuple[Finding, ...]]:
