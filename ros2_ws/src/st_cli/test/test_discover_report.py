@@ -71,9 +71,9 @@ def test_title_and_table_name_the_values_of_the_answer_the_largest_effect_first(
 
 
 def test_a_value_on_its_bound_is_reported_as_such_but_not_a_shape():
-    (ratio,) = report_text.values("steering_ratio", {"factor": FittedParameter(0.5, "1", (0.4, 0.6), 1.0)})
+    (ratio,) = quantities.format_parameters("steering_ratio", {"factor": FittedParameter(0.5, "1", (0.4, 0.6), 1.0)})
     assert ratio == "× 0.50 on its bound (0.40 to 0.60)"
-    (_, curvature) = report_text.values("front_tyre_curve", {
+    (_, curvature) = quantities.format_parameters("front_tyre_curve", {
         "peak": FittedParameter(0.98, "1", (0.62, 1.30), 1.0),
         "curvature": FittedParameter(0.05, "1", (-0.17, 0.28), 1.0)})
     assert curvature == "curvature × 0.05 (-0.17 to 0.28)"
@@ -104,7 +104,7 @@ def test_a_file_with_one_of_two_alternatives_names_the_other(logs, strength, why
     assert any(f"the first of yaw inertia × 0.8600 or mass × 1.020; {why} separate" in t for t in reported)
     more = replace(found, minor=found.effects)
     reported = report_text.recommend(more, replace(corrected, text="name: x", error=(0.33, 0.31)))
-    assert any("vehicle.yaml alone reduces the position error after 5 s by 6%, with model" in t for t in reported)
+    assert any("vehicle.yaml alone reduces the position error after 5 s by 6%, together" in t for t in reported)
 
 
 def test_recordings_are_to_be_corrected_only_if_a_correction_exists(logs):
@@ -144,8 +144,8 @@ def test_the_unexplained_part_is_reported_with_the_names(logs):
     message = "; a residual remains that no effect of the library explains: errors are 3.1 times the noise"
     assert report_text.title(much) == report_text.title(named) + message
     assert "an effect that is not in the library; errors are 3.1 times the noise" in report_text.explain_effects(much)
-    assert any("values may contain a part of the residual" in text for text in report_text.recommend(much, None))
-    assert not any("part of the residual" in text for text in report_text.recommend(named, None))
+    assert any("residual may have biased their values" in text for text in report_text.recommend(much, None))
+    assert not any("biased their values" in text for text in report_text.recommend(named, None))
 
 
 def test_varying_effects_are_reported_and_not_named(logs):
@@ -217,7 +217,7 @@ def test_a_small_number_is_never_rounded_to_zero_and_zero_has_no_sign(number, de
 def test_errors_of_the_recordings_come_before_the_answer_is_used(logs):
     wrong = Finding("x_scale", Severity.WARNING, ("x",), "x is 0.97 times the integrated velocity", effect=1.1)
     lines = dict(report_text.summary(discovery(logs, STEPS, 1.72), None, {"a": [wrong], "b": [wrong]}))
-    assert "velocity (a, b, shifts the position after 5 s by about 1.1 m). These are errors" in lines["recordings"]
+    assert "velocity (a, b, shifts the position after 5 s by about 1.1 m). The recordings" in lines["recordings"]
     assert "recordings" not in dict(report_text.summary(discovery(logs, STEPS, 1.72), None, {"a": []}))
 
 

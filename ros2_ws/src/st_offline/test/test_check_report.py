@@ -104,7 +104,7 @@ def test_the_verdict_counts_and_says_what_it_means():
     assert check_report.verdict(checked([leans])) == "1 warning: results of identify and discover would be biased"
     assert check_report.verdict(checked([MOVED, leans])) == "2 warnings: an evaluation would be biased"
     assert check_report.verdict(checked([])) == "nothing found, in 1 comparison"
-    assert "nothing to compare" in check_report.verdict(Checked((), {}, ()))
+    assert "nothing could be compared" in check_report.verdict(Checked((), {}, ()))
     assert check_report.headline(checked([DEGREES])) == "1 error: yaw rate is 57.3 times too large: deg/s?"
 
 

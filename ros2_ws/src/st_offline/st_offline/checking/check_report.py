@@ -306,5 +306,5 @@ def print_findings(runs: Mapping[str, Sequence[Finding]], console: Console, deta
         print_line(f"{escape(', '.join(dict.fromkeys(names)))}: [{SEVERITY_STYLE[severity]}]{severity.value}: "
                    f"{escape(' | '.join(filter(None, parts)))}[/]", console)
     if notes:
-        print_line(f"[dim]{notes} negligible note{'' if notes == 1 else 's'} of the checks: {details} lists "
-                   f"{'it' if notes == 1 else 'them'}[/dim]", console)
+        print_line(f"[dim]{notes} note{'' if notes == 1 else 's'} of the checks, negligible here; see {details}[/dim]",
+                   console)
