@@ -139,11 +139,10 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     if scorer:
         shares = share_sums(models, task.vehicle, signals, task.settings, intervals_of(parse_model_files(task)))
         sums = scorer.sums(run.provenance["files"]) | shares | sums
-    return RunReport(
-        source.name, "", describe_ranking(evaluation), about, tables.summarise_by_model(evaluation),
-        tables.summarise_by_second(evaluation), tables.summarise_by_bin(evaluation),
-        tables.summarise_by_manoeuvre(evaluation, parts), figures, sums,
-        dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True)))
+    seconds = dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True))
+    return RunReport(source.name, "", describe_ranking(evaluation), about, tables.summarise_by_model(evaluation),
+                     tables.summarise_by_second(evaluation), tables.summarise_by_bin(evaluation),
+                     tables.summarise_by_manoeuvre(evaluation, parts), figures, sums, seconds)
 
 
 def _figure_output(task: Task, name: str, evaluation: LogEvaluation) -> FigureOutput:
