@@ -94,13 +94,14 @@ def test_the_hand_wheel_becomes_the_road_wheels_by_the_vehicle_file(tmp_path):
 
 
 @pytest.mark.parametrize(("topic", "field", "said"), [
-    ("/angle", "data", "it contains no message of /angle, but /joints, /notes, /odom, /rack, /steering_angle"),
-    ("/rack", "data", "no 'data'; it has header, vector"),
-    ("/rack", "vector.y.z", "no 'z'; it has no fields"),
+    ("/angle", "data", "topic /angle has no messages in this bag; name one of the recorded topics: /joints, /notes, "
+     "/odom, /rack, /steering_angle"),
+    ("/rack", "data", "'data' is not one of the fields (header, vector)"),
+    ("/rack", "vector.y.z", "'z' is not one of the fields (none)"),
     ("/rack", "vector", "is not a number"),
     ("/notes", "data", "is not a number"),
-    ("/joints", "position", "'position' of /joints is a list of 2; add the index, as position.0"),
-    ("/joints", "position.2", "no '2'; it has no fields"),
+    ("/joints", "position", "'position' of /joints is a list of 2 elements; add an index, such as position.0"),
+    ("/joints", "position.2", "'2' is not one of the fields (none)"),
 ])
 def test_what_is_no_angle_is_refused_by_name(tmp_path, topic, field, said):
     folder = bag(tmp_path / "drive")

@@ -1,4 +1,4 @@
-"""Decodes the signals of the suite from the frames of a log into columns, with the rules of the live CAN bridge."""
+"""Decodes the CAN frames of a log to signals (one column each), with the same checks as the live CAN bridge."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -19,30 +19,23 @@ from .ins_log import SPEEDS, compute_car_speed, make_series
 
 @dataclass(frozen=True)
 class Signal:
-    """One signal of the table in one message, SI, sign as in the table.
-
-    time_ns: time at which the frame was logged, strictly increasing. valid: False if a counter or checksum set to
-    `warn` was wrong. rows: indices of its frames in Frames.
-    """
+    """One signal of the signal table in one message."""
 
     name: str
     message: str
-    time_ns: np.ndarray
-    values: np.ndarray
-    valid: np.ndarray
-    rows: np.ndarray
+    time_ns: np.ndarray  # log times of its frames, strictly increasing
+    values: np.ndarray  # SI, sign as in the signal table
+    valid: np.ndarray  # False where a counter or checksum set to `warn` is wrong
+    rows: np.ndarray  # indices of its frames in Frames
 
 
 @dataclass(frozen=True)
 class CanSignals:
-    """Decoded signals by (signal, message). faults: message -> description and number of faults.
+    """Decoded signals of a log."""
 
-    rejected: message -> log times [ns] of its frames that are not used, because of an implausible value or a check.
-    """
-
-    signals: Mapping[tuple[str, str], Signal]
-    faults: Mapping[str, str]
-    rejected: Mapping[str, np.ndarray] = field(default_factory=dict)
+    signals: Mapping[tuple[str, str], Signal]  # by names of signal and message
+    faults: Mapping[str, str]  # message -> description of its faults, with their numbers
+    rejected: Mapping[str, np.ndarray] = field(default_factory=dict)  # message -> log times [ns] of rejected frames
 
     def all_of(self, name: str) -> list[Signal]:
         return [signal for signal in self.signals.values() if signal.name == name]
@@ -63,10 +56,10 @@ class CanSignals:
 
 
 def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
-    """Decodes and checks every message of the table; frames rejected by a check set to `drop` are left out.
+    """Decodes and checks every message of the table.
 
-    The rules are those of the live decoder: length, checksum, counter, range and rate (canedge_bridge.decode). Where
-    time does not increase (the same message on two buses), the first frame of each instant is kept.
+    Frames are checked as by the live decoder (canedge_bridge.decode): length, checksum, counter, range and rate. Of
+    several frames with the same time (the same message on two buses), only the first is used.
     """
     signals: dict[tuple[str, str], Signal] = {}
     faults: dict[str, str] = {}
@@ -83,8 +76,8 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
             other_key = key ^ EXTENDED
             count = int(np.subtract(*np.searchsorted(sorted_ids, (other_key + 1, other_key))))
             if spec.needed and count:
-                faults[message] = (f"its identifier 0x{identifier:X} has {29 if extended else 11} bits in the DBC, and "
-                                   f"{count} frames of the log have it with {11 if extended else 29} bits")
+                faults[message] = (f"its identifier 0x{identifier:X} has {29 if extended else 11} bits in the DBC, but "
+                                   f"{11 if extended else 29} bits in {count} frames of the log")
             continue
         payload, lengths = frames.payload[rows], frames.length[rows]
         decoded = decode_log(table.database, frames.id[rows], payload, lengths, [message]).get(message)
@@ -109,40 +102,40 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
 
 
 def _describe_length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: int) -> str:
-    """Describes frames whose length differs from the DBC; empty if there are none."""
+    """Describes the frames whose length is not that in the DBC; empty if there are none."""
     found = [f"{format_share(int(count), len(lengths), 'frames')} have {size} bytes"
              for size, count in zip(*np.unique(lengths, return_counts=True), strict=True) if size != spec.dbc.length]
     if not found:
         return ""
     lost = len(lengths) - n_decoded
-    consequence = f"{lost} are not used" if lost else "the additional bytes are padding and were ignored"
-    return f"{', '.join(found)}, the DBC gives {spec.dbc.length}; {consequence}"
+    consequence = f"{lost} frames are not used" if lost else "the additional bytes are padding and were ignored"
+    return f"{', '.join(found)} instead of {spec.dbc.length} as in the DBC; {consequence}"
 
 
 def find_steering(signals: CanSignals, file: Path | str, table: SignalTable) -> Signal:
-    """The steering wheel angle. Raises RunError with the expected message and the messages found."""
+    """Finds the signal of the steering wheel angle. Raises RunError if it is not in the log."""
     steering = signals.first_of("steering_wheel_angle")
     if steering is not None:
         return steering
     source = table.source_of("steering_wheel_angle")
-    expected = f"{source[0].name} (0x{source[0].dbc.frame_id:03X})" if source else "with the steering angle"
+    expected = f"{source[0].name} (0x{source[0].dbc.frame_id:03X})" if source else "(not in the signal table)"
     if source and (fault := signals.faults.get(source[0].name)):
-        raise RunError(file, f"the steering message {expected} cannot be used: {fault}", "correct the DBC or the table")
-    found = sorted({message for _, message in signals.signals})
-    raise RunError(file, f"the steering message {expected} is not in the log; "
-                   + (f"it has {', '.join(found)}" if found else "none of the known messages is"),
+        raise RunError(file, f"the steering message {expected} cannot be used: {fault}",
+                       "correct the DBC or the signal table")
+    found = ", ".join(sorted({message for _, message in signals.signals})) or "none"
+    raise RunError(file, f"the steering message {expected} is not in the log; known messages in the log: {found}",
                    "name the car of this log with --car DIR, or log the bus that carries the message")
 
 
 def collect_speeds(signals: CanSignals, to_reference: Callable[[np.ndarray], np.ndarray] = np.asarray
                    ) -> tuple[Series | None, Series | None]:
-    """(speed of the car from its wheels, forward speed that the INS sends on CAN).
+    """(speed of the car from its wheels, forward speed that the INS sends on CAN); None for a missing one.
 
-    to_reference: converts times of the log.
+    to_reference: converts log times to times of the result.
     """
     wheels = {name: (to_reference(signal.time_ns[signal.valid]), signal.values[signal.valid])
               for name in SPEEDS if (signal := signals.first_of(name)) is not None}
-    ins = signals.all_of("ins_velocity_x")  # sent in different messages for the two axis conventions
+    ins = signals.all_of("ins_velocity_x")  # the two axis conventions have different messages
     if not ins:
         return compute_car_speed(wheels), None
     order = np.argsort(np.concatenate([signal.rows[signal.valid] for signal in ins]), kind="stable")
@@ -152,11 +145,11 @@ def collect_speeds(signals: CanSignals, to_reference: Callable[[np.ndarray], np.
 
 
 def load_signal_table(dbc: Path, table: Path) -> SignalTable:
-    """The signal table of a DBC. Raises RunError if a file is missing or the two contradict each other."""
+    """Loads a DBC and its signal table. Raises RunError if a file is missing or the two contradict each other."""
     for file, option in ((table, "--signals"), (dbc, "--dbc")):
         if not file.is_file():
             raise RunError(file, "the file does not exist, and a CAN log cannot be decoded without it",
-                           f"give one by {option}, or a car with one by --car")
+                           f"name the file with {option}, or a car that has one with --car")
     try:
         return load_table(dbc, table)
     except ValueError as error:
@@ -165,9 +158,15 @@ def load_signal_table(dbc: Path, table: Path) -> SignalTable:
 
 def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
                  values: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, str]:
-    """(frames to keep, frames that are valid, description of the faults).
+    """Checks the frames of a message.
 
-    payload: (n, 8). time_ns: as logged. values: signals of the suite in the message, SI, one value per frame.
+    Args:
+        payload: (n, 8) bytes.
+        time_ns: log times (n,).
+        values: SI values (n,) by signal of the suite.
+
+    Returns:
+        (whether to use each frame, whether each frame is valid, description of the faults).
     """
     n = len(payload)
     keep, valid = np.ones(n, dtype=bool), np.ones(n, dtype=bool)
@@ -183,29 +182,29 @@ def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
         (keep if check.mode is Mode.DROP else valid)[wrong] = False
         if wrong.any():
             faults.append(f"{name} wrong in {wrong.sum()}")
-    possible = keep.copy()
+    accepted = keep.copy()
     for signal in spec.signals:
         if np.isfinite(signal.maximum) or np.isfinite(signal.max_rate):
             sent = keep if not signal.dbc.multiplexer_ids else keep & np.isfinite(values[signal.name])
             passed = find_plausible(signal, spec, time_ns[sent], values[signal.name][sent])
-            possible[sent] &= passed
+            accepted[sent] &= passed
             if len(bad := values[signal.name][sent][~passed] / signal.factor):
                 worst = float(bad[np.argmax(np.abs(bad))])
                 faults.append(f"{signal.dbc.name} implausible (up to {worst:.6g} {signal.unit}) in {len(bad)}")
-    return possible, valid & possible, f"{', '.join(faults)} of {n} frames" if faults else ""
+    return accepted, valid & accepted, f"{', '.join(faults)} of {n} frames" if faults else ""
 
 
 def find_plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Whether each frame is in range, within the rate limit, and not isolated among implausible ones
-    (canedge_bridge.decode.Plausibility).
+    """Whether each frame is in range, within the rate limit, and not isolated among implausible frames.
 
-    Unlike the live decoder it also uses later frames, and so accepts the first frames after implausible ones.
+    This is the check of canedge_bridge.decode.Plausibility, but it also uses later frames, so that the first frames
+    after implausible ones are accepted.
     """
     physical = values / signal.factor
     in_range = (physical >= signal.minimum) & (physical <= signal.maximum)
 
     def within_reach(frame: np.ndarray | int, reference: np.ndarray | int) -> tuple[np.ndarray, np.ndarray]:
-        """(whether the two frames are comparable, whether they are also within the rate limit)."""
+        """(whether the two frames are close enough in time to be compared, whether they are then within the limit)."""
         elapsed_ns = time_ns[frame] - time_ns[reference]
         comparable = (elapsed_ns > 0) & (elapsed_ns <= int(spec.timeout * 1e9))
         reach = signal.max_rate * np.maximum(elapsed_ns * 1e-9, spec.period)
@@ -218,7 +217,7 @@ def find_plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, v
     possible = in_range & reached
     earlier = np.maximum.accumulate(np.where(possible, frames, -1))
     accepted = -1
-    for frame in np.flatnonzero(in_range & ~reached).tolist():  # jumps, and frames without a usable predecessor
+    for frame in np.flatnonzero(in_range & ~reached).tolist():  # a jump, or no previous frame to compare with
         last = max(accepted, int(earlier[frame]))
         is_comparable, is_close = within_reach(frame, last) if last >= 0 else (False, False)
         if is_close or not (is_comparable or comparable[frame]):
@@ -232,7 +231,7 @@ def find_plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, v
 
 
 def checksum_matches(check: CheckSpec, payload: np.ndarray, arbitration_id: int) -> np.ndarray:
-    """Whether the checksum of each frame is correct. The two common rules are vectorised, others run per frame."""
+    """Whether the checksum of each frame is correct. The two common rules are vectorised; others run frame by frame."""
     found = (payload[:, check.field.byte] >> check.field.shift) & check.field.mask
     if check.rule is RULES["xor_nibble"]:
         value = np.bitwise_xor.reduce(payload, axis=1)
@@ -240,18 +239,18 @@ def checksum_matches(check: CheckSpec, payload: np.ndarray, arbitration_id: int)
     if check.rule is RULES["sum8_id"]:
         total = payload.sum(axis=1, dtype=np.uint32) - found + (arbitration_id >> 8) + (arbitration_id & 0xFF)
         return (total & 0xFF) == found
-    assert check.rule is not None  # None for a counter only
+    assert check.rule is not None  # a checksum has a rule; only a counter has none
     expected = [checksum_of(check.rule, check.field, row.tobytes(), arbitration_id) for row in payload]
     return np.array(expected) == found
 
 
 def find_counter_faults(field: Field, payload: np.ndarray, time_ns: np.ndarray, unreadable: np.ndarray,
                         restart_after: float) -> np.ndarray:
-    """Whether each counter did not increase by one. As in CounterCheck, `unreadable` frames also count."""
+    """Whether the counter of each frame did not increase by one. As in CounterCheck, an `unreadable` frame also
+    increases the expected counter. restart_after: gap [s] after which any counter is correct."""
     value = ((payload[:, field.byte] >> field.shift) & field.mask).astype(np.int64)
     index = np.arange(len(value))
-    # index of the last readable frame before each frame
-    before = np.concatenate(([-1], np.maximum.accumulate(np.where(unreadable, -1, index))[:-1]))
+    before = np.concatenate(([-1], np.maximum.accumulate(np.where(unreadable, -1, index))[:-1]))  # last readable frame
     expected = value[before] + (index - before)
     wrong = (before >= 0) & ~unreadable & (((value - expected) & field.mask) != 0)
     gap = np.diff(time_ns, prepend=time_ns[:1]) > restart_after * 1e9

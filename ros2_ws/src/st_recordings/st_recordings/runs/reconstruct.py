@@ -1,5 +1,6 @@
 """Reconstructs odometry and steering of a bag from raw packets and frames, as the bridges would have published them.
-Also reads steering from topics of any type, and further channels for the checks.
+
+This module also reads steering from topics of any type, and auxiliary data for the checks.
 """
 
 import math
@@ -27,7 +28,7 @@ from .ncom import collect_quality, rotate_to_body
 from .run_types import SteeringField
 
 ORIGIN_TOPIC, ORIGIN_TYPE = "ins/origin", "sensor_msgs/msg/NavSatFix"
-RECONSTRUCTED = " (reconstructed)"  # appended to the name of the raw topic from which odometry or steering is computed
+RECONSTRUCTED = " (reconstructed)"  # appended to the name of the raw topic if odometry or steering is computed from it
 _AUXILIARY_FIELDS = {WHEEL_SPEEDS: ("header.stamp", *WHEEL_FIELDS.values(), "valid"),
                      INS_ON_CAN: ("header.stamp", "velocity_x"), NCOM: ("raw_packet",)}
 _STATUS_FIELDS = ("header.stamp", "navigation_status", "position_mode", "position_accuracy_north",
@@ -57,12 +58,14 @@ class Reconstruction:
         return self.has(CAN_FRAMES) and None not in self._descriptions()
 
     def map_frame(self) -> str:
+        """frame_id of the odometry."""
         return str(self._nodes.get("oxts_bridge", {}).get("map_frame", "map"))
 
     def odometry(self, fields: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """Fields of nav_msgs/Odometry: stamp, position x, y, quaternion x, y, z, w, velocity x, y, yaw rate.
+        """Columns of nav_msgs/Odometry, reconstructed from raw packets. Raises RunError for damaged packets, or if no
+        packet has a fix and a time.
 
-        Raises RunError for damaged packets, or if no packet has a fix and a time.
+        fields: names of stamp, position x, y, quaternion x, y, z, w, velocity x, y and yaw rate, in this order.
         """
         bridge = self._nodes.get("oxts_bridge", {})
         columns = self._storage.columns({self.topic(NCOM): ("header.stamp", "raw_packet")}, self._store)
@@ -74,7 +77,8 @@ class Reconstruction:
                                         bridge.get("stamp_source") == "receive")
         rows = [(o.stamp_ns, *o.position[:2], *o.orientation, *o.velocity[:2], o.rate[2]) for o in odometry]
         if not rows:
-            raise RunError(self._path, "none of its raw packets has a fix and a time", "record with the unit locked")
+            raise RunError(self._path, "none of its raw packets has a fix and a time",
+                           "record again after the unit has locked")
         stamps, *values = zip(*rows, strict=True)
         return {fields[0]: np.array(stamps, np.int64), **dict(zip(fields[1:], map(np.array, values), strict=True))}
 
@@ -96,7 +100,7 @@ class Reconstruction:
         return Origin(source, (latitude, longitude, altitude) if source == GIVEN else None)
 
     def steering(self) -> dict[str, np.ndarray]:
-        """Fields of st_msgs/Steering. Raises RunError."""
+        """Columns of st_msgs/Steering, reconstructed from raw CAN frames. Raises RunError."""
         from .can_signals import find_steering
 
         bridge = self._nodes.get("canedge_bridge", {})
@@ -116,7 +120,8 @@ class Reconstruction:
         try:
             return getattr(VehicleParameters.from_yaml(text or "", "the vehicle in the recording"), key)
         except StCoreError as error:
-            raise RunError(self._path, f"the steering of its raw frames needs a vehicle file: {error}") from None
+            raise RunError(self._path, "the road wheel angle of its raw frames needs the steering ratio and offset in "
+                           f"a vehicle file: {error}", "also record vehicle/steering") from None
 
     def speeds(self) -> tuple[Series | None, Series | None]:
         """See `can_signals.collect_speeds`."""
@@ -133,7 +138,7 @@ class Reconstruction:
         from .can_signals import load_signal_table
 
         if not self.bus_is_described:
-            raise RunError(self._path, "it has raw CAN frames, but no DBC and signal table to decode them",
+            raise RunError(self._path, "it contains raw CAN frames, but no DBC and signal table to decode them",
                            "also record vehicle/steering")
         with tempfile.TemporaryDirectory() as folder:
             files = Path(folder, "can.dbc"), Path(folder, "signals.yaml")
@@ -143,7 +148,7 @@ class Reconstruction:
 
     @cached_property
     def _signals(self) -> Any:
-        from .can_signals import decode_signals  # importing the CAN libraries takes a second, and other bags need none
+        from .can_signals import decode_signals  # importing the CAN libraries takes a second, and most bags need none
         from .frames import read_frames
 
         table = self._table
@@ -156,7 +161,8 @@ class Reconstruction:
 
 
 def choose_auxiliary_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, ...]]:
-    """Topics for the checks, one per type, and their fields. Raw packets only if no other topics have their content."""
+    """Chooses auxiliary topics, one per type, and their fields. Raw packets are read only if no other topics have the
+    same content."""
     by_type = {topic.type_name: topic for topic in topics if topic.count}
     fields = {by_type[name]: fields for name, fields in _AUXILIARY_FIELDS.items() if name in by_type}
     if NCOM in by_type and INS_ON_CAN in by_type and INS_STATUS in by_type:
@@ -167,9 +173,10 @@ def choose_auxiliary_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, .
 def collect_auxiliary_data(storage: Storage, topics: Sequence[Topic], columns: Mapping[Topic, Mapping[str, np.ndarray]],
                            stamps: Mapping[str, np.ndarray], missing: Mapping[str, int], store: Typestore,
                            reconstruction: Reconstruction) -> AuxiliaryData:
-    """Data of a bag for the checks; speeds are reconstructed if no topic has them.
+    """Collects the auxiliary data of a bag for the checks; speeds are reconstructed if no topic has them.
 
-    columns: readable topics of `choose_auxiliary_fields`. stamps, missing: of odometry and steering (missing: counts).
+    columns: fields of the topics from `choose_auxiliary_fields`, except unreadable ones. stamps: times [ns] of "INS"
+    and "steering". missing: channel -> number of messages without a usable value.
     """
     by_type = {topic.type_name: fields for topic, fields in columns.items()}
     status = next((topic for topic in topics if topic.type_name == INS_STATUS and topic.count), None)
@@ -196,7 +203,7 @@ def _compute_wheel_speed(columns: Mapping[str, np.ndarray]) -> Series | None:
 
 
 def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
-    """(quality, forward speed) of raw packets."""
+    """(quality, forward speed) in raw packets; None for what they do not contain."""
     try:
         columns = file_decoder.decode_file(np.ascontiguousarray(raw, np.uint8).tobytes())
     except NcomError:
@@ -214,7 +221,7 @@ def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
 
 
 def _read_reported_quality(storage: Storage, topic: Topic, store: Typestore) -> InsQuality | None:
-    """Quality from st_msgs/InsStatus, read one by one: about one message a second, with texts of varying length."""
+    """Quality of the INS in messages of st_msgs/InsStatus, which are read one by one because of their texts."""
     try:
         rows = [[get_field(message, field) for field in _STATUS_FIELDS]
                 for _, message in deserialise("", storage, topic, store)]
@@ -230,23 +237,21 @@ def _read_reported_quality(storage: Storage, topic: Topic, store: Typestore) -> 
 
 
 def find_steering_topic(where: Any, topics: list[Topic], steering: SteeringField, store: Typestore) -> Topic:
-    """The topic named by the option. Raises RunError if it is not in the bag, is empty, or has an unknown type."""
+    """Finds the topic that the option names. Raises RunError if it has no messages or an unknown type."""
     found = next((t for t in topics if t.name.lstrip("/") == steering.topic.lstrip("/") and t.count), None)
     if found is None:
         names = ", ".join(sorted(t.name for t in topics if t.count))[:300] or "no messages"
-        raise RunError(where, f"--steering-topic: it contains no message of {steering.topic}, but {names}",
-                       "name one of them")
+        raise RunError(where, f"--steering-topic: topic {steering.topic} has no messages in this bag",
+                       f"name one of the recorded topics: {names}")
     if found.type_name not in store.fielddefs:
-        raise RunError(where, f"--steering-topic: the type {found.type_name} of {found.name} is not known, and the bag "
-                       "has no definition of it", "record it as MCAP, which includes definitions")
+        raise RunError(where, f"--steering-topic: the type {found.type_name} of topic {found.name} is unknown, and the "
+                       "bag does not contain its definition", "record it as MCAP, which includes definitions")
     return found
 
 
 def extract_steering_angle(where: Any, message: Any, steering: SteeringField) -> float:
-    """The steering angle in a message [rad], left positive.
-
-    Raises RunError, with the existing fields, if the path does not lead to a number.
-    """
+    """Extracts the steering angle [rad], left positive, from a message. Raises RunError if the path of the field does
+    not lead to a number."""
     value = message
     for part in steering.field.split("."):
         fields = [name for name in getattr(value, "__dataclass_fields__", {}) if not name.startswith("__")]
@@ -254,17 +259,16 @@ def extract_steering_angle(where: Any, message: Any, steering: SteeringField) ->
             value = value[int(part)]
             continue
         if part not in fields:
-            names = ", ".join(fields) or "no fields"
-            raise RunError(where, f"--steering-field: {steering.field!r} is not in {steering.topic}: no {part!r}; it "
-                           f"has {names}",
-                           "give the path to one number, as drive.steering_angle")
+            names = ", ".join(fields) or "none"
+            raise RunError(where, f"--steering-field: {steering.field!r} is not in {steering.topic}: {part!r} is not "
+                           f"one of the fields ({names})", "give the path to a number, such as drive.steering_angle")
         value = getattr(value, part)
     if _is_list(value):
-        raise RunError(where, f"--steering-field: {steering.field!r} of {steering.topic} is a list of {len(value)}",
-                       f"add the index, as {steering.field}.0")
+        raise RunError(where, f"--steering-field: {steering.field!r} of {steering.topic} is a list of {len(value)} "
+                       "elements", f"add an index, such as {steering.field}.0")
     if isinstance(value, bool | str) or not isinstance(value, int | float | np.number):
         raise RunError(where, f"--steering-field: {steering.field!r} of {steering.topic} is not a number",
-                       "give the path to one number, as drive.steering_angle")
+                       "give the path to a number, such as drive.steering_angle")
     return steering.scale * float(value)
 
 
@@ -273,7 +277,7 @@ def _is_list(value: Any) -> bool:
 
 
 def get_stamp(message: Any, log_ns: int) -> int:
-    """header.stamp [ns]; the log time if the message has no stamp or a zero one."""
+    """header.stamp [ns], or the log time if the message has no stamp or its stamp is zero."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     return (stamp.sec * 1_000_000_000 + stamp.nanosec if stamp else 0) or log_ns
 
@@ -291,12 +295,15 @@ def deserialise(where: Any, storage: Storage, topic: Topic, store: Typestore) ->
 
 def read_steering_columns(where: Any, storage: Storage, topic: Topic, steering: SteeringField,
                           store: Typestore) -> dict[str, np.ndarray]:
-    """The fields of st_msgs/Steering from a topic of another type; NaN if not measured. Raises RunError."""
+    """Columns of st_msgs/Steering, read from a topic of another type. Raises RunError.
+
+    If only the steering wheel angle was recorded, the road wheel angle is a placeholder with the same values, which
+    DriveLog.with_steering replaces.
+    """
     stamps, angles = [], []
     for log_ns, message in deserialise(where, storage, topic, store):
         stamps.append(get_stamp(message, log_ns))
         angles.append(extract_steering_angle(where, message, steering))
     values, missing = np.array(angles), np.full(len(angles), math.nan)
-    # DriveLog.with_steering computes the road wheel angle from a steering wheel angle.
     return {"header.stamp": np.array(stamps, np.int64), "road_wheel_angle": values,
             "steering_wheel_angle": values if steering.quantity == "wheel" else missing, "valid": np.isfinite(values)}
