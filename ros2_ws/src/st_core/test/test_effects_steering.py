@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from st_core.augmented import augment
-from st_core.effects.steering_backlash import affine, clamp, scan
+from st_core.effects.steering_backlash import compose_affine, compose_clamps, scan
 from st_core.log import DriveLog
 from st_core.readings import correct_log, correct_steering
 from st_core.timeseries import NANOSECOND
@@ -74,7 +74,7 @@ def test_scan_equals_a_loop(count):
     for gain, add in zip(a, b, strict=True):
         y = gain * y + add
         expected.append(y)
-    np.testing.assert_allclose(scan((a, b), affine)[1], expected, atol=1e-14)
+    np.testing.assert_allclose(scan((a, b), compose_affine)[1], expected, atol=1e-14)
     low = np.minimum(a, b)
     high = np.maximum(a, b)
     low[:1] = high[:1]
@@ -82,7 +82,7 @@ def test_scan_equals_a_loop(count):
     for least, most in zip(low, high, strict=True):
         y = min(max(y, least), most)
         expected.append(y)
-    np.testing.assert_array_equal(scan((low, high), clamp)[0], expected)
+    np.testing.assert_array_equal(scan((low, high), compose_clamps)[0], expected)
 
 
 def test_the_chain_is_delay_then_play_then_lag():

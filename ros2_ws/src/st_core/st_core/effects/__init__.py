@@ -1,4 +1,4 @@
-"""Physical effects as plug-ins: one file each, in this folder, or in one given to `load_folder`."""
+"""Physical effects as plug-ins: one file per effect, in this folder or in a folder given to `load_folder`."""
 
 import hashlib
 import importlib
@@ -40,23 +40,23 @@ __all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS",
 
 
 def load_folder(path: str) -> tuple[str, ...]:
-    """Import every module of a folder (names that begin with _ are helpers) and return the effects registered, sorted.
+    """Import every module of a folder, except names with a leading _, and return the names of its effects, sorted.
 
-    A folder loaded before is not read again. Raises ConfigurationError naming the file for a missing folder, a module
-    that fails to import or registers nothing, and a name in use; nothing of that folder is then registered.
+    A folder that is already loaded is not read again. Raises ConfigurationError, naming the file, for a missing folder,
+    a module that fails to import or registers nothing, and a name in use. No effect of the folder is then registered.
     """
     finder, package = _package(path)
     if package not in sys.modules:
-        names = _modules(finder)
+        names = _list_modules(finder)
         if not names:
-            raise ConfigurationError(f"{finder.path}: contains no effect, no file *.py")
+            raise ConfigurationError(f"{finder.path}: contains no effect, that is no file *.py")
         _load(finder, package, names)
     return tuple(sorted(name for name, effect in EFFECTS.items() if effect.__module__.startswith(package + ".")))
 
 
 def load_file(folder: str, name: str) -> tuple[type[Effect], ...]:
-    """Import one module of a folder, unless it is already imported, and return its effects. Raises ConfigurationError
-    as `load_folder`."""
+    """Import one module of a folder, unless it is already imported, and return its effects. Raises the errors of
+    `load_folder`."""
     finder, package = _package(folder)
 
     def registered() -> tuple[type[Effect], ...]:
@@ -75,7 +75,7 @@ def unload_folder(path: str) -> None:
         del EFFECTS[name]
 
 
-def _modules(finder: FileFinder) -> list[str]:
+def _list_modules(finder: FileFinder) -> list[str]:
     found = pkgutil.iter_importer_modules(finder)  # type: ignore[attr-defined]  # public, but not in the stubs
     return sorted(name for name, _ in found if not name.startswith("_"))
 
@@ -97,15 +97,15 @@ def _load(finder: FileFinder, package: str, names: Sequence[str]) -> None:
     try:
         for name in names:
             _import(f"{package}.{name}", f"{finder.path}/{name}.py")
-        _check_others(set(EFFECTS) - known, {*EFFECTS, *_modules(finder)}, finder.path)
+        _check_others(set(EFFECTS) - known, {*EFFECTS, *_list_modules(finder)}, finder.path)
     except ConfigurationError:
         unload_folder(finder.path)
         raise
 
 
 def _check_others(names: Iterable[str], known: Iterable[str], folder: str) -> None:
-    """Raises ConfigurationError for unknown effects in confounded_with and members. known: names of effects and of the
-    files in the folder; a file has the name of its effect."""
+    """Raises ConfigurationError for unknown effects in confounded_with and members. known: names of all effects and of
+    the files in the folder, each of which has the name of its effect."""
     for name in sorted(names):
         for key in ("confounded_with", "members"):
             for other in getattr(EFFECTS[name], key):

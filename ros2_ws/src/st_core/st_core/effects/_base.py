@@ -22,30 +22,29 @@ ANY = frozenset(BASE_MODELS)
 EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "surroundings")
 SLOTS = ("steering", "front axle", "rear axle", "both axles", "body",
          "position", "velocity", "heading", "yaw rate", "acceleration")
-TOTAL_DELAY = "total delay of the steering"  # dead time and lag; the equations of a model decide how it is divided
+TOTAL_DELAY = "total delay of the steering"  # dead time plus lag, which a fit divides differently from model to model
 COMBINATIONS = {"front cornering stiffness over mass": "N/(rad kg)", "rear cornering stiffness over mass": "N/(rad kg)",
                 "stability factor K": "s^2/m^2", "steady-state yaw gain at 20 m/s": "1/s",
                 TOTAL_DELAY: "s"}
-"""Unit by name. Predictions depend on these combinations; the vehicle parameters in them are not separable. Yaw inertia
-over mass is left out: delays and relaxation have a similar influence in a fit, and four of six intervals for cars with
-other dynamics did not contain the true value."""
+"""Unit by name of the combinations of vehicle parameters that predictions depend on; the parameters in one combination
+are not separable. Yaw inertia over mass is left out, because delays and relaxation have a similar influence: four of
+six intervals for cars with other dynamics did not contain the true value."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect.
+    """A parameter of an effect. Raises ConfigurationError if its fields contradict each other.
 
-    null: value without effect. initial: start of a fit, of typical magnitude. bounds: physical limits, inclusive.
-    source: of initial and bounds. meaning: in a few words, with the sign. odd: whether it changes sign with left and
-    right exchanged. fit: False for a constant of the car, not fitted; null is then its default. identity: the estimate
-    of `st_core.checks.check` that measures it without a fit to the car, same value, sign and unit; "" if there is none.
-    theory: its value by physics, if the same in any car. quantity: key of the vehicle file that it is a difference
-    from, same unit and sign, if neither `vehicle` nor `fold` of the effect has it. shape: whether it selects a curve
-    from a family; a value on a bound is then valid. model_error: standard deviation of the values fitted to one car
-    with models of other equations; from the development cars of `bench/strangers`. deviation:
-    prior standard deviation about null of an addition to the measured car, such as a load, instead of the uncertainties
-    of the vehicle file; inf for other parameters.
-    Raises ConfigurationError if these contradict each other.
+    null: value at which the effect has no influence. initial: start value of a fit, of typical magnitude. bounds:
+    physical limits, inclusive. source: origin of initial and bounds. meaning: a few words, with the sign. odd: whether
+    it changes sign if left and right are exchanged. fit: False for a constant of the car, with null as its default.
+    identity: name of the estimate of `st_core.checks.check` that measures it with the same sign and unit, without a
+    model of the car; "" if there is none. theory: its physical value, if it is the same for every car. quantity: key of
+    the vehicle file that it is added to, with the same unit and sign, if neither `vehicle` nor `fold` of the effect
+    does so. shape: whether it selects a curve from a family, so that a value on a bound is valid. model_error: standard
+    deviation between the values fitted to one car with models of different equations, from the development cars of
+    `bench/strangers`. deviation: prior standard deviation about null of an addition to the measured car, such as a
+    load, in place of the uncertainties of the vehicle file; inf for other parameters.
     """
 
     name: str
@@ -68,18 +67,18 @@ class Parameter:
         low, high = self.bounds
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise ConfigurationError(f"parameter {self.name}: bounds {self.bounds} are not two increasing numbers")
-        for which in ("null", "initial", "theory"):
-            value = getattr(self, which)
+        for key in ("null", "initial", "theory"):
+            value = getattr(self, key)
             if value is not None and not low <= value <= high:
-                raise ConfigurationError(f"parameter {self.name}: {which} is outside its bounds")
+                raise ConfigurationError(f"parameter {self.name}: {key} is outside the bounds")
         if self.fit and self.null == self.initial:
-            raise ConfigurationError(f"parameter {self.name}: initial equals null; give a typical size of the effect")
-        for which in ("name", "unit", "source", "meaning"):
-            if not str(getattr(self, which)).strip():
-                raise ConfigurationError(f"parameter {self.name}: {which} is empty")
+            raise ConfigurationError(f"parameter {self.name}: initial equals null; give a value of typical magnitude")
+        for key in ("name", "unit", "source", "meaning"):
+            if not str(getattr(self, key)).strip():
+                raise ConfigurationError(f"parameter {self.name}: {key} is empty")
 
     def check(self, value: float, key: str) -> float:
-        """The value as a float; raises ConfigurationError naming key and limit when it is outside the bounds."""
+        """The value as a float. Raises ConfigurationError, naming key and limit, for a value outside the bounds."""
         low, high = self.bounds
         if isinstance(value, bool) or not isinstance(value, Real):
             raise ConfigurationError(f"{key}: {value!r} is not a number")
@@ -89,8 +88,8 @@ class Parameter:
 
 
 class Instant(NamedTuple):
-    """Arguments of the hooks of the equations at one instant: state, inputs after the steering effects; SI, at the CG.
-    w, p: inputs and parameters of the whole model, for `forces`."""
+    """State at the CG, and inputs after the steering effects, at one instant; SI units. w, p: inputs and parameters of
+    the whole model, for `forces`."""
 
     x: Any
     y: Any
@@ -107,7 +106,7 @@ class Instant(NamedTuple):
 class Measured(NamedTuple):
     """Readings of the INS: map frame [m], yaw [rad], body axes at the INS point [m/s, m/s^2], yaw rate [rad/s].
 
-    yaw_acceleration: derivative of the yaw rate [rad/s^2], for late readings of it; 0 if unknown.
+    yaw_acceleration: derivative of the yaw rate [rad/s^2], for delayed yaw rate readings; 0 if unknown.
     """
 
     x: Any
@@ -125,38 +124,38 @@ class Effect:
     """One physical effect: its description, its parameters, and hooks at the places of a model where it acts.
 
     Every hook is an optional @staticmethod. `theta` has the parameters by name, and the result of `constants` as
-    `theta.constants`. Hooks of the equations are compiled and differentiated: they use only arithmetic and
-    `st_core.ops`, no branch on a value, and return tuples. `instant`: an Instant. `prepared`: the result of `prepare`,
-    or the declared `signals` without it.
+    `theta.constants`. Hooks in EQUATION_HOOKS are compiled and differentiated: they use only arithmetic and
+    `st_core.ops`, do not branch on a value, and return tuples. `instant`: an Instant. `prepared`: the result of
+    `prepare`, or the declared `signals` if there is no `prepare`.
 
-        constants(vehicle) -> numbers of the car for the other hooks, a NamedTuple (or one float)
-        vehicle(vehicle, theta) -> changed VehicleParameters; once for a set of values, without theta.constants
+        constants(vehicle) -> numbers of the car for the other hooks, as a NamedTuple (or one float)
+        vehicle(vehicle, theta) -> changed VehicleParameters; called once for a set of values, without theta.constants
         fold(vehicle, theta) -> VehicleParameters that contain the effect exactly, for a vehicle file; default `vehicle`
-        steering(time, angle, begins, theta) -> (time [s], road wheel angle [rad]), changed; arrays of a whole
+        steering(time, angle, begins, theta) -> changed (time [s], road wheel angle [rad]); arrays of a whole
             recording, for effects with memory; begins: True at the start and after each gap, where memory is reset
-        inputs(road_wheel_angle, velocity_x_dot, signals, theta) -> both, changed; once per instant
-        prepare(road_wheel_angle, velocity_x_dot, signals, theta) -> tuple, named by `prepared`; once per instant
-        slip_angles(slip_front, slip_rear, extra, instant, prepared, theta) -> both, changed
-        axle_forces(forces, slip_front, slip_rear, instant, prepared, theta) -> (front, rear) [N], from
-            forces(slip_front, slip_rear, instant) -> (front, rear), those without the effect
-        acceleration(instant, prepared, theta) -> (along x, along y [m/s^2], of yaw [rad/s^2]), added
+        inputs(road_wheel_angle, velocity_x_dot, signals, theta) -> both changed; called once per instant
+        prepare(road_wheel_angle, velocity_x_dot, signals, theta) -> tuple named by `prepared`; called once per instant
+        slip_angles(slip_front, slip_rear, extra, instant, prepared, theta) -> both changed
+        axle_forces(forces, slip_front, slip_rear, instant, prepared, theta) -> (front, rear) [N]
+            forces(slip_front, slip_rear, instant) -> (front, rear) [N] without the effect
+        acceleration(instant, prepared, theta) -> added (along x [m/s^2], along y [m/s^2], of yaw [rad/s^2])
         start(slips, instant, prepared, theta) -> initial values of `extra_states`; default 0
-        rates(extra, slips, forces, instant, prepared, theta) -> their derivatives; slips [rad] geometric, forces [N]
-        specific_force(instant, prepared, theta) -> (a_x, a_y) [m/s^2] of an accelerometer at the CG, in excess of
-            the motion
-        observe(measured, theta) -> Measured: readings for true values; correct(measured, theta): the inverse
+        rates(extra, slips, forces, instant, prepared, theta) -> derivatives of `extra_states`, from the slip angles of
+            the geometry [rad] and the forces [N]
+        specific_force(instant, prepared, theta) -> (a_x, a_y) [m/s^2] that an accelerometer at the CG reads in
+            addition to the acceleration of the car
+        observe(measured, theta) -> readings for true values; correct(measured, theta): the inverse; both of Measured
 
-    name: unique. physics: the equation in a line, with the sign. excited_by: driving that makes it observable. kind: of
-    EFFECT_KINDS. slot: of SLOTS, where it acts. confounded_with: effects that are hard to separate from it
+    name: unique. physics: the equation in one line, with the sign. excited_by: driving that makes it observable. kind:
+    one of EFFECT_KINDS. slot: one of SLOTS, where it acts. confounded_with: effects that are hard to separate from it
     (one of the two may name the other), by sensitivity vectors of a single-track car on circle, step, sweep and limit.
-    needs: channels, all of which it needs to be observable and separable. members: names of the effects that it
-    combines. combinations: of COMBINATIONS, that it changes. ratio_to: key of the vehicle file; only the ratio of its
-    quantity to that one is observable. at_peak_force: observable only near the peak force of an axle. applies_to: base
-    models.
-    converts: (from, to) of an effect that turns one base model into another, such as linear to nonlinear.
-    extra_units: of `extra_states`, for exports. costly: evaluates the tyres again, left out of a fast model at null.
-    forward_only: the search adds it in forward steps only, since in a joint fit of the whole library it absorbs parts
-    of other effects. order: of the effects at one hook, lowest first.
+    needs: channels required to observe and separate it. members: effects that it combines. combinations: those of
+    COMBINATIONS that it changes. ratio_to: key of the vehicle file; only the ratio of the effect's quantity to this one
+    is observable. at_peak_force: whether it is observable only near the peak force of an axle. applies_to: base models.
+    converts: (from, to) base model, if it turns one into another. extra_units: units of `extra_states`. costly: whether
+    it evaluates the tyres again, and is left out of a fast model at null. forward_only: whether the search adds it only
+    in forward steps, since in a joint fit of the whole library it absorbs parts of other effects. order: rank among the
+    effects with the same hook, lowest first.
     """
 
     name: ClassVar[str]
@@ -203,32 +202,31 @@ AUXILIARY_HOOKS = ("constants", "fold")
 EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "specific_force")
 EFFECTS: dict[str, type[Effect]] = {}
 UNLISTED: dict[str, type[Effect]] = {}
-"""Effects that only programs use, not in the library of a search; `get_effect` finds them."""
+"""Effects that are not in the library of a search, but that `get_effect` finds."""
 
 
 def register(effect: type[Effect]) -> type[Effect]:
-    """Class decorator: checks an effect and enters it in EFFECTS. Raises ConfigurationError naming effect and
-    problem."""
-    return _enter(effect, EFFECTS)
+    """Class decorator: checks an effect and adds it to EFFECTS. Raises ConfigurationError naming effect and problem."""
+    return _add(effect, EFFECTS)
 
 
-def unlisted(effect: type[Effect]) -> type[Effect]:
-    """Class decorator: as `register`, but in UNLISTED."""
-    return _enter(effect, UNLISTED)
+def register_unlisted(effect: type[Effect]) -> type[Effect]:
+    """Class decorator: as `register`, but adds the effect to UNLISTED."""
+    return _add(effect, UNLISTED)
 
 
-def _enter(effect: type[Effect], registry: dict[str, type[Effect]]) -> type[Effect]:
+def _add(effect: type[Effect], registry: dict[str, type[Effect]]) -> type[Effect]:
     name = effect.__dict__.get("name")
     if not issubclass(effect, Effect) or not isinstance(name, str) or not re.fullmatch("[a-z][a-z0-9_]*", name):
         raise ConfigurationError(f"{effect.__qualname__}: must be a subclass of Effect with a name of a-z, 0-9 and _")
     known = EFFECTS.get(name) or UNLISTED.get(name)
     if known:
-        raise ConfigurationError(f"effect {name}: registered already, by {source_file(known)}")
-    for problem in chain(_wrong_attributes(effect), _missing(effect), _wrong_names(effect), _wrong_pairs(effect)):
+        raise ConfigurationError(f"effect {name}: already registered by {source_file(known)}")
+    for problem in chain(_check_attributes(effect), _check_missing(effect), _check_names(effect), _check_pairs(effect)):
         raise ConfigurationError(f"effect {name}: {problem}")
     names = [*(p.name for p in effect.parameters), "constants"]
     theta = namedtuple("Theta", names, module=effect.__module__)  # type: ignore[misc]  # names known at run time only
-    theta.__qualname__ = f"{effect.__qualname__}.Theta"  # pickled by this path, as compiled kernels are cached by type
+    theta.__qualname__ = f"{effect.__qualname__}.Theta"  # the key of compiled kernels is the type, pickled by its path
     effect.Theta = theta
     if effect.fold is None and effect.vehicle:
         effect.fold = staticmethod(effect.vehicle)
@@ -236,61 +234,61 @@ def _enter(effect: type[Effect], registry: dict[str, type[Effect]]) -> type[Effe
     return effect
 
 
-def _wrong_attributes(effect: type[Effect]) -> Iterator[str]:
+def _check_attributes(effect: type[Effect]) -> Iterator[str]:
     for key, value in vars(effect).items():
         if key.startswith("_"):
             continue
         if key not in vars(Effect) and key not in Effect.__annotations__:
             known = suggest_key(key, [*vars(Effect), *Effect.__annotations__])
-            yield f"unknown attribute {key}{known or ': remove it, or see the new names in CHANGELOG.md'}"
+            yield f"unknown attribute {key}{known or ': remove it, or look for its new name in CHANGELOG.md'}"
         if key in HOOKS and not (isinstance(value, staticmethod) and isinstance(value.__func__, FunctionType)):
             yield f"{key} must be a @staticmethod"
 
 
-def _missing(effect: type[Effect]) -> Iterator[str]:
+def _check_missing(effect: type[Effect]) -> Iterator[str]:
     for key in ("physics", "excited_by"):
         if not str(getattr(effect, key, "")).strip():
-            yield f"{key} is not given"
+            yield f"{key} is missing"
     for key, known in (("kind", EFFECT_KINDS), ("slot", SLOTS)):
         if not hasattr(effect, key):
-            yield f"{key} is not given; it is one of {', '.join(known)}"
+            yield f"{key} is missing; choose one of {', '.join(known)}"
         elif getattr(effect, key) not in known:
             yield f"{key} {getattr(effect, key)!r} is not one of {', '.join(known)}"
     if not any(p.fit for p in getattr(effect, "parameters", ())):
-        yield "no parameter that can be fitted"
+        yield "it has no parameter that can be fitted"
     if effect.converts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook not in AUXILIARY_HOOKS):
         yield "it has no hook, so it changes nothing"
 
 
-def _wrong_names(effect: type[Effect]) -> Iterator[str]:
+def _check_names(effect: type[Effect]) -> Iterator[str]:
     if not effect.applies_to or not effect.applies_to <= ANY:
-        yield f"applies_to must name some of {', '.join(BASE_MODELS)}"
+        yield f"applies_to must name one or more of {', '.join(BASE_MODELS)}"
     for key in ("confounded_with", "needs", "members", "combinations"):
         if not isinstance(getattr(effect, key), tuple):
-            yield f"{key} must be a tuple of names, also of one: (\"name\",)"
+            yield f"{key} must be a tuple of names, even for one name: (\"name\",)"
     for key, known in (("needs", CHANNELS), ("combinations", COMBINATIONS)):
         if not set(getattr(effect, key)) <= set(known):
-            yield f"{key} must name some of {', '.join(known)}"
+            yield f"{key} may only name {', '.join(known)}"
     if effect.members and (len(set(effect.members)) < 2 or effect.name in effect.members):
-        yield "members must name two other effects or more"
+        yield "members must name two or more other effects"
     names = [p.name for p in effect.parameters]
     if len(set(names)) != len(names) or "constants" in names:
-        yield f"parameters {', '.join(names)}: a name is used twice, or is the reserved name constants"
+        yield f"parameters {', '.join(names)}: a name is used twice, or the reserved name constants is used"
 
 
-def _wrong_pairs(effect: type[Effect]) -> Iterator[str]:
+def _check_pairs(effect: type[Effect]) -> Iterator[str]:
     if bool(effect.extra_states) != (effect.rates is not None):
-        yield "extra_states and rates go together"
+        yield "extra_states requires rates, and rates extra_states"
     if effect.extra_units and len(effect.extra_units) != len(effect.extra_states):
         yield "extra_units and extra_states differ in number"
     if bool(effect.prepared) != (effect.prepare is not None):
-        yield "prepare and prepared (the names of its results) go together"
+        yield "prepare requires prepared, the names of its results, and prepared requires prepare"
     if (effect.observe is None) != (effect.correct is None):
-        yield "observe and correct go together"
+        yield "observe requires its inverse correct, and correct requires observe"
 
 
 def source_file(effect: type[Effect]) -> str:
-    """The file of an effect; compiled functions of it are outdated when that changes."""
+    """The file of an effect. When it changes, compiled functions of the effect are outdated."""
     return str(getattr(sys.modules.get(effect.__module__), "__file__", effect.__module__))
 
 
@@ -301,12 +299,12 @@ def get_effect(name: str) -> type[Effect]:
     if name not in EFFECTS:
         known = ", ".join(sorted(EFFECTS))
         raise ConfigurationError(f"unknown effect {name!r}{suggest_key(name, EFFECTS)}; if it is your own, give the "
-                                 f"folder of its file with --effects; known are {known}")
+                                 f"folder of its file with --effects; known effects: {known}")
     return EFFECTS[name]
 
 
 def confounded_effects(name: str) -> set[str]:
-    """Names of the effects that are hard to separate from one: those it is confounded with, and those that list it."""
+    """Names of the effects that are hard to separate from this one: those that it lists, and those that list it."""
     others = {other for other, effect in EFFECTS.items() if name in effect.confounded_with}
     return others.union(get_effect(name).confounded_with)
 

@@ -1,38 +1,38 @@
 """Empirical relation: a smooth curve of one quantity, added to one term of the model, fitted by `st_core.relations`.
 
-    u = sum of in_i quantity_i, held at low and at low + 5 spacing beyond;   t(u) = (u - low) / spacing
-    f(u) = sum over k of c_k (B(t(u) - k) + parity B(t(-u) - k)),   B the cubic B-spline on whole numbers, k = -1 ... 6
+    u = sum of in_i quantity_i, limited to low ... low + 5 spacing;   t(u) = (u - low) / spacing
+    f(u) = sum over k of c_k (B(t(u) - k) + parity B(t(-u) - k)),   B: cubic B-spline on whole numbers, k = -1 ... 6
 
 f, optionally times one `by_` quantity, is added with a weight `to_` to a term. parity: -1 odd, +1 even, 0 neither.
 All weights, the range and the parity are constants, so that all relations of a kind share a compiled function.
-Three kinds: `law` of present quantities, `law_memory` of a quantity q with a lag or of its rate,
+There are three kinds: `law` is a function of present quantities, `law_memory` of a lagged quantity q or of its rate,
 
     s_dot = (q - s) / tau,   s = q at the start;   u = s, or u = (q - s) / tau
 
-and `law_timed` of the time in the run, a signal of recordings only.
+and `law_timed` of the time in the run, a signal that only recordings have.
 """
 
 from typing import NamedTuple
 
 from ..ops import absolute, cos, maximum, minimum, sin
-from ._base import Effect, Parameter, unlisted
+from ._base import Effect, Parameter, register_unlisted
 
-SPLINES = 8  # number of splines, and of coefficients of a curve
-MAX_HEIGHT = 100.0  # bound of the coefficients, which are scaled by their typical magnitude
-INTERVALS = 5.0  # between the knots of u
+SPLINES = 8  # number of splines of a curve
+MAX_COEFFICIENT = 100.0  # 1; the coefficients are scaled by their typical magnitude
+INTERVALS = 5.0  # number of intervals between the knots of u
 MOTION = ("steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate", "north", "east", "position_x",
           "position_y")
 INPUTS = ("slip_front", "slip_rear", *MOTION)
 FACTOR_INPUTS = ("steering", "acceleration_y")
 TERMS = {
-    "front_steer": ("rad", "of the front wheels, added to the road wheel angle"),
-    "rear_steer": ("rad", "of the rear wheels, to the left +"),
+    "front_steer": ("rad", "added to the road wheel angle, left +"),
+    "rear_steer": ("rad", "steer angle of the rear wheels, left +"),
     "front_force": ("1", "lateral force of the front axle divided by its static load, left +"),
     "rear_force": ("1", "lateral force of the rear axle divided by its static load, left +"),
     "front_grip": ("1", "relative change of the lateral force of the front axle"),
     "rear_grip": ("1", "relative change of the lateral force of the rear axle"),
-    "yaw_moment": ("rad/s^2", "yaw acceleration by a moment on the body, left +"),
-    "side_force": ("m/s^2", "lateral acceleration by a force on the body, left +"),
+    "yaw_moment": ("rad/s^2", "yaw acceleration due to a moment on the body, left +"),
+    "side_force": ("m/s^2", "lateral acceleration due to a force on the body, left +"),
     "sensor_yaw_rate": ("rad/s", "added to the reading of the yaw rate sensor"),
     "sensor_acceleration_y": ("m/s^2", "added to the reading of the accelerometer"),
     "sensor_velocity_y": ("m/s", "added to the lateral velocity of the INS"),
@@ -41,23 +41,24 @@ TERMS = {
 """Terms that a curve is added to: unit, and meaning with its sign."""
 
 
-class Car(NamedTuple):
-    load_front: float
-    load_rear: float
+class AxleLoads(NamedTuple):
+    front: float
+    rear: float
 
 
-def load(vehicle) -> Car:
-    return Car(2.0 * vehicle.static_tyre_load_front, 2.0 * vehicle.static_tyre_load_rear)
+def axle_loads(vehicle) -> AxleLoads:
+    """Static loads of the axles [N]."""
+    return AxleLoads(2.0 * vehicle.static_tyre_load_front, 2.0 * vehicle.static_tyre_load_rear)
 
 
 def spline(t):
-    """Cubic B-spline: 2/3 at 0, 1/6 at +-1, 0 from +-2 on."""
+    """Cubic B-spline: 2/3 at t = 0, 1/6 at |t| = 1, 0 for |t| >= 2."""
     far, near = maximum(2.0 - absolute(t), 0.0 * t), maximum(1.0 - absolute(t), 0.0 * t)
     return (far * far * far - 4.0 * near * near * near) / 6.0
 
 
 def curve(u, theta):
-    """f(u)."""
+    """f(u); see the module."""
     high = theta.low + INTERVALS * theta.spacing
     t = (minimum(maximum(u, theta.low + 0.0 * u), high + 0.0 * u) - theta.low) / theta.spacing
     s = (minimum(maximum(-u, theta.low + 0.0 * u), high + 0.0 * u) - theta.low) / theta.spacing
@@ -69,7 +70,7 @@ def curve(u, theta):
 
 
 def weighted_motion(instant, theta):
-    """u without the slip angles, which are not arguments of all hooks."""
+    """u without the slip angles, which not all hooks have as arguments."""
     return (theta.in_steering * instant.road_wheel_angle
             + theta.in_acceleration_y * instant.velocity_x * instant.yaw_rate
             + theta.in_acceleration_x * instant.velocity_x_dot + theta.in_speed * instant.velocity_x
@@ -79,7 +80,7 @@ def weighted_motion(instant, theta):
 
 
 def factor_of_curve(instant, theta):
-    """Factor on the curve."""
+    """Factor by which the curve is multiplied."""
     return (theta.by_one + theta.by_steering * instant.road_wheel_angle
             + theta.by_acceleration_y * instant.velocity_x * instant.yaw_rate)
 
@@ -91,24 +92,23 @@ def curve_of_readings(measured, theta):
 
 
 def _constant(name: str, meaning: str, null: float = 0.0) -> Parameter:
-    return Parameter(name, "1", null=null, initial=null, bounds=(-1e6, 1e6), fit=False, meaning=meaning,
-                     source="of the relation")
+    return Parameter(name, "1", null, null, (-1e6, 1e6), source="relation", meaning=meaning, fit=False)
 
 
 def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
-    """Parameters of a kind of relation: coefficients, range, parity, weights, and the constants `more`."""
+    """Parameters of a kind of relation: coefficients, range, parity, weights, and the further constants `more`."""
     return (
-        *(Parameter(f"c{k}", "1", null=0.0, initial=1.0, bounds=(-MAX_HEIGHT, MAX_HEIGHT),
-                    meaning=f"coefficient of spline {k}", source="of the relation") for k in range(SPLINES)),
-        _constant("low", "smallest value of u"), _constant("spacing", "of the knots of u", 1.0),
+        *(Parameter(f"c{k}", "1", null=0.0, initial=1.0, bounds=(-MAX_COEFFICIENT, MAX_COEFFICIENT),
+                    meaning=f"coefficient of spline {k}", source="fit of the relation") for k in range(SPLINES)),
+        _constant("low", "smallest value of u"), _constant("spacing", "spacing of the knots of u", 1.0),
         _constant("parity", "-1 odd, +1 even, 0 neither"),
         *(_constant(f"in_{name}", "weight in u") for name in INPUTS),
-        _constant("by_one", "1: the curve itself", 1.0),
-        *(_constant(f"by_{name}", "weight in its factor") for name in FACTOR_INPUTS),
-        *(_constant(f"to_{name}", f"{unit} {meaning}") for name, (unit, meaning) in TERMS.items()), *more)
+        _constant("by_one", "constant part of the factor", 1.0),
+        *(_constant(f"by_{name}", "weight in the factor") for name in FACTOR_INPUTS),
+        *(_constant(f"to_{name}", f"{meaning}, {unit}") for name, (unit, meaning) in TERMS.items()), *more)
 
 
-@unlisted
+@register_unlisted
 class RelationEffect(Effect):
     name = "law"
     physics = "a smooth curve of one quantity, added to one term of the model"
@@ -118,7 +118,7 @@ class RelationEffect(Effect):
     order = 90
     parameters = _parameters()
 
-    constants = staticmethod(load)
+    constants = staticmethod(axle_loads)
 
     @staticmethod
     def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
@@ -130,7 +130,7 @@ class RelationEffect(Effect):
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
         u = weighted_motion(instant, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear
-        return changed_forces(forces, slip_front, slip_rear, instant, curve(u, theta), theta)
+        return change_forces(forces, slip_front, slip_rear, instant, curve(u, theta), theta)
 
     @staticmethod
     def acceleration(instant, prepared, theta):
@@ -146,7 +146,7 @@ class RelationEffect(Effect):
         return _add_to_readings(measured, -curve_of_readings(measured, theta), theta)
 
 
-@unlisted
+@register_unlisted
 class LaggedRelationEffect(Effect):
     name = "law_memory"
     physics = "a smooth curve of a quantity that lags, or of its rate, added to the steering of an axle"
@@ -156,7 +156,7 @@ class LaggedRelationEffect(Effect):
     order = 90
     extra_states = ("lagging",)
     parameters = _parameters(
-        *(_constant(f"of_{name}", "weight in q") for name in FACTOR_INPUTS), _constant("tau", "s, of the lag", 0.1),
+        *(_constant(f"of_{name}", "weight in q") for name in FACTOR_INPUTS), _constant("tau", "time constant, s", 0.1),
         _constant("in_lagging", "weight of s in u"), _constant("in_rate", "weight of the rate in u"),
         _constant("by_rate", "weight of the rate in the factor"))
 
@@ -176,7 +176,7 @@ class LaggedRelationEffect(Effect):
         return ((lagging_quantity(instant, theta) - extra[0]) / theta.tau,)
 
 
-@unlisted
+@register_unlisted
 class TimedRelationEffect(Effect):
     name = "law_timed"
     physics = "a smooth curve of the time in the run, added to the steering or to the grip of an axle"
@@ -187,7 +187,7 @@ class TimedRelationEffect(Effect):
     signals = ("run_time",)
     parameters = _parameters()
 
-    constants = staticmethod(load)
+    constants = staticmethod(axle_loads)
 
     @staticmethod
     def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
@@ -196,20 +196,20 @@ class TimedRelationEffect(Effect):
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
-        return changed_forces(forces, slip_front, slip_rear, instant, curve(prepared[0], theta), theta)
+        return change_forces(forces, slip_front, slip_rear, instant, curve(prepared[0], theta), theta)
 
 
 def lagging_quantity(instant, theta):
-    """q of a lagged relation."""
+    """Quantity q of a lagged relation."""
     return (theta.of_steering * instant.road_wheel_angle
             + theta.of_acceleration_y * instant.velocity_x * instant.yaw_rate)
 
 
-def changed_forces(forces, slip_front, slip_rear, instant, y, theta):
-    """Axle forces with a curve y in one of their terms."""
+def change_forces(forces, slip_front, slip_rear, instant, y, theta):
+    """Axle forces changed by a curve with value y."""
     front, rear = forces(slip_front, slip_rear, instant)
-    return (front * (1.0 + theta.to_front_grip * y) + theta.to_front_force * theta.constants.load_front * y,
-            rear * (1.0 + theta.to_rear_grip * y) + theta.to_rear_force * theta.constants.load_rear * y)
+    return (front * (1.0 + theta.to_front_grip * y) + theta.to_front_force * theta.constants.front * y,
+            rear * (1.0 + theta.to_rear_grip * y) + theta.to_rear_force * theta.constants.rear * y)
 
 
 def _add_to_readings(m, y, theta):

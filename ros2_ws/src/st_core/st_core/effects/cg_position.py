@@ -1,4 +1,4 @@
-"""Longitudinal CG position that differs from the vehicle file; axles and INS unchanged in the body."""
+"""Error of the longitudinal CG position in the vehicle file; axles and INS do not move in the body."""
 
 from dataclasses import replace
 

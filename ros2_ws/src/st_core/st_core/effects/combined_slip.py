@@ -1,4 +1,4 @@
-"""Drive and brake forces reduce the lateral force: friction ellipse per axle.
+"""Reduction of the lateral force of an axle by drive and brake forces: friction ellipse.
 
     F_y = F_y0 (1 - share + share sqrt(1 - (F_x / D)^2))
 
@@ -13,7 +13,7 @@ from ..ops import maximum, minimum, sin, sqrt
 from ..tyres import magic_formula_peak
 from ._base import Effect, Parameter, register
 
-MAX_SQUARE_RATIO = 0.98**2  # maximum of (F_x / D)^2, so that the derivative of the root is finite
+MAX_SQUARE_RATIO = 0.98**2  # largest (F_x / D)^2, for which the derivative of the root is finite
 
 
 class Drive(NamedTuple):
@@ -24,14 +24,14 @@ class Drive(NamedTuple):
     brake_front: float
 
 
-def drive_of(vehicle) -> Drive:
+def drive_parameters(vehicle) -> Drive:
     return Drive(vehicle.mass, vehicle.drive_front, vehicle.brake_front)
 
 
 def axle_drive_forces(lateral_front, instant, car: Drive):
-    """Longitudinal forces (front, rear) [N] along the wheels that the forward motion requires; drag is left out.
+    """Longitudinal forces (front, rear) along the wheels [N] that the forward motion requires, without drag.
 
-        F_x = m (v_x_dot - v_y r) + F_f sin delta,   drive and brake each shared by the axles
+        F_x = m (v_x_dot - v_y r) + F_f sin delta,   divided between the axles as drive or brake force
 
     lateral_front: F_f [N].
     """
@@ -57,19 +57,19 @@ def lateral_factor(force, peak, share):
 class CombinedSlip(Effect):
     name = "combined_slip"
     physics = "F_y = F_y0 (1 - share + share sqrt(1 - (F_x / D)^2)) per axle, F_x from the forward motion"
-    excited_by = "braking or power in a turn at 0.4 g only"
+    excited_by = "braking or power in turns; not observable below 0.4 g"
     kind, slot = "physics", "both axles"
     confounded_with = ("steered_drive_force", "longitudinal_load_transfer")
     prepared = ("peak_front", "peak_rear")
     order = 80
     parameters = (
-        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0), meaning="1: the whole ellipse",
+        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0), meaning="1: the full ellipse",
                   source="theory", theory=1.0),
     )
 
     @staticmethod
     def constants(vehicle):
-        return Car(drive_of(vehicle), parameters(vehicle))
+        return Car(drive_parameters(vehicle), parameters(vehicle))
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):

@@ -1,4 +1,4 @@
-"""Steady wind over ground: side force of the moving air minus that of still air, ahead of the CG.
+"""Side force of a steady wind: the force in moving air minus the force in still air.
 
     F_y = rho / 2 side_area (|u| u_y - |u_0| u_y0),   M_z = side_force_arm F_y,
     u = wind - velocity in body axes, u_0 = -velocity
@@ -12,7 +12,7 @@ from ..ops import cos, sin, sqrt
 from ._base import Effect, Parameter, register
 
 AIR_DENSITY = 1.2  # kg/m^3
-SMALL_SQUARE = 1.0e-6  # (m/s)^2, added so that the derivative of the root is finite
+SMALL_SQUARE = 1.0e-6  # (m/s)^2; keeps the derivative of the root finite
 
 
 class Car(NamedTuple):
@@ -22,23 +22,23 @@ class Car(NamedTuple):
     side_force_arm: float
 
 
-def pressure(along, across):
-    """|u| u_y [m^2/s^2]."""
+def speed_times_across(along, across):
+    """|u| u_y [m^2/s^2] of an air velocity u = (along, across) [m/s]."""
     return sqrt(along * along + across * across + SMALL_SQUARE) * across
 
 
 @register
 class Crosswind(Effect):
     name = "crosswind"
-    physics = "side force rho/2 side_area abs(u) u_y at side_force_arm ahead of the CG, u the air relative to the car"
+    physics = "side force rho/2 side_area abs(u) u_y at side_force_arm ahead of the CG, u: air relative to the car"
     excited_by = "straight driving in two directions; two speeds separate it from a steering offset"
     kind, slot = "surroundings", "body"
     confounded_with = ("steering_offset", "road_slope", "road_bank", "lateral_acceleration_bias")
     parameters = (
         Parameter("wind_x", "m/s", null=0.0, initial=1.0, bounds=(-30.0, 30.0), meaning="wind towards east",
-                  source="gale 20 m/s"),
+                  source="a gale has 20 m/s"),
         Parameter("wind_y", "m/s", null=0.0, initial=5.0, bounds=(-30.0, 30.0), odd=True,
-                  meaning="wind towards north", source="gale 20 m/s"),
+                  meaning="wind towards north", source="a gale has 20 m/s"),
     )
 
     @staticmethod
@@ -51,6 +51,6 @@ class Crosswind(Effect):
         along = theta.wind_x * cosine + theta.wind_y * sine - instant.velocity_x
         across = theta.wind_y * cosine - theta.wind_x * sine - instant.velocity_y
         force = 0.5 * AIR_DENSITY * theta.constants.side_area * (
-            pressure(along, across) - pressure(-instant.velocity_x, -instant.velocity_y))
+            speed_times_across(along, across) - speed_times_across(-instant.velocity_x, -instant.velocity_y))
         car = theta.constants
         return 0.0 * force, force / car.mass, car.side_force_arm * force / car.yaw_inertia

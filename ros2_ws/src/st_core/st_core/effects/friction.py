@@ -1,4 +1,4 @@
-"""Friction that differs from the tyre data: wet or cold road, another tyre."""
+"""Ratio of the true friction to the tyre data's: wet or cold road, other tyres."""
 
 from dataclasses import replace
 

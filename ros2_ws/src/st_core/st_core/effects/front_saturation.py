@@ -1,10 +1,10 @@
-"""Saturation of a linear front axle, without a tyre curve in the vehicle file.
+"""Saturation of a linear front axle, which needs no tyre curve of the vehicle file.
 
     F = F_lin / (1 + s u^2 + s^2 u^4)^(1/4),   u = F_lin / static load of the axle
 
 The limit is F_z / sqrt(s), so s = 1 / mu^2; s = 0 is linear. Where the linear force equals the limit, F is 0.76 of it.
-Fitted to brush and Magic Formula curves, it is within 2 % of their peak up to twice that slip (4 % for a Magic Formula
-with C 1.3, E -3).
+Fitted to brush and Magic Formula curves, F deviates by less than 2 % of their peak up to twice that slip (4 % for a
+Magic Formula with C = 1.3, E = -3).
 """
 
 from ..ops import sqrt
@@ -12,13 +12,13 @@ from ._base import Effect, Parameter, register
 
 PARAMETERS = (
     Parameter("saturation", "1", null=0.0, initial=1.0, bounds=(0.0, 16.0),
-              meaning="square of the static load over the axle's largest force: 1 / mu^2",
+              meaning="squared ratio of static load to the axle's largest force: 1 / mu^2",
               source="mu of 0.25 to infinity; dry asphalt 0.8-1.2, so 0.7-1.6"),
 )
 
 
-def saturated(force, load, saturation):
-    """Axle force [N] of a linear axle force [N] under the load [N]."""
+def saturate(force, load, saturation):
+    """Saturated axle force [N] from the linear force [N] and the static load [N] of the axle."""
     u = force / load
     v = saturation * u * u
     return force / sqrt(sqrt(1.0 + v + v * v))
@@ -42,4 +42,4 @@ class FrontSaturation(Effect):
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
         front, rear = forces(slip_front, slip_rear, instant)
-        return saturated(front, theta.constants, theta.saturation), rear
+        return saturate(front, theta.constants, theta.saturation), rear

@@ -1,4 +1,4 @@
-"""Cornering stiffness of the front axle that differs from the vehicle file."""
+"""Error of the front cornering stiffness in the vehicle file."""
 
 from dataclasses import replace
 
@@ -6,14 +6,14 @@ from ._base import Effect, Parameter, register
 
 
 def stiffness_factor(initial):
-    """The parameter of an axle stiffness."""
+    """Parameter for the factor of an axle's stiffness, with its start value."""
     return Parameter("factor", "1", null=1.0, initial=initial, bounds=(0.3, 3.0),
                      meaning="ratio of true stiffness to the file's", model_error=0.04,
                      source="tyres of one size differ by a factor of 2; openpilot estimates 0.2-5 for both axles")
 
 
 def with_stiffness(vehicle, axle, factor):
-    """The vehicle with the cornering stiffness of an axle, "front" or "rear", times a factor."""
+    """The vehicle with the cornering stiffness of one axle, "front" or "rear", multiplied by a factor."""
     stiffness, tyre = getattr(vehicle, f"cornering_stiffness_{axle}"), getattr(vehicle, f"tyre_{axle}")
     return replace(vehicle, **{f"cornering_stiffness_{axle}": stiffness * factor,
                                f"tyre_{axle}": tyre._replace(lambda_ky=tyre.lambda_ky * factor)})
@@ -22,7 +22,7 @@ def with_stiffness(vehicle, axle, factor):
 @register
 class FrontStiffness(Effect):
     name = "front_stiffness"
-    physics = "C_f = factor C_f of the file, the peak force unchanged"
+    physics = "C_f = factor C_f of the file, peak force unchanged"
     excited_by = "cornering at two speeds, or transients; at one steady speed not separable from a steering gain"
     kind, slot = "vehicle parameters", "front axle"
     confounded_with = ("steering_compliance", "steering_ratio", "roll_steer", "mass", "friction", "tyre_stiffness")

@@ -1,10 +1,10 @@
-"""Shape of the front axle's force curve beyond its slope at the origin: peak and curvature.
+"""Peak and curvature of the front axle's force curve, with an unchanged slope at the origin.
 
     D = peak D of the file,   1 - E = curvature (1 - E of the file) at every load,   slope K unchanged
 
-curvature > 1: an earlier and sharper peak; < 1: a later one. p_ey1 and p_ey2 stay within the limits of the vehicle
-file. Only the part of the curve within the driven slip can be fitted, as reported by
-`st_core.identification.axle_curve` with its band. Source: Pacejka, Tire and Vehicle Dynamics, ch. 4.3.
+curvature > 1 means an earlier and sharper peak, < 1 a later one. p_ey1 and p_ey2 stay within the limits of the vehicle
+file. A fit determines only the part of the curve within the driven slip, which `st_core.identification.axle_curve`
+computes with its band. Source: Pacejka, Tire and Vehicle Dynamics, ch. 4.3.
 """
 
 from dataclasses import replace
@@ -21,16 +21,16 @@ PARAMETERS = (
 )
 
 
-def _limited(key, value):
+def _limit(key, value):
     limits = TYRE_QUANTITIES[key]
     return min(max(value, limits.minimum), limits.maximum)
 
 
-def reshaped(tyre, theta):
+def reshape(tyre, theta):
     """The tyre with another peak and curvature, its cornering stiffness unchanged at every load."""
-    return tyre._replace(lambda_muy=_limited("lambda_muy", tyre.lambda_muy * theta.peak),
-                         p_ey1=_limited("p_ey1", 1.0 - theta.curvature * (1.0 - tyre.p_ey1)),
-                         p_ey2=_limited("p_ey2", theta.curvature * tyre.p_ey2))
+    return tyre._replace(lambda_muy=_limit("lambda_muy", tyre.lambda_muy * theta.peak),
+                         p_ey1=_limit("p_ey1", 1.0 - theta.curvature * (1.0 - tyre.p_ey1)),
+                         p_ey2=_limit("p_ey2", theta.curvature * tyre.p_ey2))
 
 
 @register
@@ -45,4 +45,4 @@ class FrontTyreCurve(Effect):
 
     @staticmethod
     def vehicle(vehicle, theta):
-        return replace(vehicle, tyre_front=reshaped(vehicle.tyre_front, theta))
+        return replace(vehicle, tyre_front=reshape(vehicle.tyre_front, theta))

@@ -1,11 +1,11 @@
-"""INS rotated in the body: its forward axis points to the left of that of the car."""
+"""Misalignment of the INS: its forward axis points to the left of the car's forward axis."""
 
 from ..ops import cos, sin
 from ._base import ANY, Effect, Parameter, register
 
 
 def rotate(m, yaw, angle):
-    """Readings in axes rotated by `angle` [rad] to the left; yaw [rad]: value of the result."""
+    """Readings in axes rotated by `angle` [rad] to the left, with a given yaw [rad]."""
     c, s = cos(angle), sin(angle)
     return m._replace(yaw=yaw, velocity_x=c * m.velocity_x + s * m.velocity_y,
                       velocity_y=c * m.velocity_y - s * m.velocity_x,
@@ -20,7 +20,7 @@ class HeadingMisalignment(Effect):
     excited_by = "straight driving: v_y of the INS is -angle v_x"
     kind, slot = "sensors", "heading"
     confounded_with = ("steering_offset", "sensor_lever_arm")
-    needs = ("velocity_y",)  # without it yaw may be the course, which hides both
+    needs = ("velocity_y",)  # without it, yaw may be the course, which hides the misalignment
     applies_to = ANY
     order = 10
     parameters = (

@@ -1,4 +1,4 @@
-"""Lateral accelerometer with a bias: its reading at rest on level ground."""
+"""Bias of the lateral accelerometer: its reading at rest on level ground."""
 
 from ._base import ANY, Effect, Parameter, register
 

@@ -1,13 +1,13 @@
 """Load transfer to the outer wheels, which reduces the axle force because tyre force is degressive in load.
 
-    dF = share m a_y h / track, split between the axles;   F = F(F_z / 2 + dF) + F(F_z / 2 - dF) of two tyres
+    dF = share m a_y h / track, divided between the axles;   F = F(F_z / 2 + dF) + F(F_z / 2 - dF) of two tyres
 
-a_y = (F_f + F_r) / m of the forces without the transfer. The difference from two equally loaded tyres is added to the
-axle force. With steered wheels, the difference also has a component along the car, backwards at the outer wheel:
+a_y = (F_f + F_r) / m is computed without the transfer. The difference from two equally loaded tyres is added to the
+axle force. The longitudinal components of the two front tyre forces cause a yaw moment against the turn,
 
-    M_z = -track / 2 sin delta (F_outer - F_inner) of the front axle, against the turn
+    M_z = -track / 2 sin delta (F_outer - F_inner),
 
-A single track has no width for that moment; it is represented by a pair of opposite axle forces.
+which the single track, without width, represents by a pair of opposite axle forces.
 """
 
 from typing import NamedTuple
@@ -27,7 +27,7 @@ class Car(NamedTuple):
 
 
 def tyre_pair(slip, load, transfer, tyre):
-    """(outer, inner) tyre force [N] with `transfer` [N] shifted from the inner of two loads [N] to the outer."""
+    """(outer, inner) tyre force [N] with `transfer` [N] from the inner to the outer tyre, each loaded by `load` [N]."""
     return tyre_force(slip, load + transfer, tyre), tyre_force(slip, load - transfer, tyre)
 
 
@@ -44,7 +44,7 @@ class LateralLoadTransfer(Effect):
     costly = True
     order = 20
     parameters = (
-        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), meaning="share of m a_y h / track",
+        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), meaning="ratio to m a_y h / track",
                   source="theory: 1"),
     )
 
@@ -65,7 +65,7 @@ class LateralLoadTransfer(Effect):
         outer, inner = tyre_pair(slip_front, prepared[0], part * transfer, car.tyre_front)
         outer_rear, inner_rear = tyre_pair(slip_rear, prepared[1], (1.0 - part) * transfer, car.tyre_rear)
         couple = 0.5 * track * (outer - inner) / (car.cg_to_front_axle + car.cg_to_rear_axle)
-        # The equations of motion take the front force times cos delta.
+        # The tangent, because the equations of motion multiply the front force by cos delta.
         return (front + outer + inner - 2.0 * tyre_force(slip_front, prepared[0], car.tyre_front)
                 - couple * tan(instant.road_wheel_angle),
                 rear + outer_rear + inner_rear - 2.0 * tyre_force(slip_rear, prepared[1], car.tyre_rear)

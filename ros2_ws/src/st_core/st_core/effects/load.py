@@ -1,9 +1,9 @@
-"""Passengers and luggage: a mass over the rear axle, in addition to the measured car.
+"""Passengers and luggage: a mass over the rear axle that is added to the measured car.
 
     m = m + load,  b = load l_r / m,  l_f = l_f + b,  l_r = l_r - b,  I_z = I_z + m_empty b^2 + load (l_r_empty - b)^2
 
-A load farther forward acts like a smaller one over the rear axle. The tyres of the nonlinear model have the changed
-axle loads; stiffnesses of the linear model are unchanged.
+A load farther forward acts like a smaller load over the rear axle. The axle loads change the tyre forces of the
+nonlinear model, but not the stiffnesses of the linear model.
 """
 
 from dataclasses import replace
@@ -22,8 +22,8 @@ class Load(Effect):
                     "stability factor K")
     parameters = (
         Parameter("mass", "kg", null=0.0, initial=150.0, bounds=(0.0, 800.0),
-                  meaning="mass of the load, as if over the rear axle",
-                  source="payload of passenger cars 400 to 550 kg, two deviations; of vans 800 kg", deviation=250.0),
+                  meaning="mass of a load over the rear axle",
+                  source="payload: passenger cars 400-550 kg (two deviations), vans 800 kg", deviation=250.0),
     )
 
     @staticmethod

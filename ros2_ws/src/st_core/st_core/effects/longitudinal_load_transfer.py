@@ -1,10 +1,10 @@
 """Load transfer between the axles under acceleration, and its effect on the tyre forces.
 
-    dF_z = m height a_x / l from the front axle to the rear,   F = F + F_MF(F_z + dF_z) - F_MF(F_z),   a_x = v_x_dot
+    dF_z = m height a_x / l from the front to the rear axle,   F = F + F_MF(F_z + dF_z) - F_MF(F_z),   a_x = v_x_dot
 
-height is the CG height that the base model lacks: all of it for linear tyres, the excess above that of the vehicle file
-for the Magic Formula. F_MF is the Magic Formula of the vehicle file, two tyres per axle, F_z their loads with the CG of
-the file.
+height is the CG height that the base model does not contain: the whole height for linear tyres, the excess above the
+height in the vehicle file for the nonlinear model. F_MF is the Magic Formula of the vehicle file for the two tyres of
+an axle, F_z the axle load with the CG height of the file.
 """
 
 from ..models.nonlinear_tyre import axle_loads
@@ -14,7 +14,7 @@ from ._base import Effect, Parameter, register
 
 
 def force_change(slip, before, after, tyre):
-    """Change of the force of the two tyres of an axle [N]; before, after: (B, D, E) at their loads."""
+    """Change of the force of the two tyres of an axle [N]; before, after: (B, D, E) at both loads."""
     return 2.0 * (magic_formula_force(slip, after[0], after[1], after[2], tyre)
                   - magic_formula_force(slip, before[0], before[1], before[2], tyre))
 
@@ -22,7 +22,7 @@ def force_change(slip, before, after, tyre):
 @register
 class LongitudinalLoadTransfer(Effect):
     name = "longitudinal_load_transfer"
-    physics = "m height a_x / l moves from the front axle to the rear; the Magic Formula gives the effect"
+    physics = "load transfer m height a_x / l from front to rear axle; the Magic Formula gives the change of force"
     excited_by = "braking and power in turns"
     kind, slot = "physics", "both axles"
     confounded_with = ("combined_slip", "steered_drive_force")
@@ -32,7 +32,7 @@ class LongitudinalLoadTransfer(Effect):
     order = 70
     parameters = (
         Parameter("height", "m", null=0.0, initial=0.4, bounds=(-0.6, 1.2),
-                  meaning="of the CG, beyond the base model's", source="CG of passenger cars 0.4-0.8 m",
+                  meaning="CG height in excess of the base model's", source="CG of passenger cars 0.4-0.8 m",
                   quantity="cg_height"),
     )
 

@@ -1,4 +1,4 @@
-"""Mass that differs from the vehicle file, with CG, yaw inertia and lengths unchanged."""
+"""Error of the mass in the vehicle file; CG position, yaw inertia and lengths are unchanged."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from ._base import Effect, Parameter, register
 class Mass(Effect):
     name = "mass"
     physics = "m = factor m of the file"
-    excited_by = "cornering; with tyres that scale with load it cancels against yaw_inertia: weigh the car"
+    excited_by = "cornering; only relative to yaw_inertia if tyre force is proportional to load: weigh the car"
     kind, slot = "vehicle parameters", "body"
     confounded_with = ("yaw_inertia", "tyre_stiffness", "front_stiffness", "rear_stiffness")
     combinations = ("front cornering stiffness over mass", "rear cornering stiffness over mass")

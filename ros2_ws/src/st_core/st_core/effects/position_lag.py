@@ -1,7 +1,7 @@
-"""Delay of the measured position, to first order: (x, y)_measured = (x, y) - time R(yaw) (v_x, v_y), of the INS point.
+"""Delay of the measured position of the INS point, to first order: (x, y)_measured = (x, y) - time R(yaw) (v_x, v_y).
 
-time > 0: the measured position lags. `observe` applies this effect first and `correct` undoes it last, when yaw and
-velocity are already true, so `correct` is the exact inverse of `observe`.
+With time > 0 the measured position lags. `observe` applies this effect first and `correct` reverses it last, when yaw
+and velocity are already true, so `correct` is the exact inverse of `observe`.
 """
 
 from ..ops import cos, sin
@@ -9,7 +9,7 @@ from ._base import ANY, Effect, Parameter, register
 
 
 def extrapolate(measured, time):
-    """The readings with the position after `time` [s] at their velocity."""
+    """The readings with the position moved by their velocity for `time` [s]."""
     cosine, sine = cos(measured.yaw), sin(measured.yaw)
     east = measured.velocity_x * cosine - measured.velocity_y * sine
     north = measured.velocity_x * sine + measured.velocity_y * cosine
@@ -26,7 +26,7 @@ class PositionLag(Effect):
     applies_to = ANY
     order = 5
     parameters = (
-        Parameter("time", "s", null=0.0, initial=0.05, bounds=(-0.2, 0.5), meaning="delay of the position, + late",
+        Parameter("time", "s", null=0.0, initial=0.05, bounds=(-0.2, 0.5), meaning="delay of the position, lag +",
                   source="satellite receivers 0.05-0.2 s", identity="position_lag"),
     )
 

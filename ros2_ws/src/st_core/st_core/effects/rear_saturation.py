@@ -1,7 +1,7 @@
-"""Saturation of a linear rear axle, without a tyre curve in the vehicle file; the equation of `front_saturation`."""
+"""Saturation of a linear rear axle, with the equation of `front_saturation`."""
 
 from ._base import Effect, register
-from .front_saturation import PARAMETERS, saturated
+from .front_saturation import PARAMETERS, saturate
 
 
 @register
@@ -22,4 +22,4 @@ class RearSaturation(Effect):
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
         front, rear = forces(slip_front, slip_rear, instant)
-        return front, saturated(rear, theta.constants, theta.saturation)
+        return front, saturate(rear, theta.constants, theta.saturation)

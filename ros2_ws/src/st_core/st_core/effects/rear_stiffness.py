@@ -1,4 +1,4 @@
-"""Cornering stiffness of the rear axle that differs from the vehicle file."""
+"""Error of the rear cornering stiffness in the vehicle file."""
 
 from ._base import Effect, register
 from .front_stiffness import stiffness_factor, with_stiffness
@@ -7,7 +7,7 @@ from .front_stiffness import stiffness_factor, with_stiffness
 @register
 class RearStiffness(Effect):
     name = "rear_stiffness"
-    physics = "C_r = factor C_r of the file, the peak force unchanged"
+    physics = "C_r = factor C_r of the file, peak force unchanged"
     excited_by = "cornering with measured sideslip, and steering sweeps (yaw damping)"
     kind, slot = "vehicle parameters", "rear axle"
     confounded_with = ("front_stiffness", "cg_position", "friction", "tyre_stiffness")

@@ -1,9 +1,9 @@
-"""Shape of the rear axle's force curve beyond its slope at the origin: peak and curvature, as `front_tyre_curve`."""
+"""Peak and curvature of the rear axle's force curve, with the equations of `front_tyre_curve`."""
 
 from dataclasses import replace
 
 from ._base import Effect, register
-from .front_tyre_curve import PARAMETERS, reshaped
+from .front_tyre_curve import PARAMETERS, reshape
 
 
 @register
@@ -18,4 +18,4 @@ class RearTyreCurve(Effect):
 
     @staticmethod
     def vehicle(vehicle, theta):
-        return replace(vehicle, tyre_rear=reshaped(vehicle.tyre_rear, theta))
+        return replace(vehicle, tyre_rear=reshape(vehicle.tyre_rear, theta))

@@ -1,7 +1,7 @@
-"""Road banked to one side everywhere: a_y = -g sin(angle).
+"""Road that is banked to one side everywhere: a_y = -g sin(angle).
 
-The angle is a parameter, as no sensor of the suite separates bank from body roll. The accelerometer measures the
-specific force, so g sin(angle) more than the lateral acceleration.
+The angle is a parameter, because no sensor of the suite separates bank from body roll. An accelerometer measures the
+specific force, which exceeds the lateral acceleration by g sin(angle).
 """
 
 from ..ops import sin

@@ -1,9 +1,9 @@
-"""Plane road that is tilted in the map: gravity acts in one direction whatever the heading.
+"""Plane road that is tilted in the map, so that gravity acts in one direction, whatever the heading.
 
     a_y = -g (sin(slope_y) cos(yaw) - sin(slope_x) sin(yaw))
 
-The component along the car is part of the measured v_x_dot. The accelerometer measures the specific force, without
-gravity, in both directions.
+The component of gravity along the car is part of the measured v_x_dot. An accelerometer measures the specific force,
+which does not contain gravity.
 """
 
 from ..ops import cos, sin
@@ -12,7 +12,7 @@ from ._base import Effect, Parameter, register
 
 
 def gradient(instant, theta):
-    """Rise of the road per distance (forward, to the left) of the car [1]."""
+    """Slope of the road (forward, to the left) of the car [1], + for a rising road."""
     cosine, sine = cos(instant.yaw), sin(instant.yaw)
     east, north = sin(theta.slope_x), sin(theta.slope_y)
     return east * cosine + north * sine, north * cosine - east * sine
@@ -22,7 +22,7 @@ def gradient(instant, theta):
 class RoadSlope(Effect):
     name = "road_slope"
     physics = "a_y = -g (sin(slope_y) cos(yaw) - sin(slope_x) sin(yaw)) on the car, not measured by an accelerometer"
-    excited_by = "the same place in two directions, with an accelerometer: it senses the force of wind, but not gravity"
+    excited_by = "the same place in two directions, with an accelerometer: it measures the force of wind, not gravity"
     kind, slot = "surroundings", "body"
     confounded_with = ("crosswind", "road_bank", "steering_offset")
     parameters = (

@@ -1,6 +1,6 @@
 """Roll steer of the front wheels: delta = delta_measured - gradient lean.
 
-lean is the lateral acceleration filtered by the roll of the body, second order:
+lean is the lateral acceleration filtered by the roll motion of the body, of second order:
 
     lean_ddot = (2 pi f)^2 (a_y - lean) - 2 zeta 2 pi f lean_dot,   a_y = (F_f cos delta + F_r) / m
 
@@ -16,8 +16,8 @@ TWO_PI = 6.283185307179586
 @register
 class RollSteer(Effect):
     name = "roll_steer"
-    physics = "delta = delta_measured - gradient a_y, body roll lagging a_y; adds gradient to the understeer gradient"
-    excited_by = "sweeps, where the roll lags; in steady cornering not separable from a softer front axle"
+    physics = "delta = delta_measured - gradient a_y, delayed by body roll; adds gradient to the understeer gradient"
+    excited_by = "sweeps, in which the roll lags; in steady cornering not separable from a softer front axle"
     kind, slot = "physics", "front axle"
     confounded_with = ("steering_compliance", "steering_ratio", "front_stiffness")
     combinations = ("front cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
@@ -27,11 +27,11 @@ class RollSteer(Effect):
     parameters = (
         Parameter("gradient", "rad s^2/m", null=0.0, initial=0.0005, bounds=(-0.005, 0.005),
                   meaning="steer to the outside per lateral acceleration, understeer +",
-                  source="roll 0.3-0.5 deg per m/s^2, roll steer 0-10 %, both ways in racing cars"),
-        Parameter("frequency", "Hz", null=2.0, initial=2.0, bounds=(0.8, 4.0), fit=False, meaning="of the body in roll",
-                  source="passenger cars 1.5-2.5 Hz"),
-        Parameter("damping", "1", null=0.4, initial=0.4, bounds=(0.05, 1.0), fit=False, meaning="of the body in roll",
-                  source="passenger cars 0.3-0.5"),
+                  source="roll 0.3-0.5 deg per m/s^2, roll steer 0-10 %, of either sign in racing cars"),
+        Parameter("frequency", "Hz", null=2.0, initial=2.0, bounds=(0.8, 4.0), fit=False,
+                  meaning="natural frequency of body roll", source="passenger cars 1.5-2.5 Hz"),
+        Parameter("damping", "1", null=0.4, initial=0.4, bounds=(0.05, 1.0), fit=False,
+                  meaning="damping ratio of body roll", source="passenger cars 0.3-0.5"),
     )
 
     @staticmethod

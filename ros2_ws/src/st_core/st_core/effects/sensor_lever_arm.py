@@ -1,4 +1,4 @@
-"""Position of the INS in the body that differs from the vehicle file."""
+"""Error of the INS position in the vehicle file."""
 
 from dataclasses import replace
 
@@ -8,15 +8,15 @@ from ._base import ANY, Effect, Parameter, register
 @register
 class SensorLeverArm(Effect):
     name = "sensor_lever_arm"
-    physics = "INS point = that of the file + (x, y), in body axes; v_y there is v_y + r x"
+    physics = "INS point = point of the file + (x, y) in body axes; its v_y increases by r x, its v_x by -r y"
     excited_by = "tight turns to both sides; v_y of the INS depends on x, v_x on y"
     kind, slot = "sensors", "position"
     confounded_with = ("cg_position", "heading_misalignment")
-    needs = ("velocity_y",)  # without it yaw may be the course, which hides both
+    needs = ("velocity_y",)  # without it, yaw may be the course, which hides x and y
     applies_to = ANY
     parameters = (
         Parameter("x", "m", null=0.0, initial=0.2, bounds=(-3.0, 3.0), meaning="INS further forward than in the file",
-                  source="a unit at the rear axle or the front bumper taken for one at the CG"),
+                  source="an INS at the rear axle or the front bumper, assumed at the CG"),
         Parameter("y", "m", null=0.0, initial=0.1, bounds=(-1.0, 1.0), odd=True,
                   meaning="INS further to the left than in the file", source="half a car's width"),
     )

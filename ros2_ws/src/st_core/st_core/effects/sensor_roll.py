@@ -1,17 +1,17 @@
 """Motion of the INS point as the body rolls: an antenna on the roof moves to the outside of the bend.
 
-    y_point = y - shift a_y,   v_y there is v_y - shift v_x r_dot,   v_x there is v_x + shift a_y r,   a_y = v_x r
+    y_point = y - shift a_y,   v_y_point = v_y - shift v_x r_dot,   v_x_point = v_x + shift a_y r,   a_y = v_x r
 
-shift = height of the point above the roll axis, times the roll angle per lateral acceleration. Steady roll: the delay
-of the body, about 50 ms, is not included, nor is the change of speed in r_dot. Without yaw acceleration, as for a
-single live sample, the lateral velocity is not corrected. Source: rigid-body kinematics, velocity of a point.
+shift is the height of the point above the roll axis times the roll angle per lateral acceleration. The roll is steady:
+its delay of about 50 ms and the change of v_x are neglected. Without yaw acceleration, as for a single live sample, the
+lateral velocity is not corrected. Source: rigid-body kinematics, velocity of a point.
 """
 
 from ..ops import cos, sin
 from ._base import ANY, Effect, Parameter, register
 
 
-def displaced(m, shift, speed):
+def displace(m, shift, speed):
     """Readings of a point that is displaced by -shift a_y to the left; speed [m/s]: of the car, for a_y."""
     to_left = -shift * speed * m.yaw_rate
     return m._replace(x=m.x - sin(m.yaw) * to_left, y=m.y + cos(m.yaw) * to_left,
@@ -22,7 +22,7 @@ def displaced(m, shift, speed):
 @register
 class SensorRoll(Effect):
     name = "sensor_roll"
-    physics = "INS point moves shift a_y to the outside of the bend as the body rolls; v_y there - shift v_x r_dot"
+    physics = "INS point moves by shift a_y to the outside of the bend as the body rolls, so v_y by -shift v_x r_dot"
     excited_by = "sweeps and quickly entered bends: v_y of the INS has a step at their beginning"
     kind, slot = "sensors", "position"
     confounded_with = ("yaw_inertia", "tyre_relaxation")
@@ -38,9 +38,9 @@ class SensorRoll(Effect):
 
     @staticmethod
     def observe(measured, theta):
-        return displaced(measured, theta.shift, measured.velocity_x)
+        return displace(measured, theta.shift, measured.velocity_x)
 
     @staticmethod
     def correct(measured, theta):
         speed = measured.velocity_x / (1.0 + theta.shift * measured.yaw_rate**2)
-        return displaced(measured, -theta.shift, speed)
+        return displace(measured, -theta.shift, speed)

@@ -1,4 +1,4 @@
-"""Scale error of the velocity, both components; position unchanged."""
+"""Scale error of both components of the velocity; positions are unchanged."""
 
 from ._base import ANY, Effect, Parameter, register
 
@@ -6,8 +6,8 @@ from ._base import ANY, Effect, Parameter, register
 @register
 class SpeedScale(Effect):
     name = "speed_scale"
-    physics = "measured v_x, v_y = factor times the true ones; positions unchanged"
-    excited_by = "any driving with position fixes: distance against speed"
+    physics = "measured v_x, v_y = factor v_x, factor v_y; positions unchanged"
+    excited_by = "any driving with position fixes: distance versus speed"
     kind, slot = "sensors", "velocity"
     needs = ("position",)
     confounded_with = ("steering_ratio", "yaw_rate_scale")
@@ -15,7 +15,7 @@ class SpeedScale(Effect):
     order = 40
     parameters = (
         Parameter("factor", "1", null=1.0, initial=1.02, bounds=(0.8, 1.25), meaning="ratio of measured to true",
-                  source="wheel speeds with worn tyres 2-4 %", identity="velocity_scale"),
+                  source="wheel speeds with worn tyres: 2-4 %", identity="velocity_scale"),
     )
 
     @staticmethod

@@ -1,11 +1,11 @@
-"""Lateral component of the drive and brake force of the steered wheels: F_y + F_x,front sin delta at the front axle.
+"""Lateral component of the drive and brake force of the steered wheels, F_x,front sin delta.
 
-The published single-track models, with the forward acceleration as an input, lack it.
+The published single-track models, whose input is the forward acceleration, do not contain it.
 """
 
 from ..ops import tan
 from ._base import Effect, Parameter, register
-from .combined_slip import axle_drive_forces, drive_of
+from .combined_slip import axle_drive_forces, drive_parameters
 
 
 @register
@@ -17,14 +17,14 @@ class SteeredDriveForce(Effect):
     confounded_with = ("combined_slip", "longitudinal_load_transfer")
     order = 85
     parameters = (
-        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.5), meaning="1: all of it", source="theory: 1"),
+        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.5), meaning="1: full force", source="theory: 1"),
     )
 
-    constants = staticmethod(drive_of)
+    constants = staticmethod(drive_parameters)
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
         front, rear = forces(slip_front, slip_rear, instant)
         drive_front, _ = axle_drive_forces(front, instant, theta.constants)
-        # In wheel axes: the equations of motion take the front force times cos delta.
+        # The tangent, because the equations of motion multiply the front force by cos delta.
         return front + theta.share * drive_front * tan(instant.road_wheel_angle), rear

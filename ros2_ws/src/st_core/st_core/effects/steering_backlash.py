@@ -10,9 +10,9 @@ Maps = tuple[np.ndarray, np.ndarray]
 
 
 def scan(maps: Maps, compose: Callable[[Maps, Maps], Maps]) -> Maps:
-    """Compositions of maps 0..k for every k, in log2(n) passes (Hillis and Steele, 1986).
+    """Compositions of the maps 0 to k for every k, in log2(n) passes (Hillis and Steele, 1986).
 
-    maps: two numbers for each map. compose(earlier, later) -> the two numbers of "first earlier, then later".
+    maps: two numbers per map, (n,) each. compose(earlier, later): the two numbers of the map later(earlier(y)).
     """
     first, second = (np.array(a, float) for a in maps)
     reach = 1
@@ -23,13 +23,13 @@ def scan(maps: Maps, compose: Callable[[Maps, Maps], Maps]) -> Maps:
     return first, second
 
 
-def affine(earlier: Maps, later: Maps) -> Maps:
-    """`compose` of `scan` for maps y -> a y + b, given as (a, b)."""
+def compose_affine(earlier: Maps, later: Maps) -> Maps:
+    """Composition of maps y -> a y + b, given as (a, b)."""
     return earlier[0] * later[0], later[0] * earlier[1] + later[1]
 
 
-def clamp(earlier: Maps, later: Maps) -> Maps:
-    """`compose` of `scan` for maps y -> min(max(y, low), high), given as (low, high) with low <= high."""
+def compose_clamps(earlier: Maps, later: Maps) -> Maps:
+    """Composition of maps y -> min(max(y, low), high), given as (low, high) with low <= high."""
     low, high = (np.minimum(np.maximum(limit, later[0]), later[1]) for limit in earlier)
     return low, high
 
@@ -45,11 +45,11 @@ class SteeringBacklash(Effect):
     order = 20
     parameters = (
         Parameter("play", "rad", null=0.0, initial=0.003, bounds=(0.0, 0.02),
-                  meaning="total, at the road wheels; times the ratio at the steering wheel",
+                  meaning="total play, as an angle of the road wheels",
                   source="0.02 rad is 20 deg at a steering wheel of ratio 17, twice the limit of inspections"),
     )
 
     @staticmethod
     def steering(time, angle, begins, theta):
         half = 0.5 * theta.play * ~begins
-        return time, scan((angle - half, angle + half), clamp)[0]
+        return time, scan((angle - half, angle + half), compose_clamps)[0]

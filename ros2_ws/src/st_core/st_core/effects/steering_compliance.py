@@ -1,7 +1,7 @@
 """Compliance of the front suspension under lateral force: delta = delta_measured - compliance F_f.
 
-The slip angle is the solution of a' = a + compliance F_f(a'), by two Newton steps from a' = a with the slope at zero
-slip: exact for a linear tyre, within 1e-4 rad at the limit of adhesion.
+The slip angle a' is the solution of a' = a + compliance F_f(a') by two Newton steps from a' = a, with the slope at zero
+slip. It is exact for a linear tyre, and accurate to 1e-4 rad at the limit of adhesion.
 """
 
 from ._base import Effect, Parameter, register
@@ -16,11 +16,11 @@ class SteeringCompliance(Effect):
     confounded_with = ("front_stiffness", "roll_steer", "steering_ratio")
     combinations = ("front cornering stiffness over mass",)
     costly = True
-    order = 83  # acts before steered_drive_force, so that the tyre force alone deflects the suspension
+    order = 83  # before steered_drive_force, so that only the tyre force deflects the suspension
     parameters = (
         Parameter("compliance", "rad/N", null=0.0, initial=1.0e-6, bounds=(0.0, 1.0e-5),
                   meaning="steer angle towards the outside of the turn per lateral force of the front axle",
-                  source="kinematics and compliance rigs: 0.05-0.2 deg/kN of an axle"),
+                  source="kinematics and compliance tests: 0.05-0.2 deg/kN per axle"),
     )
 
     @staticmethod

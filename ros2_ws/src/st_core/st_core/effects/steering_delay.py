@@ -1,6 +1,6 @@
 """Dead time in the steering: delta(t) = delta_measured(t - time).
 
-An error of the time stamps has the same equation: > 0 if the steering stamps are early against the INS, < 0 if late.
+An error of the time stamps has the same equation: time > 0 if the steering is stamped too early relative to the INS.
 """
 
 from ._base import ANY, TOTAL_DELAY, Effect, Parameter, register
@@ -19,7 +19,7 @@ class SteeringDelay(Effect):
     parameters = (
         Parameter("time", "s", null=0.0, initial=0.04, bounds=(-0.2, 0.5),
                   meaning="delay of the wheels behind the measured angle",
-                  source="buses and filters add up to 0.2 s; half a second is beyond any steering",
+                  source="buses and filters cause up to 0.2 s; no steering has a delay of 0.5 s",
                   model_error=0.004),
     )
 

@@ -1,19 +1,19 @@
 """First-order lag in the steering: time_constant delta_dot = delta_measured - delta.
 
-It acts only on the measured angle, so it is solved for the recording: exactly, for a piecewise linear angle, without a
-further state. At the first sample and after each gap it is in steady state.
+Since the lag acts only on the measured angle, it is computed for the whole recording, exactly for a piecewise linear
+angle, without a further state. It begins in steady state at the first sample and after each gap.
 """
 
 import numpy as np
 
 from ._base import ANY, TOTAL_DELAY, Effect, Parameter, register
-from .steering_backlash import affine, scan
+from .steering_backlash import compose_affine, scan
 
 
 @register
 class SteeringLag(Effect):
     name = "steering_lag"
-    physics = "time_constant delta_dot = delta_measured - delta: column, actuator or low-pass in the sensor"
+    physics = "time_constant delta_dot = delta_measured - delta: column, actuator, or low-pass filter of the sensor"
     excited_by = "sweeps to 2.5 Hz and steps"
     kind, slot = "physics", "steering"
     confounded_with = ("steering_delay", "yaw_inertia", "tyre_relaxation")
@@ -36,4 +36,4 @@ class SteeringLag(Effect):
             mean = loss / x  # mean of exp(-t / time_constant) in the interval
         factor = np.where(begins, 0.0, 1.0 - loss)
         offset = np.where(begins, angle, (mean - factor) * before + (1.0 - mean) * angle)
-        return time, scan((factor, offset), affine)[1]
+        return time, scan((factor, offset), compose_affine)[1]

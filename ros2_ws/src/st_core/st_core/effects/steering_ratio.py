@@ -1,4 +1,4 @@
-"""Steering ratio that differs from the vehicle file: delta = delta_measured / factor."""
+"""Error of the steering ratio in the vehicle file: delta = delta_measured / factor."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ class SteeringRatio(Effect):
     applies_to = ANY
     order = 40
     parameters = (
-        Parameter("factor", "1", null=1.0, initial=1.05, bounds=(0.5, 2.0), meaning="true steering ratio / the file's",
+        Parameter("factor", "1", null=1.0, initial=1.05, bounds=(0.5, 2.0), meaning="ratio of true ratio to the file's",
                   source="identified ratios of one car type vary by 10-20 % in fleets",
                   model_error=0.009),
     )

@@ -1,9 +1,9 @@
-"""Load dependence of the cornering stiffness of both axles; the stiffness at the static load of the file is unchanged.
+"""Load dependence of the cornering stiffness of both axles, with an unchanged stiffness at the static load of the file.
 
-    K(F_z) = K_0 sin(p_ky4 atan(F_z / (factor p_ky2 F_z0))),   K_0 such that K at the static load of one tyre is kept
+    K(F_z) = K_0 sin(p_ky4 atan(F_z / (factor p_ky2 F_z0))),   K_0: leaves K at the static load of one tyre unchanged
 
-factor > 1: the load of the largest stiffness is higher, so K is more nearly proportional to the load. Source: paper,
-appendix.
+With factor > 1 the stiffness has its maximum at a higher load, so K is more nearly proportional to the load. Source:
+paper, appendix.
 """
 
 from dataclasses import replace
@@ -16,8 +16,8 @@ STIFFEST_LOAD, SCALE = TYRE_QUANTITIES["p_ky2"], TYRE_QUANTITIES["lambda_ky"]
 
 
 def _with_stiffest_load(tyre, static_load, factor):
-    """One tyre with the load of its largest stiffness times `factor`, K at static_load [N] unchanged; values within the
-    limits of a vehicle file."""
+    """One tyre with the load of maximum stiffness multiplied by `factor`, within the limits of a vehicle file, and with
+    K at static_load [N] unchanged."""
     stiffest = min(max(tyre.p_ky2 * factor, STIFFEST_LOAD.minimum), STIFFEST_LOAD.maximum)
     changed = tyre._replace(p_ky2=stiffest)
     ratio = magic_formula_stiffness(static_load, tyre) / magic_formula_stiffness(static_load, changed)
@@ -28,11 +28,11 @@ def _with_stiffest_load(tyre, static_load, factor):
 class TyreLoadSensitivity(Effect):
     name = "tyre_load_sensitivity"
     physics = "K(F_z) with factor p_ky2 on both axles, K at the static load unchanged; > 1: K more proportional to F_z"
-    excited_by = "braking and power in turns; a load transfer of 10 % at least"
+    excited_by = "braking and power in turns; a load transfer of at least 10 %"
     kind, slot = "vehicle parameters", "both axles"
     confounded_with = ("longitudinal_load_transfer", "lateral_load_transfer", "mass")
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no dependence on load
-    order = 40  # before mass and cg_position: the file's stiffness is that at the file's load
+    order = 40  # before mass and cg_position, because the file's stiffness belongs to the file's load
     parameters = (
         Parameter("factor", "1", null=1.0, initial=1.8, bounds=(0.5, 5.0),
                   meaning="ratio of the load at maximum stiffness to the file's",

@@ -1,9 +1,9 @@
 """Relaxation of the tyre force with the distance rolled: length / v d(alpha')/dt = alpha - alpha', force from alpha'.
 
-v >= minimum_slip_speed, so that the force decays at standstill. A time constant tau = length / v below 25 ms would be
-too stiff for steps of 50 ms; the state then has a time constant of 25 ms and is weighted by tau / 25 ms, so that
-the delay at low frequency is tau, and 0 for length 0. Initial state: steady at the initial slip. Source: Pacejka,
-Tire and Vehicle Dynamics, ch. 7, single-point contact.
+v is at least minimum_slip_speed, which makes the force decay at standstill. A time constant tau = length / v
+below 25 ms would be too stiff for steps of 50 ms. The state then has a time constant of 25 ms and a weight of
+tau / 25 ms, which results in the delay tau at low frequency. The initial state is steady at the initial slip. Source:
+Pacejka, Tire and Vehicle Dynamics, ch. 7, single-point contact.
 """
 
 from ..ops import absolute, maximum
@@ -16,7 +16,7 @@ MIN_TIME_CONSTANT = 0.025  # s; RK4 with 50 ms steps is stable down to 18 ms
 class TyreRelaxation(Effect):
     name = "tyre_relaxation"
     physics = "force from alpha', length / v d(alpha')/dt = alpha - alpha', both axles"
-    excited_by = "sweeps, and the same at half the speed: the delay is length / v"
+    excited_by = "sweeps at two speeds, one half of the other: the delay is length / v"
     kind, slot = "physics", "both axles"
     confounded_with = ("yaw_inertia", "steering_delay", "steering_lag")
     extra_states = ("slip_front", "slip_rear")
@@ -24,7 +24,7 @@ class TyreRelaxation(Effect):
     order = 40
     parameters = (
         Parameter("length", "m", null=0.0, initial=0.4, bounds=(0.0, 1.5),
-                  meaning="distance rolled until 63 % of a slip step",
+                  meaning="distance rolled to 63 % of the force after a slip step",
                   source="passenger tyres 0.2-0.8 m, more at high load",
                   model_error=0.35),
     )

@@ -1,4 +1,4 @@
-"""Saturation of the tyres: linear tyres replaced by the Magic Formula, with its longitudinal load transfer."""
+"""Saturation of the tyres: the Magic Formula, with longitudinal load transfer, replaces linear tyres."""
 
 from ..models.nonlinear_tyre import inputs as tyre_inputs
 from ..models.nonlinear_tyre import parameters as tyre_parameters

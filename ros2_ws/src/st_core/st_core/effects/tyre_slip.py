@@ -1,8 +1,8 @@
-"""Slip of the tyres: the kinematic model replaced by the dynamic one with linear tyres.
+"""Slip of the tyres: the dynamic model with linear tyres replaces the kinematic model.
 
     derivative of the state = (1 - share) kinematic + share dynamic
 
-A share between 0 and 1 has no physical meaning; a fit of it detects missing slip.
+A share between 0 and 1 has no physical meaning, but its fit detects missing slip.
 """
 
 from ..models.linear_tyre import inputs as linear_inputs
@@ -13,7 +13,7 @@ from ._base import Effect, Parameter, register
 @register
 class TyreSlip(Effect):
     name = "tyre_slip"
-    physics = "derivative = (1 - share) kinematic + share of the single-track car with F_y = -C alpha"
+    physics = "derivative = (1 - share) kinematic + share dynamic, single-track car with F_y = -C alpha"
     excited_by = "cornering above 2 m/s^2"
     kind, slot = "physics", "both axles"
     applies_to = frozenset(("kinematic",))

@@ -1,4 +1,4 @@
-"""Cornering stiffness of both axles that differs from the vehicle file, by the same factor: another set of tyres."""
+"""Error of both cornering stiffnesses in the vehicle file by a common factor: another set of tyres."""
 
 from ._base import Effect, register
 from .front_stiffness import stiffness_factor, with_stiffness
@@ -7,8 +7,8 @@ from .front_stiffness import stiffness_factor, with_stiffness
 @register
 class TyreStiffness(Effect):
     name = "tyre_stiffness"
-    physics = "C_f = factor C_f, C_r = factor C_r of the file, the peak forces unchanged"
-    excited_by = "cornering with measured sideslip, steering sweeps; observable relative to mass and yaw_inertia only"
+    physics = "C_f = factor C_f, C_r = factor C_r of the file, peak forces unchanged"
+    excited_by = "cornering with measured sideslip, steering sweeps; observable only relative to mass and yaw_inertia"
     kind, slot = "vehicle parameters", "both axles"
     confounded_with = ("mass", "front_stiffness", "rear_stiffness", "cg_position")
     ratio_to = "mass"

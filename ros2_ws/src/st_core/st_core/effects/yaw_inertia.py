@@ -1,4 +1,4 @@
-"""Yaw inertia that differs from the vehicle file."""
+"""Error of the yaw inertia in the vehicle file."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Yaw rate sensor with a bias: its reading at standstill."""
+"""Bias of the yaw rate sensor: its reading at standstill."""
 
 from ._base import Effect, Parameter, register
 
@@ -15,7 +15,7 @@ class YawRateBias(Effect):
     parameters = (
         Parameter("bias", "rad/s", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True,
                   meaning="bias of the reading, left turn +",
-                  source="automotive yaw rate sensors 0.5-3 deg/s over temperature", identity="yaw_rate_bias"),
+                  source="automotive yaw rate sensors: 0.5-3 deg/s over temperature", identity="yaw_rate_bias"),
     )
 
     @staticmethod

@@ -1,6 +1,6 @@
-"""Delay of the measured yaw rate, to first order: r_measured(t) = r(t - time) ~ r - time r_dot; time > 0: it lags.
+"""Delay of the measured yaw rate, to first order: r_measured(t) = r(t - time) ~ r - time r_dot. With time > 0 it lags.
 
-Needs the yaw acceleration of the recording. Without it, as for a single live sample, the yaw rate is not corrected.
+The correction needs the yaw acceleration of a recording. A single live sample, which has none, is not corrected.
 """
 
 from ._base import Effect, Parameter, register
@@ -13,9 +13,9 @@ class YawRateDelay(Effect):
     excited_by = "sweeps and steps, with measured heading"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)
-    order = 20  # before scale and bias; these are constant, so the order does not change the reading
+    order = 20  # before scale and bias, which are constant, so the order does not change the reading
     parameters = (
-        Parameter("time", "s", null=0.0, initial=0.03, bounds=(-0.1, 0.2), meaning="delay of the yaw rate, + late",
+        Parameter("time", "s", null=0.0, initial=0.03, bounds=(-0.1, 0.2), meaning="delay of the yaw rate, lag +",
                   source="filters of yaw rate sensors, 10-50 Hz: 5-30 ms; stamps on arrival add as much",
                   identity="yaw_rate_lag"),
     )

@@ -10,7 +10,7 @@ from scipy import stats
 from ..contract import describe_instability
 from ..discovery.settings import Limits
 from ..effects import get_effect
-from ..effects._relation import MAX_HEIGHT, SPLINES
+from ..effects._relation import MAX_COEFFICIENT, SPLINES
 from ..models import get_model
 from ..regression import add_ridge
 from ..vehicle import VehicleParameters
@@ -155,8 +155,8 @@ def rejected_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParamet
     """Reason to reject a curve regardless of its gain: at its bound, or an unstable car; "" if it is accepted."""
     assert fit.candidate is not None
     name = fit.candidate.name
-    if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * MAX_HEIGHT:
-        return (f"the curve of {name} reaches its bound of {MAX_HEIGHT * fit.candidate.typical_size:.3g} "
+    if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * MAX_COEFFICIENT:
+        return (f"the curve of {name} reaches its bound of {MAX_COEFFICIENT * fit.candidate.typical_size:.3g} "
                 f"{fit.candidate.unit}, beyond any physical relation: check the vehicle file, and run st check")
     model = fits.space_of(fit.candidate).at(fit.vector)
     low, high = np.quantile(fits.windows.speeds[np.isfinite(fits.windows.speeds)], [0.05, 0.95])
