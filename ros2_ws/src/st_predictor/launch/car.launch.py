@@ -1,4 +1,4 @@
-"""The suite on the car: bridges, predictor, evaluator and recorder.
+"""Launches the suite on the car: bridges, predictor, evaluator, recorder, and optional markers and identifier.
 
     ros2 launch st_predictor car.launch.py config_dir:=/path/to/config car:=mycar can_channel:=can0 ncom_port:=3000
 """
@@ -21,12 +21,11 @@ DBC = LaunchConfiguration("dbc")
 SIGNALS = LaunchConfiguration("signals")
 PARAMETERS = LaunchConfiguration("parameters")
 OUTPUT = LaunchConfiguration("output")
-# launch only forwards SIGINT. With this prefix the kernel interrupts the nodes whenever launch ends.
-PARENT_DEATH = "setpriv --pdeathsig INT"
+PARENT_DEATH = "setpriv --pdeathsig INT"  # the kernel interrupts the nodes if launch is killed
 
 
 class CarFile(Substitution):
-    """A file in the folder of the car: config_dir/car/<car>, or an absolute folder; of the Leaf if `car` is empty."""
+    """A file in the folder of the car: config_dir/car/CAR, where CAR is the argument `car`, or leaf if it is empty."""
 
     def __init__(self, name):
         super().__init__()
@@ -36,25 +35,25 @@ class CarFile(Substitution):
         return f"CarFile({self._name})"
 
     def perform(self, context):
-        # os.path.join discards the parts before an absolute path, so `car` may be an absolute folder.
+        # `car` may be an absolute folder, for which os.path.join ignores the parts before it.
         return os.path.join(CONFIG.perform(context), "car", CAR.perform(context) or "leaf", self._name)
 
 
-def argument(name, description, default=None):
+def declare(name, description, default=None):
     return DeclareLaunchArgument(name, description=description, default_value=default)
 
 
-def text(node, name, *value):
-    """Override of one parameter. To have precedence over the file, it must name the node and follow --params-file."""
+def override_text(node, name, *value):
+    """Override of one parameter. To have precedence over the file, it names the node and follows --params-file."""
     return ["-p", [f"{node}:{name}:='", *value, "'"]]
 
 
-def number(node, name, value):
+def override_number(node, name, value):
     return ["-p", [f"{node}:{name}:=", value]]
 
 
 def suite_node(package, executable, *overrides, **options):
-    clock = number(executable, "use_sim_time", LaunchConfiguration("use_sim_time"))
+    clock = override_number(executable, "use_sim_time", LaunchConfiguration("use_sim_time"))
     arguments = ["--params-file", PARAMETERS, *(part for override in (clock, *overrides) for part in override)]
     return Node(
         package=package, executable=executable, name=executable, exec_name=executable, output="screen",
@@ -62,8 +61,8 @@ def suite_node(package, executable, *overrides, **options):
         **options)
 
 
-def steering_of(context):
-    """Steering parameters from the arguments, else from the car's car.yaml, else from the file of node parameters."""
+def steering_parameters(context):
+    """Overrides of steering parameters: the arguments, else car.yaml of the car; without both, nodes.yaml applies."""
     steering = {}
     if CAR.perform(context):
         steering = {"steering_sign": 1, "steering_latency": 0.0}
@@ -74,7 +73,7 @@ def steering_of(context):
     given = {"steering_sign": LaunchConfiguration("steering_sign").perform(context),
              "steering_latency": LaunchConfiguration("steering_latency").perform(context)}
     steering |= {name: yaml.safe_load(value) for name, value in given.items() if value}
-    # rcl distinguishes 0 from 0.0, and a latency is a float.
+    # The latency is a float parameter, for which ROS does not accept the integer 0.
     if "steering_latency" in steering:
         steering["steering_latency"] = float(steering["steering_latency"])
     return {name: str(value) for name, value in steering.items()}
@@ -87,68 +86,68 @@ def ins_bridge(context):
     x, y = (float(vehicle.get(name, {}).get("value", 0.0)) for name in ("cg_to_ins_x", "cg_to_ins_y"))
     return [suite_node(
         "oxts_bridge", "oxts_bridge",
-        number("oxts_bridge", "udp_port", LaunchConfiguration("ncom_port")),
-        text("oxts_bridge", "bind_address", LaunchConfiguration("ncom_address")),
-        number("oxts_bridge", "base_to_ins", f"[{x}, {y}, 0.0]"),
+        override_number("oxts_bridge", "udp_port", LaunchConfiguration("ncom_port")),
+        override_text("oxts_bridge", "bind_address", LaunchConfiguration("ncom_address")),
+        override_number("oxts_bridge", "base_to_ins", f"[{x}, {y}, 0.0]"),
     )]
 
 
 def can_bridge(context):
     return [suite_node(
         "canedge_bridge", "canedge_bridge",
-        text("canedge_bridge", "interface", LaunchConfiguration("can_interface")),
-        text("canedge_bridge", "channel", LaunchConfiguration("can_channel")),
-        text("canedge_bridge", "vehicle_file", VEHICLE),
-        text("canedge_bridge", "dbc_file", DBC),
-        text("canedge_bridge", "signals_file", SIGNALS),
-        *(number("canedge_bridge", name, value) for name, value in steering_of(context).items()),
+        override_text("canedge_bridge", "interface", LaunchConfiguration("can_interface")),
+        override_text("canedge_bridge", "channel", LaunchConfiguration("can_channel")),
+        override_text("canedge_bridge", "vehicle_file", VEHICLE),
+        override_text("canedge_bridge", "dbc_file", DBC),
+        override_text("canedge_bridge", "signals_file", SIGNALS),
+        *(override_number("canedge_bridge", name, value) for name, value in steering_parameters(context).items()),
     )]
 
 
 def generate_launch_description():
-    # In the background of a script launch inherits an ignored SIGINT: Ctrl-C would end the nodes, and launch would
-    # restart all of them.
+    # Started in the background of a script, launch ignores SIGINT: Ctrl-C would end the nodes, and launch would restart
+    # them.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if_markers = {"condition": IfCondition(LaunchConfiguration("markers"))}
     if_identify = {"condition": IfCondition(LaunchConfiguration("identify"))}
     if_bridges = {"condition": IfCondition(LaunchConfiguration("bridges"))}
-    # Over Fast DDS' shared memory a restarted node may receive nothing (docs/manual/reliability.md, Transport).
+    # Over the shared memory of Fast DDS a restarted node may receive nothing (docs/manual/reliability.md, Transport).
     transports = os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     return LaunchDescription([
         SetEnvironmentVariable("FASTDDS_BUILTIN_TRANSPORTS", transports),
-        argument("config_dir", "folder with nodes.yaml and car/ (config/ of the repository)"),
-        argument("car", "a folder in config_dir/car, or an absolute folder with the same files; empty: the Leaf", ""),
-        argument("vehicle", "vehicle file", CarFile("vehicle.yaml")),
-        argument("parameters", "node parameters", [CONFIG, "/nodes.yaml"]),
-        argument("dbc", "DBC of the car's bus", CarFile("can.dbc")),
-        argument("signals", "table from DBC signals to signal names", CarFile("signals.yaml")),
-        argument("steering_sign", "1: decoded sensor left positive, -1: right; empty: of car.yaml, or parameters", ""),
-        argument("steering_latency", "s, delay from wheel motion to the stamp of its frame; empty: as above", ""),
-        argument("can_interface", "python-can interface", "socketcan"),
-        argument("can_channel", "channel of that interface", "can0"),
-        argument("ncom_port", "UDP port the INS sends NCOM to", "3000"),
-        argument("ncom_address", "local address to listen on", "0.0.0.0"),
-        argument("bands", "bands.yaml of st calibrate; empty: bands without calibration", ""),
-        argument("course", "course.yaml of st course build for this site; empty: none", ""),
-        argument("output", "folder of the recordings, must not exist", f"runs/{datetime.now(UTC):%Y%m%d-%H%M%S}"),
-        argument("bridges", "false: another source publishes odometry and steering", "true"),
-        argument("markers", "true: car, errors and names as markers for RViz and Foxglove", "true"),
-        argument("identify", "true: identify steering and stiffness online (published, never applied)", "false"),
-        argument("respawn", "true: restart a node that ends; it records into NAME_2", "true"),
-        argument("use_sim_time", "true: follow /clock", "false"),
+        declare("config_dir", "folder with nodes.yaml and car/ (config/ of the repository)"),
+        declare("car", "a folder in config_dir/car, or an absolute folder with the same files; empty: the Leaf", ""),
+        declare("vehicle", "vehicle file", CarFile("vehicle.yaml")),
+        declare("parameters", "node parameters", [CONFIG, "/nodes.yaml"]),
+        declare("dbc", "DBC of the car's bus", CarFile("can.dbc")),
+        declare("signals", "table from DBC signals to signal names", CarFile("signals.yaml")),
+        declare("steering_sign", "1: decoded angle left positive, -1: right; empty: from car.yaml or parameters", ""),
+        declare("steering_latency", "s, delay from wheel motion to the stamp of its frame; empty: see above", ""),
+        declare("can_interface", "python-can interface", "socketcan"),
+        declare("can_channel", "channel of that interface", "can0"),
+        declare("ncom_port", "UDP port the INS sends NCOM to", "3000"),
+        declare("ncom_address", "local address to listen on", "0.0.0.0"),
+        declare("bands", "bands.yaml of st calibrate; empty: bands without calibration", ""),
+        declare("course", "course.yaml of st course build for this site; empty: none", ""),
+        declare("output", "folder of the recordings, must not exist", f"runs/{datetime.now(UTC):%Y%m%d-%H%M%S}"),
+        declare("bridges", "false: another source publishes odometry and steering", "true"),
+        declare("markers", "true: car, errors and names as markers for RViz and Foxglove", "true"),
+        declare("identify", "true: identify steering and stiffness online (published, never applied)", "false"),
+        declare("respawn", "true: restart a node that ends; it records into NAME_2", "true"),
+        declare("use_sim_time", "true: follow /clock", "false"),
         suite_node("st_predictor", "recorder",
-                   text("recorder", "output_directory", PathJoinSubstitution([OUTPUT, "bag"])),
-                   number("recorder", "number_when_taken", LaunchConfiguration("respawn")),
+                   override_text("recorder", "output_directory", PathJoinSubstitution([OUTPUT, "bag"])),
+                   override_number("recorder", "number_when_taken", LaunchConfiguration("respawn")),
                    ["-p", ["recorder:configuration_files:=['", VEHICLE, "', '", PARAMETERS, "']"]]),
-        suite_node("st_predictor", "evaluator", text("evaluator", "vehicle_file", VEHICLE),
-                   text("evaluator", "output_directory", PathJoinSubstitution([OUTPUT, "errors"])),
-                   number("evaluator", "number_when_taken", LaunchConfiguration("respawn"))),
-        suite_node("st_predictor", "predictor", text("predictor", "vehicle_file", VEHICLE),
-                   text("predictor", "bands_file", LaunchConfiguration("bands")),
-                   text("predictor", "course_file", LaunchConfiguration("course"))),
-        suite_node("st_predictor", "markers", text("markers", "vehicle_file", VEHICLE), **if_markers),
-        suite_node("st_predictor", "identifier", text("identifier", "vehicle_file", VEHICLE), **if_identify),
+        suite_node("st_predictor", "evaluator", override_text("evaluator", "vehicle_file", VEHICLE),
+                   override_text("evaluator", "output_directory", PathJoinSubstitution([OUTPUT, "errors"])),
+                   override_number("evaluator", "number_when_taken", LaunchConfiguration("respawn"))),
+        suite_node("st_predictor", "predictor", override_text("predictor", "vehicle_file", VEHICLE),
+                   override_text("predictor", "bands_file", LaunchConfiguration("bands")),
+                   override_text("predictor", "course_file", LaunchConfiguration("course"))),
+        suite_node("st_predictor", "markers", override_text("markers", "vehicle_file", VEHICLE), **if_markers),
+        suite_node("st_predictor", "identifier", override_text("identifier", "vehicle_file", VEHICLE), **if_identify),
         OpaqueFunction(function=ins_bridge, **if_bridges),
         OpaqueFunction(function=can_bridge, **if_bridges),
     ])

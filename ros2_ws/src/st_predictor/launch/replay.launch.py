@@ -1,4 +1,4 @@
-"""Predictions and scores from the INS and steering data of a bag, with this configuration, in a new recording.
+"""Plays the INS and steering data of a bag through predictor and evaluator, and records their results.
 
     ros2 launch st_predictor replay.launch.py config_dir:=/path/to/config bag:=runs/sim/bag
 """
@@ -13,8 +13,8 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 
 # Measurements only; predictions and errors of the recorded run are not played.
 MEASURED = "/(ins|vehicle|can)/.*|/tf|/tf_static"
-START_DELAY = 3.0  # time for the nodes to start before the first message is played [s]
-CLOCK_RATE = "200"  # /clock messages per second; the predictor's ticks follow them
+START_DELAY = 3.0  # s for the nodes to start before the first message is played
+CLOCK_RATE = "200"  # /clock messages per second, which the predictor's ticks follow
 
 ARGUMENTS = {
     "config_dir": (None, "folder with nodes.yaml and car/ (config/ of the repository)"),

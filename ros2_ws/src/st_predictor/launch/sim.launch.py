@@ -1,4 +1,4 @@
-"""The suite of car.launch.py connected to the virtual Leaf, all on this computer.
+"""Launches the suite of car.launch.py with the virtual Leaf on this computer.
 
     ros2 launch st_predictor sim.launch.py config_dir:=/path/to/config scenario:=S6 duration:=60
 """

@@ -1,4 +1,4 @@
-"""Runs the checks of `st_core.checks` on the newest measurements, for /diagnostics."""
+"""Checks the newest measurements for consistency with `st_core.checks`, for /diagnostics."""
 
 import math
 import time
@@ -13,21 +13,21 @@ from st_core.timeseries import NANOSECOND, TimeSeries
 from st_core.vehicle import VehicleParameters
 
 HISTORY_SPAN = 60.0  # s, age of the oldest measurement used
-WINDOW = 30.0  # s of continuous driving that are checked; a fault is reported and cleared within this time
+WINDOW = 30.0  # s of measurements that are checked, if they contain enough driving
 MIN_DRIVING, MIN_SPEED = 20.0, 1.0  # duration [s] of driving above a speed [m/s] that a verdict requires
 MAX_STEP = 0.25  # s between samples; longer gaps do not count as driving
-SAMPLE_NS = 20_000_000  # measurements are thinned out to this period
+SAMPLE_NS = 20_000_000  # period to which measurements are thinned out
 PERIOD = 10.0  # s of measurement between checks
 CPU_SHARE = 0.018  # processor time as a fraction of a core; if checks take more, they run less often than every PERIOD
-# Checks that are not run live: a heading error and a wrong measuring point can only be distinguished on a whole drive,
-# not on a single bend. Gaps and implausible samples are reported by the bridges; here they would persist for WINDOW.
+# Findings not reported live: a single bend does not distinguish a heading error from a wrong measuring point. Gaps and
+# implausible samples are reported by the bridges; here they would persist for WINDOW.
 NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
                       "out_of_range", "channel_wraps", "channel_jumps"))
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of one check. severity: of the worst finding, "" without any. values: value ± half interval by finding."""
+    """Result of one check. severity: of the worst finding, "" without any. values: by finding, as text."""
 
     severity: str
     message: str
@@ -35,20 +35,20 @@ class Verdict:
 
 
 class Consistency:
-    """Periodically checks the newest 30 s of a history, or as much of the last minute as contains 20 s of driving.
+    """Periodically checks the newest 30 s of a history, or more, up to a minute, to include 20 s of driving.
 
-    Measurements before a position jump are not used. A single check of half a minute may be wrong, so a fault is
-    reported when two successive checks find it, and cleared by the first check without it.
+    Measurements before a position jump are not used. One check of so few data may be wrong, so a fault is reported when
+    two successive checks find it; the first check without it clears it.
 
-    share: limit of the processor time of all checks since the first poll, as a fraction of a core (the first check with
-    a finding compiles code). verdict: the newest one. seconds: processor time of all checks.
+    share: limit of the processor time of all checks since the first poll, as a fraction of a core. verdict: the newest
+    one. seconds: processor time of all checks.
     """
 
     def __init__(self, vehicle: VehicleParameters, share: float = CPU_SHARE):
         self._vehicle, self._share = vehicle, share
-        self.verdict = _waiting(0.0)
+        self.verdict = _wait_verdict(0.0)
         self.seconds = 0.0
-        self._found: frozenset[str] = frozenset()  # faults of the last check
+        self._faults: frozenset[str] = frozenset()  # found by the last check
         self._checked_ns: int | None = None
         self._began: float | None = None
         self._checked_at = self._not_before = -math.inf
@@ -56,7 +56,7 @@ class Consistency:
     def poll(self, history: MeasurementHistory, now: float) -> bool:
         """Run the checks if they are due; returns whether they were due. now: of a steady clock [s].
 
-        Never raises because of the measurements: a check that fails becomes a warning.
+        A check that fails does not raise an error but becomes a warning.
         """
         newest = history.ins.newest
         if self._began is None:
@@ -65,62 +65,62 @@ class Consistency:
             return False
         if self._checked_ns is not None and 0 <= newest - self._checked_ns < PERIOD / NANOSECOND:
             if now - self._checked_at > HISTORY_SPAN:
-                self.verdict = _waiting(0.0)
+                self.verdict = _wait_verdict(0.0)
             return False
         self._checked_ns, self._checked_at = newest, now
         try:
-            self._check(recent(history), self._began)
+            self._check(select_recent(history), self._began)
         except Exception as error:  # a failed check must not stop the scoring of predictions
             self.verdict = Verdict("warning", f"check failed: {type(error).__name__}: {error}")
         return True
 
     def _check(self, log: DriveLog | float, began: float) -> None:
-        before, self._found = self._found, frozenset()
+        before, self._faults = self._faults, frozenset()
         if isinstance(log, float):
-            self.verdict = _waiting(log)
+            self.verdict = _wait_verdict(log)
             return
         begin = time.thread_time()
         findings = [finding for finding in check(log, self._vehicle).findings if finding.name not in NOT_LIVE]
-        self._found = frozenset(finding.name for finding in findings if finding.severity != "note")
-        self.verdict = _verdict(findings, before, log.duration)
+        self._faults = frozenset(finding.name for finding in findings if finding.severity != "note")
+        self.verdict = _make_verdict(findings, before, log.duration)
         self.seconds += time.thread_time() - begin
         self._not_before = began + self.seconds / self._share
 
 
-def recent(history: MeasurementHistory) -> DriveLog | float:
-    """The measurements to check, thinned out; if there are too few, the duration of driving available [s]."""
+def select_recent(history: MeasurementHistory) -> DriveLog | float:
+    """The measurements to check, thinned out; the duration of driving [s] instead, if it is too short."""
     newest = history.ins.newest or 0
     oldest = max(newest - round(HISTORY_SPAN / NANOSECOND), *history.ins.breaks, 0)
-    times, rows = _since(history.ins, oldest)
+    times, rows = _thin_out(history.ins, oldest)
     step = np.minimum(np.diff(times, append=newest) * NANOSECOND, MAX_STEP)
     driven = np.cumsum((step * (np.abs(rows[:, INS_SIGNALS.index("velocity_x")]) > MIN_SPEED))[::-1])[::-1]
     if not len(driven) or driven[0] < MIN_DRIVING:
         return float(driven[0]) if len(driven) else 0.0
     start = min(newest - round(WINDOW / NANOSECOND), int(times[np.flatnonzero(driven >= MIN_DRIVING)[-1]]))
     start = max(start, oldest)
-    times, rows = _since(history.ins, start)
+    times, rows = _thin_out(history.ins, start)
     columns = dict(zip(INS_SIGNALS, rows.T, strict=False))
-    steering_times, angles = _since(history.steering, start)
+    steering_times, angles = _thin_out(history.steering, start)
     return DriveLog("live", times, **columns | {"yaw": np.unwrap(columns["yaw"])},
                     steering_time_ns=steering_times, road_wheel_angle=angles[:, 0])
 
 
-def _since(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
-    """(times, rows) since an instant, the first sample of each period SAMPLE_NS."""
+def _thin_out(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
+    """(times, rows) since an instant, with only the first sample of each period SAMPLE_NS."""
     first = int(np.searchsorted(series.times, start_ns))
     times = series.times[first:]
-    kept = np.flatnonzero(np.diff(times // SAMPLE_NS, prepend=-1))
-    return times[kept], series.rows[first:][kept]
+    chosen = np.flatnonzero(np.diff(times // SAMPLE_NS, prepend=-1))
+    return times[chosen], series.rows[first:][chosen]
 
 
-def _waiting(driven: float) -> Verdict:
+def _wait_verdict(driven: float) -> Verdict:
     return Verdict("", f"not checked: {driven:.0f} s of driving in the last minute or since the position jumped, "
                    f"{MIN_DRIVING:g} s above {MIN_SPEED:g} m/s required")
 
 
-def _verdict(findings: Sequence[Finding], before: Set[str], seconds: float) -> Verdict:
+def _make_verdict(findings: Sequence[Finding], before: Set[str], seconds: float) -> Verdict:
     """Verdict of one check. findings: worst first. before: names of the faults in the previous check."""
-    values = {finding.name: _value(finding) for finding in findings}
+    values = {finding.name: _format_value(finding) for finding in findings}
     faults = [finding for finding in findings if finding.severity != "note"]
     if confirmed := [fault for fault in faults if fault.name in before]:
         severity = confirmed[0].severity
@@ -130,8 +130,8 @@ def _verdict(findings: Sequence[Finding], before: Set[str], seconds: float) -> V
     return Verdict("note" if findings else "", f"signals agree in the newest {seconds:.0f} s{new}", values)
 
 
-def _value(finding: Finding) -> str:
+def _format_value(finding: Finding) -> str:
     if finding.value is None:
         return finding.severity.value
-    spread = "" if finding.interval is None else f" ± {0.5 * (finding.interval[1] - finding.interval[0]):.2g}"
-    return f"{finding.value:.4g}{spread}" + (f" {finding.unit}" if finding.unit not in ("1", "-") else "")
+    half_width = "" if finding.interval is None else f" ± {0.5 * (finding.interval[1] - finding.interval[0]):.2g}"
+    return f"{finding.value:.4g}{half_width}" + (f" {finding.unit}" if finding.unit not in ("1", "-") else "")

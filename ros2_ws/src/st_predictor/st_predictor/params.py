@@ -1,4 +1,4 @@
-"""Parameters of predictor, evaluator, recorder and markers, declared once: name, default, unit, range."""
+"""Parameters of the nodes predictor, evaluator, recorder, markers and identifier, and the files they name."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,17 +20,17 @@ MODELS = ["kinematic", "linear", "nonlinear"]
 _DEFAULTS = PredictionSettings()
 
 _VEHICLE_FILE = Parameter("vehicle_file", "", "vehicle parameters, a file of config/vehicle/; required")
-_MODEL_FILE = Parameter("model_file", "", "model.yaml of a further model, named augmented; empty: none")
+_MODEL_FILE = Parameter("model_file", "", "model.yaml of an additional model, named augmented; empty: none")
 _EFFECTS_DIRECTORY = Parameter("effects_directory", "", "folder of user-defined effects of model_file; empty: none")
 _BANDS_FILE = Parameter("bands_file", "", "bands.yaml of st calibrate for this car, models and settings; empty: none")
 _COURSE_FILE = Parameter("course_file", "", "course.yaml of st course build for this site; empty: none")
 _ADAPTIVE = Parameter("adaptive_bands", True, "adapt the bands to the errors of this run; without bands_file the first "
-                      "appear after two minutes of driving; false: only those of bands_file, as calibrated")
+                      "bands appear after two minutes of driving; false: only the bands of bands_file, unchanged")
 _MAP_FRAME = Parameter("map_frame", "map", "required frame of the odometry; odometry in another frame is refused")
 _MAXIMUM_GAP = Parameter(
     "maximum_gap", _DEFAULTS.maximum_gap, "longest interval between samples for interpolation", "s", 0.001, 10.0)
 _FILTER_CUTOFF = Parameter(
-    "filter_cutoff", _DEFAULTS.filter_cutoff, "cutoff of the low-pass before v_x is differentiated", "Hz", 0.01, 1000.0)
+    "filter_cutoff", _DEFAULTS.filter_cutoff, "low-pass cutoff before v_x is differentiated", "Hz", 0.01, 1000.0)
 
 PREDICTOR = (
     _VEHICLE_FILE,
@@ -40,21 +40,21 @@ PREDICTOR = (
     _BANDS_FILE,
     _ADAPTIVE,
     _COURSE_FILE,
-    Parameter("horizon", _DEFAULTS.horizon, "how far ahead; a whole number of steps", "s", 0.01, 60.0),
+    Parameter("horizon", _DEFAULTS.horizon, "duration of a prediction; a whole number of steps", "s", 0.01, 60.0),
     Parameter("step", _DEFAULTS.step, "integration step and spacing of the published points", "s", 0.001, 1.0),
     Parameter("rate", 10.0, "ticks per second, on the node's clock", "Hz", 0.1, 100.0),
     Parameter("sample_wait", 0.015, "longest wait of a tick, from its due time, for a new sample of each input; "
               "at most half a period; not in simulated time; 0: no wait", "s", 0.0, 0.1),
     Parameter("compiled", True, "models as machine code if numba is installed; false: interpreted Python"),
-    Parameter("minimum_speed", _DEFAULTS.minimum_speed, "no prediction below it", "m/s", 0.0, 50.0),
+    Parameter("minimum_speed", _DEFAULTS.minimum_speed, "no prediction below this speed", "m/s", 0.0, 50.0),
     Parameter("stale_after", _DEFAULTS.stale_after, "no prediction from inputs older than this", "s", 0.001, 10.0),
     _MAXIMUM_GAP,
     _FILTER_CUTOFF,
     _MAP_FRAME,
-    Parameter("plan_frame", "base_link", "required header.frame_id of plans on plan/inputs; others are refused"),
+    Parameter("plan_frame", "base_link", "required frame of plans on plan/inputs; plans in another frame are refused"),
 )
 
-_NUMBER = Parameter("number_when_taken", False, "record into NAME_2 if the directory has a bag; false: stop")
+_NUMBER = Parameter("number_when_taken", False, "record into NAME_2 if the directory contains files; false: stop")
 
 EVALUATOR = (
     _VEHICLE_FILE,
@@ -64,11 +64,11 @@ EVALUATOR = (
     _MAXIMUM_GAP,
     _FILTER_CUTOFF,
     _MAP_FRAME,
-    Parameter("output_directory", "", "bag of errors and summaries, a new or empty directory; empty: no bag"),
+    Parameter("output_directory", "", "directory of the bag of errors, new or empty; empty: no bag"),
     _NUMBER,
 )
 
-# Topics that cannot be reconstructed from raw packets and frames, and those that external viewers and tools expect.
+# Topics that cannot be reconstructed from raw packets and frames, and topics that external viewers and tools expect.
 TOPICS = [
     "ins/ncom", "ins/odometry", "ins/status", "ins/trigger", "ins/origin", "vehicle/steering", "can/frames",
     "plan/inputs", "predictor/*", "evaluator/*", "identifier/*", "/tf", "/tf_static", "/diagnostics", "/rosout",
@@ -78,7 +78,7 @@ ALL_TOPICS = [
     "/diagnostics", "/rosout",
 ]
 RECORDER = (
-    Parameter("output_directory", "", "the bag, a new or empty directory; required"),
+    Parameter("output_directory", "", "directory of the bag, new or empty; required"),
     _NUMBER,
     Parameter("topics", TOPICS, "topics to record; * and ? stand for any characters; relative to the node's namespace"),
     Parameter("configuration_files", [], "files stored as text in the bag: vehicle, node parameters"),
@@ -88,8 +88,8 @@ RECORDER = (
 
 MARKERS = (
     _VEHICLE_FILE,
-    Parameter("models", [*MODELS, "augmented"], "models to draw, if they predict"),
-    Parameter("rate", 10.0, "drawings per second", "Hz", 0.1, 50.0),
+    Parameter("models", [*MODELS, "augmented"], "models whose predictions are drawn"),
+    Parameter("rate", 10.0, "updates per second", "Hz", 0.1, 50.0),
     _MAP_FRAME,
 )
 
@@ -104,7 +104,7 @@ def load_vehicle(values: SimpleNamespace) -> VehicleParameters:
 
 
 def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile | None:
-    """The model of the parameter `model_file`, None without one; the effects it uses are loaded first.
+    """Load `effects_directory`, then the model of the parameter `model_file`; None without a model file.
 
     Raises ConfigurationError naming the file and the key, also if the model belongs to another car than `vehicle`.
     """
@@ -140,13 +140,13 @@ def _read(values: SimpleNamespace, parameter: str, parse: Callable[[str, str], T
 
 
 def prediction_settings(values: SimpleNamespace) -> PredictionSettings:
-    """The st_core settings among a node's parameters. Raises ConfigurationError if they are inconsistent."""
+    """The settings of predictions among a node's parameters. Raises ConfigurationError if they are inconsistent."""
     names = PredictionSettings.__dataclass_fields__.keys() & vars(values).keys()
     return translate_errors(values, lambda: PredictionSettings(**{name: getattr(values, name) for name in names}))
 
 
 def translate_errors(values: SimpleNamespace, make: Callable[[], T], prefix: str = "") -> T:
-    """The result of `make`; a ConfigurationError of st_core is raised as one of st_ros, which ends the node (status 2).
+    """The result of `make`; turns a ConfigurationError of st_core into one of st_ros, for which a node exits with 2.
 
     prefix: start of the message.
     """

@@ -85,7 +85,8 @@ def test_launched_nodes_are_installed_and_their_parameters_exist() -> None:
     for package, executable in nodes:
         setup = (ROOT / "ros2_ws" / "src" / package / "setup.py").read_text()
         assert re.search(rf"'{executable} = {package}\.", setup), f"{package} installs no {executable}"
-    overrides = [[a.value for a in call.args[:2]] for call in calls(LAUNCH / "car.launch.py", "text", "number")
+    functions = "override_text", "override_number"
+    overrides = [[a.value for a in call.args[:2]] for call in calls(LAUNCH / "car.launch.py", *functions)
                  if all(isinstance(a, ast.Constant) for a in call.args[:2])]
     assert len(overrides) >= 10
     for node, name in overrides:
@@ -105,7 +106,7 @@ def test_no_process_outlives_the_launch() -> None:
 
 
 def test_launch_arguments_that_are_used_are_declared() -> None:
-    declared_by_car = {call.args[0].value for call in calls(LAUNCH / "car.launch.py", "argument")}
+    declared_by_car = {call.args[0].value for call in calls(LAUNCH / "car.launch.py", "declare")}
     used = {call.args[0].value for call in calls(LAUNCH / "car.launch.py", "LaunchConfiguration")}
     assert used == declared_by_car
     for file in LAUNCH_FILES:
@@ -139,7 +140,7 @@ def test_a_launched_suite_takes_a_car_by_its_folder(tmp_path: Path, given: dict[
     files = {"vehicle": "vehicle.yaml", "dbc": "can.dbc", "signals": "signals.yaml"}
     assert {key: context.launch_configurations[key] for key in files} == {
         key: str(folder / name) for key, name in files.items()}
-    assert names["steering_of"](context) == steering
+    assert names["steering_parameters"](context) == steering
 
 
 def test_virtual_leaf_knows_every_option_it_is_launched_with() -> None:
@@ -155,14 +156,14 @@ def test_virtual_leaf_knows_every_option_it_is_launched_with() -> None:
 
 def test_two_configuration_files_of_one_name_are_kept_apart(tmp_path: Path) -> None:
     pytest.importorskip("rclpy")
-    from st_predictor.nodes.recorder import metadata_records
+    from st_predictor.nodes.recorder import make_metadata
 
     files = [tmp_path / "car" / "leaf.yaml", tmp_path / "can" / "leaf.yaml", tmp_path / "nodes.yaml"]
     for file in files:
         file.parent.mkdir(exist_ok=True)
         file.write_text(f"content of {file.parent.name}")
     values = SimpleNamespace(where="", configuration_files=[str(f) for f in files], metadata_json="")
-    kept = metadata_records(values)["configuration"]
+    kept = make_metadata(values)["configuration"]
     assert set(kept) == {"car/leaf.yaml", "can/leaf.yaml", "nodes.yaml", "hash"}
     assert kept["can/leaf.yaml"] == "content of can"
 

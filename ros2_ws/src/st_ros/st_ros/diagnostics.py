@@ -1,4 +1,4 @@
-"""The /diagnostics of one node: a list of named checks once a second and at once when a level changes."""
+"""Publishes the /diagnostics of a node: its named checks and the scheduling of its process."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -24,20 +24,20 @@ class Check:
 
 
 class Diagnostics:
-    """Publishes the checks of `collect()` and the scheduling of the process, once a second of the node's clock."""
+    """Publishes the checks that `collect` returns once a second, and whenever the node calls `publish`."""
 
     def __init__(self, node: Node, hardware_id: str, collect: Callable[[], list[Check]]):
         self._node = node
         self._hardware_id = hardware_id
         self._collect = collect
-        self._levels: dict[str, int] = {}
+        self._levels: dict[str, int] = {}  # last level of each check
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._timer = node.create_timer(PERIOD, self.publish)
 
     def publish(self) -> None:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
-        now = scheduling.current()
+        now = scheduling.read_scheduling()
         values = {"policy": now.policy, "priority": now.priority, "nice": now.nice}
         if now.autogroup is not None:
             values["autogroup"] = now.autogroup

@@ -1,4 +1,4 @@
-"""Node parameters declared once: type, default, unit, range. A wrong name, type or value stops the start-up."""
+"""Declares node parameters with type, unit and range; a wrong name, type or value prevents the start of the node."""
 
 import math
 import sys
@@ -11,20 +11,19 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-# Declared by rclpy on every node.
-BUILT_IN = ("use_sim_time", "start_type_description_service")
+BUILT_IN = ("use_sim_time", "start_type_description_service")  # declared by rclpy on every node
 
 
 class ConfigurationError(ValueError):
-    """A parameter, file or device that prevents a start. Its text is a single line for the user."""
+    """A parameter, file or device prevents the start of a node; the text is one line for the user."""
 
 
 @dataclass(frozen=True)
 class Parameter:
     """One node parameter.
 
-    name: as in the YAML file. default: its type is the parameter's type; a float also accepts an integer.
-    unit: SI, or as in the suffix of the name. minimum, maximum: inclusive. choices: allowed values.
+    name: as in the YAML file. default: also defines the type; a float accepts integers. unit: SI, or as in the suffix
+    of the name. minimum, maximum: inclusive. choices: permitted values; empty: any.
     """
 
     name: str
@@ -35,13 +34,13 @@ class Parameter:
     maximum: float = math.inf
     choices: tuple[Any, ...] = ()
 
-    def limit(self) -> str:
+    def describe_limit(self) -> str:
         if self.choices:
             return "one of " + ", ".join(map(str, self.choices))
         return f"{self.minimum:g} to {self.maximum:g}" + (f" {self.unit}" if self.unit else "")
 
     def check(self, value: Any) -> Any:
-        """The value in the declared type; raises ConfigurationError naming key and limit."""
+        """The value, converted to the declared type. Raises ConfigurationError naming key and limit."""
         expected = type(self.default)
         if expected is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
@@ -54,20 +53,19 @@ class Parameter:
         if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
             raise ConfigurationError(f"{self.name}: {value!r} is a {type(value).__name__}, not {expected.__name__}")
         if self.choices and value not in self.choices:
-            raise ConfigurationError(f"{self.name}: {value!r} is not {self.limit()}")
-        numeric = isinstance(value, int | float) and not isinstance(value, bool)
-        unset = numeric and math.isnan(value) and math.isnan(self.default)
-        if numeric and not unset and not self.minimum <= value <= self.maximum:
-            raise ConfigurationError(f"{self.name}: {value} is outside {self.limit()}")
+            raise ConfigurationError(f"{self.name}: {value!r} is not {self.describe_limit()}")
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        is_unset = is_number and math.isnan(value) and math.isnan(self.default)
+        if is_number and not is_unset and not self.minimum <= value <= self.maximum:
+            raise ConfigurationError(f"{self.name}: {value} is outside {self.describe_limit()}")
         return value
 
 
 def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
-    """Declare all on the node and return their checked values as attributes.
+    """Declare parameters on a node; returns their checked values as attributes.
 
-    The additional attribute `where` is a prefix for messages about them: parameter file (if one was given) and node.
-    Raises ConfigurationError naming the parameter file (if one was given), the key and the limit; also for an
-    override of an undeclared parameter.
+    The additional attribute `where` names the parameter file, if one was given, and the node, as a prefix of messages.
+    Raises ConfigurationError with this prefix, key and limit, also for a given parameter that is not declared.
     """
     overrides = dict(node._parameter_overrides)
     arguments = list(getattr(node.context, "_cli_args", None) or sys.argv)
@@ -87,7 +85,7 @@ def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
             raise ConfigurationError(f"{origin}{node.get_name()}.{error}") from None
         override = {parameter.name: RosParameter(parameter.name, value=value)} if value != [] else {}
         node._parameter_overrides.update(override)
-        # Read only: a node reads its parameters at start; a changed file takes effect after a restart.
+        # Read-only, because a node reads its parameters only at its start.
         description = parameter.description + (f" [{parameter.unit}]" if parameter.unit else "")
         descriptor = ParameterDescriptor(description=description, read_only=True, dynamic_typing=True)
         node.declare_parameter(parameter.name, value if value != [] else [""], descriptor)

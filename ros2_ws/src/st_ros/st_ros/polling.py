@@ -1,8 +1,8 @@
-"""Topics at high rates: polled subscriptions, publishers that skip unread messages, and stamps in nanoseconds.
+"""Tools for topics at high rates: polled subscriptions, publishers on demand, and stamps in nanoseconds.
 
-A polled subscription is emptied by the node itself, usually from a timer, instead of waking the executor per message:
-rclpy rebuilds its wait set for every wake-up, which at 250 Hz on several topics costs more than the messages do.
-Messages wait in the middleware's queue (`depth` per topic), in order, each with its time of arrival.
+The node itself reads a polled subscription, usually from a timer, and the executor does not wake up for each message:
+rclpy rebuilds its wait set at every wake-up, which at 250 Hz on several topics takes longer than processing the
+messages. Until then the middleware queues the messages in order, each with its time of arrival.
 """
 
 import importlib
@@ -17,18 +17,15 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-# Prefix of rmw's name for a node that discovery has not resolved yet, and the text shown for it.
-UNRESOLVED_PREFIX = "_NODE_NAME"
-UNRESOLVED_NODE = "a node without a name yet"
-# Interval between counts of a publisher's subscribers [s]: one count costs as much as filling a message.
-SUBSCRIBER_COUNT_PERIOD = 0.05
-# Depth: four seconds at 250 Hz, so that a briefly blocked subscriber (busy machine, suspended laptop) loses nothing.
-SAMPLE_QOS = QoSProfile(depth=1000)
+UNRESOLVED_PREFIX = "_NODE_NAME"  # of the name that rmw gives a node before discovery has resolved it
+UNRESOLVED_NODE = "a node without a name yet"  # text shown for such a node
+SUBSCRIBER_COUNT_PERIOD = 0.05  # s between counts of subscribers; a count takes as long as filling a message
+SAMPLE_QOS = QoSProfile(depth=1000)  # 4 s at 250 Hz, so that a subscriber blocked for a short time loses no message
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # late subscribers get the newest message
 
 
 def steady_timer(node: Node, period: float, callback: Callable[[], object]) -> None:
-    """Call back every `period` seconds of a steady clock, also while the clock of a replay is paused."""
+    """Call `callback` every `period` [s] of a steady clock, also while the clock of a replay is paused."""
     node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
@@ -46,13 +43,13 @@ class _NeverReady(CallbackGroup):
 
 
 class PolledSubscription:
-    """Subscription that the node reads itself. raw: serialised bytes in place of messages."""
+    """Subscription that the node reads itself. raw: `take` yields serialised bytes instead of messages."""
 
     def __init__(self, node: Node, message_type: type, topic: str, qos: QoSProfile, raw: bool = False):
         self._node = node
         self._group = _NeverReady()
         self.subscription = node.create_subscription(
-            message_type, topic, _unused, qos, callback_group=self._group, raw=raw)
+            message_type, topic, _reject_callback, qos, callback_group=self._group, raw=raw)
         self._take = self.subscription.handle.take_message
         self._arguments = (message_type, raw)
 
@@ -63,18 +60,17 @@ class PolledSubscription:
     def take(self, limit: int = 1000) -> Iterator[tuple[Any, int, int]]:
         """At most `limit` waiting messages, oldest first, as (message, received_ns, sent_ns).
 
-        received_ns: host UTC of its receipt; sent_ns: host UTC of its publication (0: unknown).
+        received_ns, sent_ns: host UTC of receipt and of publication; sent_ns is 0 if unknown.
         """
-        for message, info in self._waiting(limit):
+        for message, info in self._take_waiting(limit):
             yield message, info["received_timestamp"], info["source_timestamp"]
 
     def take_numbered(self, limit: int = 1000) -> Iterator[tuple[Any, int, int | None]]:
-        """As `take`, with the publisher's sequence number (from 1) in place of sent_ns; None if the middleware does not
-        report it."""
-        for message, info in self._waiting(limit):
+        """As `take`, with the publisher's sequence number (from 1) instead of sent_ns; None if it is unknown."""
+        for message, info in self._take_waiting(limit):
             yield message, info["received_timestamp"], info["publication_sequence_number"]
 
-    def _waiting(self, limit: int) -> Iterator[tuple[Any, dict[str, Any]]]:
+    def _take_waiting(self, limit: int) -> Iterator[tuple[Any, dict[str, Any]]]:
         for _ in range(limit):
             taken = self._take(*self._arguments)
             if taken is None:
@@ -82,11 +78,11 @@ class PolledSubscription:
             yield taken
 
     def publisher_count(self) -> int:
-        """Matched publishers, including those that were killed and are not yet removed from the graph."""
+        """Number of matched publishers, including killed ones until they are removed from the graph."""
         return self.subscription.get_publisher_count()
 
-    def publishers(self) -> list[str]:
-        """Full node name of each publisher of the topic; UNRESOLVED_NODE for one not resolved yet."""
+    def publisher_names(self) -> list[str]:
+        """Full node name of each publisher of the topic; UNRESOLVED_NODE if it is not resolved yet."""
         found = self._node.get_publishers_info_by_topic(self.topic)
         return [UNRESOLVED_NODE if publisher.node_name.startswith(UNRESOLVED_PREFIX)
                 else f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}" for publisher in found]
@@ -96,7 +92,7 @@ class PolledSubscription:
 
 
 def wait_for_any(node: Node, subscriptions: Sequence[PolledSubscription], seconds: float) -> None:
-    """Sleep until one subscription has a message, at most `seconds`; callbacks of the node do not run meanwhile."""
+    """Sleep until a subscription has a message, at most `seconds`; callbacks of the node do not run meanwhile."""
     waiting = rclpy_implementation.WaitSet(len(subscriptions), 0, 0, 0, 0, 0, node.context.handle)
     with waiting:
         waiting.clear_entities()
@@ -105,15 +101,12 @@ def wait_for_any(node: Node, subscriptions: Sequence[PolledSubscription], second
         waiting.wait(round(seconds * 1e9))
 
 
-def _unused(message: Any) -> None:
+def _reject_callback(message: Any) -> None:
     raise AssertionError("a polled subscription has no callback")
 
 
 class OnDemandPublisher:
-    """A publisher that reports whether it has subscribers, so that messages are only filled if there are any.
-
-    publisher None: the topic is switched off.
-    """
+    """A publisher whose messages need not be filled while it has no subscribers. publisher: None if it is disabled."""
 
     def __init__(self, publisher: Publisher | None):
         self._publisher = publisher
@@ -147,7 +140,7 @@ def to_nanoseconds(stamp: Time) -> int:
 
 
 def from_nanoseconds(nanoseconds: int) -> Time:
-    """ROS stamp of nanoseconds since 1970; raises OverflowError outside 1901..2038, the range of the message."""
+    """ROS stamp of nanoseconds since 1970. Raises OverflowError outside 1901 to 2038, the range of the message."""
     sec, nanosec = divmod(nanoseconds, 1_000_000_000)
     if not -(2**31) <= sec < 2**31:
         raise OverflowError(f"stamp {nanoseconds} ns does not fit a ROS time")

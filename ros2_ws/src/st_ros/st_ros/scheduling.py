@@ -1,7 +1,7 @@
-"""Scheduling of this process: policy, priority, nice value, and nice value of its autogroup.
+"""Reads and lowers the priority of this process: policy, priority, nice value, and nice value of its autogroup.
 
-Between sessions, Linux with autogroups (the default of Debian and Ubuntu) compares the nice values of the session
-groups, not of the processes. Each process of `st` is a separate session.
+With autogroups (the default of Debian and Ubuntu), Linux compares the nice values of processes only within a session;
+between sessions those of the autogroups apply. Each process of `st` is a session.
 """
 
 import contextlib
@@ -15,16 +15,14 @@ _POLICIES = {os.SCHED_OTHER: "normal", os.SCHED_BATCH: "batch", os.SCHED_IDLE: "
              os.SCHED_RR: "round robin"}
 _REALTIME = (os.SCHED_FIFO, os.SCHED_RR)
 _GROUP = Path("/proc/self/autogroup")
-# The kernel accepts one change of a group per 0.1 s from an ordinary user [1, s].
-_TRIES, _PAUSE = 5, 0.11
+_TRIES, _PAUSE = 5, 0.11  # number, and s between them; the kernel accepts one change per 0.1 s from an ordinary user
 
 
 @dataclass(frozen=True)
 class Scheduling:
     """Scheduling parameters of a process.
 
-    policy: name. priority: of a real-time policy, else 0. autogroup: nice value of the session's group, None without
-    autogroups; with them it applies between sessions, `nice` within a session.
+    policy: name. priority: of a real-time policy, else 0. autogroup: nice value of the autogroup, None without one.
     """
 
     policy: str
@@ -40,24 +38,24 @@ class Scheduling:
         return f"{self.policy}, nice {self.nice}{group}"
 
 
-def current() -> Scheduling:
-    """Scheduling of this process at present."""
+def read_scheduling() -> Scheduling:
+    """Present scheduling of this process."""
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     priority = os.sched_getparam(0).sched_priority if policy in _REALTIME else 0
     return Scheduling(_POLICIES.get(policy, f"policy {policy}"), priority, os.getpriority(os.PRIO_PROCESS, 0),
-                      _autogroup())
+                      _read_autogroup())
 
 
 def lower_priority(nice: int) -> None:
-    """Lower the priority: a nice value of at least `nice` for the process, and for its session if it leads one.
+    """Set a nice value of at least `nice` for this process, and for its autogroup if it leads the session.
 
-    nice: 5 leaves a third of an equal share of CPU time, 10 a tenth, 15 a thirtieth. Never raises; `current` reports
-    the result.
+    nice: 5 leaves a third of an equal share of CPU time, 10 a tenth, 15 a thirtieth. Failures are ignored;
+    `read_scheduling` shows the result.
     """
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, max(nice, os.getpriority(os.PRIO_PROCESS, 0)))
     if os.getsid(0) != os.getpid():
-        return  # it would also lower the other processes of the session, such as those of a launch file
+        return  # the autogroup contains other processes, such as those of a launch file
     for _ in range(_TRIES):
         try:
             _GROUP.write_text(str(nice))
@@ -68,7 +66,7 @@ def lower_priority(nice: int) -> None:
             return
 
 
-def _autogroup() -> int | None:
+def _read_autogroup() -> int | None:
     try:
         if Path("/proc/sys/kernel/sched_autogroup_enabled").read_text().strip() != "1":
             return None

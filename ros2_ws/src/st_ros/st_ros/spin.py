@@ -1,4 +1,4 @@
-"""Start, spin and end a node: exit status 0 on SIGINT or SIGTERM, 2 on a wrong configuration."""
+"""Starts, spins and ends a node with exit status 0 after SIGINT or SIGTERM and 2 for a wrong configuration."""
 
 import atexit
 import gc
@@ -18,30 +18,29 @@ from . import scheduling
 from .parameters import ConfigurationError
 
 WAKE_PERIOD = 0.1  # s, longest time until the executor reacts to a stop signal
-# Longest wait at the end of a node until its subscribers acknowledged all messages [s]. Fast DDS detects what was lost
-# over UDP with its next heartbeat, every 3 s; ros2 launch kills after 5 s.
+# Longest wait at the end of a node until its subscribers have acknowledged all messages [s]. Fast DDS detects messages
+# lost over UDP with its heartbeat every 3 s; ros2 launch kills a node after 5 s.
 FLUSH_TIMEOUT = 4.0
 
 
 def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice: int = 0) -> int:
-    """Spin the node until a stop signal; returns the exit status. nice: of the process once the node is up.
+    """Make and spin a node until a stop signal; returns the exit status. nice: of the process once the node is made.
 
     A node may have `finished: bool` (ends the spinning), `exit_status: int` (read at the end) and `close()` (called
-    once before it is destroyed; it can still publish). Waits for acknowledgement at most `FLUSH_TIMEOUT`.
+    once before the node is destroyed, while it can still publish).
     """
     stop = StopRequest()
     node = executor = None
     status = 0
     try:
-        # rclpy's own handlers shut the context down at once: `close` could not publish.
+        # The handlers of rclpy shut the context down at once, and `close` could not publish.
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # rclpy has no public base class; a parameter file that does not parse ends here
+    except Exception as error:  # such as a parameter file that is not YAML; rclpy has no common class of its errors
         print(f"cannot start: {_one_line(error)}", file=sys.stderr, flush=True)
         return 2
     try:
         node = make_node()
-        # Excludes the objects created so far, which live as long as the process, from garbage collection: a collection
-        # that includes them delays a node by 26 to 75 ms.
+        # Objects created so far live as long as the process; a garbage collection that includes them takes 26 to 75 ms.
         gc.collect()
         gc.freeze()
         if nice:
@@ -63,7 +62,7 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
                 flush(node)
             status = status or getattr(node, "exit_status", 0)
             if executor is not None:
-                # At the interpreter's exit its destructor may find the context destroyed and report an error.
+                # Its destructor, at the exit of the interpreter, may find the context destroyed and report an error.
                 executor.shutdown()
             node.destroy_node()
         rclpy.try_shutdown()
@@ -71,20 +70,20 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
 
 
 def flush(node: Node) -> None:
-    """Wait until the reliable subscribers acknowledged all messages, at most `FLUSH_TIMEOUT`."""
+    """Wait until the reliable subscribers have acknowledged all messages, at most FLUSH_TIMEOUT."""
     end = time.monotonic() + FLUSH_TIMEOUT
     for publisher in node.publishers:
         publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
 
 
 class StopRequest:
-    """SIGINT and SIGTERM as a flag; further signals are ignored, so that closing is not interrupted."""
+    """Turns SIGINT and SIGTERM into a flag, so that they do not interrupt the closing of a node."""
 
     def __init__(self) -> None:
         self.requested = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._request)
-            # The interpreter removes handlers before it ends; a late signal would then turn a clean exit into a kill.
+            # The interpreter removes the handlers before it exits; a signal after that would change the exit status.
             atexit.register(signal.signal, number, signal.SIG_IGN)
 
     def _request(self, number: int, frame: FrameType | None) -> None:

@@ -6,7 +6,7 @@ import sys
 
 from st_ros import scheduling
 
-SAY = [sys.executable, "-c", "from st_ros import scheduling; print(scheduling.current().text)"]
+SAY = [sys.executable, "-c", "from st_ros import scheduling; print(scheduling.read_scheduling().text)"]
 
 
 def test_a_nice_process_says_so():
@@ -27,14 +27,14 @@ def test_real_time_has_a_priority():
 
 
 LOWER = [sys.executable, "-c",
-         "from st_ros import scheduling; scheduling.lower_priority(7); print(scheduling.current())"]
+         "from st_ros import scheduling; scheduling.lower_priority(7); print(scheduling.read_scheduling())"]
 
 
 def test_lowering_reaches_the_group_of_an_own_session_only():
     nice = max(7, os.getpriority(os.PRIO_PROCESS, 0))
     # The system's first session has no group: whether there are groups, a session of its own says.
-    say = [sys.executable, "-c", "from st_ros import scheduling; print(scheduling.current().autogroup)"]
+    say = [sys.executable, "-c", "from st_ros import scheduling; print(scheduling.read_scheduling().autogroup)"]
     groups = subprocess.run(say, capture_output=True, text=True, check=True, start_new_session=True).stdout != "None\n"
-    for own_session, group in ((True, 7 if groups else None), (False, scheduling.current().autogroup)):
+    for own_session, group in ((True, 7 if groups else None), (False, scheduling.read_scheduling().autogroup)):
         said = subprocess.run(LOWER, capture_output=True, text=True, check=True, start_new_session=own_session).stdout
         assert said == f"{scheduling.Scheduling('normal', 0, nice, group)}\n"

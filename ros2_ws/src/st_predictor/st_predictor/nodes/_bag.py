@@ -1,4 +1,4 @@
-"""The output bag of evaluator and recorder, and its diagnostics."""
+"""Opens the output bag of evaluator and recorder, and reports on it in /diagnostics."""
 
 import itertools
 from collections.abc import Mapping
@@ -10,14 +10,14 @@ from st_ros import diagnostics
 from st_ros.diagnostics import Check
 from st_ros.parameters import ConfigurationError
 
-MAX_SYNC_DELAY = 1.0  # unsynced data older than this raise a warning [s]; half a second is normal
+MAX_SYNC_DELAY = 1.0  # s; data that are not on the disk after this time cause a warning; half a second is normal
 
 
 def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) -> BagWriter:
-    """Writer of a new bag in the folder given by the parameter `output_directory`.
+    """Writer of a new bag in the folder of the parameter `output_directory`.
 
-    If that folder already contains files and `number_when_taken` is set (a restarted node): NAME_2, NAME_3, ...
-    Raises ConfigurationError naming the folder if it is not empty or cannot be written.
+    If that folder contains files, a node with `number_when_taken` (which may have been restarted) uses NAME_2, NAME_3,
+    and so on. Raises ConfigurationError naming the folder if it is not empty or cannot be written.
     """
     names = (f"{values.output_directory}_{number}" for number in itertools.count(2))
     name = values.output_directory
@@ -37,7 +37,7 @@ def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) 
 def recording_check(bag: BagWriter, stopped: str = "", resumed: bool = False) -> Check:
     """Diagnostic check of the recording: message counts, losses and disk errors.
 
-    stopped: why an earlier bag of the same run ended. resumed: a new bag has just been opened, reported as a warning.
+    stopped: why an earlier bag of the same run ended. resumed: whether to warn that a new bag has just been opened.
     """
     values = {"messages": bag.message_count, "lost": bag.lost, "directory": bag.directory}
     if bag.syncer:
@@ -50,7 +50,7 @@ def recording_check(bag: BagWriter, stopped: str = "", resumed: bool = False) ->
         return Check("recording", diagnostics.WARN, f"{stopped}; recording resumed in {bag.directory}", values)
     level, text = diagnostics.OK, f"{bag.message_count} messages"
     if bag.syncer and bag.syncer.error:
-        # Recording continues: most data may still reach the disk, and a new bag would be on the same disk.
+        # The recording continues: most data may still reach the disk, where a new bag would be too.
         level, text = diagnostics.ERROR, (f"writing to the disk failed: {bag.syncer.error} ({bag.path}); recorded data "
                                           "may be missing: use another disk")
     elif bag.syncer and (delay := bag.syncer.delay) > MAX_SYNC_DELAY:

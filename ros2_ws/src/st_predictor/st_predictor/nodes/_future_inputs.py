@@ -1,4 +1,4 @@
-"""Future inputs in place of held ones: the newest plan of a motion planner, or those recorded on a course."""
+"""Future inputs to use instead of held ones: from the newest plan of a motion planner, or from a recorded course."""
 
 import time
 
@@ -21,23 +21,23 @@ from st_ros.polling import LATCHED, PolledSubscription
 from .. import convert
 
 QUEUE_DEPTH = 10  # only the newest plan is used
-PLAN_TIMEOUT = 10.0  # s without a new plan until the planner counts as stopped and the warning on its last plan ends
+PLAN_TIMEOUT = 10.0  # s without a new plan until the planner counts as stopped and the warning ends
 NOT_USED = "not used: no prediction at the moment"
 
 
 class PlanInput:
-    """Subscribes to plan/inputs. An unusable plan is rejected with a reason; forecasts then use only held inputs."""
+    """Subscribes to plan/inputs. While the newest plan is not usable, `problem` says why, and inputs are held."""
 
     def __init__(self, node: Node, frame: str, vehicle: VehicleParameters):
         self._subscription = PolledSubscription(node, InputPlan, "plan/inputs", QoSProfile(depth=QUEUE_DEPTH))
         self._frame, self._vehicle = frame, vehicle
         self._plan: PlannedInputs | str | None = None
         self._received_at = float("-inf")
-        self.problem = ""  # why the newest plan is not used; empty while it is used, and without one
+        self.problem = ""
         self._counts = {"received": 0, "used": 0, "refused": 0}
 
     def drain(self) -> None:
-        """Process all queued messages; only the newest plan is used."""
+        """Read all queued messages and keep the newest plan."""
         for message, _, _ in self._subscription.take(QUEUE_DEPTH):
             self._counts["received"] += 1
             self._plan = convert.planned_inputs(message, self._frame, self._vehicle)
@@ -71,7 +71,7 @@ class PlanInput:
 
 
 class CourseInput:
-    """Predicts inputs from the course of the parameter `course_file`; without a course it returns None.
+    """Predicts inputs from the course of the parameter `course_file`. course: None if there is none.
 
     If the map origins of course and run (ins/origin) are known, the course is shifted into the map frame of this run;
     a course of another site is not used.
@@ -84,16 +84,16 @@ class CourseInput:
         self._counts = {"used": 0, "held": 0}
         if course is None:
             return
-        self._tracker = CourseTracker(_with_search_tree(course), vehicle, horizon, step)
-        node.create_subscription(NavSatFix, "ins/origin", self._move, LATCHED)
+        self._tracker = CourseTracker(_build_search_tree(course), vehicle, horizon, step)
+        node.create_subscription(NavSatFix, "ins/origin", self._move_course, LATCHED)
 
-    def _move(self, message: NavSatFix) -> None:
+    def _move_course(self, message: NavSatFix) -> None:
         assert self._course is not None and self._tracker is not None
         if self._course.origin is None:
             return
         try:
             offset = origin_offset((message.latitude, message.longitude), *self._course.origin)
-            self._tracker.course, self._origin_problem = _with_search_tree(self._course.shift(*offset)), ""
+            self._tracker.course, self._origin_problem = _build_search_tree(self._course.shift(*offset)), ""
         except StCoreError as error:
             self._origin_problem = str(error)
         self._tracker.restart()
@@ -127,10 +127,10 @@ class CourseInput:
             return Check("course", diagnostics.OK, f"inputs are held: {forecast.reason}", self._counts)
         weights = {"weight in curvature": forecast.curvature_share, "weight in speed": forecast.speed_share}
         text = ", ".join(f"{name} {weight:.0%}" for name, weight in weights.items())
-        return Check("course", diagnostics.OK, f"used, {text}; the rest are held inputs", self._counts | weights)
+        return Check("course", diagnostics.OK, f"used, {text}; held inputs have the rest", self._counts | weights)
 
 
-def _with_search_tree(course: Course) -> Course:
-    """The course after a first lookup, which builds its search tree, so that no tick has to wait for it."""
+def _build_search_tree(course: Course) -> Course:
+    """The course with its search tree, which the first lookup builds, so that no tick has to wait for it."""
     course.find_near(*course.passes[0].points[0, :3].tolist())
     return course

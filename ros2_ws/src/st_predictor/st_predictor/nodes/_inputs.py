@@ -1,4 +1,4 @@
-"""Odometry and steering inputs of predictor and evaluator, polled from their queues."""
+"""Receives the odometry and steering of predictor and evaluator, from one publisher each."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -16,17 +16,16 @@ from st_ros.polling import UNRESOLVED_NODE, PolledSubscription, to_nanoseconds, 
 
 from .. import convert
 
-# s without a message after which the accepted publisher counts as ended; a new one of the same node name replaces it.
-SILENCE_TIMEOUT = 1.0
-MAX_LOST = 1000  # largest gap in the accepted publisher's message numbers: four seconds at 250 Hz
-QUEUE_DEPTH = 4000  # queued messages per topic: 16 s at 250 Hz, so that a node starved of processor time loses nothing
+SILENCE_TIMEOUT = 1.0  # s without a message after which another publisher can replace the accepted one
+MAX_LOST = 1000  # largest gap in the accepted publisher's message numbers: 4 s at 250 Hz
+QUEUE_DEPTH = 4000  # queued messages per topic: 16 s at 250 Hz, for a node that gets no processor time
 
 
 class PublisherLock:
-    """Accepts only messages of the first publisher of an input.
+    """Accepts only messages of the first publisher of an input, so that measurements of two cars are never mixed.
 
-    A message does not name its publisher, but publishers number their messages consecutively, so that each publisher's
-    messages form a chain. Where two chains have the same number, neither is used, so that two cars are never mixed.
+    A message does not name its publisher, but each publisher numbers its messages consecutively: they form a chain. If
+    two chains have reached the same number, they cannot be distinguished, and neither is used.
 
     names: full node names of all publishers at the last `update`. rejected: number of messages rejected so far.
     """
@@ -41,7 +40,7 @@ class PublisherLock:
         self._rejected_at: float | None = None  # [s]
 
     def update(self, names: Sequence[str]) -> None:
-        """Set the publishers. names: node name of each publisher in the graph."""
+        """Set the node name of each publisher in the graph."""
         self.names, self._competing = tuple(sorted(names)), len(names) > 1
         self._indistinguishable = self._indistinguishable and self._competing
 
@@ -74,11 +73,10 @@ class PublisherLock:
         return self._number is not None and 0 < number - self._number <= MAX_LOST
 
     def warning(self, now: float) -> str:
-        """Describes competing publishers; empty if there are none. now: on the clock of `accept` [s]."""
-        others = len(set(self.names)) > 1
-        # A killed publisher stays in the graph for a while under the same name, but sends nothing.
-        recent = self._rejected_at is not None and now - self._rejected_at < 10.0 * SILENCE_TIMEOUT
-        if not self._competing or not (others or recent):
+        """Warning about competing publishers; empty without any. now: on the clock of `accept` [s]."""
+        # A killed publisher stays in the graph for a while with the same name as its successor, but sends nothing.
+        has_rejected = self._rejected_at is not None and now - self._rejected_at < 10.0 * SILENCE_TIMEOUT
+        if not self._competing or not (len(set(self.names)) > 1 or has_rejected):
             return ""
         names = ", ".join(self.names)
         if self._indistinguishable or self._number is None:
@@ -87,9 +85,10 @@ class PublisherLock:
 
 
 class Inputs:
-    """Passes every usable sample to `add_ins` and `add_steering`; `last_refusal`: why the newest one was refused.
+    """Passes every usable sample to `add_ins` and `add_steering`, which return False for a sample they refuse.
 
-    on_change: called after a change of `checks` that should be published at once.
+    on_change: called when `checks` has changed and should be published at once. last_refusal: by signal, why the newest
+    message was refused.
     """
 
     def __init__(self, node: Node, map_frame: str, add_ins: Callable[[InsSample], bool],
@@ -131,28 +130,28 @@ class Inputs:
     def _take_accepted(self, signal: str, subscription: PolledSubscription) -> Iterator[Any]:
         """Queued messages of the accepted publisher."""
         lock = self._locks[signal]
-        before, count = lock.warning(_utc()), subscription.publisher_count()
+        before, count = lock.warning(_utc_now()), subscription.publisher_count()
         # New publishers are added before reading, ended ones removed after it: their last messages may still be queued.
         if count > len(lock.names):
-            lock.update(_names(subscription, count))
+            lock.update(_publisher_names(subscription, count))
         for message, arrived_ns, number in subscription.take_numbered(QUEUE_DEPTH):
             if lock.accept(number, arrived_ns * NANOSECOND):
                 self._arrived_ns[signal] = arrived_ns
                 yield message
         if count > 1 or count < len(lock.names):
-            lock.update(_names(subscription, count))
-        if before != lock.warning(_utc()):
+            lock.update(_publisher_names(subscription, count))
+        if before != lock.warning(_utc_now()):
             self._on_change()
 
     def explain(self, reason: str) -> str:
-        """The reason for no prediction, with the reason why arriving messages are refused."""
+        """A reason for making no prediction, completed with the reason why messages of that signal are refused."""
         for signal, refusal in self.last_refusal.items():
             if refusal and reason.startswith(signal):
                 return f"{reason}; messages arrive but are refused: {refusal}"
         return reason
 
     def checks(self) -> list[Check]:
-        warnings = {topic: self._locks[signal].warning(_utc())
+        warnings = {topic: self._locks[signal].warning(_utc_now())
                     for signal, topic in (("INS", self._odometry.topic), ("steering", self._steering.topic))}
         rejected = {f"{signal} messages of other publishers": lock.rejected for signal, lock in self._locks.items()}
         text = "; ".join(f"{topic} is {warning}" for topic, warning in warnings.items() if warning)
@@ -175,7 +174,7 @@ class Inputs:
             self.received[signal] += 1
             self.last_refusal[signal] = ""
         else:
-            self._refuse(signal, "not finite, repeated, or older than the previous sample")
+            self._refuse(signal, "values not finite, or stamp not later than that of the previous sample")
 
     def _refuse(self, signal: str, reason: str) -> None:
         self.received[signal] += 1
@@ -183,12 +182,12 @@ class Inputs:
         self.last_refusal[signal] = reason
 
 
-def _names(subscription: PolledSubscription, count: int) -> list[str]:
-    """The node of each publisher; UNRESOLVED_NODE for those not in the graph yet."""
-    names = subscription.publishers()
+def _publisher_names(subscription: PolledSubscription, count: int) -> list[str]:
+    """The node name of each of `count` publishers; UNRESOLVED_NODE for those not in the graph yet."""
+    names = subscription.publisher_names()
     return names + [UNRESOLVED_NODE] * (count - len(names))
 
 
-def _utc() -> float:
+def _utc_now() -> float:
     """Host UTC [s], the clock of the arrival stamps."""
     return time.time_ns() * NANOSECOND

@@ -16,13 +16,12 @@ from st_ros.polling import LATCHED, PolledSubscription, steady_timer, to_nanosec
 
 from .. import convert, params
 
-DRAIN_PERIOD = 0.1  # s
-PUBLISH_PERIOD = 1.0  # s
+DRAIN_PERIOD, PUBLISH_PERIOD = 0.1, 1.0  # s
 QUEUE_DEPTH = 1000
 STATUS = {"unestimated": TrackedParameter.UNESTIMATED, "estimated": TrackedParameter.ESTIMATED,
           "invalid": TrackedParameter.INVALID}
 LEVELS = {"unestimated": diagnostics.OK, "estimated": diagnostics.OK, "invalid": diagnostics.WARN}
-MAX_DEVIATION = 3.0  # of an estimate from the vehicle file without a warning, in standard deviations
+MAX_DEVIATION = 3.0  # standard deviations between estimate and vehicle file; a larger difference causes a warning
 
 
 class IdentifierNode(Node):
@@ -31,7 +30,7 @@ class IdentifierNode(Node):
         self._values = parameters.declare(self, params.IDENTIFIER)
         self._file = Path(self._values.vehicle_file)
         self._vehicle = vehicle = params.load_vehicle(self._values)
-        self._text = self._file.read_text()
+        self._file_text = self._file.read_text()
         self._problem = ""
         self._core = OnlineIdentifier(vehicle)
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="fit")
@@ -46,7 +45,7 @@ class IdentifierNode(Node):
         steady_timer(self, DRAIN_PERIOD, self._drain)
         steady_timer(self, PUBLISH_PERIOD, self._publish)
         self._diagnostics = Diagnostics(self, vehicle.name, self._checks)
-        self.get_logger().info(f"estimates {', '.join(NAMES)} of {vehicle.name}; values are not applied")
+        self.get_logger().info(f"estimating {', '.join(NAMES)} of {vehicle.name}; the estimates are not applied")
 
     def _drain(self) -> None:
         for message, _, _ in self._odometry.take(QUEUE_DEPTH):
@@ -59,7 +58,7 @@ class IdentifierNode(Node):
         self._fit_in_background()
 
     def _fit_in_background(self) -> None:
-        """Run one fit at a time in a separate thread, so that samples are received meanwhile."""
+        """Run one fit at a time in a separate thread, so that the node can receive samples in the meantime."""
         if self._fit is not None and self._fit.done():
             self._core.store_fit(self._fit.result())
             self._fit = None
@@ -88,10 +87,10 @@ class IdentifierNode(Node):
         self._publisher.publish(message)
 
     def _reload_vehicle_file(self) -> None:
-        """Reset the estimates when the values of the vehicle file have changed; an unreadable file changes nothing."""
+        """Reset the estimates if values in the vehicle file have changed; an unreadable file changes nothing."""
         try:
             text = self._file.read_text()
-            if text == self._text:
+            if text == self._file_text:
                 self._problem = ""
                 return
             vehicle = params.load_vehicle(self._values)
@@ -99,10 +98,10 @@ class IdentifierNode(Node):
             self._problem = " ".join(str(error).split())
             return
         changed = vehicle.hash != self._vehicle.hash
-        self._vehicle, self._text, self._problem = vehicle, text, ""
+        self._vehicle, self._file_text, self._problem = vehicle, text, ""
         if changed:
             self._core.reset(vehicle)
-            self._fit = None  # a fit still running uses the old file
+            self._fit = None  # a fit that is still running uses the previous values
             self._status = {}
             self._resets += 1
             self.get_logger().info(f"{self._file} has changed: all estimates are reset")

@@ -1,6 +1,6 @@
-"""Node markers: car, bands, errors and the models' names for RViz and Foxglove, and the errors of each model to plot.
+"""Node markers: publishes car, paths, bands and errors as markers for RViz and Foxglove, and the errors for plots.
 
-It subscribes best effort with short queues, so that no publisher waits for it.
+It subscribes with best-effort reliability and short queues, so that no publisher waits for it.
 """
 
 import numpy as np
@@ -22,10 +22,10 @@ from ..map_drawing import History, Path, car_outline
 
 NEWEST_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 SCORE_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # scores of an instant arrive together
-LIFETIME = Duration(sec=1)  # markers of a suite that has ended disappear
+LIFETIME = Duration(sec=1)  # after it, markers of a suite that has ended disappear
 TEXT_HEIGHT, CAR_WIDTH, ERROR_WIDTH, GHOST_WIDTH, TRACK_WIDTH = 1.2, 0.15, 0.25, 0.1, 0.6  # m
 GHOST_ALPHA = 0.4
-RIBBON_ALPHA = {0.9: 0.15, 0.5: 0.3}
+RIBBON_ALPHA = {0.9: 0.15, 0.5: 0.3}  # by probability
 RIBBON_STRIDE = 4  # every RIBBON_STRIDE-th point is drawn
 
 
@@ -60,54 +60,54 @@ class MarkersNode(Node):
             sample = sample if isinstance(newest, str) else newest
         if sample is not None:
             self._history.add_pose(sample.time_ns, sample.x, sample.y)
-            self._markers.publish(MarkerArray(markers=self._picture(sample)))
-            if ribbons := self._ribbons(sample.time_ns):
+            self._markers.publish(MarkerArray(markers=self._make_markers(sample)))
+            if ribbons := self._make_ribbons(sample.time_ns):
                 self._bands.publish(MarkerArray(markers=ribbons))
 
     def _publish_error(self, message: PredictionError) -> None:
-        """Horizon means, x: longitudinal, y: lateral [m]; z: yaw [rad]."""
+        """Publish horizon means: longitudinal as x, lateral as y [m], yaw as z [rad]."""
         plot = Vector3Stamped(header=message.header)
         plot.vector.x, plot.vector.y, plot.vector.z = (
             message.longitudinal_mean, message.lateral_mean, message.yaw_mean)
         self._plots[message.model].publish(plot)
 
-    def _picture(self, sample: InsSample) -> list[Marker]:
+    def _make_markers(self, sample: InsSample) -> list[Marker]:
         now_ns = sample.time_ns
         track = np.array([(x, y) for _, x, y in self._history.track])
         markers = [
-            self._line("track", 0, now_ns, track[:, 0], track[:, 1], MEASURED_COLOUR, TRACK_WIDTH, 0.5, z=-0.2),
-            self._line("car", 0, now_ns, *car_outline((sample.x, sample.y, sample.yaw), self._car), "#141414",
+            self._make_line("track", 0, now_ns, track[:, 0], track[:, 1], MEASURED_COLOUR, TRACK_WIDTH, 0.5, z=-0.2),
+            self._make_line("car", 0, now_ns, *car_outline((sample.x, sample.y, sample.yaw), self._car), "#141414",
                        CAR_WIDTH),
         ]
         for number, model in enumerate(self._history.models):
-            markers += [self._line("ghosts", 10 * number + round(age), now_ns, ghost.x, ghost.y, colour_of(model),
+            markers += [self._make_line("ghosts", 10 * number + round(age), now_ns, ghost.x, ghost.y, colour_of(model),
                                    GHOST_WIDTH, GHOST_ALPHA, z=-0.1)
                         for age, ghost in self._history.ghosts(model, now_ns)]
             if point := self._history.expected(model, now_ns):
-                markers.append(self._line("errors", number, now_ns, [sample.x, point[0]], [sample.y, point[1]],
+                markers.append(self._make_line("errors", number, now_ns, [sample.x, point[0]], [sample.y, point[1]],
                                           colour_of(model), ERROR_WIDTH, z=0.1))
             if path := self._history.newest(model, now_ns):
-                markers.append(self._name(number, now_ns, model, path))
+                markers.append(self._make_name(number, now_ns, model, path))
         return markers
 
-    def _ribbons(self, now_ns: int) -> list[Marker]:
-        """The bands of the newest predictions, the 50 % one above the 90 % one; namespace: the model."""
-        found = []
+    def _make_ribbons(self, now_ns: int) -> list[Marker]:
+        """The bands of the newest predictions, the 50 % band above the 90 % band, with the model as namespace."""
+        markers = []
         for number, model in enumerate(self._history.models):
             path = self._history.newest(model, now_ns)
             for ribbon in path.ribbons if path else ():
                 alpha = RIBBON_ALPHA.get(ribbon.level, RIBBON_ALPHA[0.9])
-                marker = self._marker(Marker.TRIANGLE_LIST, model, round(100 * ribbon.level), now_ns, colour_of(model),
-                                      alpha)
+                marker = self._make_marker(Marker.TRIANGLE_LIST, model, round(100 * ribbon.level), now_ns,
+                                           colour_of(model), alpha)
                 marker.scale.x = marker.scale.y = marker.scale.z = 1.0
                 # Below the paths, at different heights.
                 z = -0.3 - 0.02 * number - 0.1 * ribbon.level
                 marker.points = [Point(x=px, y=py, z=z)
                                  for px, py in ribbon.triangles(RIBBON_STRIDE).reshape(-1, 2).tolist()]
-                found.append(marker)
-        return found
+                markers.append(marker)
+        return markers
 
-    def _marker(self, kind: int, space: str, number: int, time_ns: int, colour: str, alpha: float) -> Marker:
+    def _make_marker(self, kind: int, space: str, number: int, time_ns: int, colour: str, alpha: float) -> Marker:
         marker = Marker(type=kind, ns=space, id=number, action=Marker.ADD, lifetime=LIFETIME)
         marker.header.stamp, marker.header.frame_id = from_nanoseconds(time_ns), self._map_frame
         marker.pose.orientation.w = 1.0
@@ -115,16 +115,16 @@ class MarkersNode(Node):
         marker.color = ColorRGBA(r=red, g=green, b=blue, a=alpha)
         return marker
 
-    def _line(self, space: str, number: int, time_ns: int, x, y, colour: str, width: float, alpha: float = 1.0,
+    def _make_line(self, space: str, number: int, time_ns: int, x, y, colour: str, width: float, alpha: float = 1.0,
               z: float = 0.0) -> Marker:
-        """z: height above the map [m], the drawing order."""
-        marker = self._marker(Marker.LINE_STRIP, space, number, time_ns, colour, alpha)
+        """A line through map points [m]. z: height above the map [m], which determines what is drawn above what."""
+        marker = self._make_marker(Marker.LINE_STRIP, space, number, time_ns, colour, alpha)
         marker.scale.x = width
         marker.points = [Point(x=float(px), y=float(py), z=z) for px, py in zip(x, y, strict=True)]
         return marker
 
-    def _name(self, number: int, time_ns: int, model: str, path: Path) -> Marker:
-        marker = self._marker(Marker.TEXT_VIEW_FACING, "names", number, time_ns, colour_of(model), 1.0)
+    def _make_name(self, number: int, time_ns: int, model: str, path: Path) -> Marker:
+        marker = self._make_marker(Marker.TEXT_VIEW_FACING, "names", number, time_ns, colour_of(model), 1.0)
         at = label_index(model, path.step, len(path.x))
         marker.pose.position.x, marker.pose.position.y = float(path.x[at]), float(path.y[at])
         marker.pose.position.z = 1.0

@@ -1,4 +1,4 @@
-"""Node recorder: writes the serialised messages of topics into a rosbag2 directory (MCAP)."""
+"""Node recorder: writes the messages of topics, as serialised, into a rosbag2 directory (MCAP)."""
 
 import contextlib
 import hashlib
@@ -27,26 +27,26 @@ from ._bag import is_complete, open_bag, recording_check
 
 NICE = 5  # lower priority than bridges and predictor: a third of their CPU share under contention
 WORK_PERIOD = 0.05  # s between reads of the queues, which store the time of arrival of each message
-TOPIC_SCAN_PERIOD = 0.25  # s
-# After a full disk: interval between checks for free space [s], and the space needed for a new bag [bytes].
-RESUME_PERIOD, RESUME_SPACE = 5.0, 200_000_000
+TOPIC_SCAN_PERIOD = 0.25  # s between searches for new topics
+RESUME_PERIOD = 5.0  # s between attempts to resume in a new bag, after a full disk for example
+RESUME_SPACE = 200_000_000  # bytes of free space that a new bag requires
 RESUME_WARNING_DURATION = 10.0  # s, of the warning that a recording was resumed
 DIAGNOSTICS = "/diagnostics"
-SILENCE_TIMEOUT = 10.0  # every node publishes /diagnostics once a second; a node silent for this long is reported [s]
-QUEUE_DEPTH = 1000  # queued messages per topic: four seconds at 250 Hz, for a slow disk
+SILENCE_TIMEOUT = 10.0  # s until a silent node is reported; every node publishes /diagnostics once a second
+QUEUE_DEPTH = 1000  # queued messages per topic: 4 s at 250 Hz, for a slow disk
 
 
 class PublisherWatchdog:
-    """Finds nodes that publish a recorded topic but from which nothing arrives.
+    """Finds nodes that publish a recorded topic but whose messages do not arrive.
 
-    DDS may match a publisher with a subscription that never receives its data; only messages prove the connection.
+    DDS may match a publisher with a subscription that never receives its data, so only a message proves a connection.
     """
 
     def __init__(self, node: Node):
         self._node = node
         self._topic_times: dict[str, float] = {}  # newest message of each topic, steady clock [s]
         self._node_times: dict[str, float] = {}  # newest /diagnostics of each node [s]
-        self._since: dict[str, float] = {}
+        self._found_times: dict[str, float] = {}  # when each node was found [s]
 
     def received(self, topic: str, data: bytes) -> None:
         now = time.monotonic()
@@ -56,17 +56,17 @@ class PublisherWatchdog:
             self._node_times.update((status.name.partition(": ")[0], now) for status in message.status)
 
     def silent_nodes(self, topics: Iterable[str]) -> dict[str, float]:
-        """Seconds of silence by node, for nodes that publish on `topics` and are silent beyond SILENCE_TIMEOUT."""
+        """Seconds of silence by node, for publishers of `topics` that have been silent longer than SILENCE_TIMEOUT."""
         now = time.monotonic()
         node_topics: dict[str, list[str]] = {}
         for topic in topics:
             names = {topic if info.node_name.startswith(UNRESOLVED_PREFIX) else info.node_name
                      for info in self._node.get_publishers_info_by_topic(topic)
                      if info.qos_profile.durability == DurabilityPolicy.VOLATILE}  # latched topics are published once
-            if len(names) == 1:  # a message does not name its publisher
+            if len(names) == 1:  # with several publishers it is unknown which of them sent a message
                 node_topics.setdefault(names.pop(), []).append(topic)
-        self._since = {name: self._since.get(name, now) for name in node_topics}
-        last = {name: max(self._since[name], self._node_times.get(name, 0.0),
+        self._found_times = {name: self._found_times.get(name, now) for name in node_topics}
+        last = {name: max(self._found_times[name], self._node_times.get(name, 0.0),
                           *(self._topic_times.get(t, 0.0) for t in topics)) for name, topics in node_topics.items()}
         return {name: now - at for name, at in sorted(last.items()) if now - at > SILENCE_TIMEOUT}
 
@@ -76,12 +76,12 @@ class RecorderNode(Node):
         super().__init__("recorder")
         values = parameters.declare(self, params.RECORDER)
         if not values.output_directory:
-            raise ConfigurationError(f"{values.where}output_directory: not set; name a new directory for the bag")
+            raise ConfigurationError(f"{values.where}output_directory: not set; set it to a new directory for the bag")
         namespace = self.get_namespace().rstrip("/")
         self._patterns = [topic if topic.startswith("/") else f"{namespace}/{topic}" for topic in values.topics]
-        self._values, self._records = values, metadata_records(values)
+        self._values, self._records = values, make_metadata(values)
         self._bag = open_bag(values, self._records)
-        self._stopped = ""  # why an earlier bag of this run ended
+        self._stop_reason = ""  # why an earlier bag of this run ended
         self._resume_at, self._resumed_at = float("inf"), float("-inf")
         self._recorded: dict[str, tuple[PolledSubscription, int]] = {}
         self._announced: dict[str, tuple[str, list[Qos]]] = {}
@@ -146,10 +146,10 @@ class RecorderNode(Node):
                 return
             self._resume_at = float("inf")
             bag = open_bag(self._values, self._records)
-            self._stopped, self._bag, self._resumed_at = self._bag.error, bag, now
+            self._stop_reason, self._bag, self._resumed_at = self._bag.error, bag, now
             for topic, (subscription, _) in self._recorded.items():
                 self._recorded[topic] = subscription, bag.add_topic(topic, *self._announced[topic])
-            self.get_logger().warning(f"{self._stopped}; recording resumed in {bag.directory}")
+            self.get_logger().warning(f"{self._stop_reason}; recording resumed in {bag.directory}")
 
     def _checks(self) -> list[Check]:
         level, text = diagnostics.OK, f"{len(self._recorded)} recorded"
@@ -160,22 +160,22 @@ class RecorderNode(Node):
             level, text = diagnostics.WARN, "none of the topics has a publisher yet"
         topics = Check("topics", level, text, {"topics": len(self._recorded)})
         resumed = time.monotonic() - self._resumed_at < RESUME_WARNING_DURATION
-        return [recording_check(self._bag, self._stopped, resumed), topics, self._publishers_check()]
+        return [recording_check(self._bag, self._stop_reason, resumed), topics, self._publishers_check()]
 
     def _publishers_check(self) -> Check:
         if DIAGNOSTICS not in self._recorded:
             return Check("senders", diagnostics.OK, f"not checked: {DIAGNOSTICS} is not recorded")
-        self._work()  # queued messages count as received, in case this node itself was delayed
+        self._work()  # so that messages still queued, after a delay of this node, count as received
         silent = self._watchdog.silent_nodes(self._recorded)
         if silent:
             silences = ", ".join(f"{name} for {seconds:.0f} s" for name, seconds in silent.items())
-            return Check("senders", diagnostics.WARN, f"nothing recorded from {silences}, no /diagnostics either")
+            return Check("senders", diagnostics.WARN, f"nothing recorded from {silences}, not even /diagnostics")
         return Check("senders", diagnostics.OK, "messages of all publishers arrive")
 
     @property
     def exit_status(self) -> int:
         """1 if the recording has a gap or was not written completely, else 0."""
-        return int(bool(self._stopped) or not is_complete(self._bag))
+        return int(bool(self._stop_reason) or not is_complete(self._bag))
 
     def close(self) -> None:
         self._work()
@@ -184,14 +184,14 @@ class RecorderNode(Node):
             self.get_logger().error(self._bag.error)
 
 
-def metadata_records(values: SimpleNamespace) -> dict[str, dict[str, str]]:
-    """Metadata records of the bag: texts and common hash of the configuration files, and entries of `metadata_json`.
+def make_metadata(values: SimpleNamespace) -> dict[str, dict[str, str]]:
+    """Metadata records of the bag: configuration files with their common hash, and entries of `metadata_json`.
 
     Raises ConfigurationError naming the file or the parameter.
     """
     records: dict[str, dict[str, str]] = {"recording": {"recorder": "st_predictor", "started_ns": str(time.time_ns())}}
     texts: dict[str, str] = {}
-    for name, key in configuration_keys(values.configuration_files).items():
+    for name, key in name_files(values.configuration_files).items():
         try:
             texts[key] = Path(name).read_text()
         except (OSError, UnicodeDecodeError) as error:
@@ -213,8 +213,8 @@ def metadata_records(values: SimpleNamespace) -> dict[str, dict[str, str]]:
     return records
 
 
-def configuration_keys(files: Sequence[str]) -> dict[str, str]:
-    """Unique key of each file: its name, preceded by as many parent folders as necessary."""
+def name_files(files: Sequence[str]) -> dict[str, str]:
+    """A unique name of each file: the file name, preceded by as many parent folders as necessary."""
     paths = {name: Path(name).absolute() for name in files if name}
     keys = {}
     for name, path in paths.items():
@@ -227,7 +227,7 @@ def configuration_keys(files: Sequence[str]) -> dict[str, str]:
 
 
 def matching_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
-    """The strictest QoS that matches all publishers: reliable or transient local only if all of them are."""
+    """The strictest QoS that all publishers match: reliable or transient local only if all publishers are."""
     profiles = [p.qos_profile for p in publishers]
     reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
     latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
