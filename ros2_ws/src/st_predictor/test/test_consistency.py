@@ -82,7 +82,7 @@ def test_a_right_minute_is_well(road: np.ndarray) -> None:
 @pytest.mark.parametrize(("column", "change", "name", "severity", "words"), [
     (YAW_RATE, degrees_per_second, "yaw_rate_scale", "error", "yaw_rate is 57"),
     (YAW_RATE, late, "yaw_rate_lag", "warning", "yaw_rate lags yaw by 0.3"),
-    (STEERING, flipped, "steering_sign", "error", "it has the opposite sign"),
+    (STEERING, flipped, "steering_sign", "error", "have the opposite sign"),
 ])
 def test_a_fault_is_reported_and_clears(road: np.ndarray, column: int, change: Change, name: str, severity: str,
                                         words: str) -> None:
