@@ -262,7 +262,7 @@ def test_a_clock_set_back_half_way_costs_half_and_is_reported_with_its_share(tmp
     file.write_text(set_back(drive[1]))
     run = read(find_runs([file])[0], CAR)
     assert abs(len(run.log.x) - len(drive[1].x) / 2) <= 1
-    assert_warned(run.warnings, r"the clock was set back once, by 1\d\.\d+ s: \d+ of \d+ rows \(50 %\)")
+    assert_warned(run.warnings, r"the clock was set back by 1\d\.\d+ s: \d+ of \d+ rows \(50 %\)")
     file.write_text(csv([[*row[:6], row[7]] for row in rows(drive[1])[: len(run.log.x)]] * 2, ",".join(
         (*NAMES[:6], NAMES[7]))))  # the yaw rate, derived from yaw, is not missing in rows that are not used
     derived = read(find_runs([file])[0], CAR)
@@ -312,7 +312,7 @@ def test_a_vbo_of_two_drives(tmp_path: Path, drive) -> None:
     file = tmp_path / "drive.vbo"
     file.write_text(vbo(drive[1], last_wrong=False) * 2)
     run = read(find_runs([file])[0], CAR, WHEEL)
-    assert_warned(run.warnings, r"the clock was set back once, .* rows \(50 %\) are not used")
+    assert_warned(run.warnings, r"the clock was set back by .* rows \(50 %\) are not used")
     file.write_text(vbo(drive[1]) + vbo(drive[1]).replace("heading Steer", "Steer heading"))
     with pytest.raises(RunError, match="several files with different"):
         read(find_runs([file])[0], CAR, WHEEL)

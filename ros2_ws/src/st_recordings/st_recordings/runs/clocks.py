@@ -1,6 +1,5 @@
 """Aligns the clocks of an INS recording and a CAN log by the signals that both contain."""
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -13,23 +12,23 @@ from .ins_log import InsLog
 
 # Delays [s]: (expected, standard deviation), or bounds.
 INS_ON_CAN = (0.002, 0.002)  # default, from the measurement of an INS value to its frame in the log
-WHEEL_SPEED = (0.015, 0.015)  # wheel speeds are counted over a period before they are sent
-# Slip of driven or braked wheels per acceleration [s^2/m]: at speed v its effect is that of a delay of this times v. A
-# braked rear axle has 0.003, a driven one 0.007, one that rolls freely 0.
+WHEEL_SPEED = (0.015, 0.015)  # wheel pulses are counted over a period before the speed is sent
+# Slip of the wheels divided by acceleration [s^2/m], which at speed v acts like a delay of this value times v. It is
+# 0.003 for a braked rear axle, 0.007 for a driven one, and 0 for an axle that rolls freely.
 WHEEL_SLIP = 0.002
-STEERING_LEAD = (-0.06, 0.06)  # yaw follows the steering wheel by the response time of the car
+STEERING_LEAD = (-0.06, 0.06)  # steering leads the yaw rate by the response time of the car
 
-NO_INS_FRAMES = "the log has no INS frames that the DBC describes (RT_..., rt.dbc of `st car new`)"
+NO_INS_FRAMES = "the log contains no INS frames that the DBC describes (RT_..., as in rt.dbc of `st car new`)"
 
 MIN_VARIATION = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}
-"""Minimum standard deviation of a signal that is used for alignment [m/s, rad/s, rad, 1/m]."""
-MIN_CURVATURE_SPEED = 3.0  # m/s; at lower speed, yaw rate divided by speed is noise
+"""Minimum standard deviation [m/s, rad/s, rad, 1/m] of a signal that is used for alignment."""
+MIN_CURVATURE_SPEED = 3.0  # m/s; at lower speeds, the curvature (yaw rate divided by speed) is noise
 MIN_MOVING_SPEED = 1.0  # m/s
 TIME_FRAME_RESOLUTION = {"RT_MilliTime": 0.001, "RT_DateTime": 0.01}  # s
 MAX_METHOD_DIFFERENCE = 0.01  # s, between the offsets from the time frame and from the shared signals
-MAX_CLOCK_ERROR = 60.0  # s, error of the logger's clock assumed if the signals allow several offsets
-MIN_RELATIVE_PEAK = 0.97  # ratio of the correlation near the logger's clock to the best one
-CHECK_SEARCH = 2.0  # s, search range around the offset from the time frame
+MAX_CLOCK_ERROR = 60.0  # s, assumed for the clock of the logger if the signals allow several offsets
+MIN_RELATIVE_PEAK = 0.97  # minimum ratio of the correlation near the logger's clock to the best one
+CHECK_SEARCH = 2.0  # s, search range on both sides of the offset from the time frame
 # Signal of the log -> channel whose plausibility limits apply
 CHANNELS = {"ins_velocity_x": "velocity_x", "ins_yaw_rate": "yaw_rate", "ins_yaw": "yaw",
             "vehicle_speed": "velocity_x", "wheel_speed_rear_left": "velocity_x",
@@ -39,11 +38,17 @@ CHANNELS = {"ins_velocity_x": "velocity_x", "ins_yaw_rate": "yaw_rate", "ins_yaw
 def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, search: tuple[float, float] | None = None,
                  latency: tuple[float, float] = INS_ON_CAN,
                  steering_sign: int = 1) -> tuple[Alignment, list[SharedSignal]]:
-    """(alignment of the log to the INS, the signals it is based on or can be checked with).
+    """Aligns the clocks with the first available of: a given offset; the INS time frame on CAN, checked with shared
+    signals; shared signals; substitute signals, which give a doubtful alignment at best.
 
-    Uses the first available of: `offset` [s] (INS minus CAN clock); the INS time frame on CAN, checked against shared
-    signals; shared signals; substitutes (doubtful at best). search: bounds of the offset [s]. latency: delay of INS
-    values on CAN and its standard deviation [s]. steering_sign: +1 if the decoded sensor is left positive.
+    Args:
+        offset: INS minus CAN clock [s].
+        search: bounds of the estimated offset [s].
+        latency: delay of INS values on CAN and its standard deviation [s].
+        steering_sign: +1 if the decoded sensor is positive to the left.
+
+    Returns:
+        (alignment, signals that it uses or that can check it).
     """
     ins, can, notes = mask_implausible(ins, can)
     pairs, warning = pair_shared_signals(ins, can, latency), ""
@@ -57,7 +62,7 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
         finest = min(time_frames, key=lambda s: TIME_FRAME_RESOLUTION.get(s.message, 1.0))
         result = _align_by_checked_time_frame(finest, pairs if not warning else [], latency)
     elif not pairs:
-        reason = "the CAN log and the INS recording have no signal in common; give the offset by hand"
+        reason = "the CAN log and the INS recording have no signal in common; give the offset (--offset)"
         return refused_alignment(reason), pairs
     else:
         result = align(pairs, search=search)
@@ -68,9 +73,9 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
 
 
 def pair_shared_signals(ins: InsLog, can: CanSignals, latency: tuple[float, float] = INS_ON_CAN) -> list[SharedSignal]:
-    """The signals of the INS that both recordings contain: forward velocity, yaw rate, yaw.
+    """Pairs the INS signals that both recordings contain: forward velocity, yaw rate, yaw.
 
-    latency: of INS values on CAN, and its standard deviation [s].
+    latency: delay of INS values on CAN and its standard deviation [s].
     """
     speed = can.first_of("ins_velocity_x") or can.first_of("vehicle_speed")
     pairs = []
@@ -84,9 +89,9 @@ def pair_shared_signals(ins: InsLog, can: CanSignals, latency: tuple[float, floa
 
 
 def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1) -> tuple[list[SharedSignal], str]:
-    """(signal pair for a log without INS frames: wheel speed, or else curvature against steering; a warning).
+    """(pair of signals for a log without INS frames, a warning): speed and wheel speed, or else curvature and steering.
 
-    steering_sign: +1 where the decoded sensor is left positive.
+    steering_sign: +1 if the decoded sensor is positive to the left.
     """
     velocity_x, yaw_rate = ins.velocity[0], ins.rate[2]
     speed = can.first_of("vehicle_speed") or can.first_of("wheel_speed_rear_left")
@@ -100,8 +105,8 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
         slip = WHEEL_SLIP * float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
         latency = delay, float(np.hypot(deviation, slip))
         return ([_make_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, latency)],
-                f"{NO_INS_FRAMES}: aligned by the wheel speed, whose delay and slip are unknown; assumed: "
-                f"{1e3 * latency[0]:.0f} ± {1e3 * latency[1]:.0f} ms")
+                f"{NO_INS_FRAMES}: aligned by the wheel speed with an assumed delay of "
+                f"{1e3 * latency[0]:.0f} ± {1e3 * latency[1]:.0f} ms (delay and slip are unknown)")
     steering = can.first_of("steering_wheel_angle")
     if steering is None:
         return [], ""
@@ -109,18 +114,18 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
     curvature = np.where(is_fast, yaw_rate / np.where(is_fast, velocity_x, 1.0), np.nan)
     pair = SharedSignal("curvature against steering", ins.time_ns, curvature, steering.time_ns,
                         steering_sign * steering.values, *STEERING_LEAD, MIN_VARIATION["curvature"])
-    return [pair], (f"{NO_INS_FRAMES} and no wheel speed: aligned by steering against yaw rate, which lags by the "
-                    "response time of the car")
+    return [pair], (f"{NO_INS_FRAMES}, and no wheel speed: aligned by steering and curvature, which lags by the "
+                    "unknown response time of the car")
 
 
 def mask_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, list[str]]:
     """(both recordings with NaN for implausible values, a note on each such signal).
 
-    A single sentinel value or spike can exceed all motion, and then shifts or hides the correlation peak.
+    A single sentinel value or spike can be larger than all motion, and then it shifts or hides the correlation peak.
     """
     notes: list[str] = []
 
-    def plausible(channel: str, label: str, time_ns: np.ndarray, values: np.ndarray, moving: np.ndarray) -> np.ndarray:
+    def mask(channel: str, label: str, time_ns: np.ndarray, values: np.ndarray, moving: np.ndarray) -> np.ndarray:
         if len(values) < 2:
             return values
         unwrapped = np.unwrap(np.nan_to_num(values)) if channel == "yaw" else values
@@ -128,24 +133,24 @@ def mask_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, 
         if bad.any():
             largest = float(values[bad][np.argmax(np.abs(values[bad]))])
             notes.append(f"{bad.sum()} of {len(bad)} samples of {label} are implausible (up to {largest:.4g} "
-                         f"{found[0].unit}) and were left out of the alignment")
+                         f"{found[0].unit}); the alignment does not use them")
         return np.where(bad, np.nan, values)
 
-    def plausible_signals(signals: Iterable[Signal], speed: Signal | None) -> dict[tuple[str, str], Signal]:
-        return {(s.name, s.message): replace(s, values=plausible(
-            CHANNELS[s.name], f"{s.name} ({s.message})", s.time_ns, s.values,
-            _is_moving(s.time_ns, speed.time_ns, speed.values) if speed else np.ones(len(s.values), bool)))
-            for s in signals}
-
     speed = can.first_of("ins_velocity_x") or can.first_of("vehicle_speed")
-    used = (signal for signal in can.signals.values() if signal.name in CHANNELS)
-    can = CanSignals({**can.signals, **plausible_signals(used, speed)}, can.faults)
+    masked = dict(can.signals)
+    for key, signal in can.signals.items():
+        if signal.name in CHANNELS:
+            moving = (_is_moving(signal.time_ns, speed.time_ns, speed.values) if speed
+                      else np.ones(len(signal.values), bool))
+            masked[key] = replace(signal, values=mask(CHANNELS[signal.name], f"{signal.name} ({signal.message})",
+                                                      signal.time_ns, signal.values, moving))
+    can = CanSignals(masked, can.faults)
     moving = _is_moving(ins.time_ns, ins.time_ns, ins.velocity[0])
     velocity, rate, yaw = ins.velocity.copy(), ins.rate.copy(), ins.yaw
-    velocity[0] = plausible("velocity_x", "velocity_x of the INS", ins.time_ns, velocity[0], moving)
-    rate[2] = plausible("yaw_rate", "yaw_rate of the INS", ins.time_ns, rate[2], moving)
+    velocity[0] = mask("velocity_x", "velocity_x of the INS", ins.time_ns, velocity[0], moving)
+    rate[2] = mask("yaw_rate", "yaw_rate of the INS", ins.time_ns, rate[2], moving)
     if np.isfinite(yaw).any():
-        yaw = plausible("yaw", "yaw of the INS", ins.time_ns, yaw, moving)
+        yaw = mask("yaw", "yaw of the INS", ins.time_ns, yaw, moving)
     return replace(ins, velocity=velocity, rate=rate, yaw=yaw), can, notes
 
 
@@ -155,21 +160,21 @@ def _is_moving(time_ns: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray
 
 
 def _describe_opposite_sign(pairs: list[SharedSignal], result: Alignment, search: tuple[float, float] | None) -> str:
-    """A note if the opposite steering sign would avoid the refusal; else empty."""
+    """A note if the alignment would not be refused with the opposite steering sign; otherwise empty."""
     if result.verdict is not Verdict.REFUSED or pairs[0].min_deviation != MIN_VARIATION["curvature"]:
         return ""
     opposite = align([replace(pairs[0], other=-pairs[0].other)], search=search)
     return "" if opposite.verdict is Verdict.REFUSED else (
-        f"with the opposite steering_sign they agree with a correlation of {opposite.signals[0].correlation:.2f}")
+        f"with the opposite steering_sign, the two have a correlation of {opposite.signals[0].correlation:.2f}")
 
 
 def _prefer_logger_clock(pairs: list[SharedSignal], result: Alignment) -> Alignment:
-    """Selects the offset near the logger's clock if it is one of several that fit equally well."""
+    """Selects the offset near the clock of the logger if it is one of several that fit equally well."""
     near = align(pairs, search=(-MAX_CLOCK_ERROR, MAX_CLOCK_ERROR))
     if near.verdict is Verdict.REFUSED or not near.peak or not result.peak or (
             near.peak[1] < MIN_RELATIVE_PEAK * result.peak[1]):
         return result
-    return near.with_doubts("several offsets fit equally well (repeated laps or manoeuvres); the one within "
+    return near.with_doubts("several offsets fit equally well because laps or manoeuvres repeat; the one within "
                             f"{MAX_CLOCK_ERROR:.0f} s of the logger's own clock is used")
 
 
@@ -179,17 +184,17 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
                                  TIME_FRAME_RESOLUTION.get(frames.message, 0.01), *latency)
     if not pairs:
         return result
-    # Search only near the offset of the time frame, because repeated laps fit at many offsets.
+    # Search only near the offset of the time frame, because repeated laps fit at several offsets.
     offset = result.offset_at_ns(result.at_ns) * 1e-9
-    # One message each for velocity, yaw rate and yaw; a second one adds no information.
+    # One message each for velocity, yaw rate and yaw, because a second one adds no information.
     distinct = list({pair.name.partition(" (")[0]: pair for pair in reversed(pairs)}.values())[::-1]
     check = align(distinct, search=(offset - CHECK_SEARCH, offset + CHECK_SEARCH))
     if check.verdict is Verdict.REFUSED:
-        return result.with_doubts(f"the shared signals do not confirm it: {check.reasons[-1]}")
+        return result.with_doubts(f"the shared signals do not confirm the offset: {check.reasons[-1]}")
     difference = (check.offset_at_ns(check.at_ns) - result.offset_at_ns(check.at_ns)) * 1e-9
     result = replace(result, signals=check.signals, peak=check.peak, second_peak=check.second_peak)
     if abs(difference) > MAX_METHOD_DIFFERENCE:
-        return result.with_doubts(f"the offset from the shared signals differs by {difference * 1e3:+.0f} ms")
+        return result.with_doubts(f"the shared signals give an offset that differs by {difference * 1e3:+.0f} ms")
     return result
 
 

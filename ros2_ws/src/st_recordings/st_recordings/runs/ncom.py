@@ -1,4 +1,4 @@
-"""Reads an INS recording of NCOM packets, also in .xcom files and network captures; values in the axes of the suite."""
+"""Reads NCOM packets of an INS from .ncom and .xcom files and network captures, in the axes of the suite."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,35 +15,35 @@ from .ins_log import MAX_LOST_SHARE, InsLog, select_usable_rows
 
 ACCURACIES = {3: ("EastAcc", "NorthAcc", "AltAcc"), 4: ("VeAcc", "VnAcc", "VdAcc"),
               5: ("RollAcc", "PitchAcc", "HeadingAcc")}
-"""Status channel -> its standard deviations of position, velocity or attitude."""
+"""Status channel -> names of its standard deviations of position, velocity or attitude."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NcomLog(InsLog):
-    """An INS log of NCOM packets. columns: the whole file. rows: packets of the file that are samples of the log."""
+    """An INS log of NCOM packets."""
 
-    columns: file_decoder.Columns
-    rows: np.ndarray
+    columns: Columns  # all packets of the file
+    rows: np.ndarray  # indices of the packets that are samples of the log
 
 
 def read_ncom(file: Path) -> NcomLog:
-    """The packets of a file with a fix; the first is the origin of the map. Raises RunError for a file without NCOM
+    """Reads the packets with a fix; the first is the origin of the map. Raises RunError for a file without valid
     packets, fix or time."""
     check_readable(file)
     try:
         columns = file_decoder.decode_file(file)
     except NcomError as error:
         what = str(error).removeprefix(f"{file}: ")
-        raise RunError(file, what, "remove it from the command, or give the right file") from None
+        raise RunError(file, what, "remove the file from the command, or name the right one") from None
     warnings = _damage_warnings(columns, file)
     regular = (columns.kind == file_decoder.REGULAR) & (columns.order == packet_time.NEW)
     fix = regular & ~columns.approximate & np.isfinite(columns.latitude) & np.isfinite(columns.velocity_ned).all(axis=0)
     fix &= np.isfinite(columns.heading) & np.isfinite(columns.angular_rate).all(axis=0)
     if not fix.any():
         counts = zip(*(a.tolist() for a in np.unique(columns.navigation_status, return_counts=True)), strict=True)
-        statuses = ", ".join(f"{status} ({BY_STATUS[status].text}) in {count}" for status, count in counts)
+        statuses = ", ".join(f"{status} ({BY_STATUS[status].text}) in {count} packets" for status, count in counts)
         raise RunError(file, f"no packet has a fix; navigation status: {statuses}",
-                       "record with the unit locked (status 4), or post-process the raw data")
+                       "record again after the unit has locked (status 4), or post-process the raw data")
     timed = fix & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
     if not timed.any():
         raise RunError(file, "no packet has the GPS minute (status channel 0 is missing)",
@@ -54,7 +54,7 @@ def read_ncom(file: Path) -> NcomLog:
     warnings += [f"{file}: {note}" for note in notes]
     latitude, longitude, altitude = (c[rows] for c in (columns.latitude, columns.longitude, columns.altitude))
     origin = float(latitude[0]), float(longitude[0]), float(altitude[0])
-    # FRD about NED -> FLU about ENU: y and z change sign, and with them pitch and the rates about them.
+    # From axes forward, right, down in NED to forward, left, up in ENU: the signs of y, z, pitch and yaw change.
     flip = np.array([[1.0], [-1.0], [-1.0]])
     yaw = np.unwrap(np.pi / 2 - columns.heading[rows])
     pitch, roll = -columns.pitch[rows], columns.roll[rows]
@@ -70,7 +70,7 @@ def read_ncom(file: Path) -> NcomLog:
 
 
 def rotate_to_body(vector: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
-    """Vectors (3, n) from map axes to body axes (forward, left, up): (Rz(yaw) Ry(pitch) Rx(roll))^T v, angles [rad]."""
+    """Rotates vectors v (3, n) from map to body axes: (Rz(yaw) Ry(pitch) Rx(roll))^T v, angles [rad]."""
     x, y, z = vector
     c, s = np.cos(yaw), np.sin(yaw)
     x, y = c * x + s * y, -s * x + c * y
@@ -82,7 +82,10 @@ def rotate_to_body(vector: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, roll:
 
 def to_enu(origin: tuple[float, float, float], latitude: np.ndarray, longitude: np.ndarray,
            altitude: np.ndarray) -> np.ndarray:
-    """East, north, up [m], (3, n), in the origin's tangent plane, as oxts_bridge.motion.LocalFrame; angles [rad]."""
+    """East, north, up [m], (3, n), in the tangent plane of the origin, as in oxts_bridge.motion.LocalFrame.
+
+    Latitudes and longitudes are in rad, altitudes in m.
+    """
     dx, dy, dz = to_ecef(latitude, longitude, altitude) - to_ecef(*(np.array([v]) for v in origin))
     s_lat, c_lat, s_lon, c_lon = np.sin(origin[0]), np.cos(origin[0]), np.sin(origin[1]), np.cos(origin[1])
     outward = c_lon * dx + s_lon * dy
@@ -90,14 +93,14 @@ def to_enu(origin: tuple[float, float, float], latitude: np.ndarray, longitude: 
 
 
 def origin_offset(origin: tuple[float, float], latitude: float, longitude: float) -> tuple[float, float]:
-    """East and north [m] of a point from an origin; latitudes and longitudes [deg], height 0."""
+    """East and north offset [m] of a point from the origin (latitude, longitude), all in deg at altitude 0."""
     at, point = np.radians(origin).tolist(), np.radians([[latitude], [longitude]])
     east, north, _ = to_enu((at[0], at[1], 0.0), point[0], point[1], np.zeros(1))[:, 0].tolist()
     return east, north
 
 
 def to_ecef(latitude: np.ndarray, longitude: np.ndarray, altitude: np.ndarray) -> np.ndarray:
-    """Earth-centred x, y, z [m], (3, n); latitude, longitude [rad], altitude [m] taken as ellipsoidal."""
+    """Converts to Earth-centred x, y, z [m], (3, n), from latitude, longitude [rad] and ellipsoidal altitude [m]."""
     normal = SEMI_MAJOR_AXIS / np.sqrt(1 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
     equatorial = (normal + altitude) * np.cos(latitude)
     polar = (normal * (1 - ECCENTRICITY_SQUARED) + altitude) * np.sin(latitude)
@@ -108,7 +111,7 @@ def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
     counters = columns.counters
     lost = []
     with file.open("rb") as stream:
-        is_capture = stream.read(4) in file_decoder.CAPTURE_MARKS  # has headers between the packets
+        is_capture = stream.read(4) in file_decoder.CAPTURE_MARKS  # a capture has headers between the packets
     if counters.skipped_bytes and not is_capture:
         lost.append(f"{format_share(counters.skipped_bytes, file.stat().st_size, 'bytes')} are not part of a packet")
     if counters.checksum_errors:
@@ -120,13 +123,13 @@ def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
     other = regular & np.isin(columns.order, (packet_time.SAME, packet_time.LATE))
     if other.sum() > MAX_LOST_SHARE * regular.sum():
         count = format_share(int(other.sum()), int(regular.sum()), "packets")
-        notes.append(f"{file}: {count} are not later than those before, and differ from them; they were left out; if "
-                     "two units were recorded, export one of them (tshark -Y 'ip.src == ADDRESS')")
+        notes.append(f"{file}: {count} are not later than all before but differ from them; they were left out; if two "
+                     "units were recorded, export the packets of one (tshark -Y 'ip.src == ADDRESS')")
     return notes
 
 
 def decode_status_channel(columns: Columns, channel: int, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """(packets that carry a status channel, its values (n, len(names)), NaN where invalid)."""
+    """(indices of the packets that carry a status channel, its values (n, len(names)), NaN where invalid)."""
     packets = np.flatnonzero((columns.channel == channel) & columns.has_status)
     batches = np.ascontiguousarray(columns.raw[packets, BATCH_S]).view("<u8").ravel()
     different, which = np.unique(batches, return_inverse=True)
@@ -136,7 +139,10 @@ def decode_status_channel(columns: Columns, channel: int, names: tuple[str, ...]
 
 
 def select_latest_values(sent_in: np.ndarray, values: np.ndarray, packets: np.ndarray) -> np.ndarray:
-    """The last `decode_status_channel` before or in each packet, (n, k); NaN before the first. packets: ascending."""
+    """The latest values at each packet, (n, k); NaN before the first.
+
+    sent_in, values: result of `decode_status_channel`. packets: ascending indices.
+    """
     if not len(sent_in):
         return np.full((len(packets), values.shape[1]), np.nan)
     newest = np.searchsorted(sent_in, packets, side="right") - 1
@@ -144,7 +150,7 @@ def select_latest_values(sent_in: np.ndarray, values: np.ndarray, packets: np.nd
 
 
 def collect_quality(columns: Columns, packets: np.ndarray) -> InsQuality:
-    """Quality that the unit reports at given packets with ascending time."""
+    """Quality that the unit reports at packets with ascending times."""
     position = select_latest_values(*decode_status_channel(columns, 3, ACCURACIES[3]), packets)
     heading = select_latest_values(*decode_status_channel(columns, 5, ("HeadingAcc",)), packets)[:, 0]
     return InsQuality(columns.utc_ns[packets], columns.navigation_status[packets].astype(float),

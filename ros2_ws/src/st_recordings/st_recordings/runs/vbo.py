@@ -1,5 +1,4 @@
-"""Reads Racelogic VBOX files (.vbo): text in sections with one row per sample. The channels are position, speed and
-course from GNSS, and CAN signals.
+"""Reads Racelogic VBOX files (.vbo), which contain position, speed and course from GNSS, and CAN signals.
 
 Source: Racelogic, VBO file format. Latitude and longitude are in minutes of arc, west positive; time is HHMMSS.ss UTC.
 """
@@ -33,18 +32,20 @@ _STANDARD_CHANNELS = {"lat": ("latitude", "min"), "latitude": ("latitude", "min"
 # Units that Racelogic's loggers use for other channels if [channel units] gives none
 _DEFAULT_UNITS = {"angular rate": "deg/s", "acceleration": "g", "angle": "deg", "speed": "km/h", "length": "m"}
 HEADER_SIZE = 65536  # bytes that contain the column names
-MAX_DAMAGED_TIMES = 0.01  # largest fraction of invalid times with which the others are read as HHMMSS
+MAX_DAMAGED_TIMES = 0.01  # up to this fraction of the times may be invalid HHMMSS
 TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dualantennaheading")
 MIN_HEADING_AGREEMENT = 0.5
-"""Correlation of a yaw rate channel with the derivative of the heading below which it is not used."""
+"""A yaw rate channel is not used if its correlation with the derivative of the heading is lower."""
 MIN_TURN_RATE = 0.01
-"""rad/s; a heading is not compared if the median of its derivative is lower, which is noise of 0.1 deg at 5 Hz."""
+"""rad/s; noise of a heading of 0.1 deg at 5 Hz. If the median derivative is lower, it is not compared with the yaw
+rate."""
 
 
 def read_vbo(file: Path, layout: Layout) -> Table:
-    """The table of a drive's channels (csv.drive_of). Raises RunError.
+    """Reads a file. Raises RunError.
 
-    The heading of a VBO is the course over ground; only a receiver with two antennas also gives the heading of the car.
+    The channel "heading" of a VBO file is the course over ground. Only a receiver with two antennas also gives the
+    heading of the car.
     """
     check_readable(file)
     text = read_text(file)
@@ -54,7 +55,7 @@ def read_vbo(file: Path, layout: Layout) -> Table:
                        "correct its extension")
     names = _read_column_names(sections)
     if len({*re.findall(r"(?mi)^\[column names\]\s*\n(.*)", text)}) > 1:
-        raise RunError(file, "it consists of several files with different [column names]", "give them one by one")
+        raise RunError(file, "it consists of several files with different [column names]", "split it into these files")
     sources = _find_sources(file, names, sections, layout)
     warnings: list[str] = []
     body = re.sub(r"[ \t]+", " ", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", sections["data"]))
@@ -62,7 +63,7 @@ def read_vbo(file: Path, layout: Layout) -> Table:
         body = body.replace(",", ".")
     source = sources.pop("t", None)
     if source is None:
-        raise RunError(file, "[column names] has no time", f"it has {', '.join(names)[:200]}")
+        raise RunError(file, f"[column names] has no time, only {', '.join(names)[:200]}", "export the time as well")
     midnight = _read_midnight(text)
     if _is_hhmmss(body, source.column):
         body = times_to_seconds(body, " ", source.column, lambda cell: _parse_time(cell, midnight))
@@ -74,18 +75,19 @@ def read_vbo(file: Path, layout: Layout) -> Table:
 
 
 def lacks_steering(file: Path) -> bool:
-    """Whether [column names] has no steering angle, of either kind."""
+    """Whether [column names] has neither a road wheel nor a steering wheel angle."""
     try:
         names = _read_column_names(_split_sections(read_text(file, HEADER_SIZE)))
         found = find_columns(file, names, Layout())
-    except (RunError, OSError):  # the reader names what is wrong
+    except (RunError, OSError):  # read_vbo reports the error
         return False
     return bool(names) and not (found.keys() & {"road_wheel_angle", "steering_wheel_angle"}
                                 or find_ambiguous_steering(names))
 
 
 def _split_sections(text: str) -> dict[str, str]:
-    """Section -> text. Repeated data sections (joined files) are concatenated; of others the first is used."""
+    """Section -> text. The data sections of joined files are concatenated; of other repeated sections, the first is
+    used."""
     parts = _SECTION.split(text)
     sections: dict[str, str] = {}
     for name, content in zip(parts[1::2], parts[2::2], strict=True):
@@ -99,18 +101,18 @@ def _read_column_names(sections: dict[str, str]) -> list[str]:
 
 
 def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout: Layout) -> dict[str, ColumnSource]:
-    """Channels of the columns: the standard ones, then those with the names of CSV columns."""
+    """Finds the standard channels, and the channels whose columns have the names of CSV columns."""
     units = _read_units(names, sections)
     sources = {}
     for channel, source in find_columns(file, names, Layout(layout.columns, {}, layout.source)).items():
         if normalise(source.name) == "heading" and channel not in layout.columns:
-            continue  # heading, or _heading of a second solution, is the course
+            continue  # "heading" and "_heading" are the course, which _STANDARD_CHANNELS contains
         stated = find_unit(source.kind, units.get(source.name, ""))
         sources[channel] = replace(source, unit=stated or _DEFAULT_UNITS.get(source.kind, source.unit),
                                    stated=stated is not None)
     for number, name in enumerate(names):
-        first = names.index(name) == number  # of several columns with the same name
-        if first and (standard := _STANDARD_CHANNELS.get(name.lower())) and standard[0] not in layout.columns:
+        is_first = names.index(name) == number  # among columns with the same name
+        if is_first and (standard := _STANDARD_CHANNELS.get(name.lower())) and standard[0] not in layout.columns:
             channel, unit = standard
             kind = COLUMNS[channel].kind
             sources[channel] = ColumnSource(number, name, kind, find_unit(kind, units.get(name, "")) or unit, True)
@@ -123,7 +125,7 @@ def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout
 
 
 def _read_units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
-    """Column -> unit, from [channel units], which lists the last columns, and from velocity in [header]."""
+    """Column -> unit, from [channel units], which lists the last columns only, and from velocity in [header]."""
     lines = [line.strip() for line in sections.get("channel units", sections.get("units", "")).splitlines()]
     while lines and not lines[-1]:
         lines.pop()
@@ -135,7 +137,7 @@ def _read_units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
 
 
 def _read_midnight(text: str) -> float:
-    """UTC [s] of the start of the day on which the file was created; 0 if it does not state the day."""
+    """Unix time [s] of the start of the day on which the file was created; 0 if the file does not state the day."""
     match = _CREATED.search(text[:2000])
     try:
         day, month, year = map(int, match.groups()) if match else (1, 1, 1970)
@@ -145,15 +147,19 @@ def _read_midnight(text: str) -> float:
 
 
 def _is_hhmmss(body: str, column: int) -> bool:
-    """Whether the times are HHMMSS, with minutes and seconds below 60 except for single damaged times."""
+    """Whether the times are HHMMSS: minutes and seconds are below 60, except in a few damaged times."""
     cells = [line.split(" ")[column] for line in body.split("\n") if line.count(" ") >= column][:-1]
     clock = np.array([float(cell) for cell in cells if re.fullmatch(r"\d{1,15}(\.\d+)?", cell)])
-    other = (clock % 100 >= 60) | (clock // 100 % 100 >= 60)
-    return bool(other.sum() <= MAX_DAMAGED_TIMES * len(clock) and not (other[:-2] & other[1:-1] & other[2:]).any())
+    invalid = (clock % 100 >= 60) | (clock // 100 % 100 >= 60)
+    three_in_a_row = (invalid[:-2] & invalid[1:-1] & invalid[2:]).any()
+    return bool(invalid.sum() <= MAX_DAMAGED_TIMES * len(clock) and not three_in_a_row)
 
 
 def _parse_time(text: str, midnight: float) -> tuple[float, float] | None:
-    """(UTC [s] of HHMMSS.ss on the day that began at midnight, period of a day); None for an invalid cell."""
+    """(Unix time [s] of HHMMSS.ss, period [s] after which it restarts: one day); None for an invalid cell.
+
+    midnight: Unix time [s] of the start of the day.
+    """
     try:
         clock = float(text)
     except ValueError:
@@ -164,7 +170,7 @@ def _parse_time(text: str, midnight: float) -> tuple[float, float] | None:
 
 
 def _correct_signs(table: Table) -> Table:
-    """The table with longitude east positive, and a yaw rate with the sign of the heading."""
+    """Makes longitude positive to the east and the yaw rate positive in left turns."""
     columns, notes = dict(table.columns), list(table.warnings)
     if "longitude" in columns:
         columns["longitude"] = -columns["longitude"]
@@ -175,11 +181,11 @@ def _correct_signs(table: Table) -> Table:
 
 
 def _correct_yaw_rate(table: Table, columns: dict[str, np.ndarray], derived: np.ndarray, notes: list[str]) -> None:
-    """Gives the yaw rate the sign of the derivative of the heading, or replaces it by this derivative."""
+    """Corrects the sign of the yaw rate by the derivative of the heading, or replaces it by this derivative."""
     both = np.isfinite(columns["yaw_rate"]) & np.isfinite(derived) & (np.abs(columns["velocity_x"]) > 3.0)
     measured, expected = columns["yaw_rate"][both], derived[both]
     if both.sum() <= 10 or np.median(np.abs(expected)) < MIN_TURN_RATE:
-        return  # on a straight the derivative is noise
+        return  # the derivative is noise if the car drives straight
     # Means are not subtracted, because both are constant in a steady turn.
     agreement = measured @ expected / max(np.linalg.norm(measured) * np.linalg.norm(expected), 1e-12)
     if agreement < -MIN_HEADING_AGREEMENT:
