@@ -26,19 +26,19 @@ from .clock_types import (
 )
 from .regression import SIGMA_PER_MAD
 
-CUTOFFS = (0.5, 4.0)  # Hz; the first while the drift is unknown, the second for the result
-STAMP_GRID = 50e-6  # s; resolution of the stamps of loggers, a lower limit of the uncertainty
-GOOD_PEAK, USABLE_PEAK = 0.95, 0.80
+CUTOFFS = (0.5, 4.0)  # Hz, of the low-pass: the first while the drift is unknown, the second for the result
+STAMP_RESOLUTION = 50e-6  # s, of loggers; a lower limit of the uncertainty
+GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80
 MIN_OVERLAP = 20.0  # s
-MAX_DISAGREEMENT = 0.005  # s, between the offset of a single signal and that of all
-GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s
-STEP_SEARCH = 5.0, 40.0  # s; the second if one offset does not fit the whole recording
+MAX_DISAGREEMENT = 0.005  # s, between the offset of a single signal and the common offset
+GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s, standard deviation of the offset
+STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; the second if one offset does not fit the whole recording
 
 
 def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
     """Alignment with a given offset, reference minus other clock [ns], of unknown uncertainty (NaN).
 
-    signals: for the verdict, aligned within 5 s of the offset, which is used as given in any case.
+    signals: aligned within 5 s of the offset, only for the verdict.
     """
     offset = offset_ns * 1e-9
     check = align(signals, search=(offset - 5.0, offset + 5.0)) if signals else refused_alignment()
@@ -47,7 +47,8 @@ def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal]
     if check.verdict is Verdict.REFUSED:
         return given
     difference = check.offset_ns * 1e-9 - offset
-    reason = f"the offset was given by hand; the shared signals differ from it by {difference * 1e3:+.0f} ms, mid-log"
+    reason = (f"the offset was given by hand; the shared signals differ from it by {difference * 1e3:+.0f} ms in the "
+              "middle of the log")
     close = abs(difference) < max(2 * check.offset_deviation, 0.01)
     return replace(given, verdict=Verdict.GOOD if close else Verdict.DOUBTFUL, reasons=(reason,), signals=check.signals,
                    peak=check.peak, second_peak=check.second_peak, overlap=check.overlap)
@@ -57,12 +58,13 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     """Alignment by the signals of both recordings.
 
     Coarse: masked normalised cross-correlation at all lags, averaged over the signals. Fine: robust joint fit of offset
-    and drift (`clock_fit.fit`). The verdict depends on the height of the peak, a similar second peak, the variation of
-    the signals, their agreement, and steps of a clock. The recordings must overlap by 40 % of the shorter one, or by
-    20 s if no offset fits with that. search: bounds of reference minus other time [s]; None for all.
+    and drift (`clock_fit.fit`). The verdict depends on the height of the peak, a similar second peak, the uncertainty
+    of the offset, the agreement of the signals, the drift, and steps of a clock. The recordings must overlap by 40 % of
+    the shorter one, or by 20 s if no offset fits with this overlap. search: bounds of reference minus other time [s];
+    None: no bounds.
 
-    Never raises for the content of a recording: a refused alignment has its reasons. Valid for drifts of a few hundred
-    ppm and recordings of up to two days. Checked by: the synthetic pair in tests/golden/test_alignment.py, and
+    Never raises for the content of a recording: a refused alignment states its reasons. Valid for drifts of a few
+    hundred ppm and recordings of up to two days. Checked by: the synthetic pair in tests/golden/test_alignment.py, and
     simulated clocks in test_clock_alignment.py (the standard deviations too).
     """
     usable, reasons = _usable_signals(signals)
@@ -71,9 +73,10 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     pairs = _resampled_pairs(usable)
     fine = pairs[CUTOFFS[-1]]
     if not fine:
-        return refused_alignment(*reasons, "the shared signals were measured for a few seconds only")
+        return refused_alignment(*reasons, "the shared signals were measured for only a few seconds")
     result = _align_with_overlap(fine, pairs, usable, reasons, _min_overlap(fine), search)
-    if result.verdict is Verdict.REFUSED and max((s.correlation for s in result.signals), default=0.0) < USABLE_PEAK:
+    best = max((s.correlation for s in result.signals), default=0.0)
+    if result.verdict is Verdict.REFUSED and best < USABLE_CORRELATION:
         short = _align_with_overlap(fine, pairs, usable, reasons, MIN_OVERLAP, search)
         if short.verdict is not Verdict.REFUSED:
             return short.with_doubts(f"the recordings share only {short.overlap:.0f} s")
@@ -90,13 +93,13 @@ def _min_overlap(pairs: Sequence[Pair]) -> float:
 def _align_with_overlap(fine: Sequence[Pair], pairs: dict[float, list[Pair]], usable: Sequence[SharedSignal],
                         reasons: Sequence[str], needed: float, search: tuple[float, float] | None) -> Alignment:
     r0, o0 = int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
-    epoch = (r0 - o0) * 1e-9  # between the two origins; times as floats count from these
-    span = (search[0] - epoch, search[1] - epoch) if search else (-np.inf, np.inf)
+    between_origins = (r0 - o0) * 1e-9  # times as floats count from the origin of each clock
+    span = (search[0] - between_origins, search[1] - between_origins) if search else (-np.inf, np.inf)
     coarse = coarse_offset(fine, needed, 2.0, span)
     if coarse is None:
         return refused_alignment(*reasons, f"at no offset do the recordings share {needed:.0f} s of similar motion")
     (first, second), (r_first, r_second) = coarse
-    # The fit is centred in the overlap, where offset and drift hardly correlate.
+    # Offset and drift hardly correlate in the middle of the overlap.
     low = max(min(p.other.origin for p in fine), min(p.reference.origin for p in fine) - first)
     high = min(max(p.other.time[-1] for p in fine), max(p.reference.time[-1] for p in fine) - first)
     middle = (low + high) / 2
@@ -112,14 +115,15 @@ def _align_with_overlap(fine: Sequence[Pair], pairs: dict[float, list[Pair]], us
         singles.append(SignalLag(pair.name, alone.offset - solution.offset, alone.offset_deviation, residual,
                                  correlation))
     # The rounding error of the stamps changes slowly, so it does not average out.
-    drift_deviation = float(np.hypot(solution.drift_deviation, STAMP_GRID / max(high - low, 1.0))) * 1e6
+    drift_deviation = float(np.hypot(solution.drift_deviation, STAMP_RESOLUTION / max(high - low, 1.0))) * 1e6
     at_ns = o0 + round(middle * 1e9)
     result = Alignment(
         at_ns=at_ns, offset_ns=r0 - o0 + round(solution.offset * 1e9), drift_ppm=solution.drift * 1e6,
         offset_deviation=_offset_deviation(solution, singles, usable),
         drift_deviation=drift_deviation, method="shared signals", verdict=Verdict.GOOD, reasons=tuple(reasons),
         signals=tuple(singles),
-        peak=(first + epoch, r_first), second_peak=(second + epoch, r_second), overlap=max(high - low, 0.0),
+        peak=(first + between_origins, r_first), second_peak=(second + between_origins, r_second),
+        overlap=max(high - low, 0.0),
     )
     return _with_verdict(result, solution, fine, o0)
 
@@ -129,23 +133,26 @@ def _usable_signals(signals: Sequence[SharedSignal]) -> tuple[list[SharedSignal]
     for signal in signals:
         known = [np.isfinite(v) for v in (signal.reference, signal.other)]
         if min(k.sum() for k in known) < 2:
-            reasons.append(f"{signal.name} is missing on one side")
+            reasons.append(f"{signal.name} is missing in one recording")
             continue
         spans = [float(t[-1] - t[0]) * 1e-9 for t in (signal.reference_time_ns, signal.other_time_ns)]
         if max(spans) > MAX_SPAN:
-            reasons.append(f"{signal.name} spans {max(spans) / 86400:.0f} days: a clock was set during the recording")
+            reasons.append(f"{signal.name} spans {max(spans) / 86400:.0f} days; probably a clock was set during it")
             continue
         values = [v[k] for v, k in zip((signal.reference, signal.other), known, strict=True)]
-        spread = min(float(np.std(np.unwrap(v) if signal.angle else v)) for v in values)
-        if spread <= signal.min_deviation:
-            reasons.append(f"{signal.name} hardly varies (standard deviation {spread:.3g})")
+        deviation = min(float(np.std(np.unwrap(v) if signal.angle else v)) for v in values)
+        if deviation <= signal.min_deviation:
+            reasons.append(f"{signal.name} hardly varies (standard deviation {deviation:.3g})")
             continue
         usable.append(signal)
     return usable, reasons or ([] if usable else ["the recordings share no signal"])
 
 
 def _resampled_pairs(signals: Sequence[SharedSignal]) -> dict[float, list[Pair]]:
-    """Pairs by cut-off, of the signals that remain after masking. Times count from the first sample of the first."""
+    """Pairs by cut-off frequency, of the signals with known samples on both sides.
+
+    Times count from the first sample of the first signal.
+    """
     rows = []
     reference_ns, other_ns = int(signals[0].reference_time_ns[0]), int(signals[0].other_time_ns[0])
     for signal in signals:
@@ -159,34 +166,34 @@ def _resampled_pairs(signals: Sequence[SharedSignal]) -> dict[float, list[Pair]]
 
 
 def _offset_deviation(solution: Fit, singles: Sequence[SignalLag], signals: Sequence[SharedSignal]) -> float:
-    """Standard deviation of the fit, disagreement of the signals in excess of their noise, and latency, in quadrature.
-    """
+    """Standard deviation [s] of the fit, excess disagreement of the signals, latency and resolution, in quadrature."""
     excess = 0.0
     if len(singles) > 1:
         weights = np.array([s.deviation**-2 for s in singles])
-        scatter = float((weights * np.array([s.difference for s in singles]) ** 2).sum() / weights.sum())
-        excess = max(scatter - float(len(singles) / weights.sum()), 0.0)
+        variance = float((weights * np.array([s.difference for s in singles]) ** 2).sum() / weights.sum())
+        excess = max(variance - float(len(singles) / weights.sum()), 0.0)
     latency = max(s.latency_uncertainty for s in signals)
-    return float(np.sqrt(solution.offset_deviation**2 + excess + latency**2 + STAMP_GRID**2 / 12))
+    return float(np.sqrt(solution.offset_deviation**2 + excess + latency**2 + STAMP_RESOLUTION**2 / 12))
 
 
 def _with_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: int) -> Alignment:
     refusals, doubts = [], []
     assert result.peak and result.second_peak
     (first, r_first), (second, r_second) = result.peak, result.second_peak
-    # The correlation at the fit, since a drift reduces the peak of the coarse search.
+    # The correlations are those of the fit, because a drift reduces the peak of the coarse search.
     weakest = min(max(s.correlation, 0.0) for s in result.signals)
     strongest = max(s.correlation for s in result.signals)
-    if strongest < USABLE_PEAK:
+    if strongest < USABLE_CORRELATION:
         refusals.append(f"the signals do not match (correlation {strongest:.2f} at best): the recordings do "
-                        "not overlap in time, are not of the same drive, or a signal is wrong in part of it")
-    elif weakest < GOOD_PEAK:
+                        "not overlap in time, are not of the same drive, or part of a signal is wrong")
+    elif weakest < GOOD_CORRELATION:
         worst = min(result.signals, key=lambda s: s.correlation)
-        doubts.append(f"{worst.name} fits poorly: correlation {worst.correlation:.2f}, {GOOD_PEAK} expected")
+        doubts.append(f"{worst.name} fits poorly: correlation {worst.correlation:.2f}, expected {GOOD_CORRELATION}")
     if result.ambiguous:
         doubts.append(f"an offset {second - first:+.2f} s away fits nearly as well, with correlation {r_second:.2f} "
                       f"against {r_first:.2f} (repeated laps?)")
-    why = "little motion" if strongest >= GOOD_PEAK else f"the signals differ (correlation {strongest:.2f} at best)"
+    differ = f"the signals differ (correlation {strongest:.2f} at best)"
+    why = "little motion" if strongest >= GOOD_CORRELATION else differ
     if solution.offset_deviation > USABLE_DEVIATION:
         refusals.append(f"{why}: the uncertainty of the offset is {solution.offset_deviation * 1e3:.0f} ms")
     elif solution.offset_deviation > GOOD_DEVIATION:
@@ -196,7 +203,7 @@ def _with_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other
             doubts.append(f"the offset from {row.name} alone differs by {row.difference * 1e3:+.1f} ms")
     if abs(result.drift_ppm) - 2.0 * (result.drift_deviation or 0.0) > UNUSUAL_DRIFT_PPM:
         doubts.append(f"a drift of {result.drift_ppm:.0f} ppm exceeds that of quartz clocks")
-    lags = window_lags(pairs, solution.offset, STEP_SEARCH[weakest < GOOD_PEAK])
+    lags = window_lags(pairs, solution.offset, STEP_SEARCH[weakest < GOOD_CORRELATION])
     step = find_clock_step(lags)
     if step:
         reason = describe_step(step[1], other_ns * 1e-9 + step[0] - result.at_ns * 1e-9)
@@ -208,7 +215,7 @@ def _with_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other
 
 
 def _fine_pairs(signals: Sequence[SharedSignal]) -> tuple[list[Pair], int, int]:
-    """(pairs of the usable signals, zero of their reference and other times [ns])."""
+    """(pairs of the usable signals at the high cut-off, origins of their reference and other times [ns])."""
     usable, _ = _usable_signals(signals)
     if not usable:
         return [], 0, 0
@@ -218,7 +225,7 @@ def _fine_pairs(signals: Sequence[SharedSignal]) -> tuple[list[Pair], int, int]:
 def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.ndarray]:
     """Offsets [s], reference minus other clock, and the mean correlation of the signals at each.
 
-    Empty where no signal is usable. Lags with less overlap than `align` requires at first are left out.
+    Empty if no signal is usable. Lags with an overlap of less than 40 % of the shorter recording are left out.
     """
     fine, r0, o0 = _fine_pairs(signals)
     curve = mean_correlation(fine, _min_overlap(fine), (-np.inf, np.inf)) if fine else None
@@ -226,7 +233,7 @@ def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.n
 
 
 def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list[WindowLag]:
-    """Residual offsets, within 2 s, of windows of 30 s after an alignment; time [s] since `at_ns`, other clock."""
+    """Residual offsets of windows of 30 s after an alignment, searched within 2 s; time [s] since `at_ns`."""
     fine, r0, o0 = _fine_pairs(signals)
     if not fine:
         return []
@@ -238,9 +245,9 @@ def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list
 
 def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray,
                     threshold: float = 0.3) -> np.ndarray:
-    """The values, NaN where the speed stays below `threshold` [m/s] from 2 s before to 2 s after.
+    """The values, NaN where the speed is below `threshold` [m/s] from 2 s before to 2 s after.
 
-    Standstill contains no information on time, but correlates with every other standstill.
+    Standstill contains no information about the offset, but correlates with every other standstill.
     """
     moving_ns = speed_time_ns[np.isfinite(speed) & (np.abs(speed) > threshold)]
     if not len(moving_ns):
@@ -252,8 +259,8 @@ def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.n
     return np.where(near, values, np.nan)
 
 
-def _robust_line(time: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """(offset [s] and drift, residuals [s], their scale [s], covariance of both) of a line by reweighted least squares.
+def _fit_robust_line(time: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+    """((offset [s], drift), residuals [s], their scale [s], covariance of offset and drift), reweighted least squares.
     """
     design = np.stack([np.ones_like(time), time], axis=1)
     weight = np.ones_like(time)
@@ -269,26 +276,25 @@ def _robust_line(time: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.n
 
 def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray, resolution: float = 0.001,
                         latency: float = 0.0, latency_uncertainty: float = 0.0) -> Alignment:
-    """Alignment by frames in which the INS sends its own time.
+    """Alignment by CAN frames that contain the time of the INS: a robust line (soft L1) through the medians per second.
 
     Args:
-        other_time_ns: log stamp of each frame.
-        reference_time_ns: time contained in the frame, UTC; without frames of an unlocked unit, which contain no time.
-        resolution: of that time [s].
+        other_time_ns: log stamp of each frame that contains a time; an INS without GNSS lock sends none.
+        reference_time_ns: time in the frame, UTC.
+        resolution: of the time in the frame [s].
         latency: delay from the time in a frame to its stamp in the log [s].
-
-    A robust straight line (soft L1) through the medians per second.
+        latency_uncertainty: standard deviation of the latency [s].
     """
     if len(other_time_ns) < 2:
-        return refused_alignment("the time frames contain no time (the unit had not locked yet?)")
+        return refused_alignment("fewer than two time frames contain a time (did the INS have no GNSS lock?)")
     if abs(int(other_time_ns[-1]) - int(other_time_ns[0])) * 1e-9 > MAX_SPAN:
-        return refused_alignment("the log spans days: its clock was set during the recording")
+        return refused_alignment("the log spans days: probably its clock was set during the recording")
     o0, r0 = int(other_time_ns[0]), int(reference_time_ns[0])
     time = (other_time_ns - o0) * 1e-9 - latency
     offset = (reference_time_ns - r0) * 1e-9 - time
     time, offset = _medians_per_second(time, offset)
     middle = float(time[0] + time[-1]) / 2
-    solution, residual, scale, covariance = _robust_line(time - middle, offset)
+    solution, residual, scale, covariance = _fit_robust_line(time - middle, offset)
     # Truncation to the resolution does not average out if the frame interval is nearly a multiple of the resolution.
     rounding = resolution / np.sqrt(12)
     result = Alignment(
@@ -298,7 +304,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
         drift_deviation=float(np.sqrt(covariance[1, 1])) * 1e6,
         method="time frame", verdict=Verdict.GOOD, overlap=float(time[-1] - time[0]),
     )
-    # A step also changes the slope of the fitted line, so the offsets are examined, not the residuals.
+    # A step changes the slope of the fitted line as well, so the offsets are examined, not the residuals.
     usual, edges = np.median(offset), np.linspace(0, len(time), min(len(time), MAX_WINDOWS) + 1).astype(int)
     lags = [WindowLag(float(np.median(time[a:b])) - middle, float(np.median(offset[a:b]) - usual), scale)
             for a, b in pairwise(edges)]
@@ -309,7 +315,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     worst = int(np.argmax(np.abs(residual)))
     if abs(residual[worst]) > 0.02:
         doubts.append(f"the time frames do not lie on one line: {residual[worst] * 1e3:+.0f} ms at "
-                      f"{time[worst] - middle:+.0f} s from the middle (a clock was set?)")
+                      f"{time[worst] - middle:+.0f} s from the middle (was a clock set?)")
     if abs(result.drift_ppm) - 2.0 * (result.drift_deviation or 0.0) > UNUSUAL_DRIFT_PPM:
         doubts.append(f"a drift of {result.drift_ppm:.0f} ppm exceeds that of quartz clocks")
     return result.with_doubts(*doubts)

@@ -1,5 +1,4 @@
-"""Clock alignment of two recordings: resampling, masked correlation for the coarse offset, robust joint fit of offset
-and drift."""
+"""Fit of offset and drift between two clocks: resampling, masked correlation for a coarse offset, robust joint fit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,16 +12,16 @@ from scipy.signal import butter, sosfiltfilt
 
 from .regression import robust_deviation
 
-RATE = 100.0  # Hz of the grid on which signals are filtered
+RATE = 100.0  # Hz, sampling rate at which signals are filtered
 DECIMATION = 5  # filtered signals contain nothing above a few hertz, so 20 Hz are enough for the fit
-STEP = DECIMATION / RATE
+STEP = DECIMATION / RATE  # s, between the samples of a resampled signal
 MAX_GAP = 0.15  # s, longest gap that is interpolated
-FILTER_SETTLING = 0.5  # periods of the cut-off, masked on both sides of a gap
+FILTER_SETTLING = 0.5  # periods of the cut-off frequency, masked on both sides of a gap
 
 
 @dataclass(frozen=True)
 class Resampled:
-    """A signal on a regular grid from `origin` [s]; known: where it was measured, away from gaps and edges."""
+    """A signal on a regular grid that begins at `origin` [s]; known: True for samples away from gaps and edges."""
 
     origin: float
     values: np.ndarray
@@ -34,14 +33,14 @@ class Resampled:
 
 
 def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = False) -> Resampled:
-    """Linear interpolation to 100 Hz, zero-phase Butterworth low-pass (order 4), every fifth point kept.
+    """Interpolate linearly to 100 Hz, apply a zero-phase Butterworth low-pass (order 4), keep every fifth point.
 
     Args:
         time: [s], strictly increasing, at least 2.
-        values: NaN where not to be used.
-        cutoff: of the low-pass [Hz], the same for both recordings, so that it shifts neither against the other.
+        values: NaN where they must not be used.
+        cutoff: of the low-pass [Hz]; with different values the two recordings would be shifted.
         angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s], in which the unknown zero of
-            the angle cancels. It is filtered before it is differentiated, which would amplify rounding.
+            the angle cancels. The angle is filtered first, because differentiation amplifies rounding.
     """
     good = np.isfinite(values)
     time, values = time[good], np.unwrap(values[good]) if angle else values[good]
@@ -66,13 +65,13 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = 
 def masked_correlation(reference: Resampled, other: Resampled, minimum_overlap: float) -> tuple[np.ndarray, np.ndarray]:
     """Normalised correlation of two masked series at every lag, from the overlap at that lag.
 
-        r(l) = cov(f, g_l) / sqrt(var(f) var(g_l)),   sums over the points known in both at lag l
+        r(l) = cov(f, g_l) / sqrt(var(f) var(g_l)),   over the samples known in both series at lag l
 
     Args:
-        minimum_overlap: points known in both [s]; r is 0 at lags with fewer.
+        minimum_overlap: duration of the samples known in both [s]; r is 0 at lags with a shorter overlap.
 
     Returns:
-        lags [s], other's time + lag = reference's time; and r in [-1, 1].
+        lags [s], time of the reference minus time of the other; r in [-1, 1].
 
     Source: Padfield, Masked object registration in the Fourier domain, IEEE Trans. Image Processing 21 (2012).
     """
@@ -93,7 +92,7 @@ def masked_correlation(reference: Resampled, other: Resampled, minimum_overlap: 
     covariance = lagged(ff * gf) - sum_f * sum_g / n
     variance_f = lagged(rfft(f * f, size) * mf2) - sum_f**2 / n
     variance_g = lagged(mf1 * np.conj(rfft(g * g, size))) - sum_g**2 / n
-    # A stretch without variation correlates with anything, so it must contain a fraction of the total variance.
+    # An overlap without variation correlates with anything, so it must contain a fraction of the total variance.
     floor_f, floor_g = (1e-3 * v.max(initial=0.0) + 1e-12 for v in (variance_f, variance_g))
     usable = (n * STEP >= minimum_overlap) & (variance_f > floor_f) & (variance_g > floor_g)
     r = np.zeros(len(n))
@@ -124,8 +123,8 @@ class Pair:
 class Fit:
     """Fitted relation t_reference = t_other + offset + drift (t_other - middle).
 
-    offset [s] at `middle` [s, other clock], drift [1], with their standard deviations; residual: per signal, RMS
-    divided by the standard deviation of the signal; correlation: per signal, at the solution.
+    offset [s] at `middle` [s, other clock] and drift [1], with standard deviations. By signal: residual, RMS divided by
+    the standard deviation of the signal, and correlation at the solution.
     """
 
     offset: float
@@ -138,15 +137,15 @@ class Fit:
 
 
 def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0, free_drift: bool = True) -> Fit:
-    """Offset and drift by Gauss-Newton with soft-L1 weights, with a gain and a bias for every signal.
+    """Fit offset and drift by Gauss-Newton with soft-L1 weights, with a gain and a bias for every signal.
 
-        residual_k(t) = reference_k(t + offset + drift (t - middle)) - gain_k other_k(t) - bias_k,   each over its
-        spread
+        residual_k(t) = (reference_k(t + offset + drift (t - middle)) - gain_k other_k(t) - bias_k) / scale_k
 
-    The gain absorbs the scale of a wheel speed, the bias a gyro offset. The deviations are a sandwich estimate from
-    blocks of 5 s, since residuals are autocorrelated. A weak prior (100 ppm) limits the drift of short recordings.
+    The gain absorbs the scale of a wheel speed, the bias a gyro offset; scale_k is a robust standard deviation. The
+    uncertainty is a sandwich estimate from blocks of 5 s, since residuals are autocorrelated. A weak prior (100 ppm)
+    limits the drift of short recordings.
 
-    Raises ValueError when fewer than 2 s are known on both sides.
+    Raises ValueError if less than 2 s are known on both sides, or if the signals do not vary.
     """
     splines = [CubicSpline(p.reference.time, p.reference.values) for p in pairs]
     parameters = np.array([offset, drift])
@@ -161,17 +160,17 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
     normal, _, details = _normal_equations(pairs, splines, parameters, middle, free_drift)
     inverse = np.linalg.inv(normal)
     covariance = inverse @ _block_scores(details) @ inverse
-    naive = inverse[0, 0] if free_drift else 1.0 / normal[0, 0]
+    unclustered = inverse[0, 0] if free_drift else 1.0 / normal[0, 0]
     return Fit(
         offset=float(parameters[0]), drift=float(parameters[1]), middle=middle,
-        offset_deviation=float(np.sqrt(max(covariance[0, 0], naive))),
+        offset_deviation=float(np.sqrt(max(covariance[0, 0], unclustered))),
         drift_deviation=float(np.sqrt(max(covariance[1, 1], inverse[1, 1]))),
         residual=tuple(d.residual for d in details), correlation=tuple(d.correlation for d in details),
     )
 
 
 class _SignalFit(NamedTuple):
-    """Fit of one signal. score: (2, n) weighted derivative times residual, gain and bias projected out; residual and
+    """Fit of one signal. score: (2, n), derivatives without gain and bias, times weighted residual. residual and
     correlation as in `Fit`."""
 
     time: np.ndarray
@@ -182,14 +181,14 @@ class _SignalFit(NamedTuple):
 
 def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], parameters: np.ndarray, middle: float,
                       free_drift: bool) -> tuple[np.ndarray, np.ndarray, list[_SignalFit]]:
-    """(normal matrix, gradient, details by signal)."""
+    """(normal matrix, gradient, fit of each signal) at offset and drift `parameters`."""
     normal = np.diag([0.0, (DRIFT_PRIOR_PPM * 1e-6) ** -2])
     gradient = np.array([0.0, normal[1, 1] * parameters[1] if free_drift else 0.0])
     details = []
     for pair, spline in zip(pairs, splines, strict=True):
         time, mapped, other = _common_samples(pair, parameters, middle)
         if len(time) * STEP < 2.0:
-            raise ValueError(f"{pair.name}: less than 2 s of it is known on both sides")
+            raise ValueError(f"{pair.name}: less than 2 s are known in both recordings")
         reference, slope = spline(mapped), spline(mapped, 1)
         weight = np.ones(len(time))  # of the squares: soft L1
         for _ in range(2):
@@ -199,15 +198,15 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], par
             weight = 1.0 / np.sqrt(1.0 + (residual / (2 * scale)) ** 2)
         jacobian = np.zeros((2, len(time)))
         for k, derivative in enumerate([slope, slope * (time - middle)] if free_drift else [slope]):
-            # The part that gain and bias explain contains no information on time.
+            # The part that gain and bias explain contains no information about the clocks.
             gain, bias = _weighted_line(other, derivative, weight)
             jacobian[k] = (derivative - gain * other - bias) / scale
         score = jacobian * (weight * residual / scale)
         normal += [[float((row * column).sum()) for column in jacobian] for row in jacobian * weight]
         gradient += score.sum(axis=1)
-        spreads = float(reference.std()), float(other.std())
-        details.append(_SignalFit(time, score, float(np.sqrt(np.mean(residual**2)) / max(spreads[0], 1e-12)),
-                                  float(np.corrcoef(reference, other)[0, 1]) if min(spreads) > 0 else 0.0))
+        deviations = float(reference.std()), float(other.std())
+        details.append(_SignalFit(time, score, float(np.sqrt(np.mean(residual**2)) / max(deviations[0], 1e-12)),
+                                  float(np.corrcoef(reference, other)[0, 1]) if min(deviations) > 0 else 0.0))
     if normal[0, 0] <= 0.0:
         raise ValueError("the shared signals do not vary")
     return normal, gradient, details
@@ -215,19 +214,19 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], par
 
 def _weighted_line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
     """(gain, bias) of the weighted least squares line y = gain x + bias; gain 0 if x does not vary."""
-    # Plain sums: a dot product would start threads of the linear algebra library for each of these short rows.
+    # Sums, since a dot product would start threads of the linear algebra library for each of these short rows.
     total = float(weight.sum())
     weighted = weight * x
     mean_x, mean_y = float(weighted.sum()) / total, float((weight * y).sum()) / total
-    spread = float((weighted * x).sum()) - total * mean_x**2
-    if spread <= 1e-12 * max(total * mean_x**2, 1e-12):
+    squares = float((weighted * x).sum()) - total * mean_x**2
+    if squares <= 1e-12 * max(total * mean_x**2, 1e-12):
         return 0.0, mean_y
-    gain = (float((weighted * y).sum()) - total * mean_x * mean_y) / spread
+    gain = (float((weighted * y).sum()) - total * mean_x * mean_y) / squares
     return gain, mean_y - gain * mean_x
 
 
 def _common_samples(pair: Pair, parameters: np.ndarray, middle: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(time [s, other clock], the same on the reference clock, value of `other`) where both sides are known."""
+    """(time on the other clock [s], on the reference clock [s], value of `other`) where both sides are known."""
     known, time = pair.reference.known, pair.other.time
     mapped = time + parameters[0] + parameters[1] * (time - middle)
     index = np.floor((mapped - pair.reference.origin) / STEP).astype(np.int64)
@@ -237,7 +236,7 @@ def _common_samples(pair: Pair, parameters: np.ndarray, middle: float) -> tuple[
 
 
 def _block_scores(details: Sequence[_SignalFit]) -> np.ndarray:
-    """Sum of the outer products of the block sums of the scores, blocks common to all signals."""
+    """Covariance of the total score, from its sums over blocks of time that are common to all signals."""
     start = min(float(d.time[0]) for d in details)
     count = int((max(float(d.time[-1]) for d in details) - start) / BLOCK) + 1
     sums = np.zeros((count, 2))
@@ -251,7 +250,7 @@ def _block_scores(details: Sequence[_SignalFit]) -> np.ndarray:
 
 def mean_correlation(pairs: Sequence[Pair], minimum_overlap: float,
                      span: tuple[float, float]) -> tuple[np.ndarray, np.ndarray] | None:
-    """(lags [s], mean of the signals' correlations there) within span [s]; None where no lag has enough overlap."""
+    """(lags [s], mean of the correlations of the signals) within span [s]; None if the span contains no lag."""
     rows = [masked_correlation(p.reference, p.other, minimum_overlap) for p in pairs]
     low = max(lags[0] for lags, _ in rows)
     high = min(lags[-1] for lags, _ in rows)
@@ -264,10 +263,10 @@ def mean_correlation(pairs: Sequence[Pair], minimum_overlap: float,
 def coarse_offset(pairs: Sequence[Pair], minimum_overlap: float, exclusion: float,
                   span: tuple[float, float] = (-np.inf, np.inf),
                   ) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    """The two best offsets [s] by mean correlation of the signals: ((first, second), (r_first, r_second)).
+    """The two offsets [s] with the highest mean correlation r of the signals: ((first, second), (r_first, r_second)).
 
     exclusion: minimum distance of the second peak from the first [s]; there must also be a valley in between. None if
-    no lag has enough overlap.
+    no correlation is positive.
     """
     curve = mean_correlation(pairs, minimum_overlap, span)
     if curve is None:
@@ -276,7 +275,7 @@ def coarse_offset(pairs: Sequence[Pair], minimum_overlap: float, exclusion: floa
     best = int(np.argmax(r))
     if r[best] <= 0:
         return None
-    left, right = _valley(r, best, -1), _valley(r, best, +1)
+    left, right = _find_valley(r, best, -1), _find_valley(r, best, +1)
     reach = int(exclusion / STEP)
     remaining = r.copy()
     remaining[min(left, max(best - reach, 0)):max(right, best + reach) + 1] = 0.0
@@ -284,7 +283,7 @@ def coarse_offset(pairs: Sequence[Pair], minimum_overlap: float, exclusion: floa
     return (float(lags[best]), float(lags[second])), (float(r[best]), float(max(remaining[second], 0.0)))
 
 
-def _valley(r: np.ndarray, index: int, direction: int) -> int:
+def _find_valley(r: np.ndarray, index: int, direction: int) -> int:
     """Index at which the correlation stops decreasing on one side of a peak."""
     row = r[index:] if direction > 0 else r[index::-1]
     rising = np.nonzero(np.diff(row) > 0)[0]

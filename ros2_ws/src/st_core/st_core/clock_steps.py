@@ -1,4 +1,5 @@
-"""Steps of a clock: lags of single windows, and the step that explains them better than an offset and a drift."""
+"""Detection of a clock step: lags of single windows, and the step that explains them better than an offset and a drift.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,18 +8,17 @@ import numpy as np
 
 from .clock_fit import STEP, Pair, Resampled, coarse_offset, fit
 
-WINDOW = 30.0  # s
+WINDOW = 30.0  # s, length
 MAX_WINDOWS = 150  # of a long recording, evenly spaced
 MIN_STEP = 0.01  # s
-USUAL_DRIFT = 50e-6
+USUAL_DRIFT = 50e-6  # s/s, standard deviation of the prior of the drift
 MIN_STEP_EVIDENCE = 30.0  # reduction, by a step, of the sum of squared window lags divided by their variances
 OUTLIER = 5.0  # standard deviations: scale of the robust weight of a window, and cap of its normalised residual
 
 
 @dataclass(frozen=True)
 class WindowLag:
-    """Offset of one window of `Pair.other` around `time` [s, other clock] minus the common offset, and the standard
-    deviation of that [s]."""
+    """Offset of a window around `time` [s, other clock] minus the common offset [s], and its standard deviation [s]."""
 
     time: float
     lag: float
@@ -28,7 +28,7 @@ class WindowLag:
 def window_lags(pairs: Sequence[Pair], offset: float, search: float) -> list[WindowLag]:
     """Lags of windows of 30 s relative to `offset`, searched within +/- `search` [s].
 
-    Windows that vary too little to be located within 50 ms, or that fit at two places, are left out.
+    Windows with too little variation for a standard deviation below 50 ms, or with two similar peaks, are left out.
     """
     lags = []
     first = min(p.other.origin for p in pairs)
@@ -61,7 +61,7 @@ def find_clock_step(lags: Sequence[WindowLag]) -> tuple[float, float] | None:
 
         lag(t) = a + b t          against          lag(t) = a + b t + size (t > time),        b about 0 +/- 50 ppm
 
-    At least two windows on each side; size above 10 ms.
+    There must be at least two windows on each side; a step below 10 ms is ignored.
     """
     if len(lags) < 4:
         return None
@@ -69,21 +69,21 @@ def find_clock_step(lags: Sequence[WindowLag]) -> tuple[float, float] | None:
     lag = np.array([w.lag for w in lags])
     deviation = np.array([max(w.deviation, 1e-3) for w in lags])
     time = time - time.mean()
-    plain = np.stack([np.ones_like(time), time], axis=1)
-    without, _ = _robust_line(plain, lag, deviation)
+    line = np.stack([np.ones_like(time), time], axis=1)
+    cost_without_step, _ = _fit_with_drift_prior(line, lag, deviation)
     best: tuple[float, float, float] | None = None
     for k in range(2, len(lags) - 1):
         after = (np.arange(len(lags)) >= k).astype(float)
-        cost, solution = _robust_line(np.column_stack([plain, after]), lag, deviation)
+        cost, solution = _fit_with_drift_prior(np.column_stack([line, after]), lag, deviation)
         if best is None or cost < best[0]:
             best = (cost, (lags[k - 1].time + lags[k].time) / 2, float(solution[2]))
-    if best is None or without - best[0] < MIN_STEP_EVIDENCE or abs(best[2]) < MIN_STEP:
+    if best is None or cost_without_step - best[0] < MIN_STEP_EVIDENCE or abs(best[2]) < MIN_STEP:
         return None
     return best[1], best[2]
 
 
-def _robust_line(design: np.ndarray, value: np.ndarray, deviation: np.ndarray) -> tuple[float, np.ndarray]:
-    """(sum of capped squares, solution) of a robust line with the usual drift as a prior."""
+def _fit_with_drift_prior(design: np.ndarray, value: np.ndarray, deviation: np.ndarray) -> tuple[float, np.ndarray]:
+    """(sum of capped squares, solution) of a robust fit; the prior of the drift, column 1, is 0 +/- USUAL_DRIFT."""
     prior = np.zeros((1, design.shape[1]))
     prior[0, 1] = 1 / USUAL_DRIFT
     weight = 1 / deviation

@@ -6,14 +6,14 @@ from enum import StrEnum
 import numpy as np
 
 AMBIGUOUS_PEAK_RATIO = 0.9  # ratio of the second peak of the correlation to the first
-UNUSUAL_DRIFT_PPM = 200.0  # above that of quartz clocks
-MAX_STEP = 0.05  # s
-MAX_SPAN = 48 * 3600.0  # s; in a longer recording the clock was set while it ran
+UNUSUAL_DRIFT_PPM = 200.0  # two quartz clocks differ by less
+MAX_STEP = 0.05  # s; with a larger step of a clock an alignment is refused
+MAX_SPAN = 48 * 3600.0  # s; a longer span of time means that a clock was set during the recording
 
 
 class Verdict(StrEnum):
-    """Verdict on an alignment. doubtful: check the figure before use; refused: none was found; not needed: all signals
-    were recorded on one clock."""
+    """Verdict on an alignment. doubtful: check the figure before use. refused: no alignment was found. not needed: all
+    signals were recorded on one clock."""
 
     GOOD = "good"
     DOUBTFUL = "doubtful"
@@ -23,12 +23,12 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class SharedSignal:
-    """One quantity in both recordings, each on its own clock; NaN where it should not be used (standstill, not ready).
+    """One quantity in both recordings, each on its own clock; NaN where it must not be used (standstill, not ready).
 
-    times: int64 ns, strictly increasing. Values share sign and, up to a gain and a bias, scale.
+    Times are int64 [ns], strictly increasing. The values of both recordings agree up to a gain > 0 and a bias.
     angle: the values are an angle [rad], wrapped or not, whose zero differs between the recordings; its rate is
-    compared. latency: delay from the instant of the value to its stamp in the other recording [s], with uncertainty.
-    min_deviation: standard deviation below which the signal is taken as constant [unit of the values].
+    compared. latency: delay [s] from the instant of a value to its stamp in the other recording; latency_uncertainty:
+    its standard deviation. min_deviation: standard deviation at or below which the signal counts as constant.
     """
 
     name: str
@@ -44,8 +44,8 @@ class SharedSignal:
 
 @dataclass(frozen=True)
 class SignalLag:
-    """Fit of one signal alone: offset minus the common one, its standard deviation [s], residual divided by the spread
-    of the signal, correlation."""
+    """Fit of one signal alone. difference: its offset minus the common offset [s], with its standard deviation.
+    residual: RMS divided by the standard deviation of the signal."""
 
     name: str
     difference: float
@@ -58,10 +58,10 @@ class SignalLag:
 class Alignment:
     """Conversion of the other clock to the reference clock.
 
-    at_ns: instant on the other clock of `offset_ns`. drift_ppm: rate of the reference clock minus that of the other.
-    offset_deviation [s], drift_deviation [ppm]: one standard deviation; the offset's includes that of the latency.
+    at_ns: instant on the other clock at which `offset_ns` applies. drift_ppm: rate of the reference clock minus that of
+    the other. offset_deviation [s] (latency included), drift_deviation [ppm]: standard deviations.
     method: "time frame", "shared signals", "by hand" or "none". overlap: common time [s].
-    peak, second_peak: (offset in s, correlation) of the coarse search, None without one.
+    peak, second_peak: (offset [s], correlation) of the coarse search, None without a search.
     """
 
     at_ns: int
@@ -93,7 +93,7 @@ class Alignment:
                 and self.second_peak[1] > AMBIGUOUS_PEAK_RATIO * self.peak[1])
 
     def with_doubts(self, *reasons: str) -> "Alignment":
-        """The alignment with further reasons, at most doubtful."""
+        """The alignment with further reasons; a good one becomes doubtful."""
         if not reasons:
             return self
         verdict = Verdict.DOUBTFUL if self.verdict is Verdict.GOOD else self.verdict
@@ -101,16 +101,16 @@ class Alignment:
 
 
 def alignment_not_needed() -> Alignment:
-    """Alignment of recordings that are on one clock already."""
+    """Alignment of recordings on one clock."""
     return Alignment(0, 0, 0.0, 0.0, 0.0, "none", Verdict.NOT_NEEDED)
 
 
 def refused_alignment(*reasons: str) -> Alignment:
-    """Alignment that could not be found, with the reasons."""
+    """Alignment with the verdict refused, for these reasons."""
     return Alignment(0, 0, 0.0, float("inf"), float("inf"), "none", Verdict.REFUSED, reasons)
 
 
 def describe_step(size: float, when: float) -> str:
-    """Reason of a verdict for a step of a clock by `size` [s] at `when` [s]."""
+    """Reason for a verdict: a clock steps by `size` [s], `when` [s] after the middle of the common time."""
     return (f"a clock steps by {size * 1e3:+.0f} ms about {round(when):+d} s from the middle of the common time: "
             "align the parts before and after it separately")

@@ -1,4 +1,4 @@
-"""Comparison of predictions with later measurements: errors along, across and in yaw, and their statistics."""
+"""Comparison of predictions with later measurements: longitudinal, lateral and yaw errors, and their statistics."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,11 +15,11 @@ from .timeseries import NANOSECOND, TimeSeries, half_step_grid
 from .types import InputSequence, InsSample, Trajectory, VehicleState, pose_errors
 from .vehicle import VehicleParameters
 
-_NEVER = -(2**62)  # before all times
+_NEVER = -(2**62)  # ns, before all stamps
 
 Mode = Literal["forecast", "hindsight", "plan", "course"]
-"""Inputs in the horizon: forecast = held at their values at the start; hindsight = as measured in the horizon; plan =
-from a motion planner; course = recorded in earlier drives at the same place."""
+"""Inputs over the horizon: forecast = held at their values at the start; hindsight = measured over the horizon; plan =
+from a motion planner; course = from earlier drives at the same place."""
 
 
 @dataclass(frozen=True)
@@ -27,10 +27,10 @@ class Score:
     """Error of one prediction of one model, predicted minus measured, at the INS point.
 
     mode: forecast, plan, course = the trajectory as issued; hindsight = re-simulated from the same start with the
-    measured inputs (the paper's protocol). start_ns: time of the start [ns]. horizon: [s] after it, 0 first.
-    longitudinal [m]: + predicted ahead, lateral [m]: + predicted to the left, both along the measured heading at each
-    point; yaw [rad] in [-pi, pi): + predicted further to the left. NaN where not scored: no measured position, or in
-    hindsight an input before that point that was not measured.
+    measured inputs (the paper's protocol). horizon [s]: time after the start, 0 first. longitudinal [m]: + predicted
+    ahead, lateral [m]: + predicted to the left, both in axes along the measured heading at each point; yaw [rad] in
+    [-pi, pi): + predicted further to the left. NaN where not scored: from a position jump on, without a measured
+    position, or in hindsight if an input up to there was not measured.
     *_mean: mean over all points of the horizon, the start included; NaN unless complete.
     """
 
@@ -50,7 +50,7 @@ class Score:
 
 def make_score(model: str, mode: Mode, start_ns: int, step: float, errors: Sequence[np.ndarray],
                reason: str = "") -> Score:
-    """A score from the three errors; it is complete when every one of them is finite."""
+    """The score of three error series (longitudinal, lateral, yaw); complete if all errors are finite."""
     longitudinal, lateral, yaw = errors
     finite = bool(np.isfinite(longitudinal).all() and np.isfinite(lateral).all() and np.isfinite(yaw).all())
     means = [float(np.mean(e)) if finite else math.nan for e in errors]
@@ -60,6 +60,8 @@ def make_score(model: str, mode: Mode, start_ns: int, step: float, errors: Seque
 
 @dataclass
 class _Pending:
+    """A prediction that waits for the measurements over its horizon."""
+
     model: str
     mode: Mode
     issued: Trajectory
@@ -68,9 +70,9 @@ class _Pending:
 class Evaluator:
     """Scores every prediction once its horizon has passed in the measurements.
 
-    span [s]: of the measurements kept; at least two horizons. models: of model files, in addition to MODELS. runners:
-    compiled replacements of `predict` by name of the model, for predictions with these settings (see compiled.py).
-    Memory is bounded by the span and by MAXIMUM_PENDING waiting predictions; beyond it the oldest end incomplete.
+    span [s]: of the measurements that are kept; at least two horizons. models: from model files, in addition to MODELS.
+    runners: compiled replacements of `predict`, by name of the model, for predictions with these settings (see
+    compiled.py). At most MAXIMUM_PENDING predictions wait; beyond that the oldest are scored as incomplete.
     """
 
     SIGNAL_TIMEOUT = 1.0  # s after the end of a horizon, for a signal that arrives late
@@ -91,17 +93,17 @@ class Evaluator:
 
     @property
     def pending(self) -> int:
-        """Predictions not scored yet."""
+        """Number of predictions that are not scored yet."""
         return sum(len(group) for group in self._waiting.values())
 
     def add_ins(self, sample: InsSample) -> bool:
-        """Add an INS sample; False if it was refused. When its time jumps back, pending predictions end incomplete."""
+        """Add an INS sample; False if it was refused. If time jumps back, pending predictions become incomplete."""
         generation = self.history.generation
         for view in self._correcting_views:
             view.add_ins(sample)
         accepted = self.history.add_ins(sample)
         if self.history.generation != generation:
-            self._abandon(list(self._waiting), "the measurement's time jumped back")
+            self._abandon(list(self._waiting), "the time of the measurements jumped back")
         return accepted
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
@@ -121,13 +123,13 @@ class Evaluator:
         key = (start_ns, len(trajectory.states) - 1, trajectory.step)
         self._waiting.setdefault(key, []).append(_Pending(model, mode, trajectory))
         if self.pending > self.MAXIMUM_PENDING:
-            self._abandon([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions waiting")
+            self._abandon([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions were waiting")
 
     def poll(self, newest_ns: int | None = None) -> list[Score]:
-        """Scores of all predictions with a horizon that has ended in both signals.
+        """Scores of the predictions whose horizon is covered by both signals.
 
-        newest_ns: the present on the clock of the stamps, None for the newest INS sample. SIGNAL_TIMEOUT after the end
-        of a horizon the available measurements are used.
+        newest_ns: present time on the clock of the stamps; None: time of the newest INS sample. SIGNAL_TIMEOUT after
+        the end of its horizon a prediction is scored with the available measurements.
         """
         scores, self._abandoned = self._abandoned, []
         ins, steering = (_NEVER if s.newest is None else s.newest for s in (self.history.ins, self.history.steering))
@@ -139,7 +141,7 @@ class Evaluator:
         return scores
 
     def flush(self) -> list[Score]:
-        """Scores of all pending predictions at the end of the data. Horizons that reach beyond it are incomplete."""
+        """Scores of all pending predictions, at the end of the data; horizons beyond the end are incomplete."""
         scores, self._abandoned = self._abandoned, []
         for key in sorted(self._waiting):
             scores += self._score(key, self._waiting[key])
@@ -154,7 +156,7 @@ class Evaluator:
                 modes: tuple[Mode, ...] = (pending.mode, "hindsight") if pending.mode == "forecast" else (pending.mode,)
                 for mode in modes:
                     self._abandoned.append(make_score(pending.model, mode, start_ns, step, unknown, reason))
-        # Bounded like the predictions, since `poll` may never be called.
+        # Limited like the pending predictions, since `poll` may never be called.
         del self._abandoned[:-2 * self.MAXIMUM_PENDING]
 
     def _score(self, key: tuple[int, int, float], group: Sequence[_Pending]) -> list[Score]:
@@ -167,7 +169,7 @@ class Evaluator:
         no_position = self._describe_unknown("INS", self.history.ins, times[::2], measured[0], start_ns)
         no_inputs = (self._describe_unknown("INS", self.history.ins, times, ins[:, DERIVATIVE], start_ns)
                      or self._describe_unknown("steering", self.history.steering, times, angle, start_ns))
-        # The same points for every model, since some models predict the last point without the last input.
+        # The same points for every model, although some models do not need the last input for the last point.
         scorable = inputs.known_so_far[::2]
         jump_ns, jump = self._jump(start_ns, int(times[-1]))
         unbroken = times[::2] < jump_ns
@@ -191,8 +193,7 @@ class Evaluator:
         return scores
 
     def _jump(self, start_ns: int, end_ns: int) -> tuple[int, str]:
-        """(instant, reason) of the first jump of the position within a horizon; an instant after its end without
-        one."""
+        """(instant, reason) of the first position jump within a horizon; (an instant after its end, "") without one."""
         within = [time_ns for time_ns in self.history.ins.breaks if start_ns < time_ns <= end_ns]
         if not within:
             return end_ns + 1, ""
@@ -212,7 +213,7 @@ class Evaluator:
 
 @dataclass
 class Statistic:
-    """Running mean, largest magnitude and root mean square of a number. NaN before the first."""
+    """Running mean, largest magnitude and root mean square of added values; NaN before the first value."""
 
     count: int = 0
     _sum: float = 0.0
@@ -242,9 +243,9 @@ class Statistic:
 
 @dataclass
 class ErrorStatistics:
-    """Statistics of the scores of one model and mode; incomplete scores are counted and enter nothing else.
+    """Statistics of the scores of one model and mode; incomplete scores are only counted.
 
-    longitudinal, lateral [m], yaw [rad]: of the horizon means, as in the paper's table.
+    longitudinal, lateral [m], yaw [rad]: statistics of the means over each horizon, as in the paper's table.
     """
 
     n_starts: int = 0

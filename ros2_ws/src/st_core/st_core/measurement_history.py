@@ -53,7 +53,7 @@ X, Y, YAW, VELOCITY_X, VELOCITY_Y, YAW_RATE, FILTERED, DERIVATIVE = range(8)
 
 
 def unexplained_step(spacing: float, before: Sequence[float], after: Sequence[float]) -> float:
-    """|d| [m] between two samples if it exceeds the tolerance, else 0.
+    """|d| of the module [m] between two samples if it exceeds the tolerance, else 0.
 
     spacing: dt [s], > 0. before, after: rows that begin with x, y, yaw, v_x, v_y.
     """
@@ -63,7 +63,7 @@ def unexplained_step(spacing: float, before: Sequence[float], after: Sequence[fl
 
 
 def _exceeds_noise(step: float, times_ns: Sequence[int], rows: Sequence[Sequence[float]]) -> bool:
-    """Whether an unexplained step [m] is larger than the noise of the steps before it."""
+    """Whether an unexplained step [m] after the given samples is larger than the noise of the steps between them."""
     if step > MAX_NOISE:
         return True
     if len(times_ns) <= MIN_NOISE_STEPS:
@@ -74,7 +74,7 @@ def _exceeds_noise(step: float, times_ns: Sequence[int], rows: Sequence[Sequence
 
 
 def _split_displacement(spacing: float, before: Sequence[float], after: Sequence[float]) -> tuple[float, float]:
-    """(|d|, distance driven) [m]."""
+    """(|d| of the module, distance driven) [m]."""
     east = north = 0.0
     for row in (before, after):
         cosine, sine = math.cos(row[YAW]), math.sin(row[YAW])
@@ -84,7 +84,7 @@ def _split_displacement(spacing: float, before: Sequence[float], after: Sequence
 
 
 class PositionJump(NamedTuple):
-    """time_ns: of the first sample after the jump. size: position change not explained by velocity [m]."""
+    """time_ns: first sample after the jump. size: change of position that the velocity does not explain [m]."""
 
     time_ns: int
     size: float
@@ -93,11 +93,11 @@ class PositionJump(NamedTuple):
 class MeasurementHistory:
     """INS and steering samples of the last `span` seconds, in order of time.
 
-    Samples out of order are sorted in; those late by over half a second, repeated ones and those with a NaN are
+    Samples out of order are sorted in; samples that are late by over half a second, repeated or contain NaN are
     refused. Within half a second, the order of arrival does not affect the content or the filtered acceleration.
-    When the INS time jumps back (a replay that restarts), both signals restart; `generation` counts that. Nothing is
-    known between samples further apart than maximum_gap, nor across a position jump: `jumps` counts those since the
-    start, `jump` is the newest one.
+    When the INS time jumps back (a replay that restarts), both signals restart, and `generation` increases. The signals
+    are unknown between samples further apart than maximum_gap and across a position jump. jumps: number of position
+    jumps since the start. jump: the newest one.
 
     span, maximum_gap [s]; filter_cutoff [Hz], see timeseries.py for the definition and delay of velocity_x_dot.
     """
@@ -112,8 +112,7 @@ class MeasurementHistory:
         self._detects_jumps = True
 
     def for_corrected_samples(self) -> "MeasurementHistory":
-        """An empty history for the same samples after a correction. It shares the position jumps found here, so that
-        both histories are known at the same instants."""
+        """An empty history for the corrected samples; it shares the position jumps that are found in this one."""
         other = MeasurementHistory(*self._settings)
         other.ins.breaks, other._detects_jumps = self.ins.breaks, False
         return other
@@ -138,18 +137,18 @@ class MeasurementHistory:
         return position is not None
 
     def _find_jumps(self, position: int) -> None:
-        # A sample sorted in has two neighbours, and may be the first one after a jump.
+        # A sample that was sorted in changes the step to itself and the step to the next sample.
         for after in range(max(position, 1), min(position + 2, len(self.ins))):
             size = self._jump_size(after)
             time_ns = int(self.ins.times[after])
-            was_known = self.ins.breaks.pop(time_ns, None) is not None
+            was_jump = self.ins.breaks.pop(time_ns, None) is not None
             if size:
                 self.ins.breaks[time_ns] = f"position jumps by {size:.2f} m"
                 self.jump = PositionJump(time_ns, size)
-            self.jumps += bool(size) - was_known
+            self.jumps += bool(size) - was_jump
 
     def _jump_size(self, after: int) -> float:
-        """Size of the position jump between a sample and the one before it [m]; 0 without one."""
+        """Size of the position jump between a sample and the previous one [m]; 0 if there is none."""
         times, rows = self.ins.times[after - 1:after + 1].tolist(), self.ins.rows[after - 1:after + 1].tolist()
         size = unexplained_step((times[1] - times[0]) * NANOSECOND, *rows)
         if not size:
@@ -158,7 +157,7 @@ class MeasurementHistory:
         return size if _exceeds_noise(size, self.ins.times[before].tolist(), self.ins.rows[before].tolist()) else 0.0
 
     def _filter_from(self, position: int) -> None:
-        # One step in the usual case of the newest sample; one that is sorted in changes all after it.
+        # Usually one step, for the newest sample; a sample that was sorted in changes all later results.
         times, rows, (*_, cutoff) = self.ins.times, self.ins.rows, self._settings
         for i in range(position, len(times)):
             spacing_ns = int(times[i] - times[i - 1]) if i else 0
@@ -184,19 +183,19 @@ class MeasurementHistory:
 
 
 class FrozenAngle(NamedTuple):
-    """angle: constant road wheel angle [rad]. seconds: its duration. low, high: range of delta' in that time [rad]."""
+    """angle: constant road wheel angle [rad]. duration [s]. low, high: range of delta' of the module [rad]."""
 
     angle: float
-    seconds: float
+    duration: float
     low: float
     high: float
 
 
 class FrozenSteeringDetector:
-    """Detects a frozen steering angle from measurements in the order of arrival; see the module for the criterion."""
+    """Detects a frozen steering angle from measurements, in order of arrival, by the criterion of the module."""
 
     def __init__(self, vehicle: VehicleParameters):
-        self._wheelbase, self._understeer = vehicle.wheelbase, stability_factor(vehicle)
+        self._wheelbase, self._stability_factor = vehicle.wheelbase, stability_factor(vehicle)
         self._angle, self._since_ns, self._newest_ns = math.nan, 0, 0
         self._implied, self._implied_ns = math.nan, 0
         self._low, self._high = math.inf, -math.inf
@@ -211,12 +210,12 @@ class FrozenSteeringDetector:
         self._low, self._high = math.inf, -math.inf
 
     def add_ins(self, sample: InsSample) -> None:
-        """Add an INS sample; speed and yaw rate are used."""
+        """Add an INS sample, of which speed and yaw rate are used."""
         speed = sample.velocity_x
         if not speed > FROZEN_MIN_SPEED or not math.isfinite(sample.yaw_rate):
             self._implied = math.nan
             return
-        implied = self._wheelbase * (1.0 + self._understeer * speed * speed) * sample.yaw_rate / speed
+        implied = self._wheelbase * (1.0 + self._stability_factor * speed * speed) * sample.yaw_rate / speed
         spacing = (sample.time_ns - self._implied_ns) * NANOSECOND
         self._implied_ns = sample.time_ns
         if not 0.0 < spacing < FROZEN_TIME_CONSTANT or math.isnan(self._implied):
@@ -229,7 +228,7 @@ class FrozenSteeringDetector:
 
     @property
     def frozen(self) -> FrozenAngle | None:
-        """The frozen angle; None while the angle changes or the turn of the car is consistent with it."""
+        """The frozen angle; None while the angle changes or the yaw motion of the car is consistent with it."""
         if not self._high - self._low > FROZEN_MIN_VARIATION + FROZEN_RELATIVE_VARIATION * abs(self._angle):
             return None
         return FrozenAngle(self._angle, (self._newest_ns - self._since_ns) * NANOSECOND, self._low, self._high)

@@ -22,7 +22,7 @@ from .vehicle import VehicleParameters
 
 
 def step_count(horizon: float, step: float) -> int:
-    """Steps in a horizon; both [s]. Raises ConfigurationError unless the horizon is a whole number (>= 1) of steps."""
+    """Number of steps in a horizon; both [s]. Raises ConfigurationError if it is not a whole number >= 1."""
     if not (step > 0.0 and 0.0 < horizon < 1.0e6 * step):
         raise ConfigurationError(f"horizon: {horizon:g} s with steps of {step:g} s; both must be above 0, and the "
                                  "horizon below 1e6 steps")
@@ -36,8 +36,9 @@ def step_count(horizon: float, step: float) -> int:
 class PredictionSettings:
     """Settings of a prediction. Raises ConfigurationError naming the key and the limit.
 
-    horizon, step [s]. minimum_speed [m/s]: no prediction below. stale_after [s]: no prediction from older inputs.
-    maximum_gap [s]: longest gap that is interpolated. filter_cutoff [Hz]: of the forward speed.
+    horizon, step [s]. minimum_speed [m/s]: no prediction is made below it. stale_after [s]: no prediction is made from
+    older measurements. maximum_gap [s]: longest gap that is interpolated. filter_cutoff [Hz]: of the low-pass for the
+    forward acceleration.
     """
 
     horizon: float = 5.0
@@ -63,9 +64,9 @@ class PredictionSettings:
 
 
 def configuration_hash(vehicle: VehicleParameters, settings: PredictionSettings, model_hash: str = "") -> str:
-    """sha256 (hex) of everything a prediction depends on except its inputs: vehicle values and settings.
+    """sha256 (hex) of everything that a prediction depends on except its inputs: vehicle values and settings.
 
-    model_hash: of the model file, for a model that comes from one.
+    model_hash: hash of the model file, for a model from a file.
     """
     values = {key: float(value).hex() for key, value in asdict(settings).items()}
     content = [vehicle.hash, values, *([model_hash] if model_hash else [])]
@@ -74,24 +75,26 @@ def configuration_hash(vehicle: VehicleParameters, settings: PredictionSettings,
 
 def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState, inputs: ControlInput | InputSequence,
             horizon: float = 5.0, step: float = 0.05, substeps: int = 1) -> Trajectory:
-    """Trajectory of one model from one state: RK4 with a fixed step.
+    """Trajectory of one model from one state, by RK4 with a fixed step; the first of its steps + 1 states is the start.
 
-    inputs: held in the whole horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
-    horizon, step [s]: horizon a whole number of steps. Returns steps + 1 states, the start first. substeps: number >= 1
-    of integration steps in a step, with inputs interpolated linearly; see `stability` for the number needed. NaN in the
-    state or an input gives NaN from there on; a step too long for the stiffness gives large or non-finite numbers,
-    never an exception. Raises StCoreError for inputs of the wrong length.
+    inputs: held over the horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
+    horizon, step [s]: the horizon must be a whole number of steps. substeps: number >= 1 of integration steps per step,
+    with inputs interpolated linearly; see `stability` for the number needed. NaN in the state or an input gives NaN
+    from there on; a step too long for the stiffness gives large or non-finite numbers, never an exception. Raises
+    StCoreError for inputs of the wrong length and for a missing signal.
     """
     model = get_model(model)
     p = model.parameters(vehicle)
-    grid = _grid(model, p, inputs, step_count(horizon, step), substeps)
+    grid = _inputs_on_grid(model, p, inputs, step_count(horizon, step), substeps)
     start = model.start_state(state.as_tuple(), grid[0], p)
     states = integrate.rk4(model.rhs, start, grid, p, step / substeps)[::substeps]
-    # Extra states are internal to the model.
+    # A trajectory has no extra states; they are internal to the model.
     return Trajectory(step, np.ascontiguousarray(np.array(states)[:, :len(STATE_NAMES)]))
 
 
-def _grid(model: Model, p: Any, inputs: ControlInput | InputSequence, steps: int, substeps: int) -> list[tuple]:
+def _inputs_on_grid(model: Model, p: Any, inputs: ControlInput | InputSequence, steps: int,
+                    substeps: int) -> list[tuple]:
+    """w at every half substep of the horizon."""
     given = {} if isinstance(inputs, ControlInput) else inputs.signals
     missing = [name for name in model.signals if name not in given]
     if missing:
@@ -104,7 +107,8 @@ def _grid(model: Model, p: Any, inputs: ControlInput | InputSequence, steps: int
     sampled = [np.asarray(a, float) for a in named.values()]
     for name, values in zip(named, sampled, strict=True):
         if values.shape != (2 * steps + 1,):
-            raise StCoreError(f"{name}: shape {values.shape}, not ({2 * steps + 1},): half-step grid of {steps} steps")
+            raise StCoreError(f"{name}: shape {values.shape}; {steps} steps on the half-step grid need "
+                              f"({2 * steps + 1},)")
     if substeps > 1:
         finer = np.arange(2 * steps * substeps + 1) / substeps
         sampled = [np.interp(finer, np.arange(2 * steps + 1), values) for values in sampled]
@@ -116,7 +120,7 @@ def _grid(model: Model, p: Any, inputs: ControlInput | InputSequence, steps: int
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Start of a prediction: the measured instant [ns], and the CG state and inputs there."""
+    """Start of a prediction: the instant of the measurements [ns], with the state at the CG and the inputs."""
 
     time_ns: int
     state: VehicleState
@@ -125,27 +129,25 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Skip:
-    """No prediction at this tick. kind: stale (an input is missing, stale or invalid) or slow. reason: text for the
-    user.
-    """
+    """No prediction at this time. kind: stale (a measurement is missing, old or invalid) or slow. reason: text."""
 
     kind: Literal["stale", "slow"]
     reason: str
 
 
-# A trajectory from a state and inputs, for one model, car and horizon.
+# Predicts the trajectory from a state and inputs, for one model, car and horizon.
 Runner = Callable[[VehicleState, ControlInput | InputSequence], Trajectory]
 
 
 class Predictor:
-    """The live prediction: measurements in, a start and its trajectories out.
+    """Live prediction: keeps the newest measurements and predicts trajectories from them.
 
-    models: names, or models such as those of a model file. runners: compiled replacements of `predict` by name of the
-    model, with the same results (see compiled.py). Raises ConfigurationError for an unknown or no model, and for one
-    that needs signals which are not measured live.
+    models: names, or models from model files. runners: compiled replacements of `predict`, by name of the model, with
+    the same results (see compiled.py). Raises ConfigurationError if there is no model, for an unknown one, and for one
+    that needs a signal that is not measured live.
     """
 
-    SPAN = 2.0  # s of history, for late samples and the memory of the filter
+    SPAN = 2.0  # s of history, for late samples and the settling of the filter
 
     def __init__(self, vehicle: VehicleParameters, models: Sequence[str | Model],
                  settings: PredictionSettings | None = None, runners: Mapping[str, Runner] | None = None):
@@ -153,7 +155,7 @@ class Predictor:
         self.settings = settings or PredictionSettings()
         self._runners = dict(runners or {})
         if not models:
-            raise ConfigurationError("models: empty; name at least one")
+            raise ConfigurationError("models: empty; name at least one model")
         found = [get_model(model) for model in models]
         for model in found:
             if model.signals:
@@ -168,7 +170,7 @@ class Predictor:
 
     @property
     def frozen_steering(self) -> FrozenAngle | None:
-        """The frozen steering angle: constant although the yaw motion changes; None without this fault."""
+        """The steering angle, if it is constant although the yaw motion changes; else None."""
         return self._frozen.frozen
 
     @property
@@ -198,15 +200,15 @@ class Predictor:
         return self.history.add_steering(time_ns, road_wheel_angle)
 
     def ages(self, now_ns: int) -> dict[str, float]:
-        """Age [s] of the newest sample of each signal; infinite when there is none."""
+        """Age [s] of the newest sample of each signal; infinite if there is none."""
         series = {"INS": self.history.ins, "steering": self.history.steering}
         return {name: math.inf if s.newest is None else (now_ns - s.newest) * NANOSECOND for name, s in series.items()}
 
     def start(self, now_ns: int) -> Start | Skip:
         """The newest instant at which both INS and steering are known, or the reason for making no prediction.
 
-        now_ns: the present, on the clock the samples are stamped with. A sample further in the future than stale_after
-        means that two clocks disagree; it is treated like a stale one.
+        now_ns: present time on the clock of the stamps. A sample that is more than stale_after in the future means that
+        two clocks disagree; it is treated as a stale one.
         """
         limit = self.settings.stale_after
         for name, age in self.ages(now_ns).items():
@@ -228,7 +230,7 @@ class Predictor:
             return Skip("stale", f"INS: position jumps by {jump.size:.2f} m after the newest common instant")
         inputs = self.history.inputs_at(time_ns)
         if inputs is None:
-            return Skip("stale", "INS: forward acceleration not known yet, one sample since a gap")
+            return Skip("stale", "INS: forward acceleration not known yet, only one sample since a gap")
         sample = self.history.ins_at(time_ns)
         assert sample is not None  # known where the inputs are
         state = ins_to_cg(sample, self.vehicle.cg_to_ins_x, self.vehicle.cg_to_ins_y)
@@ -238,6 +240,7 @@ class Predictor:
         return Start(time_ns, state, inputs)
 
     def _newest_common(self) -> int | None:
+        """The newest instant at which both signals are known [ns]."""
         time_ns = self._newest_of_both()
         while time_ns is not None:
             both = self.history.ins.known_until(time_ns)
@@ -261,18 +264,18 @@ class Predictor:
         return "INS and steering: no common instant"
 
     def plan_inputs(self, plan: PlannedInputs, start: Start) -> InputSequence | str:
-        """The inputs of a plan in the horizon, for `run`; or the reason, in one line, why it cannot be used."""
+        """The inputs of a plan over the horizon, for `run`; or the reason, in one line, why it cannot be used."""
         settings = self.settings
         problem = plan_problem(plan, start.time_ns, start.state, start.inputs, settings.horizon, self.vehicle)
         return problem or plan.sequence(start.time_ns, settings.steps, settings.step)
 
     def run(self, start: Start, model: str, ahead: InputSequence | None = None) -> Trajectory:
-        """The trajectory of one model from a start, at the CG of that model (`car`).
+        """The trajectory of one model from a start, at the CG of the model (`car`).
 
         ahead: inputs on the half-step grid of the horizon, from a plan (`plan_inputs`) or a course; None: held inputs.
         """
         if model not in self._views:
-            raise ConfigurationError(f"model {model!r} is not configured; there are {', '.join(self._views)}")
+            raise ConfigurationError(f"model {model!r} is not configured; the models are {', '.join(self._views)}")
         view, settings = self._views[model], self.settings
         state, inputs = ((start.state, start.inputs) if view.plain
                          else view.start(start.time_ns, settings.steps, settings.step))

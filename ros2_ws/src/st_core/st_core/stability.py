@@ -1,8 +1,8 @@
-"""Stability of the integration step at a given stiffness and speed.
+"""Stability of the numerical integration: the longest step at a given stiffness and speed.
 
 The lateral dynamics of a car become stiffer at lower speed: their damping is proportional to C / (m v). Classical
-Runge-Kutta damps a mode with eigenvalue s if |R(h s)| <= 1; otherwise a prediction oscillates, diverges or converges to
-a wrong value. Below minimum_slip_speed the stiffness of the models is constant.
+Runge-Kutta with step h damps a mode with eigenvalue s if its stability function |R(h s)| <= 1; otherwise a prediction
+oscillates, diverges or converges to a wrong value. Below minimum_slip_speed the stiffness of the models is constant.
 """
 
 import math
@@ -49,7 +49,7 @@ def lateral_modes(model: str | Model, vehicle: VehicleParameters, speed: float) 
 
 
 def growth_factor(model: str | Model, vehicle: VehicleParameters, speed: float, step: float) -> float:
-    """Largest growth factor per step [1] of a physically damped mode under Runge-Kutta; <= 1: stable.
+    """Largest growth factor per Runge-Kutta step [1] of the physically damped modes; <= 1: stable.
 
         |1 + z + z^2/2 + z^3/6 + z^4/24|,  z = step * eigenvalue, real part of the eigenvalue < 0
     """
@@ -61,7 +61,7 @@ def growth_factor(model: str | Model, vehicle: VehicleParameters, speed: float, 
 def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: float) -> float:
     """The speed [m/s] above which a step [s] is stable; 0 if stable at all speeds, inf if at none.
 
-    With minimum_slip_speed set low, RK4 at 50 ms needs 2.66 m/s for the Leaf and 3.98 m/s for the Genesis.
+    With a low minimum_slip_speed, RK4 at 50 ms needs 2.66 m/s for the Leaf and 3.98 m/s for the Genesis.
     """
     speeds = np.geomspace(SEARCH_START_SPEED, 0.05, 200)
     unstable = [growth_factor(model, vehicle, v, step) > 1.0 for v in speeds]
@@ -93,9 +93,9 @@ def slip_speed_needed(models: Sequence[str | Model], vehicle: VehicleParameters,
                       step: float) -> float | None:
     """Smallest minimum_slip_speed [m/s], in tenths, with which the models are stable at all speeds [m/s].
 
-    It is larger than `lowest_stable_speed`: below it the damping is constant but the coupling v r of the two modes
-    decreases, which makes one of them faster. None if no permitted value suffices: extra states, such as those of tyre
-    relaxation, have their own stiffness at high speed.
+    It is larger than `lowest_stable_speed`: below it the damping is constant, but the coupling v r of the two modes
+    decreases, which makes one of them faster. None if no permitted value suffices, because extra states, for example of
+    tyre relaxation, are stiff at high speed.
     """
     speeds, models = sorted(speeds), [get_model(model) for model in models]
 
@@ -126,5 +126,5 @@ def warn_if_too_long(model: str | Model, vehicle: VehicleParameters, speeds: Ite
     slip_speed = f"a minimum_slip_speed of {needed:g} m/s in the vehicle file, or " if needed else ""
     warnings.warn(
         f"{model.name} model of {vehicle.name}: integration steps of {step * 1e3:g} ms are too long at {worst:.2f} m/s,"
-        f" the predicted lateral motion is wrong; use {slip_speed}"
+        f" so the predicted lateral motion is wrong; use {slip_speed}"
         f"substeps={substeps_needed(model, vehicle, factors, step)}", StepTooLongWarning, stacklevel=3)

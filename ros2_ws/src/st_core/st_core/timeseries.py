@@ -1,5 +1,4 @@
-"""Signals in time: samples in order of their stamps, interpolation that never crosses a gap, and forward acceleration
-from forward speed.
+"""Signals in time: samples sorted by their stamps, interpolation except in gaps, and forward acceleration from speed.
 
 The acceleration is the derivative of the speed after a first-order Butterworth low-pass. The filter is the continuous
 one, tau y_dot = u - y with tau = 1 / (2 pi f_c), solved exactly for a speed u that is linear between its samples, with
@@ -26,7 +25,7 @@ from .errors import StCoreError
 from .types import wrap_angle
 
 NANOSECOND = 1.0e-9
-# A sample at most this much older than the newest is sorted in; an older one is late and dropped [ns].
+# Samples that are older than the newest by at most this time are sorted in; older ones are late and refused [ns].
 REORDER_WINDOW_NS = 500_000_000
 # After this many consecutive late samples the clock counts as set back, and the series restarts with them.
 JUMP_SAMPLES = 5
@@ -36,11 +35,11 @@ MAXIMUM_SAMPLES = 200_000
 class TimeSeries:
     """The last `span` seconds of a signal: rows of numbers by time in integer nanoseconds.
 
-    columns: names, in row order; a row may be shorter, the owner fills in the remaining columns (NaN until then).
+    columns: names, in row order; an added row may be shorter: the remaining columns are NaN until the owner sets them.
     angles: columns interpolated along the shorter arc. span [s]: at least one second is kept. maximum_gap [s]: between
-    samples further apart the signal is unknown. Memory is bounded by the span and by MAXIMUM_SAMPLES.
+    samples further apart the signal is unknown. The number of samples is limited to MAXIMUM_SAMPLES.
 
-    breaks: by sample time [ns], the reason why nothing is known between the previous sample and this; set by the owner.
+    breaks: by time of a sample [ns], the reason why the signal is unknown since the previous sample; set by the owner.
     """
 
     def __init__(self, columns: Sequence[str], span: float, maximum_gap: float, angles: Sequence[str] = ()):
@@ -79,10 +78,10 @@ class TimeSeries:
         return int(self._times[self._end - 1]) if len(self) else None
 
     def add(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
-        """Add a sample; returns (its position in `rows`, None if it was refused; whether the time jumped back).
+        """Add a sample; returns (its position in `rows`, or None if it was refused; whether the clock was set back).
 
-        A row with NaN, a repeated time and a late sample are refused. After a jump back the series contains only the
-        samples after it, and the position is 0.
+        A row with NaN, a repeated time and a late sample are refused. After the clock was set back, the series contains
+        only the samples since then, and the position is 0.
         """
         if not np.isfinite(row).all():
             return None, False
@@ -131,7 +130,7 @@ class TimeSeries:
             self._first += 1
 
     def _make_room(self) -> None:
-        """Move the samples to the front of the buffers; double these first if more than half full."""
+        """Move the samples to the front of the buffers, which are doubled if more than half full."""
         count = len(self)
         times, rows = self._times, self._rows
         if 2 * count > len(times):
@@ -168,7 +167,7 @@ class TimeSeries:
         return int(times[after - 1]) if after > 0 else None
 
     def _is_joined(self, position: int) -> bool:
-        """Whether the signal is known between the sample there and the one before it."""
+        """Whether the signal is known between the sample at this position and the previous one."""
         if position == 0 or self._times[self._first + position] in self.breaks:
             return False
         return bool(self.times[position] - self.times[position - 1] <= self.maximum_gap_ns)
@@ -194,8 +193,11 @@ def half_step_grid(start_ns: int, steps: int, step: float) -> np.ndarray:
 
 
 class Neighbours(NamedTuple):
-    """Samples around each of some instants: indices of the sample before and at or after it, whether the latter is
-    exactly there, whether the signal is known there, and the fraction of the way from the one to the other."""
+    """Samples around given instants. before, after: index of the last sample before, and the first one from, an instant.
+
+    exact: whether the latter is at the instant. known: whether the signal is known there. fraction: position of the
+    instant between the two samples, 0 to 1.
+    """
 
     before: np.ndarray
     after: np.ndarray
@@ -213,7 +215,7 @@ class Neighbours(NamedTuple):
 def find_neighbours(times: np.ndarray, instants: np.ndarray, gap_ns: int) -> Neighbours:
     """Neighbouring samples of instants of any shape [ns].
 
-    times [ns]: increasing, at least one. gap_ns: a signal is unknown between samples further apart.
+    times [ns]: of the samples, increasing, at least one. gap_ns: between samples further apart the signal is unknown.
     """
     after = np.minimum(np.searchsorted(times, instants), len(times) - 1)
     before = np.maximum(after - 1, 0)
@@ -232,21 +234,24 @@ def interpolate(time_ns: np.ndarray, values: np.ndarray, instants_ns: np.ndarray
 
 
 def low_pass_step(filtered: float, before: float, now: float, spacing: float, cutoff: float) -> tuple[float, float]:
-    """(filtered, derivative) at a sample `now`, `spacing` [s] after `before` with the filtered value `filtered`."""
+    """(filtered value, derivative) at the sample `now`, `spacing` [s] after the sample `before`; see the module.
+
+    filtered: filtered value at `before`. cutoff [Hz].
+    """
     x = 2.0 * math.pi * cutoff * spacing
-    drop = -math.expm1(-x)  # 1 - e
-    g = drop / x
-    result = filtered + drop * (before - filtered) + (1.0 - g) * (now - before)
+    decay = -math.expm1(-x)  # 1 - e
+    g = decay / x
+    result = filtered + decay * (before - filtered) + (1.0 - g) * (now - before)
     return result, (result - filtered) / spacing
 
 
 def filtered_derivative(times_ns: np.ndarray, values: np.ndarray, cutoff: float, maximum_gap: float,
                         mode: Literal["causal", "zero_phase"] = "causal") -> tuple[np.ndarray, np.ndarray]:
-    """(filtered, derivative) of a whole log, arrays as `values`.
+    """(filtered values, derivative) of a whole log, each of the size of `values`.
 
-    causal: the same numbers as `low_pass_step` gives live. zero_phase: the filter forward and backward over each
-    stretch without a gap, then central differences: no delay, twice the attenuation; for logs only.
-    times_ns: increasing [ns], else StCoreError. cutoff [Hz]. maximum_gap [s].
+    causal: the same numbers as from `low_pass_step` in live use. zero_phase: the filter is applied forward and backward
+    between gaps, then central differences are taken: no delay, twice the attenuation; for logs only. cutoff [Hz].
+    maximum_gap [s]. Raises StCoreError if times_ns [ns] is not increasing.
     """
     times_ns, values = np.asarray(times_ns, np.int64), np.asarray(values, float)
     if np.any(np.diff(times_ns) <= 0):
@@ -268,18 +273,19 @@ def filtered_derivative(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
 
 def _filter_causally(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
                      maximum_gap: float) -> tuple[np.ndarray, np.ndarray]:
-    """`low_pass_step` sample by sample, bit for bit; all that does not depend on the previous result is vectorised."""
+    """The results of `low_pass_step`, bit for bit; operations that do not need the previous result are vectorised."""
     spacings_ns = np.diff(times_ns)
     different, which = np.unique(spacings_ns, return_inverse=True)
     x = 2.0 * math.pi * cutoff * (different * NANOSECOND)
-    drops = np.array([-math.expm1(-value) for value in x.tolist()])
-    increments = (1.0 - drops / x)[which] * (values[1:] - values[:-1])
+    decays = np.array([-math.expm1(-value) for value in x.tolist()])
+    increments = (1.0 - decays / x)[which] * (values[1:] - values[:-1])
     after_gap = spacings_ns * NANOSECOND > maximum_gap
     results = values[:1].tolist()
-    for drop, before, increment, now, restarts in zip(drops[which].tolist(), values[:-1].tolist(), increments.tolist(),
-                                                      values[1:].tolist(), after_gap.tolist(), strict=True):
+    for decay, before, increment, now, restarts in zip(decays[which].tolist(), values[:-1].tolist(),
+                                                       increments.tolist(), values[1:].tolist(), after_gap.tolist(),
+                                                       strict=True):
         last = results[-1]
-        results.append(now if restarts else last + drop * (before - last) + increment)
+        results.append(now if restarts else last + decay * (before - last) + increment)
     filtered = np.array(results, float)
     derivative = np.full(len(values), np.nan)
     derivative[1:] = np.where(after_gap, np.nan, (filtered[1:] - filtered[:-1]) / (spacings_ns * NANOSECOND))
@@ -287,7 +293,7 @@ def _filter_causally(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
 
 
 def moving_average(time_ns: np.ndarray, values: np.ndarray, width_ns: int) -> np.ndarray:
-    """Centred mean over `width_ns` about each sample, of fewer samples at the ends."""
+    """Mean of the samples within a window of `width_ns` about each sample; at the ends the window is truncated."""
     total = np.concatenate(([0.0], np.cumsum(values)))
     low, high = _averaging_windows(time_ns, width_ns)
     return (total[high] - total[low]) / (high - low)
@@ -300,6 +306,6 @@ def moving_average_noise_ratio(time_ns: np.ndarray, width_ns: int) -> float:
 
 
 def _averaging_windows(time_ns: np.ndarray, width_ns: int) -> tuple[np.ndarray, np.ndarray]:
-    """(first, end) index of the samples averaged about each sample."""
+    """(index of the first sample, index after the last) of the window about each sample."""
     return (np.searchsorted(time_ns, time_ns - width_ns // 2),
             np.searchsorted(time_ns, time_ns + width_ns // 2, side="right"))

@@ -190,7 +190,7 @@ def test_time_that_jumps_back_ends_what_was_waiting_and_starts_anew(leaf, circle
     feed(evaluator, circle, ANGLE, 1000, 6500)
     scores = evaluator.poll()
     assert [(s.start_ns - T0) // MS for s in scores] == [102_000, 102_000, 900, 900]
-    assert scores[0].incomplete_reason == scores[1].incomplete_reason == "the measurement's time jumped back"
+    assert scores[0].incomplete_reason == scores[1].incomplete_reason == "the time of the measurements jumped back"
     assert scores[2].complete and scores[3].complete
 
 
@@ -213,7 +213,7 @@ def test_memory_stays_bounded_when_nothing_is_ever_measured(leaf, circle):
         evaluator.add_prediction("linear", T0 + i * 100 * MS, path)
     assert evaluator.pending == 30
     scores = evaluator.poll()
-    assert len(scores) == 60 and {s.incomplete_reason for s in scores} == {"more than 30 predictions waiting"}
+    assert len(scores) == 60 and {s.incomplete_reason for s in scores} == {"more than 30 predictions were waiting"}
 
 
 def test_history_keeps_at_least_two_horizons(leaf):

@@ -45,7 +45,7 @@ def test_a_frozen_angle_is_found_and_gone_when_it_moves_again(leaf):
     times = [t for t, _ in found]
     assert 5.0 < times[0] < 9.0 and times[-1] < 12.0
     last = found[-1][1]
-    assert last.angle == pytest.approx(weave(5.0)) and last.seconds == pytest.approx(7.0, abs=0.02)
+    assert last.angle == pytest.approx(weave(5.0)) and last.duration == pytest.approx(7.0, abs=0.02)
     assert last.low < 0.0 < last.high
     assert times == pytest.approx(np.arange(times[0], 11.995, 0.01).tolist())  # told without a break
 

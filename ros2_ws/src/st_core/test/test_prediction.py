@@ -112,7 +112,7 @@ def test_after_a_gap_the_acceleration_takes_one_more_sample(predictor):
     predictor.add_ins(ins(1000))
     for ms in (990, 1000, 1010):
         predictor.add_steering(now(ms), 0.05)
-    assert reason(predictor.start(now(1010))) == "INS: forward acceleration not known yet, one sample since a gap"
+    assert reason(predictor.start(now(1010))) == "INS: forward acceleration not known yet, only one sample since a gap"
     predictor.add_ins(ins(1010))
     assert isinstance(predictor.start(now(1010)), Start)
 
@@ -206,7 +206,7 @@ def test_settings_and_models_are_checked(leaf):
         Predictor(leaf, ["linear", "cubic"])
     only = Predictor(leaf, ["linear"])
     feed(only, 0, 500)
-    with pytest.raises(ConfigurationError, match="'kinematic' is not configured; there are linear"):
+    with pytest.raises(ConfigurationError, match="'kinematic' is not configured; the models are linear"):
         only.run(only.start(now(500)), "kinematic")
 
 

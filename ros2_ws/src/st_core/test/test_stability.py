@@ -91,7 +91,7 @@ def test_the_warning_comes_once_and_says_what_to_do(bare):
     assert len(caught) == 1
     floor, count = slip_speed_needed(["linear"], bare, [2.0, 20.0], STEP), substeps_needed("linear", bare, [2.0], STEP)
     assert str(caught[0].message) == (
-        f"linear model of {bare.name}: integration steps of 50 ms are too long at 2.00 m/s, the predicted "
+        f"linear model of {bare.name}: integration steps of 50 ms are too long at 2.00 m/s, so the predicted "
         f"lateral motion is wrong; use a minimum_slip_speed of {floor:g} m/s in the vehicle file, or substeps={count}")
 
 

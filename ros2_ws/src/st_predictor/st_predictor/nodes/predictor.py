@@ -288,8 +288,8 @@ class PredictorNode(Node):
         frozen = self._core.frozen_steering
         if frozen is None:
             return Check("steering", diagnostics.OK, "consistent with the yaw rate")
-        text = (f"angle constant at {frozen.angle:.4f} rad for {frozen.seconds:.1f} s, but the yaw rate corresponds to "
-                f"{frozen.low:.4f} to {frozen.high:.4f} rad: check whether the sensor is frozen")
+        text = (f"angle constant at {frozen.angle:.4f} rad for {frozen.duration:.1f} s, but the yaw rate corresponds "
+                f"to {frozen.low:.4f} to {frozen.high:.4f} rad: check whether the sensor is frozen")
         return Check("steering", diagnostics.WARN, text)
 
     def close(self) -> None:
