@@ -107,8 +107,8 @@ def _inputs_on_grid(model: Model, p: Any, inputs: ControlInput | InputSequence, 
     sampled = [np.asarray(a, float) for a in named.values()]
     for name, values in zip(named, sampled, strict=True):
         if values.shape != (2 * steps + 1,):
-            raise StCoreError(f"{name}: shape {values.shape}; {steps} steps on the half-step grid need "
-                              f"({2 * steps + 1},)")
+            raise StCoreError(f"{name}: shape {values.shape}, not ({2 * steps + 1},) for the half-step grid of {steps} "
+                              "steps")
     if substeps > 1:
         finer = np.arange(2 * steps * substeps + 1) / substeps
         sampled = [np.interp(finer, np.arange(2 * steps + 1), values) for values in sampled]

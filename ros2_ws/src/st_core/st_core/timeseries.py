@@ -193,7 +193,7 @@ def half_step_grid(start_ns: int, steps: int, step: float) -> np.ndarray:
 
 
 class Neighbours(NamedTuple):
-    """Samples around given instants. before, after: index of the last sample before, and the first one from, an instant.
+    """Samples around given instants. before, after: indices of the last sample before and the first from an instant.
 
     exact: whether the latter is at the instant. known: whether the signal is known there. fraction: position of the
     instant between the two samples, 0 to 1.
