@@ -227,9 +227,9 @@ BAGS: list[tuple[str, Callable[[Path, DriveLog], Path], ReadSettings, str]] = [
     ("no statistics", lambda folder, log: write_bag(folder / "a.mcap", log, use_statistics=False), ReadSettings(), ""),
     ("lz4", lambda folder, log: write_bag(folder / "a.mcap", log, compression=CompressionType.LZ4), ReadSettings(), ""),
     ("stamps zero", lambda folder, log: write_bag(folder / "a.mcap", log, stamps="zero"), ReadSettings(),
-     r"all \d+ stamps of /odom are 0 s; the times of receipt are used"),
+     r"all \d+ stamps of /odom are 0 s; the times of reception are used"),
     ("stamps since boot", lambda folder, log: write_bag(folder / "a.mcap", log, stamps="boot"), ReadSettings(),
-     "have no time in common; the times of receipt are used for both"),
+     "do not overlap in time; the times of reception are used for both"),
     ("twelve splits", splits, ReadSettings(), ""),
     ("own type, degrees, right positive", lambda folder, log: write_bag(folder / "a.mcap", log, own=True),
      ReadSettings(steering=SteeringField("/rack", "angle_deg", "wheel", "deg", -1), odometry="/odom"), ""),
@@ -250,7 +250,7 @@ def test_a_missing_file_of_a_bag_is_named(tmp_path: Path, drive) -> None:
         (tmp_path / f"drive_{k}.mcap").unlink()
     first, second = (read(source, CAR) for source in find_runs([tmp_path]))
     assert not first.warnings
-    assert_warned(second.warnings, "2 files between drive_3.mcap and this one are missing: they are read as separate")
+    assert_warned(second.warnings, "2 files between drive_3.mcap and this one are missing, so these two are")
 
 
 def test_bags_named_by_the_time_of_day_lack_no_file(tmp_path: Path, drive) -> None:
@@ -273,14 +273,14 @@ def test_a_text_export_of_a_recording_in_its_folder_is_no_run(tmp_path: Path, dr
 
 def test_a_bag_of_another_encoding_is_named(tmp_path: Path, drive) -> None:
     file = write_bag(tmp_path / "json.mcap", drive[1], 0, 5, encoding="json")
-    with pytest.raises(RunError, match="its messages are encoded as json, and only CDR of ROS 2 can be read"):
+    with pytest.raises(RunError, match="its messages are encoded as json, but only CDR, the encoding of ROS 2"):
         read(find_runs([file])[0], CAR)
 
 
 def test_another_definition_of_a_known_type_is_named(tmp_path: Path, drive) -> None:
     file = write_bag(tmp_path / "a.mcap", drive[1], 0, 5, compression=CompressionType.NONE, enable_crcs=False)
     file.write_bytes(file.read_bytes().replace(b"Vector3 linear", b"Vector3 planar"))
-    with pytest.raises(RunError, match=r"its definition of nav_msgs/msg/Odometry is not that of ROS 2: .*linear"):
+    with pytest.raises(RunError, match=r"definition of nav_msgs/msg/Odometry differs from the one of .*linear"):
         read(find_runs([file])[0], CAR)
 
 

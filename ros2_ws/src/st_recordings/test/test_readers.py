@@ -47,7 +47,7 @@ def test_a_drive_of_another_ins(tmp_path: Path, another_ins: Reader) -> None:
 def test_import_says_what_it_is_for(tmp_path: Path, another_ins: Reader) -> None:
     leaf = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
     source = RunSource("drive", "another", (tmp_path / "run.other",))
-    with pytest.raises(RunError, match=r"import writes NCOM packets.*this is a run of kind another.*read it directly"):
+    with pytest.raises(RunError, match=r"import converts NCOM packets.*this run is another.*read it directly"):
         import_run(source, leaf, tmp_path / "bag", ReadSettings(), lambda drive: ())
 
 

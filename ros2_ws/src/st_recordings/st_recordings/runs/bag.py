@@ -1,4 +1,4 @@
-"""Reads odometry and steering of rosbag2 recordings (directories, bare .mcap and .db3 files) as a drive."""
+"""Reads the drive in a rosbag2 recording, which is a directory or a single .mcap or .db3 file."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -41,11 +41,11 @@ from .run_types import SteeringField, make_drive_log
 
 KNOWN_TOPICS = ("/ins/", "/vehicle/", "/can/", "/predictor/", "/evaluator/", "/identifier/", "/view/", "/tf",
                 "/diagnostics", "/clock", "/rosout", "/parameter_events", "/events/")
-"""Prefixes of topics that the suite or any ROS system publishes."""
-SUITE_RECORDS = {"recording", "configuration"}  # metadata records with which recorder and evaluator begin
-CLOSING_RECORD = "rosbag2"  # the metadata record that a recorder writes when it ends a recording
+"""Prefixes of the topics that the suite or every ROS system publishes."""
+SUITE_RECORDS = {"recording", "configuration"}  # metadata records that recorder and evaluator write first
+CLOSING_RECORD = "rosbag2"  # metadata record that a recorder writes when it closes a recording
 PREFERRED_TOPICS = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}
-"""Type -> end of the name of the topic to read if several topics have this type."""
+"""Type -> end of the topic name that is preferred among several topics of this type."""
 _ODOMETRY_FIELDS = ("header.stamp", "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation.x",
                     "pose.pose.orientation.y", "pose.pose.orientation.z", "pose.pose.orientation.w",
                     "twist.twist.linear.x", "twist.twist.linear.y", "twist.twist.angular.z")
@@ -54,21 +54,16 @@ _STEERING_FIELDS = ("header.stamp", "steering_wheel_angle", "road_wheel_angle", 
 
 @dataclass(frozen=True)
 class BagDrive:
-    """The drive in a recording.
-
-    topics: type -> topic that was read. records: metadata records, name -> {key: text}. auxiliary: further recorded
-    data, for checks. frame: frame_id of the first odometry. unknown: "topic (type)" of topics that were not read and do
-    not belong to the suite. origin: latitude, longitude [rad] and height [m] of the map origin; None if not recorded.
-    """
+    """The drive in a recording."""
 
     log: DriveLog
-    topics: Mapping[str, str]
-    records: Mapping[str, Mapping[str, str]]
+    topics: Mapping[str, str]  # type -> name of the topic that was read
+    records: Mapping[str, Mapping[str, str]]  # metadata records, name -> {key: text}
     warnings: tuple[str, ...]
-    auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)
-    frame: str = ""
-    unknown: tuple[str, ...] = ()
-    origin: tuple[float, float, float] | None = None
+    auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)  # further recorded data, for checks
+    frame: str = ""  # frame_id of the first odometry
+    unknown: tuple[str, ...] = ()  # "topic (type)" of topics that were not read and that the suite does not publish
+    origin: tuple[float, float, float] | None = None  # of the map: latitude, longitude [rad], altitude [m]
 
 
 def definitions_folder() -> Path:
@@ -82,7 +77,7 @@ def is_bag(path: Path) -> bool:
 
 
 def has_odometry(path: Path) -> bool:
-    """Whether a bag contains odometry, or raw data to reconstruct it from; True if that cannot be decided."""
+    """Whether a bag contains odometry, or raw data from which it is reconstructed; True if undecided."""
     if path.is_dir() and (path / "metadata.yaml").is_file():
         try:
             types = {t["topic_metadata"]["type"] for t in read_information(path)["topics_with_message_count"]}
@@ -97,7 +92,7 @@ def has_odometry(path: Path) -> bool:
 
 
 def lacks_steering(path: Path) -> bool:
-    """Whether a bag has odometry but no steering topic of the suite: its steering may be in a CAN log."""
+    """Whether a bag contains odometry but no steering of the suite, which may then be in a CAN log."""
     try:
         types = {t.type_name for t in open_bag(path).topics() if t.count}
     except RunError:
@@ -107,7 +102,7 @@ def lacks_steering(path: Path) -> bool:
 
 def read_bag(path: Path, name: str | None = None, steering: SteeringField | None = None, odometry: str | None = None,
              splits: Sequence[Path] = ()) -> BagDrive:
-    """Odometry and steering of a recording, or their reconstruction from its raw packets and frames.
+    """Reads odometry and steering of a recording, or reconstructs them from its raw packets and frames.
 
     steering: field with the steering angle, if it is not in st_msgs/Steering. odometry: the topic to read if several
     have the type nav_msgs/Odometry. splits: files of one recording in order, by default the files of `path`.
@@ -155,7 +150,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
 
 
 def read_odometry(path: Path, odometry: str | None = None) -> InsLog:
-    """The INS part of a bag, for a run whose steering is in a CAN log. Raises RunError."""
+    """Reads the INS log in a bag, for a run whose steering is in a CAN log. Raises RunError."""
     storage = open_bag(path)
     store = _build_typestore(storage, storage.topics(), None)
     topic = _find_topic(path, storage.topics(), ODOMETRY, odometry)
@@ -172,17 +167,17 @@ def _build_typestore(storage: Storage, topics: Sequence[Topic], steering: Steeri
 
 def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
                                 columns: dict[str, dict[str, np.ndarray]]) -> list[str]:
-    """Replaces invalid stamps by the times of reception; returns a note on each topic.
+    """Replaces meaningless stamps by the times of reception; returns a note on each replacement.
 
     A driver or simulator may leave header.stamp at a constant value such as 0, or stamp two topics with unrelated
-    clocks; the times of reception are still correct.
+    clocks. The times of reception are correct nevertheless.
     """
     notes = []
     for kind, topic in topics.items():
         stamps = columns[kind]["header.stamp"]
         if len(stamps) > 1 and (stamps == stamps[0]).all():
             columns[kind]["header.stamp"] = _read_log_times(storage, topic, columns[kind])
-            notes.append(f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s; the times of receipt are "
+            notes.append(f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s; the times of reception are "
                          "used")
     if len(topics) > 1 and not any(topic.endswith(RECONSTRUCTED) for topic in topics.values()):
         (a, b), names = (columns[kind]["header.stamp"] for kind in topics), list(topics.values())
@@ -192,19 +187,19 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
             if max(a.min(), b.min()) <= min(a.max(), b.max()):
                 for kind, times in zip(topics, received, strict=True):
                     columns[kind]["header.stamp"] = times
-                notes.append(f"the stamps of {names[0]} and {names[1]} have no time in common; the times of receipt "
+                notes.append(f"the stamps of {names[0]} and {names[1]} do not overlap in time; the times of reception "
                              "are used for both")
     return notes
 
 
 def _read_log_times(storage: Storage, topic: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Time of reception of each message; the header stamps if some messages were not read."""
+    """Times of reception of the messages [ns]; the header stamps if the number of messages differs."""
     times = np.array([log_ns for log_ns, _ in storage.timed_messages(topic)], np.int64)
     return times if len(times) == len(columns["header.stamp"]) else columns["header.stamp"]
 
 
 def open_bag(path: Path, splits: Sequence[Path] = ()) -> Storage:
-    """The storage of a directory, a bare file, or the files of one recording in order. Raises RunError."""
+    """Opens a bag directory, a single storage file, or the files (`splits`) of one recording. Raises RunError."""
     files = splits or ([path] if path.is_file() else storage_files(path))
     for file in files:
         check_readable(file)
@@ -213,20 +208,20 @@ def open_bag(path: Path, splits: Sequence[Path] = ()) -> Storage:
 
 def read_fields(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
                 store: Typestore) -> dict[str, np.ndarray]:
-    """Numeric fields (cdr.Layout) of all messages of a topic. Raises RunError."""
+    """Reads numeric fields (cdr.Layout) of all messages of a topic. Raises RunError."""
     uniform = storage.columns({topic: fields}, store)
     return uniform.get(topic.name) or _read_one_by_one(path, storage, topic, fields, store)
 
 
 def read_metadata_records(path: Path) -> dict[str, dict[str, str]]:
-    """Metadata records of an MCAP recording, written by the recorder or `st import`; empty for other storage."""
+    """Reads the metadata records that the recorder or `st import` wrote to an MCAP recording; empty for SQLite."""
     records = _read_all_metadata_records(path)
     records.pop(CLOSING_RECORD, None)
     return records
 
 
 def was_interrupted(path: Path) -> bool:
-    """Whether the recorder of the suite was stopped before it closed the recording, for instance by a full disk."""
+    """Whether the recorder of the suite ended before it closed the recording, for example because of a full disk."""
     records = _read_all_metadata_records(path)
     return bool(SUITE_RECORDS & records.keys()) and CLOSING_RECORD not in records
 
@@ -251,20 +246,20 @@ def _find_topic(path: Path, topics: Sequence[Topic], type_name: str, name: str |
         named = next((t for t in topics if t.name.lstrip("/") == name.lstrip("/") and t.count), None)
         if named in found:
             return named
-        what = f"is of type {named.type_name}" if named else "is not in the recording"
+        what = f"is of type {named.type_name}" if named else "has no messages in the recording"
         raise RunError(path, f"--odometry-topic: {name} {what}",
                        f"topics of type {type_name}: {', '.join(sorted(t.name for t in found)) or 'none'}")
     if not found:
-        what = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in topics if t.count))[:300] or "nothing"
-        other = ", or name the topic with the angle by --steering-topic" if type_name == STEERING else ""
-        raise RunError(path, f"it contains no message of type {type_name}; recorded: {what}",
-                       f"record the topic {PREFERRED_TOPICS[type_name]} too{other}")
+        recorded = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in topics if t.count))[:300] or "nothing"
+        other = ", or name the topic of the steering angle with --steering-topic" if type_name == STEERING else ""
+        raise RunError(path, f"it contains no message of type {type_name}; recorded: {recorded}",
+                       f"also record the topic {PREFERRED_TOPICS[type_name]}{other}")
     preferred = [t for t in found if t.name.endswith(PREFERRED_TOPICS[type_name])] or found
     if len(preferred) > 1:
         names = ", ".join(sorted(t.name for t in preferred))
         raise RunError(path, f"several topics are of type {type_name}: {names}",
                        "name one of them with --odometry-topic" if type_name == ODOMETRY else
-                       f"record only one of them, or name one .../{PREFERRED_TOPICS[type_name]}")
+                       f"record only one of them, or one whose name ends with {PREFERRED_TOPICS[type_name]}")
     return preferred[0]
 
 
@@ -274,14 +269,14 @@ def _read_one_by_one(path: Path, storage: Storage, topic: Topic, fields: Sequenc
         rows = [[get_field(message, field) for field in fields]
                 for _, message in deserialise(path, storage, topic, store)]
     except AttributeError as error:
-        raise RunError(path, f"its definition of {topic.type_name} is not that of ROS 2: {shorten(error)}",
-                       "name a topic of the right type") from None
+        raise RunError(path, f"its definition of {topic.type_name} differs from the one of ROS 2: {shorten(error)}",
+                       "name a topic whose type has the definition of ROS 2") from None
     return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
 
 def _odometry_rows(odometry: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, int],
                                                                 list[str]]:
-    """(times, INS channels in the rows used, channel -> rows without a usable value, notes)."""
+    """(times [ns] and INS channels of the usable messages, channel -> number of messages without a value, notes)."""
     values = {
         "x": odometry["pose.pose.position.x"], "y": odometry["pose.pose.position.y"],
         "yaw": yaw_from_quaternion(*(odometry[f"pose.pose.orientation.{k}"] for k in "xyzw")),
@@ -296,7 +291,7 @@ def _odometry_rows(odometry: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict
 
 def _drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: Mapping[str, np.ndarray],
                ) -> tuple[DriveLog, dict[str, int], list[str]]:
-    """(log, channel -> rows without a usable value, notes)."""
+    """(log, channel -> number of messages without a usable value, notes)."""
     ins_ns, values, missing, notes = _odometry_rows(odometry)
     good = np.isfinite(steering["road_wheel_angle"]) & steering["valid"].astype(bool)
     missing["road_wheel_angle"] = int((~good).sum())
@@ -311,13 +306,12 @@ def _drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], steeri
 
 def _select_usable_messages(time_ns: np.ndarray, good: np.ndarray,
                             what: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """(strictly ascending times of valid messages, their rows, notes)."""
+    """(strictly ascending times [ns] of the usable messages, their indices, notes)."""
     time = np.asarray(time_ns, np.int64)
-    usable = good & (time != 0)
-    rows = np.flatnonzero(usable)
+    rows = np.flatnonzero(good & (time != 0))
     notes = []
     if (lost := len(time) - len(rows)):
-        missing = "usable value" if (time[good] != 0).all() else "usable value or a stamp"
+        missing = "usable value" if (time[good] != 0).all() else "usable value or no stamp"
         notes.append(f"{format_share(lost, len(time), what)} have no {missing}; they were left out")
     kept, time_notes = select_usable_rows(time[rows], what)
     return time[rows[kept]], rows[kept], [*notes, *time_notes]

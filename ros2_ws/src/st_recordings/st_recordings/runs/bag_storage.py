@@ -1,7 +1,7 @@
-"""The storages of rosbag2 behind one interface: the topics of a recording, and the messages of a topic.
+"""Reads topics, messages and definitions from the storage formats of rosbag2 through one interface.
 
-This module reads MCAP and sqlite3 itself, because rosbags parses every definition in a bag and fails at the first
-unsupported one. rosbags reads the other formats of rosbag2 (compressed files and messages).
+This module reads MCAP and SQLite itself, because rosbags parses every definition in a bag and fails at the first
+unsupported one. rosbags reads bags with compressed files or messages.
 """
 
 import sqlite3
@@ -47,18 +47,19 @@ class Storage(ABC):
 
     @abstractmethod
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
-        """Yields (log time [ns], serialised message), in the order of the file."""
+        """Yields (log time [ns], serialised message) of a topic, in the order of the file."""
 
     @abstractmethod
     def definitions(self) -> dict[str, tuple[str, str]]:
-        """Type -> (ros2msg or ros2idl, definition), for the definitions in the recording."""
+        """Type -> ("ros2msg" or "ros2idl", text), for the message definitions in the recording."""
 
     def messages(self, topic: str) -> Iterator[bytes]:
-        """Yields the serialised messages, in the order of the file."""
+        """Yields the serialised messages of a topic, in the order of the file."""
         return (data for _, data in self.timed_messages(topic))
 
     def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
-        """Numeric fields (cdr.Layout) of all messages, by topic and field. Topics with varying layout are omitted."""
+        """Numeric fields (cdr.Layout) of all messages, by name of topic and field. Topics whose messages have different
+        layouts are omitted."""
         found = {}
         for topic, names in fields.items():
             rows = [np.frombuffer(data, np.uint8) for data in self.messages(topic.name)]
@@ -72,7 +73,7 @@ class Storage(ABC):
 
 
 def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage:
-    """Opens the storage of a bag. Raises RunError for other files and for a file that was not closed."""
+    """Opens a bag. Raises RunError for files of another kind and for a file that was not closed."""
     if path.is_dir() and read_information(path).get("compression_mode"):
         return RosbagsStorage(path, store)
     suffixes = {f.suffix.lower() for f in files}
@@ -80,8 +81,8 @@ def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage
         return McapStorage(files)
     if suffixes == {".db3"}:
         return SqliteStorage(files)
-    raise RunError(path, "this bag contains no storage file (.mcap, .db3), or both kinds",
-                   "give the folder written by `ros2 bag record` or by the recorder")
+    raise RunError(path, "this bag contains no storage file (.mcap, .db3), or files of both kinds",
+                   "give the folder that `ros2 bag record` or the recorder wrote")
 
 
 def _read_listed_files(directory: Path) -> list[str]:
@@ -90,18 +91,15 @@ def _read_listed_files(directory: Path) -> list[str]:
 
 
 def storage_files(directory: Path) -> list[Path]:
-    """Storage files of a bag directory in recording order, from metadata.yaml or else by number."""
+    """Storage files of a bag directory in the order in metadata.yaml, or else in the order of their numbers."""
     files = sorted((f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS), key=natural_sort_key)
     order = {name: k for k, name in enumerate(_read_listed_files(directory))}
     return sorted(files, key=lambda f: order.get(f.name, -1)) if {f.name for f in files} <= order.keys() else files
 
 
 def describe_missing_files(path: Path) -> list[str]:
-    """A note on the missing files of a bag; empty if none is missing.
-
-    Files that metadata.yaml lists can be missing in a bag directory, and earlier files of a numbered recording can be
-    missing beside a single file.
-    """
+    """A note on missing files: those that the metadata.yaml of a bag directory lists, or the files of a numbered
+    recording before a given file. Empty if none is missing."""
     listed = _read_listed_files(path)
     missing = [name for name in listed if not (path / name).is_file()]
     if missing:
@@ -113,8 +111,7 @@ def describe_missing_files(path: Path) -> list[str]:
 def _describe_missing_before(file: Path) -> str:
     """A note on files missing before this one in a numbered recording (drive_1, drive_3); empty if none is missing.
 
-    Files are only reported as missing if the time gap is about as long as that many neighbouring files. Otherwise the
-    files are separate recordings.
+    Files whose time gap is much shorter or longer than the missing files would be are separate recordings.
     """
     stem, _, number = file.stem.rpartition("_")
     numbers = {int(end): other for other in file.parent.iterdir() if other.suffix == file.suffix
@@ -129,11 +126,11 @@ def _describe_missing_before(file: Path) -> str:
     if not 0.5 * count * min(lengths) < own[0] - earlier[1] < 2 * count * max(lengths):
         return ""
     return (f"{count} file{'s' if count > 1 else ''} between {numbers[before].name} and this one "
-            f"{'are' if count > 1 else 'is'} missing: they are read as separate runs")
+            f"{'are' if count > 1 else 'is'} missing, so these two are read as separate runs")
 
 
 def read_time_span(file: Path) -> tuple[int, int] | None:
-    """Log times of the first and last message of a storage file [ns]; None for a file that cannot be read."""
+    """First and last log time [ns] in a storage file; None for a file that is empty or cannot be read."""
     try:
         if file.suffix.lower() == ".db3":
             ((first, last),) = SqliteStorage([file]).query(file, "SELECT MIN(timestamp), MAX(timestamp) FROM messages")
@@ -166,7 +163,8 @@ class McapStorage(Storage):
             encodings |= {channel.message_encoding for channel in channels}
         if encodings and "cdr" not in encodings:
             raise RunError(self._files[0][0], f"its messages are encoded as {', '.join(sorted(map(str, encodings)))}, "
-                           "and only CDR of ROS 2 can be read", "convert it to a ROS 2 bag (ROS 1: rosbags-convert)")
+                           "but only CDR, the encoding of ROS 2, can be read",
+                           "convert it to a ROS 2 bag (from ROS 1 with rosbags-convert)")
 
     def definitions(self) -> dict[str, tuple[str, str]]:
         found: dict[str, tuple[str, str]] = {}
@@ -191,7 +189,7 @@ class McapStorage(Storage):
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         for file, summary in self._files:
             channels = [n for n, c in summary.channels.items() if c.topic == topic] if summary else []
-            if summary is None or len(channels) > 1:  # the channels of several publishers alternate in the file
+            if summary is None or len(channels) > 1:  # each publisher has a channel, and their messages alternate
                 yield from ((message.log_time, message.data) for _, channel, message in self.stream(file)
                             if channel.topic == topic)
                 continue
@@ -226,7 +224,7 @@ class McapStorage(Storage):
             remaining = {number: summary.statistics.channel_message_counts.get(number, 0) for number in channels}
             publishers = Counter(summary.channels[number].topic for number, count in remaining.items() if count)
             for topic, count in publishers.items():
-                by_topic[topic].is_uniform &= count == 1  # the messages of several publishers alternate in the file
+                by_topic[topic].is_uniform &= count == 1  # messages of several publishers alternate, unlike the blocks
             for number, block in self._blocks(file, summary, channels):
                 remaining[number] -= len(block.starts)
                 channels[number].add(block.buffer, block.starts, block.sizes)
@@ -294,7 +292,7 @@ class RosbagsStorage(Storage):
 
 
 class _GatheredFields:
-    """Fields of the messages of one topic, in parts. is_uniform: whether all messages have the layout of the first."""
+    """Collects fields of the messages of one topic. is_uniform: whether all messages have the layout of the first."""
 
     def __init__(self, type_name: str, fields: Sequence[str], store: Typestore):
         self._type_name, self._fields, self._store = type_name, fields, store
@@ -310,7 +308,7 @@ class _GatheredFields:
             try:
                 example = self._store.deserialize_cdr(first, self._type_name)
                 self._layout = Layout(self._store, self._type_name, example)
-            except Exception:  # rosbags passes on exceptions of struct and numpy; reading one by one reports the error
+            except Exception:  # any, from rosbags; reading the messages one by one reports the error
                 self.is_uniform = False
                 return
         layout = self._layout
@@ -323,7 +321,7 @@ class _GatheredFields:
 
 
 def recorded_parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, Any]]:
-    """Parameters by node, from the metadata records of a recording; empty if it has none."""
+    """Node -> parameters, from the metadata records of a recording; empty if they contain none."""
     try:
         document = yaml.safe_load(records.get("configuration", {}).get("parameters.yaml", "")) or {}
         return {node: dict(section["ros__parameters"]) for node, section in document.items()}
@@ -332,8 +330,8 @@ def recorded_parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, d
 
 
 def recorded_text(records: Mapping[str, Mapping[str, str]], file: str) -> str | None:
-    """The text of a configuration file named in the parameters; None if the recording does not include it."""
+    """Text of a configuration file that the parameters name; None if the recording does not contain it."""
     parts = Path("/", file).parts
-    # The records name each file by the shortest end of its path that is unique.
+    # In the records, the key of a file is the shortest end of its path that is unique.
     return next((text for key, text in records.get("configuration", {}).items()
                  if file and parts[-len(Path(key).parts):] == Path(key).parts), None)

@@ -1,8 +1,7 @@
-"""Converts ROS messages between columns and serialised bytes (CDR) without a Python object per message, and reads
-columns directly from the chunks of an MCAP file.
+"""Converts ROS messages between columns of numbers and serialised bytes (CDR), and reads messages of an MCAP file.
 
-Messages of one type whose texts and sequence lengths are equal have the same byte layout. The offset of each number
-follows from the definition and one example.
+Messages of one type have the same byte layout if their texts and the lengths of their sequences are equal. The offset
+of each number follows from the definition and one example, so no Python object per message is needed.
 """
 
 import os
@@ -33,13 +32,13 @@ from rosbags.typesys.store import Typestore
 ODOMETRY, STEERING = "nav_msgs/msg/Odometry", "st_msgs/msg/Steering"
 NCOM, WHEEL_SPEEDS, CAN_FRAMES = "st_msgs/msg/Ncom", "st_msgs/msg/WheelSpeeds", "st_msgs/msg/CanFrames"
 INS_ON_CAN, INS_STATUS = "st_msgs/msg/InsOnCan", "st_msgs/msg/InsStatus"
-# Signals of the CAN table -> fields of st_msgs/WheelSpeeds.
+# Signal of the signal table -> field of st_msgs/WheelSpeeds.
 WHEEL_FIELDS = {"wheel_speed_front_left": "front_left", "wheel_speed_front_right": "front_right",
                 "wheel_speed_rear_left": "rear_left", "wheel_speed_rear_right": "rear_right",
                 "vehicle_speed": "vehicle_speed"}
 READ_ERRORS = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, OSError, OverflowError, MemoryError,
                McapError)
-"""Exceptions raised by reading an MCAP file that is damaged or contradicts its index."""
+"""Exceptions that are raised while reading an MCAP file that is damaged or contradicts its index."""
 _DTYPES = {"float64": "<f8", "float32": "<f4", "int64": "<i8", "uint64": "<u8", "int32": "<i4", "uint32": "<u4",
            "int16": "<i2", "uint16": "<u2", "int8": "i1", "uint8": "u1", "byte": "u1", "char": "u1", "bool": "?"}
 _ENCAPSULATION = 4  # bytes before the body; alignment is relative to the body
@@ -49,7 +48,7 @@ _MESSAGE_HEAD = _RECORD_HEAD + 22  # channel, sequence, log time, publish time
 
 @cache
 def load_typestore(definitions: Path) -> Typestore:
-    """Message types of ROS 2 Jazzy and of the .msg files in a folder <package>/msg."""
+    """Loads the message types of ROS 2 Jazzy and of the .msg files in a folder <package>/msg."""
     store = get_typestore(Stores.ROS2_JAZZY)
     package = definitions.parent.name
     types: dict[str, Any] = {}
@@ -60,10 +59,10 @@ def load_typestore(definitions: Path) -> Typestore:
 
 
 def add_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]], types: Iterable[str]) -> Typestore:
-    """The store with the given types replaced by the recorded definitions; the same store if none differs.
+    """A store in which recorded definitions replace those of the given types; the same store if none differs.
 
-    definitions: definitions in the recording (bag_storage.Storage.definitions). One that cannot be parsed is ignored;
-    the type then remains as in the store, or unknown.
+    definitions: definitions in the recording (bag_storage.Storage.definitions). A definition that cannot be parsed is
+    ignored: its type remains as in the store, or unknown.
     """
     recorded: dict[str, Any] = {}
     for name in types:
@@ -71,7 +70,7 @@ def add_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]]
         try:
             if text:
                 recorded |= get_types_from_idl(text) if encoding == "ros2idl" else get_types_from_msg(text, name)
-        except Exception:  # rosbags passes on every exception of its parser
+        except Exception:  # any, from the parser of rosbags
             continue
     if all(name in store.fielddefs and _normalise(store.fielddefs[name][1]) == _normalise(fields)
            for name, (_, fields) in recorded.items()):
@@ -79,7 +78,7 @@ def add_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]]
     merged = get_typestore(Stores.EMPTY)
     try:
         merged.register({**store.fielddefs, **recorded})
-    except Exception:  # as above: a definition that contradicts itself
+    except Exception:  # any, from rosbags: a definition contradicts itself
         return store
     return merged
 
@@ -104,8 +103,8 @@ class Field:
 class Layout:
     """Byte layout of the messages of one type that have the texts and sequence lengths of an example.
 
-    template: the example, serialised. fields: path, such as "pose.pose.position.x", -> position of the number. A time
-    is one field with its own path ("header.stamp"): ns in columns, sec and nanosec in the message.
+    template: the serialised example. fields: path, such as "pose.pose.position.x" -> position of the number. A time is
+    one field ("header.stamp"): nanoseconds in columns, sec and nanosec in the message.
     """
 
     def __init__(self, store: Typestore, type_name: str, example: Any):
@@ -122,7 +121,7 @@ class Layout:
             self._fixed[field.offset : field.offset + field.width] = False
 
     def _walk(self, type_name: str, value: Any, path: str, at: int) -> int:
-        """Adds the fields of a (nested) message at byte `at`; returns its end. Both are relative to the body."""
+        """Adds the fields of a (nested) message at byte `at` of the body; returns the byte of the body at its end."""
         if type_name in ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"):
             at = _align(at, 4)
             self.fields[path] = Field(at + _ENCAPSULATION, "<i4", 2)
@@ -154,7 +153,7 @@ class Layout:
         return field.offset - _ENCAPSULATION + field.width
 
     def rows(self, n: int, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Serialised messages, (n, length) uint8; fields without a column have the values of the example.
+        """Serialises n messages, (n, length) uint8; fields without a column have the values of the example.
 
         columns: path -> (n,) or (n, count); times in ns.
         """
@@ -177,14 +176,14 @@ class Layout:
         return values if field.count > 1 else values[:, 0]
 
     def fits(self, buffer: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> bool:
-        """Whether the messages at `starts`, of `sizes` bytes, have this layout: the texts and sequence lengths of the
-        example. The middleware pads messages to a multiple of four bytes."""
+        """Whether the messages at `starts`, of `sizes` bytes, have this layout. The middleware pads messages to a
+        multiple of four bytes."""
         sized = ((sizes >= len(self.template)) & (sizes < len(self.template) + 4)).all()
         return bool(sized) and all((buffer[starts + k] == self.template[k]).all() for k in np.nonzero(self._fixed)[0])
 
 
 def get_field(message: Any, path: str) -> Any:
-    """The field of a deserialised message at a path; times in ns."""
+    """Gets the field of a deserialised message at a path; times in ns."""
     for part in path.split("."):
         message = getattr(message, part)
     return message.sec * 1_000_000_000 + message.nanosec if path.endswith("stamp") else message
@@ -196,7 +195,7 @@ def _align(at: int, size: int) -> int:
 
 @dataclass(frozen=True)
 class Block:
-    """Messages of one channel in one chunk: they begin at `starts` in `buffer` (uint8) and are `sizes` bytes long."""
+    """Messages of one channel in one chunk, which begin at `starts` in `buffer` (uint8) and are `sizes` bytes long."""
 
     buffer: np.ndarray
     starts: np.ndarray
@@ -205,10 +204,10 @@ class Block:
 
 
 def read_summary(path: Path) -> Summary | None:
-    """Channels, schemas and chunks of a file that was closed.
+    """Reads channels, schemas and chunk indexes of an MCAP file that was closed.
 
-    None for a file without a complete index: truncated, not MCAP, or written without message index or without channels
-    and schemas after the data.
+    Returns None for a file without a complete index: truncated, not MCAP, or written without message indexes or without
+    channels and schemas in its summary.
     """
     try:
         with path.open("rb") as stream:
@@ -219,9 +218,9 @@ def read_summary(path: Path) -> Summary | None:
         return None
     counts = summary.statistics.channel_message_counts
     indexed = set().union(*(chunk.message_index_offsets for chunk in summary.chunk_indexes))
-    known = all(number in summary.channels for number, count in counts.items() if count)
-    named = all(c.schema_id in summary.schemas or not c.schema_id for c in summary.channels.values())
-    is_complete = known and named and indexed >= {number for number, count in counts.items() if count}
+    has_channels = all(number in summary.channels for number, count in counts.items() if count)
+    has_schemas = all(c.schema_id in summary.schemas or not c.schema_id for c in summary.channels.values())
+    is_complete = has_channels and has_schemas and indexed >= {number for number, count in counts.items() if count}
     return summary if is_complete and sum(counts.values()) == summary.statistics.message_count else None
 
 
@@ -238,7 +237,7 @@ def read_blocks(path: Path, summary: Summary, channels: Collection[int]) -> Iter
 
 
 def _decompress_chunks(stream: BinaryIO, chunks: Sequence[ChunkIndex]) -> Iterator[tuple[ChunkIndex, bytes]]:
-    """Yields chunks with their content. A thread decompresses one chunk ahead, since this releases the GIL."""
+    """Yields chunks with their content. A thread decompresses the next chunk, which releases the GIL."""
     with ThreadPoolExecutor(1) as pool:
         pending: deque[tuple[ChunkIndex, Future[bytes]]] = deque()
         for chunk in chunks:

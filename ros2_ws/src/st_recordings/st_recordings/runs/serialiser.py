@@ -1,4 +1,4 @@
-"""Serialises the columns of a raw run as messages of the suite, ready to be written."""
+"""Serialises the columns of a raw run as ROS messages of the suite."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -17,14 +17,14 @@ from .frames import ERROR, EXTENDED, FD, FRAME_HEAD_LENGTH, REMOTE, Frames
 from .ncom import ACCURACIES, NcomLog, decode_status_channel, select_latest_values
 
 UNKNOWN_VARIANCE = 1e6
-"""As in oxts_bridge.convert: so large that filters ignore the value, and finite so that they do not fail."""
+"""As in oxts_bridge.convert: large enough that filters ignore the value, but finite so that they do not fail."""
 MAP_FRAME, INS_FRAME = "map", "ins_link"
 CAN_PERIOD_NS = 20_000_000
-"""Time span of one can/frames message, as in the live bridge."""
+"""Period of the can/frames messages, as in the live bridge."""
 
 
 class Covariances:
-    """Odometry covariances from the accuracies in one file; each is valid from its packet until the next."""
+    """Covariances of odometry, from the accuracies in a file. Each accuracy is valid until the next one is sent."""
 
     def __init__(self, columns: Columns):
         self._accuracies = {}
@@ -35,8 +35,8 @@ class Covariances:
     def of(self, ins: NcomLog, rows: slice) -> tuple[np.ndarray, np.ndarray]:
         """(pose, twist) covariances, (n, 36) each, for rows of the log.
 
-        Pose: east, north, up, then rotations about the fixed axes. Twist: body axes. Variances that the unit does
-        not report, and those of angular rates, are UNKNOWN_VARIANCE.
+        The axes of the pose are east, north, up, and rotations about these fixed axes; the twist is in body axes.
+        Variances that the unit does not report, and those of angular rates, are UNKNOWN_VARIANCE.
         """
         packets = ins.rows[rows]
         yaw, pitch, roll = (a[rows] for a in (ins.yaw, ins.pitch, ins.roll))
@@ -49,7 +49,7 @@ class Covariances:
         return pose.reshape(-1, 36), twist.reshape(-1, 36)
 
     def _rotated(self, channel: int, packets: np.ndarray, axes: Rotation) -> np.ndarray:
-        """R^T diag(variance) R, (n, 3, 3), of the accuracies of a channel."""
+        """Covariances R^T diag(variance) R, (n, 3, 3), from the accuracies in a status channel."""
         deviation = select_latest_values(*self._accuracies[channel], packets)
         known = np.isfinite(deviation).all(axis=1)[:, None, None]
         rotated = np.einsum("nij,ni,nik->njk", axes.as_matrix(), np.nan_to_num(deviation) ** 2, axes.as_matrix())
@@ -57,17 +57,17 @@ class Covariances:
 
 
 def body_to_map_rotation(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> Rotation:
-    """The rotation from body axes to map axes, Rz(yaw) Ry(pitch) Rx(roll), angles [rad]."""
+    """Rotation from body axes to map axes, Rz(yaw) Ry(pitch) Rx(roll), angles [rad]."""
     return Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1))
 
 
 @dataclass(frozen=True)
 class Messages:
-    """Messages of one topic in order of time: message k is data[edges[k]:edges[k + 1]]. time_ns: their log times."""
+    """Serialised messages of one topic in order of time. Message k is data[edges[k] : edges[k + 1]]."""
 
     topic: str
     type_name: str
-    time_ns: np.ndarray
+    time_ns: np.ndarray  # log times
     data: memoryview
     edges: np.ndarray
 
@@ -76,15 +76,14 @@ class Messages:
 
 
 class Serialiser:
-    """Serialises the messages of a run."""
+    """Serialises the messages of a run, with a store of the types of ROS and of the suite."""
 
     def __init__(self, store: Typestore):
-        """store: types of ROS and of the suite."""
         self._store = store
         self._layouts: dict[str, Layout] = {}
 
     def _blank(self, type_name: str, **texts: str) -> Any:
-        """A message of zeros. texts: by member of the message or its header."""
+        """A message of zeros. texts: name of a string field of the message or of its header -> text."""
         values: dict[str, Any] = {}
         fields: Any = self._store.fielddefs[type_name][1]
         for name, (node, detail) in fields:
@@ -119,18 +118,21 @@ class Serialiser:
         return self._messages("/ins/odometry", ODOMETRY, columns, frame_id=MAP_FRAME, child_frame_id=INS_FRAME)
 
     def ncom(self, raw: np.ndarray, time_ns: np.ndarray) -> Messages:
-        """Raw packets. raw: (n, 72) uint8."""
+        """Raw packets, given as (n, 72) uint8."""
         return self._messages("/ins/ncom", NCOM, {"header.stamp": time_ns, "raw_packet": raw}, frame_id=INS_FRAME)
 
     def steering(self, time_ns: np.ndarray, wheel: np.ndarray, valid: np.ndarray,
                  vehicle: VehicleParameters) -> Messages:
-        """Steering angles. wheel: steering wheel angle, sign applied [rad]."""
+        """Steering angles. wheel: steering wheel angle [rad], left positive, offset not removed."""
         return self._messages("/vehicle/steering", STEERING, {
             "header.stamp": time_ns, "steering_wheel_angle": wheel, "road_wheel_angle": vehicle.road_wheel_angle(wheel),
             "valid": valid})
 
     def wheel_speeds(self, message: str, signals: CanSignals, to_reference: Any) -> Messages:
-        """Wheel speeds, one message per frame of a CAN message; NaN for speeds that are not in the frame."""
+        """Wheel speeds, one ROS message per frame of a CAN message; NaN for speeds that are not in the frame.
+
+        to_reference: converts log times to times of the result.
+        """
         wheels = {field: signals.signals[name, message] for name, field in WHEEL_FIELDS.items()
                   if (name, message) in signals.signals}
         first = next(iter(wheels.values()))
@@ -140,9 +142,9 @@ class Serialiser:
             **{field: signal.values for field, signal in wheels.items()}})
 
     def can_frames(self, frames: Frames, time_ns: np.ndarray, bus_name: str) -> Messages:
-        """Frames of one bus, in messages of CAN_PERIOD_NS. time_ns: of each frame, ascending.
+        """Frames of one bus, one message per CAN_PERIOD_NS. time_ns: ascending times of the frames.
 
-        Each frame is a head (stamp, id, four flags, length of the data) and its data, padded to 4 bytes.
+        Each frame consists of a head (stamp, id, four flags, length of the data) and its data, padded to 4 bytes.
         """
         n = len(frames)
         width = FRAME_HEAD_LENGTH + frames.payload.shape[1]
@@ -170,7 +172,7 @@ class Serialiser:
             head[8:12] = (at % 1_000_000_000).to_bytes(4, "little")
             head[-4:] = (last - first).to_bytes(4, "little")
             data += head
-            # The last frame of a message is not padded.
+            # CDR does not pad the last frame of a message.
             padding = int(padded[last - 1] - FRAME_HEAD_LENGTH - length[last - 1])
             data += body[starts[first] : starts[last] - padding].tobytes()
             edges.append(len(data))

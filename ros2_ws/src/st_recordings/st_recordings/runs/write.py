@@ -1,4 +1,4 @@
-"""Writes a raw run as one rosbag2 MCAP on the INS clock (`st import`)."""
+"""Writes a run of NCOM packets and CAN frames as a rosbag2 recording on the INS clock (`st import`)."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -26,19 +26,18 @@ from .serialiser import Covariances, Messages, Serialiser, merge_in_time_order
 TOPICS = {"/ins/odometry": ODOMETRY, "/ins/ncom": NCOM, "/vehicle/steering": STEERING,
           "/vehicle/wheel_speeds": WHEEL_SPEEDS, "/can/frames": CAN_FRAMES}
 BLOCK_NS = 20 * 10**9
-"""Duration of the part of the drive that is serialised at once, to limit the memory."""
+"""Duration [ns] of the part of a run that is serialised at once, to limit the use of memory."""
 TIME_MARGIN_NS = 60 * 10**9
-"""Time from the fixes [ns] above which the time of a packet is wrong."""
+"""A packet whose time is further before the first or after the last fix [ns] has a wrong time."""
 
 
 @dataclass(frozen=True)
 class Imported:
-    """Result of an import. directory: of the bag. counts: messages per topic. span: from first to last message [s].
-    findings: of the checks."""
+    """Result of an import."""
 
-    directory: Path
-    counts: dict[str, int]
-    span: float
+    directory: Path  # of the bag
+    counts: dict[str, int]  # messages by topic
+    span: float  # time from the first to the last message [s]
     run: RawRun
     warnings: tuple[str, ...]
     findings: tuple[Finding, ...] = ()
@@ -47,15 +46,20 @@ class Imported:
 def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, settings: ReadSettings,
                check: Callable[[LoadedRun], Sequence[Finding]], progress: Callable[[float], None] | None = None
                ) -> Imported:
-    """Reads and checks a run of raw files and writes it as a bag.
+    """Reads and checks a run of NCOM packets and CAN frames, and writes it as a bag.
 
-    vehicle: for the road wheel angle. directory: of the new bag. check: returns the findings on a drive; raises
-    RunError for one that must not be written. progress: called with the fraction completed, 0 to 1. Raises RunError for
-    a run that cannot be read or aligned, one that is rejected, or a bag that cannot be written.
+    Args:
+        vehicle: gives the steering ratio and offset for the road wheel angle.
+        directory: of the new bag.
+        check: returns the findings on a drive; raises RunError for a drive that must not be written.
+        progress: called with the completed fraction, 0 to 1.
+
+    Raises:
+        RunError: the run cannot be read or aligned, is rejected by `check`, or the bag cannot be written.
     """
     if source.problem is None and source.kind != "ncom":
-        raise RunError(source.where, f"import writes NCOM packets and CAN frames; this is a run of kind {source.kind}",
-                       "evaluate, check, identify and discover read it directly")
+        raise RunError(source.where, f"st import converts NCOM packets and CAN frames, but this run is {source.kind}",
+                       "use it without conversion: st evaluate, check, identify and discover read it directly")
     run = read_raw(source, settings, read_ins)
     drive = apply_run_file(source, build_drive(source, vehicle, settings, run), vehicle)
     uncovered_time = check_coverage(source, drive.log)
@@ -79,24 +83,24 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     finally:
         writer.close()
     if writer.error:
-        raise RunError(directory, writer.error, "free some space and import again")
+        raise RunError(directory, writer.error, "check the disk and import again")
     warnings = [*drive.warnings, *uncovered_time]
     if drive.auxiliary.corrected:
-        warnings.append(f"{directory}: contains the uncorrected data; copy the corrections of the run.yaml to a "
-                        "run.yaml for the bag (bag: ...)")
+        warnings.append(f"{directory}: the bag contains uncorrected data; copy the corrections of the run.yaml to a "
+                        "run.yaml of the bag (bag: ...)")
     return Imported(directory, counts, (blocks.end_ns - blocks.start_ns) * 1e-9, run, tuple(warnings), findings)
 
 
 class _MessageBlocks:
-    """All messages of a run, some seconds at a time."""
+    """Serialises the messages of a run, some seconds at a time."""
 
     def __init__(self, run: RawRun, vehicle: VehicleParameters, settings: ReadSettings, serialiser: Serialiser):
         self._run, self._vehicle, self._settings, self._serialiser = run, vehicle, settings, serialiser
         assert isinstance(run.ins, NcomLog) and run.steering is not None  # import_run reads no other
         self._ins, self._steering, columns = run.ins, run.steering, run.ins.columns
         self._covariances = Covariances(columns)
-        structure_b = columns.navigation_status == 11
-        self._packets = np.nonzero(~structure_b)[0]
+        is_structure_b = columns.navigation_status == 11  # a packet without regular navigation data
+        self._packets = np.nonzero(~is_structure_b)[0]
         self._packet_ns = _make_monotonic(columns.utc_ns[self._packets], run.ins.time_ns)
         to_reference = run.alignment.to_reference_ns
         self._frame_ns = to_reference(run.can.frames.time_ns)
@@ -110,6 +114,7 @@ class _MessageBlocks:
         self.end_ns = max(int(t[-1]) for t in times if len(t))
 
     def messages(self, start_ns: int, end_ns: int) -> list[Messages]:
+        """The messages with start_ns <= time < end_ns, by topic."""
         run, serialiser = self._run, self._serialiser
         parts = [serialiser.odometry(self._ins, _select_between(run.ins.time_ns, start_ns, end_ns), self._covariances)]
         rows = _select_between(self._packet_ns, start_ns, end_ns)
@@ -134,7 +139,7 @@ def _select_between(time_ns: np.ndarray, start_ns: int, end_ns: int) -> slice:
 
 
 def _make_monotonic(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
-    """Monotonic times of the packets; a packet without a time near the fixes gets that of the previous one."""
+    """Makes the times of packets monotonic; a packet without a time near the fixes gets that of the previous one."""
     known = utc_ns != file_decoder.UNKNOWN_TIME
     near = known & (utc_ns >= fix_ns[0] - TIME_MARGIN_NS) & (utc_ns <= fix_ns[-1] + TIME_MARGIN_NS)
     first = int(utc_ns[near].min()) if near.any() else int(fix_ns[0])
