@@ -34,7 +34,7 @@ def test_calibrate_names_excluded_runs_and_states_the_levels(folder):
     base, result = folder
     assert result.exit_code == 1, result.output
     text = " ".join(result.output.split())
-    assert "one horizon is 5 s" in text and "has the same content as" in text
+    assert "less than the horizon of 5 s" in text and "has the same content as" in text
     assert "bands of linear from 10 runs" in text and "10 runs support at most 90.9%" in text
     assert "recordings:" in (base / "bands.yaml").read_text()
 

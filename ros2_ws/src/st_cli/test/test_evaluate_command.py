@@ -35,7 +35,7 @@ def folder(tmp_path_factory):
 def test_bad_runs_are_named_and_the_others_go_on(folder):
     base, result = folder
     assert result.exit_code == 1
-    assert "no such file" in result.output and "a horizon is 5 s" in result.output
+    assert "no such file" in result.output and "the horizon of 5 s" in result.output
     content = json.loads((base / "out" / "evaluation.json").read_text())
     assert set(content["failed"]) == {"short", "no such file"} and len(content["runs"]) == 2
 
@@ -146,7 +146,7 @@ def test_nothing_to_evaluate_leaves_nothing(folder, tmp_path, run, words):
 def test_runs_of_which_none_can_be_evaluated_leave_no_report(folder, tmp_path):
     base, _ = folder
     result = evaluate(base / "data" / "short.csv", "--output", tmp_path / "o")
-    assert result.exit_code == 2 and "no run can be used: " in result.output and "a horizon is 5 s" in result.output
+    assert result.exit_code == 2 and "no run can be used: " in result.output and "the horizon of 5 s" in result.output
     assert not list((tmp_path / "o").iterdir())
 
 

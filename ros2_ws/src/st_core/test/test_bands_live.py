@@ -88,7 +88,7 @@ def test_live_states_what_the_file_states_of_the_recorded_drive(bands, logs):
 def test_no_band_where_the_steering_before_is_not_known_or_the_conditions_were_never_calibrated(bands):
     live = LiveBands(bands, MODELS)
     assert not live((10.0, 1.0, 0.5, math.nan)) and not live((35.0, 0.1, 0.1, 0.01))
-    assert "steering activity not known" in live.describe_outside((10.0, 1.0, 0.5, math.nan))
+    assert "steering activity is unknown" in live.describe_outside((10.0, 1.0, 0.5, math.nan))
     assert "35.0 m/s" in live.describe_outside((35.0, 0.1, 0.1, 0.01))
     empty = MeasurementHistory(2.0, 0.1, 5.0)
     assert np.isnan(conditions_now(empty, SECOND)).all()

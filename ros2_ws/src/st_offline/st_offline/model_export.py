@@ -12,7 +12,7 @@ from st_core.augmented import AugmentedModel
 from st_core.backends.casadi_backend import SymbolicModel, Variable, build
 from st_core.bands import LEVELS, Band, Bands
 from st_core.bands.conditions import magnitudes
-from st_core.bands.scale import features_of_one, floor_at, interpolation
+from st_core.bands.scale import features_of_one, floor_at, interpolation_matrix
 from st_core.errors import ConfigurationError
 from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
@@ -150,7 +150,7 @@ def half_width_function(band: Band, level: float, vehicle: VehicleParameters,
     velocity_x = x[2] - x[5] * vehicle.cg_to_ins_y
     phi = casadi.vertcat(*features_of_one(magnitudes(velocity_x, x[5], u[1], activity), casadi.log, casadi.fmax))
     scale = band.scale
-    between, floor = interpolation(scale.knots, scale.time), floor_at(scale.floor, scale.time)
+    between, floor = interpolation_matrix(scale.knots, scale.time), floor_at(scale.floor, scale.time)
     columns = []
     for axis, coefficients in enumerate(scale.coefficients):
         at_knots = casadi.fmin(casadi.fmax(2.0 * casadi.DM(coefficients) @ phi, -MAX_LOG), MAX_LOG)

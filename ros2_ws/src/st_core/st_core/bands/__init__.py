@@ -1,8 +1,8 @@
 """Prediction bands: regions around a predicted path that contain the whole measured path with a given probability.
 
-For every model, mode and level: half-widths along, across and in yaw at every point of the horizon. Bands of mode
-hindsight cover the error of the model alone, of forecast also that of the assumed driver inputs. Calibrated on the
-errors of recorded drives (`error_samples`, `calibrate`) and stored in a file (`Bands`). docs/manual/bands.md.
+A band has half-widths along, across and in yaw at every point of the horizon, for every model, mode and level. In
+hindsight it covers the error of the model alone, in a forecast also the error of the assumed driver inputs. Bands are
+calibrated on errors of recorded drives (`error_samples`, `calibrate`) and stored in a file (`Bands`).
 """
 
 from .adaptive import AdaptiveBand

@@ -1,18 +1,18 @@
-"""Adaptive bands: the factor of a band follows the scores of earlier predictions, which arrive a horizon later.
+"""Adaptive bands: the scores of earlier predictions, which arrive one horizon later, correct the factor of a band.
 
 For one model, mode and level with half-widths c s(t), and the score S = max over t, a of |e_a(t)| / s_a(t):
 
     log c  <-  log c + g w (1{S > c_issued} - (1 - level)),         w: time since the previous score [s], at most 1 s
 
-c_issued is the factor that was issued with the prediction. For any distribution of the errors, in T seconds in which
-c stays within [MIN, MAX], the fraction of time outside differs from 1 - level by no more than
+c_issued is the factor that was issued with the prediction. For any distribution of the errors, the fraction of time
+outside the band during T seconds, in which c stays within [MIN, MAX], differs from 1 - level by no more than
 
     (log(MAX / MIN) + g D) / (g T),         D: horizon [s]
 
-so long-run coverage is guaranteed, but not that of the next prediction or of a minute. g decreases from START_GAIN to
-GAIN with the time constant SETTLING, so that a wrong initial factor is corrected fast. The scale is the calibrated one,
-or without a calibration the exponentially weighted root mean square of the errors (SCALE_FORGETTING). Every process and
-run starts with the calibrated factors (or DEFAULT_FACTORS); earlier corrections are not kept.
+This guarantees the coverage in the long run, but not for the next prediction or a single minute. The gain g decreases
+from START_GAIN to GAIN with the time constant SETTLING, to correct a wrong initial factor fast. Without a calibrated
+scale, the exponentially weighted root mean square of the errors is used (SCALE_FORGETTING). Every run starts with the
+calibrated factors (or DEFAULT_FACTORS); corrections of earlier runs are not stored.
 Source: Gibbs and Candes, Adaptive conformal inference under distribution shift, NeurIPS 2021; as a quantile tracker:
 Angelopoulos, Candes and Tibshirani, Conformal PID control for time series prediction, NeurIPS 2023. Checked by:
 test_bands_adaptive.py.
@@ -28,24 +28,24 @@ from ..timeseries import NANOSECOND
 from .calibration import LEVELS, Band
 
 GAIN, START_GAIN, SETTLING = 0.1, 0.3, 30.0
-"""1/s, 1/s, s. Errors outside a 90 % band for 5 s widen it by 57 %: fast enough for a run of two minutes, and 5 % wider
-than the best fixed factor (docs/manual/bands.md)."""
+"""1/s, 1/s, s. Errors outside a 90 % band for 5 s widen it by 57 %. This is fast enough for a run of two minutes, and
+makes the band 5 % wider than the best constant factor (docs/manual/bands.md)."""
 MIN_FACTOR, MAX_FACTOR = 0.05, 100.0
-"""From sensor noise to the size of a road: no finite prediction exceeds these limits for long."""
+"""Limits that correspond to sensor noise and to the size of a road."""
 DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}
-"""Without a calibration: median and 90 % quantile of the largest of 300 correlated normal errors of unit scale."""
-SCALE_FORGETTING = 120.0  # s: two minutes contain most manoeuvres of a driver on a road
+"""Factors without a calibration: median and 90 % quantile of the largest of 300 correlated normal errors."""
+SCALE_FORGETTING = 120.0  # s; two minutes contain most manoeuvres of a driver on a road
 DEFAULT_SCALE = (0.3, 0.3, 0.02)
-"""m, m, rad at 1 s ahead, growing with the square of the time: initial values, replaced within the first horizons."""
+"""m, m, rad. Initial scale at 1 s ahead, proportional to the squared time; observed errors soon replace it."""
 WARM_UP = 120.0  # s of scored driving before a band without a calibration is issued
-MAX_WEIGHT = 1.0  # s, of driving that one score counts for, also after a pause
+MAX_WEIGHT = 1.0  # s; longest time that one score represents, also after a pause
+
+MAX_WAITING = 10_000  # number of predictions stored until their scores arrive
 
 
 class AdaptiveBand:
-    """The band of one model and mode. time: (points,) ahead, without the start [s].
-
-    band: calibrated; None: estimated from the errors of the run alone.
-    """
+    """The band of one model and mode. time: (points,) ahead, without the start [s]. band: calibrated band; None to
+    estimate the band from the errors of the run alone."""
 
     def __init__(self, time: np.ndarray, band: Band | None = None, levels: Sequence[float] = LEVELS):
         self._time, self._band = np.asarray(time, float), band
@@ -67,32 +67,32 @@ class AdaptiveBand:
 
     @property
     def factors(self) -> dict[float, float]:
-        """Factor on the band width by level; a higher level is never narrower."""
+        """Factor by level, which does not decrease with the level."""
         values = np.maximum.accumulate([math.exp(log) for log in self._logs.values()])
         return dict(zip(self._logs, values.tolist(), strict=True))
 
     def scale(self, condition: np.ndarray) -> np.ndarray:
-        """(points, 3) along, across [m] and yaw [rad], under a condition (4,)."""
+        """Scale (points, 3) along, across [m] and in yaw [rad] under a condition (4,)."""
         return np.sqrt(self._squares) if self._band is None else self._band.scale(np.atleast_2d(condition))[0]
 
     def issue(self, start_ns: int, condition: np.ndarray, scale: np.ndarray | None = None) -> dict[float, np.ndarray]:
-        """Half-widths by level, (points, 3), of a prediction that starts now; kept until its score arrives.
+        """Half-widths (points, 3) by level of a prediction from start_ns, which are stored until its score arrives.
 
-        scale: (points, 3), if already computed.
+        scale: (points, 3), if it is already computed.
         """
         scale = self.scale(condition) if scale is None else scale
         factors = self.factors
-        if self._issued and start_ns <= self._issued[-1][0]:  # after a jump back in time their scores never arrive
+        if self._issued and start_ns <= self._issued[-1][0]:  # after a jump back in time, no score of these will arrive
             self._issued.clear()
         self._issued.append((start_ns, scale, factors))
-        if len(self._issued) > 10_000:  # scores that never arrive
+        if len(self._issued) > MAX_WAITING:
             self._issued.popleft()
         return {level: factor * scale for level, factor in factors.items()}
 
     def observe(self, start_ns: int, errors: np.ndarray) -> dict[float, bool]:
-        """Errors (points, 3) of the prediction from start_ns, in the predicted frame; scores arrive in order of time.
+        """Correct the factors by the errors (points, 3) of a prediction, in the predicted frame, in order of time.
 
-        Returns by level whether the whole path was inside; empty where nothing was issued or errors are not finite.
+        Returns by level whether the whole path was inside; empty if no band was issued or errors are not finite.
         """
         while self._issued and self._issued[0][0] < start_ns:
             self._issued.popleft()
@@ -114,10 +114,10 @@ class AdaptiveBand:
 
     def follow(self, starts_ns: np.ndarray, conditions: np.ndarray,
                errors: np.ndarray) -> tuple[dict[float, np.ndarray], np.ndarray]:
-        """Factors along a recorded drive, each from the scores available at that time; continues the previous call.
+        """(factors (n,) by level, scales (n, points, 3)) along a drive, from the scores available at each start.
 
-        starts_ns: (n,) ascending [ns]. conditions: (n, 4). errors: (n, points, 3) in the predicted frame; not finite
-        where not scored. Returns by level (n,), and the scales (n, points, 3).
+        Continues the previous call. starts_ns: (n,) ascending [ns]. conditions: (n, 4). errors: (n, points, 3) in the
+        predicted frame; not finite if not scored.
         """
         calibrated = None if self._band is None else self._band.scale(conditions)
         horizon_ns = round(float(self._time[-1]) / NANOSECOND)
@@ -134,14 +134,14 @@ class AdaptiveBand:
         return {level: np.array(values) for level, values in factors.items()}, scales
 
     def _update_squares(self, errors: np.ndarray, weight: float) -> None:
-        """Running mean square of the errors: at first their average, later with exponential forgetting."""
+        """Update the running mean square of the errors, which forgets exponentially after SCALE_FORGETTING."""
         self._weight = min(self._weight + weight, SCALE_FORGETTING)
         share = weight / (self._weight + 5.0)
         self._squares += share * (np.maximum(np.square(errors), 1.0e-8) - self._squares)
 
 
 def _initial_factor(band: Band | None, level: float) -> float:
-    """The calibrated factor; for another level, that of the nearest one, scaled by the ratio of the default factors."""
+    """The calibrated factor, or that of the nearest calibrated level, scaled by the ratio of the default factors."""
     if band is None or level in band.factors:
         return _default_factor(level) if band is None else band.factors[level]
     nearest = min(band.factors, key=lambda known: abs(known - level))

@@ -1,21 +1,20 @@
 """Calibration of the band of one model and mode from runs: first the scale of its errors, then the conformal factors.
 
-Runs are exchangeable, the windows (predictions) of one run are not, because they overlap. One window drawn at random
-from each of n runs and one from a future run give n + 1 exchangeable scores, so that the k-th smallest of the n,
+Runs are exchangeable. The windows (predictions) of one run are not, because they overlap. One window drawn at random
+from each of n runs, and one from a future run, have n + 1 exchangeable scores. For any distribution of the errors, the
+score of the future run is not above the k-th smallest of the others with the probability
 
-    k = level (n + 1),
+    k/(n + 1) = level,   so k = level (n + 1)
 
-is not exceeded by the last with the probability k/(n + 1) = level, for any distribution of the errors. For k > n
-no bound exists: n runs support levels up to n/(n + 1). To make the result independent of the draw, the factor c has the
+For k > n no bound exists: n runs support levels up to n/(n + 1). To be independent of the draw, the factor c has the
 mean coverage over all draws, with equal weights of the runs:
 
     F(c) = E[ F(k-th smallest of one window per run) ],     F(s) = 1/n sum_r 1/n_r #{i : s_ri <= s}
 
-For a k that is not an integer, E[...] is interpolated between the neighbouring integers. With one window per run and an
-integer k, c is exactly the split-conformal quantile. The coverage is proven for one draw; for the average over draws it
-is measured (docs/manual/bands.md).
-Source: Dunn, Wasserman and Ramdas, Distribution-free prediction sets for two-layer hierarchical models, JASA 2023,
-subsampling once and repeatedly. Checked by: test_bands.py, against crepes and by drawing runs.
+If k is not an integer, E[...] is interpolated between the neighbouring integers. With one window per run and an integer
+k, c is exactly the split-conformal quantile. The coverage is proven for one draw, and measured for the average over
+draws (docs/manual/bands.md). Source: Dunn, Wasserman and Ramdas, Distribution-free prediction sets for two-layer
+hierarchical models, JASA 2023, subsampling once and repeatedly. Checked by: test_bands.py.
 """
 
 import math
@@ -29,7 +28,7 @@ from .conditions import CalibrationDomain
 from .samples import ErrorSamples, ModelMode
 from .scale import Scale, fit_scale
 
-ROUNDING = 1.0e-9
+ROUNDING = 1.0e-9  # tolerance for rounding errors of levels
 
 
 def highest_level(runs: int) -> float:
@@ -48,7 +47,7 @@ def check_levels(levels: Sequence[float], runs: int) -> None:
         raise StCoreError("no usable run to calibrate bands with")
     for level in levels:
         if not 0.0 < level < 1.0:
-            raise StCoreError(f"level {level:g}: not between 0 and 1")
+            raise StCoreError(f"level {level:g}: must be between 0 and 1")
         if level > highest_level(runs) + ROUNDING:
             support = f"run{' supports' if runs == 1 else 's support'} at most {highest_level(runs):.1%}, n/(n + 1)"
             raise StCoreError(f"{runs} {support}, not {level:.0%}: give {runs_needed(level)} runs or more, or a lower "
@@ -56,10 +55,10 @@ def check_levels(levels: Sequence[float], runs: int) -> None:
 
 
 def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> np.ndarray:
-    """c for every level, (levels,) [1]; see the top of this file.
+    """Factors c of the levels, (levels,) [1]; see the module.
 
-    scores: one array for each run, one score for each window [1]. Raises StCoreError for scores that are not finite, a
-    run without any, and as `check_levels`.
+    scores: of the windows of each run [1]. Raises StCoreError for scores that are not finite, a run without scores, and
+    the errors of `check_levels`.
     """
     count = len(scores)
     check_levels(levels, count)
@@ -70,7 +69,7 @@ def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> 
         raise StCoreError("a score is not finite; bands cannot be calibrated with such errors")
     by_run = np.stack([np.searchsorted(np.sort(run), values, side="right") / len(run) for run in scores])
     covered = by_run.mean(axis=0)
-    # at_least[k]: distribution function of the k-th smallest score of a draw. mean[k]: its mean coverage; of k = 0: 0.
+    # at_least[k]: distribution function of the k-th smallest score of a draw. mean[k]: its mean coverage, 0 for k = 0.
     at_least = _probability_of_at_least(by_run)
     mean = np.concatenate([[0.0], np.diff(at_least[1:], axis=1, prepend=0.0) @ covered])
     target = np.interp(np.asarray(levels, float) * (count + 1.0), np.arange(count + 1), mean)
@@ -78,7 +77,7 @@ def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> 
 
 
 def _probability_of_at_least(by_run: np.ndarray) -> np.ndarray:
-    """(runs + 1, values): probability that of one window from each run at least k have a score <= a value.
+    """Probability (runs + 1, values) that at least k of the windows, one per run, have a score <= a value.
 
     by_run: (runs, values), probability that a window of the run has a score <= a value.
     """
@@ -92,26 +91,26 @@ def _probability_of_at_least(by_run: np.ndarray) -> np.ndarray:
 
 LEVELS = (0.5, 0.9)
 RELIABILITY = tuple(round(0.05 * k, 2) for k in range(1, 20))
-"""Levels for the reliability diagram, as far as the runs support them; and of the ratios below."""
-FOLDS = 5
-MIN_RUNS = 3  # one to be scored, and two for the calibration domain without it
+"""Levels of `Band.ratios`, and of the reliability diagram as far as the runs support them."""
+FOLDS = 5  # largest number of groups of runs in cross-fitting
+MIN_RUNS = 3  # the calibration domain of a scored run requires two other runs
 
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Half-widths are factor times scale. factors: by level, increasing with it [1]. ratios: (3, len(RELIABILITY)),
-    quantiles of |error| / scale at a single point, by axis: the distribution there, for the CRPS."""
+    """The band of one model and mode: half-widths are factor times scale. factors: by level, increasing with it [1].
+    ratios: (3, len(RELIABILITY)) quantiles of |error| / scale at a single point, by axis, for the CRPS."""
 
     scale: Scale
     factors: dict[float, float]
     ratios: np.ndarray
 
     def half_widths(self, conditions: np.ndarray, level: float) -> np.ndarray:
-        """(n, points, 3) along, across [m] and yaw [rad], without the start, under conditions (n, 4)."""
+        """Half-widths (n, points, 3) along, across [m] and in yaw [rad], without the start, under conditions (n, 4)."""
         return self.factors[level] * self.scale(conditions)
 
     def scores(self, conditions: np.ndarray, errors: np.ndarray) -> np.ndarray:
-        """(n, points): smallest factor with which errors (n, points, 3) lie inside at each point, in all axes."""
+        """Smallest factor (n, points) with which errors (n, points, 3) are inside the band in all axes."""
         return (np.abs(errors) / self.scale(conditions)).max(axis=2)
 
 
@@ -121,10 +120,10 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
 
         band = { |e_a(t)| <= c s_a(t | z)  for all t and a },       score of a window = max over t, a of |e_a(t)| / s_a
 
-    A run is scored with a scale fitted to other runs (cross-fitting in at most FOLDS groups), because scores of runs
-    used in the fit would be too small. Windows outside the calibration domain of the others do not count, because they
-    would have no band. time: (points,) of the errors [s]. Raises StCoreError, one line, for too few runs for a level
-    and for errors that are not finite.
+    A run is scored with a scale fitted to other runs (cross-fitting), because scores of runs used in the fit would be
+    too small. Windows outside the calibration domain of the other runs are ignored, because they would have no band.
+    time: (points,) of the errors [s]. Raises StCoreError, one line, if there are too few runs for a level or if errors
+    are not finite.
     """
     check_levels(levels, len(runs))
     if len(runs) < MIN_RUNS:
@@ -132,12 +131,11 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
                           f"others; give {MIN_RUNS} or more")
     for run in runs:
         if not np.isfinite(run.errors[pair]).all():
-            raise StCoreError(f"{run.name}: errors of {pair[0]} are not finite; bands cannot be calibrated "
-                              "with such errors")
+            raise StCoreError(f"{run.name}: errors of {pair[0]} are not finite; correct the model or leave the run out")
     scores, ratios = [], []
     for group in np.array_split(np.arange(len(runs)), min(FOLDS, len(runs))):
         others = [run for number, run in enumerate(runs) if number not in group]
-        scale, domain = _scale(others, pair, time), CalibrationDomain.of([run.conditions for run in others])
+        scale, domain = _fit_scale_of(others, pair, time), CalibrationDomain.of([run.conditions for run in others])
         for run in (runs[number] for number in group):
             rows = domain(run.conditions)
             if rows.any():
@@ -153,15 +151,15 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
                               f"other run has; {error}") from None
     levels = sorted({*levels, *(level for level in RELIABILITY if level <= highest_level(len(scores)))})
     factors = dict(zip(levels, conformal_factors(scores, levels).tolist(), strict=True))
-    return Band(_scale(runs, pair, time), factors, _quantiles(ratios))
+    return Band(_fit_scale_of(runs, pair, time), factors, _pool_quantiles(ratios))
 
 
-def _scale(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray) -> Scale:
+def _fit_scale_of(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray) -> Scale:
     return fit_scale([run.conditions for run in runs], [run.errors[pair] for run in runs], time)
 
 
-def _quantiles(ratios: Sequence[np.ndarray]) -> np.ndarray:
-    """(3, levels), runs with equal weights: the inverse of the mean of their distribution functions."""
+def _pool_quantiles(ratios: Sequence[np.ndarray]) -> np.ndarray:
+    """Quantiles (3, len(RELIABILITY)) of the mean of the runs' distribution functions."""
     found = []
     for axis in range(ratios[0].shape[1]):
         parts = [np.quantile(ratio[:, axis], np.linspace(0.0, 1.0, 201)) for ratio in ratios]

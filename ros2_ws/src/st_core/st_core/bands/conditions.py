@@ -1,11 +1,11 @@
-"""The conditions at a start, on which the width of a band depends; all are known when the prediction is made.
+"""Conditions at the start of a prediction, which determine the width of its band and are known in advance.
 
     speed                 |v_x|                                    [m/s]
     lateral_acceleration  |v_x r|                                  [m/s^2]
     forward_acceleration  |velocity_x_dot|                         [m/s^2]
     steering_activity     root mean square of d(delta)/dt over the ACTIVITY_SPAN before the start [rad/s]
 
-All are magnitudes, at the INS point; delta is the road wheel angle. Checked by: test_bands_live.py.
+All are magnitudes at the INS point; delta is the road wheel angle. Checked by: test_bands_live.py.
 """
 
 from collections.abc import Sequence
@@ -20,14 +20,14 @@ from ..timeseries import NANOSECOND
 
 CONDITIONS = ("speed", "lateral_acceleration", "forward_acceleration", "steering_activity")
 UNITS = {"speed": "m/s", "lateral_acceleration": "m/s^2", "forward_acceleration": "m/s^2", "steering_activity": "rad/s"}
-ACTIVITY_SPAN = 1.0  # s, about the duration of a steering correction; the live predictor stores two seconds
+ACTIVITY_SPAN = 1.0  # s; about the duration of a steering correction; the live predictor stores two seconds
 ACTIVITY_STEP = 0.05
-"""s. With a sensor of 0.1 deg at the steering wheel and a ratio of 16, the resolution of the rate is 0.002 rad/s."""
+"""s. A resolution of 0.1 deg at the steering wheel with a ratio of 16 results in a rate resolution of 0.002 rad/s."""
 _INSTANTS_NS = np.round(np.arange(-ACTIVITY_SPAN, 0.5 * ACTIVITY_STEP, ACTIVITY_STEP) / NANOSECOND).astype(np.int64)
 
 
 def activity_instants(start_ns: int | np.ndarray) -> np.ndarray:
-    """Instants [ns] of the road wheel angles for `steering_activity`: (..., 21) for starts (...)."""
+    """Instants (..., 21) [ns] of the road wheel angles that `steering_activity` uses, for starts (...) [ns]."""
     return np.asarray(start_ns, np.int64)[..., None] + _INSTANTS_NS
 
 
@@ -42,41 +42,41 @@ def steering_activity(angle: np.ndarray) -> np.ndarray:
 
 def conditions(velocity_x: float | np.ndarray, yaw_rate: float | np.ndarray, velocity_x_dot: float | np.ndarray,
                activity: float | np.ndarray) -> np.ndarray:
-    """(..., 4), columns as CONDITIONS. velocity_x [m/s], yaw_rate [rad/s]: at the INS point; velocity_x_dot [m/s^2];
-    activity: of `steering_activity` [rad/s]."""
+    """Conditions (..., 4), columns as CONDITIONS, from velocity_x [m/s], yaw_rate [rad/s] and velocity_x_dot [m/s^2] at
+    the INS point, and the activity of `steering_activity` [rad/s]."""
     parts = np.broadcast_arrays(*magnitudes(*map(np.asarray, (velocity_x, yaw_rate, velocity_x_dot, activity))))
     return np.stack([np.asarray(part, float) for part in parts], axis=-1)
 
 
 def magnitudes(velocity_x: Any, yaw_rate: Any, velocity_x_dot: Any, activity: Any) -> tuple[Any, ...]:
-    """The four conditions as separate values: arrays, or floats, which for one start take a tenth of the time."""
+    """The four conditions as separate arrays, or as floats, which take a tenth of the time for one start."""
     return abs(velocity_x), abs(velocity_x * yaw_rate), abs(velocity_x_dot), abs(activity)
 
 
 def conditions_at(signals: LogSignals, starts_ns: np.ndarray) -> np.ndarray:
-    """(n, 4), columns as CONDITIONS, at starts (n,) [ns] of a recorded drive; NaN where not known."""
+    """Conditions (n, 4), columns as CONDITIONS, at starts (n,) [ns] of a recorded drive; NaN where unknown."""
     speed, yaw_rate, acceleration = signals.ins_at(starts_ns, "velocity_x", "yaw_rate", "velocity_x_dot")
     activity = steering_activity(signals.road_wheel_angle_at(activity_instants(starts_ns)))
     return conditions(speed, yaw_rate, acceleration, activity)
 
 
-MIN_STARTS = 10  # starts of a run in a cell of speed and lateral acceleration for it to count: one second of driving
-MIN_RUNS = 2  # runs with MIN_STARTS in a cell, because one run does not show the variation between runs
+MIN_STARTS = 10  # minimum number of starts of a run in a cell of speed and lateral acceleration: one second of driving
+MIN_RUNS = 2  # minimum number of runs with MIN_STARTS in a cell; one run does not show the variation between runs
 CELL_EDGES = {CONDITIONS.index("speed"): SPEED_EDGES,
               CONDITIONS.index("lateral_acceleration"): LATERAL_ACCELERATION_EDGES}
-"""Edges by column of the conditions."""
+"""Edges of the cells by column of the conditions."""
 
 
 def cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (n,) of the bins of speed and of lateral acceleration of conditions (n, 4)."""
+    """Cells of conditions (n, 4): indices (n,) of the bins of speed, and of lateral acceleration."""
     row, column = (np.searchsorted(edges, conditions[:, k], side="right") - 1 for k, edges in CELL_EDGES.items())
     return row, column
 
 
 @dataclass(frozen=True, eq=False)
 class CalibrationDomain:
-    """Conditions covered by the calibration. starts: number by (speed bin, lateral acceleration bin), 0 if fewer than
-    MIN_RUNS runs had MIN_STARTS. largest: forward_acceleration [m/s^2] and steering_activity [rad/s]."""
+    """Conditions covered by the calibration. starts: number of starts by (speed bin, lateral acceleration bin), 0 if
+    fewer than MIN_RUNS runs had MIN_STARTS. largest: forward_acceleration [m/s^2] and steering_activity [rad/s]."""
 
     starts: np.ndarray
     largest: tuple[float, float]
@@ -103,9 +103,9 @@ class CalibrationDomain:
             return ""
         for name, value in zip(CONDITIONS, condition, strict=True):
             if not np.isfinite(value):
-                return f"{name.replace('_', ' ')} not known"
+                return f"{name.replace('_', ' ')} is unknown"
         for name, value, limit in zip(CONDITIONS[2:], condition[2:], self.largest, strict=True):
             if value > limit:
-                return f"{name.replace('_', ' ')} {value:.3g} {UNITS[name]}, calibrated up to {limit:.3g}"
+                return f"{name.replace('_', ' ')} {value:.3g} {UNITS[name]} exceeds the calibrated {limit:.3g}"
         return (f"{condition[0]:.1f} m/s with {condition[1]:.1f} m/s^2 lateral acceleration was driven in fewer than "
                 f"{MIN_RUNS} calibration runs")

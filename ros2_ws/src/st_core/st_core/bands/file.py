@@ -1,16 +1,16 @@
-"""The file of bands, bands.yaml: for one car, its models and one configuration, with the recordings used.
+"""The file bands.yaml: the bands of one car, its models and one configuration, with the recordings used.
 
     schema: 2
     vehicle: {name: "...", hash: "..."}
-    settings: {horizon: 5.0, step: 0.05, ...}            of the predictions; SI
+    settings: {horizon: 5.0, step: 0.05, ...}            settings of the predictions; SI
     recordings: {"run.csv": "sha256 ..."}
     runs: 12
     seen: {starts: [[...]], most: [...]}                 calibration domain
     bands: {linear: {configuration_hash: "...", hindsight: {...}, forecast: {...}}}
     hash: "..."
 
-Half-widths are in m, m and rad; coefficients, factors and ratios are dimensionless. A file that does not match its hash
-was edited and is refused.
+Floors are in m, m and rad; coefficients, factors and ratios are dimensionless. A file that does not match its hash was
+edited and is rejected.
 """
 
 import hashlib
@@ -35,14 +35,14 @@ SCHEMA = 2
 HEADER = "# Prediction bands by model and mode. Written by `st calibrate`.\n"
 UNITS = "half-widths along, across: m; yaw: rad; factors and ratios: 1; conditions: m/s, m/s^2, m/s^2, rad/s"
 CHECKED_SETTINGS = ("horizon", "step", "minimum_speed", "maximum_gap", "filter_cutoff", "acceleration", "inputs")
-"""Settings that affect the errors. `interval` and `stale_after` only select starts."""
+"""Settings that affect the errors; the other settings only select starts."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bands:
-    """All bands of a car. bands: by (model, mode). hashes: by model, of `prediction.configuration_hash`.
+    """All bands of a car. bands: by (model, mode). hashes: `prediction.configuration_hash` by model.
 
-    settings: as EvaluationSettings.as_dict. recordings: sha256 by name. runs: their number. domain: of calibration.
+    settings: of `EvaluationSettings.as_dict`. recordings: sha256 by name. runs: number of runs.
     """
 
     vehicle_name: str
@@ -60,15 +60,15 @@ class Bands:
 
     @property
     def time(self) -> np.ndarray:
-        """(points,) of the half-widths [s ahead], without the start."""
+        """Times (points,) of the half-widths [s ahead], without the start."""
         return times(self.settings["horizon"], self.settings["step"])
 
     def half_widths(self, model: str, mode: str, conditions: np.ndarray, level: float) -> np.ndarray:
-        """(n, points + 1, 3): along, across the predicted path [m] and in yaw [rad], 0 at the start.
+        """Half-widths (n, points + 1, 3) along and across the predicted path [m] and in yaw [rad], 0 at the start.
 
-        conditions: (n, 4), `conditions.conditions`. NaN outside the calibration domain
-        (`CalibrationDomain.describe_outside`). With the probability `level` the whole measured path of the INS point is
-        inside, in all three at all points. Raises KeyError for a model, mode or level that is not in the file.
+        With the probability `level`, the whole measured path of the INS point is inside the band in all three. NaN
+        outside the calibration domain (`CalibrationDomain.describe_outside`). conditions: (n, 4), of
+        `conditions.conditions`. Raises KeyError for a model, mode or level that is not in the file.
         """
         band = self.bands[model, mode]
         conditions = np.atleast_2d(np.asarray(conditions, float))
@@ -79,9 +79,9 @@ class Bands:
         return result
 
     def check(self, vehicle: VehicleParameters, models: Mapping[str, str], settings: EvaluationSettings) -> None:
-        """Raises ConfigurationError, one line, if the bands are of another car, model or configuration.
+        """Raises ConfigurationError, one line, if the bands belong to another car, model or configuration.
 
-        models: hash of the model file by model to be used, "" for one of the paper's.
+        models: models to be used, with the hash of the model file, "" for a model of the paper.
         """
         if vehicle.hash != self.vehicle_hash:
             raise ConfigurationError(f"vehicle: the bands are for {self.vehicle_name!r} {self.vehicle_hash[:12]}, "
@@ -100,7 +100,7 @@ class Bands:
                                          "with this one")
 
     def to_yaml(self) -> str:
-        """Text of the file; `from_yaml` reads the same bands from it."""
+        """Text of the file, which `from_yaml` reads."""
         document = self._document()
         lines = [HEADER + f"schema: {SCHEMA}", f"units: {json.dumps(UNITS)}"]
         lines += [f"{key}: {_flow(document[key])}" for key in ("vehicle", "settings", "runs", "seen")]
@@ -140,7 +140,7 @@ class Bands:
         keys = ["schema", "units", "vehicle", "settings", "recordings", "runs", "seen", "bands", "hash"]
         check_keys("", document, keys, required=keys)
         if document["schema"] != SCHEMA:
-            raise ConfigurationError(f"schema: {document['schema']} is not {SCHEMA}; calibrate with this version")
+            raise ConfigurationError(f"schema: {document['schema']} is not {SCHEMA}; calibrate again with this version")
         content = {key: document[key] for key in keys[2:-1]}
         if _digest(content) != document["hash"]:
             raise ConfigurationError("hash: the content was edited; run st calibrate again")
@@ -151,7 +151,7 @@ class Bands:
         for model, entry in document["bands"].items():
             hashes[model] = str(entry["configuration_hash"])
             for mode in (m for m in MODES if m in entry):
-                bands[model, mode] = _band(entry[mode], time)
+                bands[model, mode] = _read_band(entry[mode], time)
         acceleration, activity = map(float, document["seen"]["most"])
         domain = CalibrationDomain(np.array(document["seen"]["starts"], int), (acceleration, activity))
         return cls(document["vehicle"]["name"], document["vehicle"]["hash"], settings, document["recordings"],
@@ -159,21 +159,21 @@ class Bands:
 
 
 def times(horizon: float, step: float) -> np.ndarray:
-    """(points,) times of the horizon without the start [s]."""
+    """Times (points,) of the horizon without the start [s]."""
     return step * np.arange(1, round(horizon / step) + 1)
 
 
 def configuration_of(vehicle: VehicleParameters, settings: Mapping[str, Any], model_hash: str) -> str:
-    """The configuration hash that a prediction with these settings carries. model_hash: "" for a model of the paper."""
+    """The configuration hash of predictions with these settings. model_hash: "" for a model of the paper."""
     prediction = EvaluationSettings().prediction
     return configuration_hash(vehicle, type(prediction)(**{key: settings[key] for key in vars(prediction)}), model_hash)
 
 
-def _band(entry: Mapping[str, Any], time: np.ndarray) -> Band:
+def _read_band(entry: Mapping[str, Any], time: np.ndarray) -> Band:
     coefficients = np.array(entry["coefficients"], float)
     knots = knots_of(float(time[-1]))
     if coefficients.shape != (3, len(knots), features(np.zeros((1, 4))).shape[1]):
-        raise ConfigurationError("coefficients: of another version; calibrate with this one")
+        raise ConfigurationError("coefficients: written by another version; calibrate again")
     scale = Scale(coefficients, np.array(entry["floor"], float), time, knots)
     return Band(scale, {float(k): float(v) for k, v in entry["factors"].items()}, np.array(entry["ratios"], float))
 

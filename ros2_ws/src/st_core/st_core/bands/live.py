@@ -1,18 +1,18 @@
-"""Bands while driving: half-widths for all models and modes, from the conditions at the start of a prediction.
+"""Bands while driving: half-widths for all models and modes from the conditions at the start, and their coverage.
 
-`LiveBands` runs at 10 Hz with cold processor caches, so that the number of numpy operations determines its duration:
-all models are computed together.
+`LiveBands` runs at 10 Hz with cold processor caches, so the number of numpy operations determines its duration, and all
+models are computed together.
 
-Coverage while driving is tested sequentially for being significantly below the nominal level p, against the alternative
-q = ALTERNATIVE_RATIO p. Each scored window contributes its log likelihood ratio:
+A sequential test detects coverage significantly below the nominal level p; the alternative is q = ALTERNATIVE_RATIO p.
+Each scored window contributes its log likelihood ratio:
 
     l = log((1 - q) / (1 - p))  if the path left the band,   log(q / p)  if it stayed inside
-    S <- max(0, S + w l),     warning from S >= log(HORIZONS)
+    S <- max(0, S + w l),     warning if S >= log(HORIZONS)
 
-Overlapping windows are not independent, so each has as weight w the fraction of a horizon by which it starts later than
-the previous one. The sum is then the mean over all selections of windows a whole horizon apart, and not above the log
-of the mean of their likelihood ratios (Jensen): an e-detector. If every window stays inside with probability p or more
-given the previous ones, the mean time to a false warning is at least HORIZONS horizons.
+Overlapping windows are not independent, so the weight w of a window is the fraction of a horizon by which it starts
+later than the previous one. S is then the mean over all selections of windows a whole horizon apart, which does not
+exceed the log of their mean likelihood ratio (Jensen): an e-detector. If every window stays inside with a probability
+of p or more, given the previous ones, the mean time to a false warning is at least HORIZONS horizons.
 Source: Shin, Ramdas and Rinaldo, E-detectors, New England Journal of Statistics in Data Science 2023 (CUSUM kind).
 Checked by: test_bands_live.py; false warnings and delays measured in docs/manual/bands.md.
 """
@@ -33,14 +33,14 @@ from .calibration import LEVELS
 from .conditions import activity_instants, magnitudes, steering_activity
 from .file import Bands
 from .samples import ModelMode, to_predicted_frame
-from .scale import features_of_one, floor_at, interpolation
+from .scale import features_of_one, floor_at, interpolation_matrix
 
 HalfWidths = dict[tuple[str, float], np.ndarray]
-"""By mode and level: half-widths (points + 1, 3), float32, along, across [m] and yaw [rad], 0 at the start."""
+"""Half-widths (points + 1, 3) along, across [m] and in yaw [rad], float32, 0 at the start, by (mode, level)."""
 
 
 def conditions_now(history: MeasurementHistory, time_ns: int) -> tuple[float, ...]:
-    """The four `conditions.CONDITIONS` at an instant [ns], like `conditions_at` for a recorded drive; NaN: unknown."""
+    """The four `conditions.CONDITIONS` at an instant [ns], as `conditions_at` of a recorded drive; NaN if unknown."""
     row = history.ins.at(time_ns)
     activity = float(steering_activity(history.steering.sample(activity_instants(time_ns))[:, 0]))
     velocity, rate, acceleration = (math.nan if row is None else row[k] for k in (VELOCITY_X, YAW_RATE, DERIVATIVE))
@@ -48,10 +48,11 @@ def conditions_now(history: MeasurementHistory, time_ns: int) -> tuple[float, ..
 
 
 class LiveBands:
-    """The half-widths of `Bands.half_widths` for all models, modes and levels in one pass.
+    """Computes the half-widths of `Bands.half_widths` for all models, modes and levels together.
 
-    models: those that predict; each must be in the bands (see `Bands.check`). levels: those of LEVELS in the file.
-    half_widths: by model, of the last call inside the calibration domain; every call refills the same arrays.
+    models: names of the predicting models, each of which must be in the bands (see `Bands.check`). levels: those of
+    LEVELS that are in the file. half_widths: by model, from the last call inside the calibration domain; every call
+    overwrites the same arrays.
     """
 
     def __init__(self, bands: Bands, models: Iterable[str]):
@@ -61,7 +62,7 @@ class LiveBands:
         chosen = [bands.bands[pair] for pair in pairs]
         self.levels = tuple(level for level in LEVELS if all(level in band.factors for band in chosen))
         scale = chosen[0].scale
-        self._between = interpolation(scale.knots, scale.time).T
+        self._interpolation = interpolation_matrix(scale.knots, scale.time).T
         coefficients = np.concatenate([2.0 * band.scale.coefficients for band in chosen])
         self._coefficients = coefficients.reshape(-1, coefficients.shape[-1])
         self._floor = np.square(np.concatenate([floor_at(band.scale.floor, band.scale.time).T for band in chosen]))
@@ -82,9 +83,9 @@ class LiveBands:
         """Update `half_widths` for four conditions. False, without an update, outside the calibration domain."""
         if not self._domain(np.array([condition]))[0]:
             return False
-        # Limited at the few knots, which limits the interpolated values as well.
+        # Limits at the few knots also limit the interpolated values.
         logs = (self._coefficients @ features_of_one(condition)).clip(-60.0, 60.0)
-        scale = np.exp(logs.reshape(-1, len(self._between)) @ self._between)
+        scale = np.exp(logs.reshape(-1, len(self._interpolation)) @ self._interpolation)
         scale += self._floor
         np.sqrt(scale, out=scale)
         self._scale = scale
@@ -92,7 +93,7 @@ class LiveBands:
         return True
 
     def scale_of(self, pair: ModelMode) -> np.ndarray | None:
-        """(points, 3) along, across [m] and yaw [rad] of the last update; None for a pair without calibration."""
+        """Scale (points, 3) along, across [m] and in yaw [rad] of the last update; None without a calibration."""
         row = self._row.get(pair)
         return None if row is None else self._scale[3 * row:3 * row + 3].T
 
@@ -100,10 +101,11 @@ class LiveBands:
 class AdaptiveBands:
     """Bands of all models and modes of a run, each corrected by its scores (`adaptive.AdaptiveBand`).
 
-    time: (points,) ahead, without the start [s]. bands: calibrated bands of forecast and hindsight; None: estimated
-    from the scores alone, like those of plan and course, and issued after `adaptive.WARM_UP`.
+    time: (points,) ahead, without the start [s]. bands: calibrated bands of forecast and hindsight. Without them, and
+    for the modes plan and course, bands are estimated from the scores alone and are issued after `adaptive.WARM_UP`.
 
-    half_widths: as in `LiveBands`. counts: by (model, mode), scored windows and, by level, those with the path inside.
+    half_widths: as in `LiveBands`. counts: by (model, mode), number of scored windows, and by level of those with the
+    path inside.
     """
 
     def __init__(self, time: np.ndarray, models: Sequence[str], modes: Sequence[str] = MODES,
@@ -123,9 +125,9 @@ class AdaptiveBands:
         return min(band.remaining_warm_up for (_, mode), band in self._bands.items() if mode == "forecast")
 
     def issue(self, start_ns: int, condition: Sequence[float], modes: Iterable[str]) -> tuple[set[ModelMode], str]:
-        """Update `half_widths` for predictions of these modes that start now [ns], conditions as of `conditions_now`.
+        """Update `half_widths` for predictions of these modes from start_ns. condition: of `conditions_now`.
 
-        Returns (model, mode) of those with a band, and the reason, in one line, why calibrated ones have none.
+        Returns the (model, mode) pairs with a band, and the reason, in one line, why calibrated pairs have none.
         """
         reason = ""
         if self._calibrated and not self._calibrated(condition):
@@ -147,7 +149,7 @@ class AdaptiveBands:
         return found, reason
 
     def observe(self, score: Score) -> None:
-        """Update a band by the score of an earlier prediction; those of a model and mode arrive in order of time."""
+        """Update a band by the score of an earlier prediction. Scores of a model and mode must be in order of time."""
         errors = to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1))[1:]
         pair = score.model, score.mode
         inside = self._bands[pair].observe(score.start_ns, errors)
@@ -157,17 +159,15 @@ class AdaptiveBands:
 
 
 ALTERNATIVE_RATIO = 5.0 / 9.0
-"""Ratio q / p: 50 % coverage of a 90 % band. Coverage above 73 %, within the variation between runs, reduces S."""
-HORIZONS = 7200.0  # ten hours at 5 s each
-END_SHARE = 0.5  # a warning ends when S has decreased to this fraction of its limit
+"""Ratio q / p: 50 % coverage of a 90 % band. Coverage above 73 %, which occurs between runs, reduces S."""
+HORIZONS = 7200.0  # mean number of horizons to a false warning: ten hours with horizons of 5 s
+END_SHARE = 0.5  # fraction of its limit below which S ends a warning
 
 
 @dataclass
 class Coverage:
-    """Observed coverage of one model and mode. n: scored windows with a band. inside: number of those with the path
-    inside, by level.
-
-    evidence: S, see the top of this file.
+    """Observed coverage of one model and mode. n: number of scored windows with a band. inside: number of these with
+    the whole path inside, by level. warns: whether the coverage is significantly too low. evidence: S, see the module.
     """
 
     n: int = 0
@@ -181,14 +181,14 @@ class Coverage:
         return self.inside[level] / self.n if level in self.inside else math.nan
 
     def add(self, start_ns: int, horizon: float, inside: Mapping[float, bool]) -> None:
-        """Count one window. inside: whether the whole path was inside, by level; the highest is tested. horizon [s]."""
+        """Count one window with a horizon [s]. inside: whether the whole path was inside, by level."""
         self.n += 1
         for level, is_inside in inside.items():
             self.inside[level] = self.inside.get(level, 0) + is_inside
         level = max(inside)
         before, self._last_ns = self._last_ns, start_ns
         interval = 0.0 if before is None else (start_ns - before) * NANOSECOND / horizon
-        weight = min(max(interval, 0.0), 1.0)  # 0 after a jump back in time, in a replay
+        weight = min(max(interval, 0.0), 1.0)  # 0 after a jump back in time, as in a replay
         limit, q = math.log(HORIZONS), ALTERNATIVE_RATIO * level
         ratio = math.log(q / level) if inside[level] else math.log((1.0 - q) / (1.0 - level))
         self.evidence = min(max(self.evidence + weight * ratio, 0.0), limit)
@@ -196,8 +196,7 @@ class Coverage:
 
 
 class Coverages:
-    """Stores published bands until the score of their prediction arrives, at most MAXIMUM_WAITING, and counts coverage.
-    """
+    """Counts coverage. Stores at most MAXIMUM_WAITING published bands until the score of their prediction arrives."""
 
     MAXIMUM_WAITING = 10_000
 
@@ -213,21 +212,22 @@ class Coverages:
             del self._waiting[next(iter(self._waiting))]
 
     def add(self, score: Score) -> None:
-        """Count the score of a prediction; incomplete ones are ignored."""
+        """Count the score of a prediction, unless it is incomplete."""
         by_level = self._waiting.pop((score.model, score.mode, score.start_ns), None)
         if by_level is None or not score.complete:
             return
         errors = np.abs(to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1)))
-        # Without the start, which is the measurement itself.
+        # The start is left out, because it is the measurement itself.
         inside = {level: bool((errors[1:] <= widths[1:]).all()) for level, widths in by_level.items()}
         coverage = self.by_pair.setdefault((score.model, score.mode), Coverage())
         coverage.add(score.start_ns, float(score.horizon[-1]), inside)
 
     def warning(self) -> str:
-        """One line on bands with coverage significantly below the nominal level; empty without any."""
-        found = [f"{mode} of {model} (the {level:.0%} band {coverage.share(level):.0%} so far)"
+        """One line on bands with coverage significantly below the nominal level; empty if there are none."""
+        found = [f"{mode} of {model} ({coverage.share(level):.0%} so far, nominal level {level:.0%})"
                  for (model, mode), coverage in self.by_pair.items() if coverage.warns
                  for level in [max(coverage.inside)]]
         if not found:
             return ""
-        return f"coverage far below the nominal level: {', '.join(found)}; has the car, road or driving changed?"
+        return (f"coverage of bands is far below the nominal level: {', '.join(found)}; have the car, the road or the "
+                "driving changed?")

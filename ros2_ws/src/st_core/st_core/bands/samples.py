@@ -1,4 +1,4 @@
-"""Samples for calibration: whole error curves of scored starts, with the conditions at the start."""
+"""Samples for calibration: error curves over the whole horizon, with the conditions at the start."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from .conditions import conditions_at
 from .scale import evenly_spaced
 
 STARTS_PER_RUN = 1000
-"""Predictions of one run overlap: more of them cost memory (1.2 kB each, model and mode) and add little information."""
+"""More predictions overlap more: they need memory (1.2 kB per model and mode) and add little information."""
 
-ModelMode = tuple[str, str]  # (model, mode); mode hindsight: error of the model alone, forecast: of model and driver
+ModelMode = tuple[str, str]  # (model, mode); errors in hindsight are due to the model, in a forecast also to the driver
 
 
 class NotFiniteError(StCoreError):
@@ -27,7 +27,7 @@ class NotFiniteError(StCoreError):
 
 @dataclass(frozen=True, eq=False)
 class ErrorSamples:
-    """Samples of one run. conditions: (n, 4) as `conditions.CONDITIONS`. errors: by (model, mode), (n, points - 1, 3),
+    """Samples of one run. conditions: (n, 4) as `conditions.CONDITIONS`. errors: (n, points - 1, 3) by (model, mode),
     float32, in the predicted frame (see `to_predicted_frame`), without the start, where they are 0."""
 
     name: str
@@ -36,12 +36,11 @@ class ErrorSamples:
 
 
 def to_predicted_frame(errors: np.ndarray) -> np.ndarray:
-    """Errors rotated from the axes of the measured heading, in which they are scored, to those of the predicted one.
+    """Errors along and across the predicted heading, from errors along and across the measured heading.
 
         (along, across) = R(-e_yaw) (longitudinal, lateral),   yaw unchanged
 
-    errors: (..., 3), longitudinal, lateral [m], yaw [rad], predicted minus measured. Returns (..., 3): along the
-    predicted heading, across it (left +), yaw; also predicted minus measured.
+    errors: (..., 3) longitudinal, lateral (left +) [m] and yaw [rad], predicted minus measured, as the result.
     """
     cosine, sine = np.cos(errors[..., 2]), np.sin(errors[..., 2])
     along = cosine * errors[..., 0] + sine * errors[..., 1]
@@ -53,49 +52,48 @@ def error_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: 
                   settings: EvaluationSettings) -> ErrorSamples:
     """Error curves of one drive from at most STARTS_PER_RUN evenly spaced starts.
 
-    Only starts with a completely measured horizon and known conditions count. Raises StCoreError, one line,
-    for a drive shorter than the horizon, for one without such a start, and, as NotFiniteError, where a model's errors
-    are not finite though all its inputs were measured.
+    Only starts with a completely measured horizon and known conditions are used. Raises StCoreError, one line, for a
+    drive without such a start, and NotFiniteError if a model's errors are not finite though all inputs were measured.
     """
     horizon = settings.prediction.horizon
     log = signals.log
     if log.overlap < horizon:
-        raise StCoreError(f"INS and steering overlap for {log.overlap:.1f} s, one horizon is {horizon:g} s: no start "
-                          "can be scored; leave the run out")
+        raise StCoreError(f"INS and steering overlap for {log.overlap:.1f} s, less than the horizon of {horizon:g} s: "
+                          "no prediction can be scored; leave the run out")
     starts, _ = usable_starts(signals, vehicle, regular_starts(log, settings.interval),
                               settings.prediction.minimum_speed)
     conditions = conditions_at(signals, starts)
-    starts = starts[np.isfinite(conditions).all(axis=1) & _known(models, signals, starts, settings)]
+    starts = starts[np.isfinite(conditions).all(axis=1) & _is_measured(models, signals, starts, settings)]
     starts = starts[evenly_spaced(len(starts), STARTS_PER_RUN)]
     scored: list[np.ndarray] = []
     parts: dict[ModelMode, list[np.ndarray]] = {}
     for rows, block in evaluate_blocks(models, vehicle, signals, starts, settings):
-        complete = np.isfinite(block.conditions["speed"])  # known exactly where the whole horizon was measured
+        complete = np.isfinite(block.conditions["speed"])  # known if, and only if, the whole horizon was measured
         scored.append(starts[rows][complete])
         for pair, errors in block.errors.items():
             curves = errors[complete]
             bad = ~np.isfinite(curves).all(axis=(1, 2))
             if bad.any():
                 first = (scored[-1][bad][0] - log.start_ns) * NANOSECOND
-                raise NotFiniteError(f"errors of {pair[0]} are not finite from {int(bad.sum())} starts, the first "
+                raise NotFiniteError(f"errors of {pair[0]} are not finite for {int(bad.sum())} starts, the first "
                                      f"at {first:.1f} s, though all inputs were measured: correct the model or use a "
                                      "shorter --step")
             parts.setdefault(pair, []).append(to_predicted_frame(curves[:, 1:]).astype(np.float32))
     found = np.concatenate(scored) if scored else starts[:0]
     if not len(found):
-        raise StCoreError(f"no start has a whole horizon of {horizon:g} s measured; leave the run out")
+        raise StCoreError(f"no prediction has a completely measured horizon of {horizon:g} s; leave the run out")
     return ErrorSamples(log.name, conditions_at(signals, found), {q: np.concatenate(p) for q, p in parts.items()})
 
 
 def join_runs(runs: Sequence[ErrorSamples]) -> ErrorSamples:
-    """Joins similar runs, for example of one day or place, into one."""
+    """Join similar runs, for example of one day or place, into one."""
     errors = {pair: np.concatenate([run.errors[pair] for run in runs]) for pair in runs[0].errors}
     return ErrorSamples(", ".join(run.name for run in runs), np.concatenate([run.conditions for run in runs]), errors)
 
 
-def _known(models: Sequence[Model], signals: LogSignals, starts_ns: np.ndarray,
-           settings: EvaluationSettings) -> np.ndarray:
-    """Starts (n,) with a completely measured horizon, also for models that shift recorded signals in time."""
+def _is_measured(models: Sequence[Model], signals: LogSignals, starts_ns: np.ndarray,
+                 settings: EvaluationSettings) -> np.ndarray:
+    """Mask (n,) of starts with a completely measured horizon, also for models that shift recorded signals in time."""
     known = np.ones(len(starts_ns), bool)
     times = starts_ns[:, None] + half_step_grid(0, settings.prediction.steps, settings.prediction.step)
     own_logs = [correct_log(model, signals.log, signals.maximum_gap) for model in models]

@@ -1,16 +1,16 @@
-"""Scale of the errors: their typical magnitude as a function of condition and time ahead.
+"""Scale of the errors: their typical magnitude as a function of conditions and time ahead.
 
-    s_a(t | z)^2 = sigma_a(t | z)^2 + floor_a(t)^2,     floor_a(t)^2 = (NOISE n_a)^2 + (FLOOR_SHARE e_a t/T)^2
-    log sigma_a(t_k | z) = phi(z) . C[a, k],     straight in log t between the knots t_k
+    s_a(t | z)^2 = sigma_a(t | z)^2 + floor_a(t)^2,     floor_a(t)^2 = (NOISE_FACTOR n_a)^2 + (FLOOR_SHARE e_a t/T)^2
+    log sigma_a(t_k | z) = phi(z) . C[a, k],     linear in log t between the knots t_k
 
-a: along, across [m] or yaw [rad]. phi: `features` of the conditions z. C is the maximum likelihood estimate for
-normal errors of mean 0, and a measure of scale also for other distributions:
+a: along, across [m] or yaw [rad]; phi: `features` of the conditions z. C is the maximum likelihood estimate for normal
+errors of mean 0, and also measures the scale of other distributions:
 
     minimise over C[a, k]   mean_w( log sigma + e^2 / (2 sigma^2) ) + RIDGE |C[a, k, 1:]|^2          (convex in C)
 
-Runs have equal weights. n, e: root mean square errors at the first point, which are due to sensor noise, and at the end
-of the horizon T. Without a floor, a run with noisier sensors or conditions with few, small errors would give large
-scores and widen the band everywhere. Checked by: test_bands.py, on errors drawn with a known scale.
+Runs have equal weights. n_a and e_a are root mean square errors at the first point, which are due to sensor noise, and
+at the end of the horizon T. Without a floor, a run with noisier sensors, or conditions with few and small errors, would
+have large scores and widen the band everywhere. Checked by: test_bands.py.
 """
 
 import itertools
@@ -24,18 +24,16 @@ import numpy as np
 
 from ..errors import StCoreError
 
-KNOTS = (0.1, 0.5, 1.0, 2.0, 3.5, 5.0)  # s ahead, for a horizon of 5 s; in proportion for others
-NOISE = 3.0  # standard deviations of the sensor noise in the floor
-FLOOR_SHARE = 0.2  # fraction of the RMS error at the end of the horizon; before that, proportional to time
-ERROR_RESOLUTION = np.array([1.0e-3, 1.0e-3,
-                             1.0e-4])  # m, m, rad: resolution of the sensors; smaller errors count as this large
+KNOTS = (0.1, 0.5, 1.0, 2.0, 3.5, 5.0)  # s ahead for a horizon of 5 s; proportional for other horizons
+NOISE_FACTOR = 3.0  # ratio of the constant part of the floor to the RMS error at the first point
+FLOOR_SHARE = 0.2  # ratio of the part of the floor proportional to time to the RMS error at the end of the horizon
+ERROR_RESOLUTION = np.array([1.0e-3, 1.0e-3, 1.0e-4])  # m, m, rad; smaller errors are replaced by this resolution
 RIDGE = 1.0e-2
 MAX_STEPS, MAX_HALVINGS = 100, 20
 TOLERANCE = 1.0e-3
-"""Of the derivative: relative error of the mean squares, far below their uncertainty for any number of runs."""
-FIT_STARTS = 100  # starts of a run used in the fit; neighbouring starts are redundant
+"""Largest derivative at convergence: the relative error of the mean squares, which is far below their uncertainty."""
+FIT_STARTS = 100  # largest number of starts of a run in the fit; neighbouring starts are redundant
 SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)  # m/s^2 of lateral acceleration, because tyre saturation is not quadratic
-
 
 _FLOORS, _OFFSETS, _UNITS = (0.1, 0.0, 0.0, 0.0), (0.0, 0.3, 0.2, 0.005), (10.0, 1.5, 0.6, 0.02)
 _PAIRS = tuple(itertools.combinations_with_replacement(range(4), 2))
@@ -43,7 +41,7 @@ _LEFT, _RIGHT = np.array(_PAIRS).T
 
 
 def features(conditions: np.ndarray) -> np.ndarray:
-    """phi (..., 20) of conditions (..., 4) as `conditions.CONDITIONS`; each of magnitude about 1.
+    """Features phi (..., 20), of magnitude about 1, of the conditions (..., 4) in `conditions.CONDITIONS`.
 
     1; the four logarithms  log(v / 10 m/s),  log((a_y + 0.3 m/s^2) / 1.5 m/s^2),  log((a_x + 0.2 m/s^2) / 0.6 m/s^2),
     log((w + 0.005 rad/s) / 0.02 rad/s); their squares and products; triangles 3 m/s^2 wide about SPLINE_KNOTS in a_y.
@@ -56,9 +54,9 @@ def features(conditions: np.ndarray) -> np.ndarray:
 
 def features_of_one(condition: Sequence[Any], log: Callable[[Any], Any] = math.log,
                     largest: Callable[[Any, Any], Any] = max) -> list[Any]:
-    """`features` of the four conditions of one start as floats, in half the time (a third with cold caches).
+    """`features` of the four conditions of one start as floats, which takes half the time (a third with cold caches).
 
-    log, largest: functions of another number type, such as CasADi's symbols.
+    log, largest: functions for another number type, such as CasADi's symbols.
     """
     logs = [log((largest(value, floor) + offset) / unit)
             for value, floor, offset, unit in zip(condition, _FLOORS, _OFFSETS, _UNITS, strict=True)]
@@ -67,26 +65,26 @@ def features_of_one(condition: Sequence[Any], log: Callable[[Any], Any] = math.l
 
 
 def knots_of(horizon: float) -> np.ndarray:
-    """Knots [s] for a horizon [s]."""
+    """Knots of a horizon [s]."""
     return np.array(KNOTS) * (horizon / KNOTS[-1])
 
 
-def interpolation(knots: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """(time, knots): matrix of interpolation from the knots to times ahead [s, > 0], linear in log t, constant outside.
+def interpolation_matrix(knots: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Matrix (time, knots) that interpolates from the knots to times ahead [s, > 0], linear in log t, constant outside.
     """
     return np.stack([np.interp(np.log(time), np.log(knots), row) for row in np.eye(len(knots))], axis=-1)
 
 
 def floor_at(floor: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """(points, 3) [m, m, rad] at times ahead (points,); floor: (2, 3), constant part, and part at the end of the
-    horizon."""
+    """Floor (points, 3) [m, m, rad] at times ahead (points,). floor: (2, 3), its constant part, and its part
+    proportional to time at the end of the horizon."""
     return np.hypot(floor[0], floor[1] * (time / time[-1])[:, None])
 
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """coefficients: C, (3, knots, features). floor: (2, 3), NOISE n and FLOOR_SHARE e [m, m, rad]. time: (points,)
-    ahead [s, > 0]; knots: [s]."""
+    """A fitted scale. coefficients: C (3, knots, features). floor: (2, 3) NOISE_FACTOR n and FLOOR_SHARE e [m, m, rad].
+    time: (points,) ahead [s, > 0]. knots: (knots,) [s]."""
 
     coefficients: np.ndarray
     floor: np.ndarray
@@ -94,23 +92,21 @@ class Scale:
     knots: np.ndarray
 
     @cached_property
-    def _between(self) -> np.ndarray:
-        return interpolation(self.knots, self.time)
+    def _interpolation(self) -> np.ndarray:
+        return interpolation_matrix(self.knots, self.time)
 
     def __call__(self, conditions: np.ndarray) -> np.ndarray:
         """s (n, points, 3) [m, m, rad] under conditions (n, 4)."""
         phi = features(conditions)
         logs = phi @ self.coefficients.reshape(-1, phi.shape[-1]).T  # (n, 3 * knots)
         logs = logs.reshape(len(phi), *self.coefficients.shape[:2]).transpose(0, 2, 1)
-        sigma = np.exp(np.clip(self._between @ logs, -30.0, 30.0))
+        sigma = np.exp(np.clip(self._interpolation @ logs, -30.0, 30.0))
         return np.hypot(sigma, floor_at(self.floor, self.time))
 
 
 def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], time: np.ndarray) -> Scale:
-    """Scale of errors (n, points, 3) under conditions (n, 4), one pair for each run. time: (points,) of the errors [s].
-
-    Raises StCoreError where the fit fails.
-    """
+    """Scale of the errors of several runs. conditions: (n, 4) of each run; errors: (n, points, 3) of each run; time:
+    (points,) ahead [s]. Raises StCoreError if the fit fails."""
     knots = knots_of(float(time[-1]))
     selected = [evenly_spaced(len(run)) for run in conditions]
     phi = np.concatenate([features(run[rows]) for run, rows in zip(conditions, selected, strict=True)])
@@ -118,31 +114,31 @@ def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], ti
     squares = [np.maximum(np.square(run[rows].astype(float)), np.square(ERROR_RESOLUTION))
                for run, rows in zip(errors, selected, strict=True)]
     first, last = np.sqrt(np.mean([run[:, [0, -1]].mean(axis=0) for run in squares], axis=0))
-    floor = np.stack([NOISE * first, FLOOR_SHARE * last])
-    near = [int(np.abs(time - knot).argmin()) for knot in knots]
-    targets = np.concatenate([run[:, near] for run in squares]).reshape(len(phi), -1)  # (n, knots * 3)
-    c = _gamma_regression(phi, weights, targets)
+    floor = np.stack([NOISE_FACTOR * first, FLOOR_SHARE * last])
+    nearest = [int(np.abs(time - knot).argmin()) for knot in knots]
+    targets = np.concatenate([run[:, nearest] for run in squares]).reshape(len(phi), -1)  # (n, knots * 3)
+    c = _fit_gamma_regression(phi, weights, targets)
     return Scale(c.reshape(phi.shape[1], len(knots), 3).transpose(2, 1, 0), floor, np.asarray(time, float), knots)
 
 
-def _gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """C (features, m) for squares (n, m) minimising the loss above: gamma regression with log link, by Newton steps.
+def _fit_gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """C (features, m) that minimises the loss of the squares (n, m): gamma regression with log link, by Newton steps.
 
-    A hundredth of the expected second derivative is added to the actual one, which vanishes where sigma is too large.
+    A hundredth of the expected Hessian is added to the actual Hessian, which vanishes where sigma is too large.
     """
     ridge = np.full((phi.shape[1], 1), RIDGE)
     ridge[0] = 0.0
     regularisation = 0.02 * phi.T @ (weights[:, None] * phi) + 2.0 * np.diag(ridge[:, 0]) + 1.0e-9 * np.eye(len(ridge))
 
     def loss(c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Loss and its derivative by column; e^2 / sigma^2, (n, m)."""
+        """(loss (m,), its derivative (features, m), e^2 / sigma^2 (n, m))."""
         eta = phi @ c
         ratio = squares * np.exp(-2.0 * np.clip(eta, -30.0, 30.0))
         return (weights @ (eta + 0.5 * ratio) + (ridge * c * c).sum(axis=0),
                 phi.T @ (weights[:, None] * (1.0 - ratio)) + 2.0 * ridge * c, ratio)
 
     c = np.zeros((phi.shape[1], squares.shape[1]))
-    c[0] = 0.5 * np.log(weights @ squares)  # the root mean square of all starts
+    c[0] = 0.5 * np.log(weights @ squares)  # log of the root mean square error of all starts
     value, slope, ratio = loss(c)
     for _ in range(MAX_STEPS):
         if np.abs(slope).max() < TOLERANCE:
@@ -157,9 +153,9 @@ def _gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndarray)
             share = np.where(worse, 0.5 * share, share)
         c, value, slope, ratio = c - share * step, tried, tried_slope, tried_ratio
     raise StCoreError(f"the scale of the errors cannot be fitted: no convergence after {MAX_STEPS} steps; are errors "
-                      "of a few starts larger than all others by orders of magnitude?")
+                      "of a few starts larger by orders of magnitude?")
 
 
 def evenly_spaced(count: int, limit: int = FIT_STARTS) -> np.ndarray:
-    """At most `limit` of `count` rows, evenly spaced."""
+    """Indices of at most `limit` of `count` rows, evenly spaced."""
     return np.arange(count) if count <= limit else np.linspace(0, count - 1, limit).round().astype(int)

@@ -1,13 +1,13 @@
-"""Decomposition of the error of a model: parameters, sensors and start state, residual.
+"""Decomposition of a model's mean square error into shares of parameters, of sensors and start state, and a residual.
 
     mean e_a(t)^2 = sum_p mean( (de_a(t)/dp sigma_p)^2 ) + sum_s mean( (de_a(t)/ds sigma_s)^2 ) + residual
 
-p: parameters of vehicle and model file with an uncertainty (standard deviation, or a 95 % interval), assumed
-independent. s: the six states at the start and the measured pose at t, with the white noise of this recording. The
-derivatives are central differences of whole predictions with steps of one standard deviation, along and across the
-predicted heading. Residual: structure of the model, parameters without an uncertainty, slow errors of the sensors,
-noise of steering and acceleration in the horizon. It is negative if the uncertainties exceed the observed errors. For
-hindsight only: errors of the forecast are mostly due to the driver. Checked by: test_bands_shares.py.
+p: parameters of vehicle and model file with a known uncertainty, assumed independent. s: the six states at the start
+and the measured pose at t, with the white noise of this recording. The derivatives are central differences of whole
+predictions with steps of one standard deviation, along and across the predicted heading. The residual contains the
+structure of the model, parameters without an uncertainty, slow errors of the sensors, and noise of steering and
+acceleration in the horizon; it is negative if the uncertainties exceed the observed errors. Only hindsight is
+decomposed, since errors of the forecast are mostly due to the driver. Checked by: test_bands_shares.py.
 """
 
 import contextlib
@@ -31,8 +31,8 @@ from ..vehicle import VehicleParameters, value_of
 from .scale import evenly_spaced
 
 PARAMETERS, SENSORS = "parameters", "sensors and start"
-STARTS = 200  # of a run; neighbouring starts are redundant
-Z95 = 1.96
+STARTS = 200  # largest number of starts of a run; neighbouring starts are redundant
+Z95 = 1.96  # 97.5 % quantile of the standard normal distribution
 
 Intervals = Mapping[tuple[str, str], tuple[float, float]]  # 95 % interval by effect and parameter, of a model file
 Cause = tuple[str, str]  # (PARAMETERS or SENSORS, name)
@@ -40,9 +40,9 @@ Cause = tuple[str, str]  # (PARAMETERS or SENSORS, name)
 
 def squared_contributions(model: Model, vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
                           intervals: Intervals | None = None) -> tuple[int, np.ndarray, dict[Cause, np.ndarray]]:
-    """(number of starts, squares of the error, squares by cause) of one run.
+    """(number of starts, squared errors, squared contributions by cause) of one run.
 
-    Squares are summed for all starts, (seconds, 3) [m^2, m^2, rad^2], along, across and in yaw at 1, 2, ... s ahead.
+    Squares are summed over all starts: (seconds, 3) [m^2, m^2, rad^2], along, across and in yaw at 1, 2, ... s ahead.
     Parameters of the vehicle that affect no prediction are left out.
     """
     seconds = np.arange(1, int(settings.prediction.horizon + 1e-9) + 1, dtype=float)
@@ -63,16 +63,16 @@ def squared_contributions(model: Model, vehicle: VehicleParameters, signals: Log
     errors, base = measured.errors(measured.predict(model, vehicle)), path(signals, model, vehicle)
     complete = np.isfinite(errors).all(axis=(1, 2))
     ends: dict[Cause, tuple[np.ndarray, np.ndarray]] = {}
-    for key, (low, high) in _cars(vehicle).items():
-        ends[PARAMETERS, key] = (path(_with_steering_of(signals, low, settings), model, low),
-                                 path(_with_steering_of(signals, high, settings), model, high))
-    for key, (lower, higher) in _models(model, intervals or {}).items():
+    for key, (low, high) in _vary_vehicle(vehicle).items():
+        ends[PARAMETERS, key] = (path(_recompute_steering(signals, low, settings), model, low),
+                                 path(_recompute_steering(signals, high, settings), model, high))
+    for key, (lower, higher) in _vary_model(model, intervals or {}).items():
         ends[PARAMETERS, key] = path(signals, lower, vehicle), path(signals, higher, vehicle)
     noise = {name: white_noise(getattr(signals.log, name)) if len(signals.log.x) > 3 else 0.0 for name in INS_SIGNALS}
     for name, sigma in noise.items():
         ends[SENSORS, f"{name} at the start"] = (
-            path(_shifted(signals, name, -sigma, settings), model, vehicle),
-            path(_shifted(signals, name, sigma, settings), model, vehicle))
+            path(_shift_signal(signals, name, -sigma, settings), model, vehicle),
+            path(_shift_signal(signals, name, sigma, settings), model, vehicle))
     squares: dict[Cause, np.ndarray] = {}
     for cause, (low_end, high_end) in ends.items():
         moved = np.stack([*map_to_body(0.5 * (high_end[0] - low_end[0]), 0.5 * (high_end[1] - low_end[1]), base[2]),
@@ -85,27 +85,26 @@ def squared_contributions(model: Model, vehicle: VehicleParameters, signals: Log
     return int(complete.sum()), np.square(errors[complete]).sum(axis=0), squares
 
 
-def _cars(vehicle: VehicleParameters) -> dict[str, tuple[VehicleParameters, VehicleParameters]]:
-    """The car with each uncertain parameter one standard deviation lower and higher; invalid ones are left out."""
+def _vary_vehicle(vehicle: VehicleParameters) -> dict[str, tuple[VehicleParameters, VehicleParameters]]:
+    """By uncertain parameter, the car with it one standard deviation lower and higher; without invalid cars."""
     found = {}
-    for key, about in vehicle.provenance.items():
-        if about.uncertainty:
+    for key, provenance in vehicle.provenance.items():
+        if provenance.uncertainty:
             value = value_of(vehicle, key)
             with contextlib.suppress(ConfigurationError):
-                found[key] = (vehicle.with_values({key: value - about.uncertainty}),
-                              vehicle.with_values({key: value + about.uncertainty}))
+                found[key] = (vehicle.with_values({key: value - provenance.uncertainty}),
+                              vehicle.with_values({key: value + provenance.uncertainty}))
     return found
 
 
-def _models(model: Model, intervals: Intervals) -> dict[str, tuple[Model, Model]]:
-    """The model with each uncertain value of its effects one standard deviation lower and higher, within its bounds."""
+def _vary_model(model: Model, intervals: Intervals) -> dict[str, tuple[Model, Model]]:
+    """By uncertain value of an effect, the model with it one standard deviation lower and higher, within its bounds."""
     if not isinstance(model, AugmentedModel):
         return {}
     found: dict[str, tuple[Model, Model]] = {}
     for (effect, name), (low, high) in intervals.items():
         value, sigma = model.values[effect][name], (high - low) / (2.0 * Z95)
         bounds = next(p.bounds for p in get_effect(effect).parameters if p.name == name)
-        # One-sided if the other end is out of bounds.
         pair = [float(np.clip(value + side * sigma, *bounds)) for side in (-1.0, 1.0)]
         if pair[0] < pair[1]:
             low_end, high_end = (model.with_values({effect: {name: end}}) for end in pair)
@@ -113,11 +112,11 @@ def _models(model: Model, intervals: Intervals) -> dict[str, tuple[Model, Model]
     return found
 
 
-def _with_steering_of(signals: LogSignals, car: VehicleParameters, settings: EvaluationSettings) -> LogSignals:
-    """The drive with the road wheel angle by steering ratio and offset of that car."""
+def _recompute_steering(signals: LogSignals, car: VehicleParameters, settings: EvaluationSettings) -> LogSignals:
+    """The drive with the road wheel angle recomputed by steering ratio and offset of a car."""
     return signals if signals.log.steering_wheel_angle is None else settings.signals(signals.log.with_steering(car))
 
 
-def _shifted(signals: LogSignals, name: str, by: float, settings: EvaluationSettings) -> LogSignals:
-    """The drive with a constant added to a signal of the INS; derivatives, and with them the inputs, do not change."""
+def _shift_signal(signals: LogSignals, name: str, by: float, settings: EvaluationSettings) -> LogSignals:
+    """The drive with a constant added to a signal of the INS, which changes neither derivatives nor inputs."""
     return settings.signals(replace(signals.log, **{name: getattr(signals.log, name) + by}))

@@ -160,8 +160,8 @@ def _require_scores(source: RunSource, run: LoadedRun, evaluation: LogEvaluation
         return
     length = float(evaluation.horizon[-1])
     if run.log.overlap < length:
-        raise RunError(source.where, f"nothing to score: INS and steering overlap for {run.log.overlap:.1f} s, but a "
-                       f"horizon is {length:g} s")
+        raise RunError(source.where, f"nothing to score: INS and steering overlap for {run.log.overlap:.1f} s, less "
+                       f"than the horizon of {length:g} s")
     skipped = {**evaluation.skipped, **evaluation.incomplete}
     raise RunError(source.where, "nothing to score: " + ", ".join(
         f"{reason} ({count} starts)" for reason, count in skipped.items()))
