@@ -14,7 +14,7 @@ from nav_msgs.msg import Odometry
 from oxts_bridge.file_decoder import decode_file
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from st_live.nodes.player import header_stamp
+from st_live.nodes.player import read_header_stamp
 from st_msgs.msg import Ncom, Prediction, Steering
 from st_ros.polling import PolledSubscription, to_nanoseconds
 
@@ -46,7 +46,7 @@ class Listener(Node):
     def take(self) -> None:
         self.packets += [(to_nanoseconds(message.header.stamp), bytes(message.raw_packet))
                          for message, _, _ in self._packets.take()]
-        self.odometry += [(header_stamp(data), sent, arrived) for data, arrived, sent in self._odometry.take()]
+        self.odometry += [(read_header_stamp(data), sent, arrived) for data, arrived, sent in self._odometry.take()]
         angles = [(to_nanoseconds(message.header.stamp), sent, arrived) for message, arrived, sent
                   in self._steering.take()]
         self.angles += angles

@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
-from st_live.node import health
+from st_live.node import render_health
 
 from faults.car import WindingRoad
 from faults.catalogue import CONSISTENCY, DRIVING
@@ -27,7 +27,7 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Row]:
     with running(folder, drive=WindingRoad(ROAD)) as rig:
         assert rig.run(FIRST, lambda: CONSISTENCY in rig.monitor.state.health
                        and "agree" in rig.monitor.state.health[CONSISTENCY].message and rig.is_well())
-        assert health(rig.monitor.state).plain == "all nodes OK"
+        assert render_health(rig.monitor.state).plain == "all nodes OK"
         windows = [put(rig, fault, until_told=True) for fault in DRIVING]
     assert set(rig.statuses.values()) == {0}
     recorded = Recorded(folder)

@@ -16,7 +16,7 @@ pytest.importorskip("st_msgs", reason="needs the built workspace")
 from rich.console import Console
 from st_cli.verbs import demo, live, raw_logs
 from st_live import configuration, session
-from st_live.node import Status, SuiteState, progress_view
+from st_live.node import Status, SuiteState, render_progress
 from st_live.suite import SuiteError, claim_domain, merge, read_domain_id
 from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStatus
 
@@ -37,7 +37,7 @@ def run(verb, *arguments: object):
     (["--effect", "friction=0.8"], ["friction: unknown setting", "friction_factor"]),
     (["--effect", "friction_factor=7"], ["friction_factor: 7.0 is not within 0.05 to 2 1"]),
     (["--ncom-rate", "200"], ["--ncom-rate", "choose from 100, 250"]),
-    (["--plant", "nowhere.yaml"], ["--plant nowhere.yaml: neither ideal nor realistic"]),
+    (["--plant", "nowhere.yaml"], ["--plant nowhere.yaml: not a file, and not a preset"]),
     (["--drive", ROOT / "README.md"], ["README.md", "column t is missing"]),
     (["--drive", ROOT / "README.md", "--scenario", "S3"], ["--scenario: not allowed with argument --drive"]),
 ])
@@ -187,7 +187,7 @@ def test_every_node_has_one_section_in_the_parameter_file() -> None:
 def lines_of(state: SuiteState) -> list[str]:
     console = Console(width=80, force_terminal=True, color_system=None)
     with console.capture() as captured:
-        console.print(progress_view(state, 12.0, 60.0, "S6"))
+        console.print(render_progress(state, 12.0, 60.0, "S6"))
     return [line.rstrip() for line in captured.get().splitlines()]
 
 

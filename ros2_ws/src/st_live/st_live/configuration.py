@@ -1,7 +1,4 @@
-"""Checks and assembles the node parameters of a run: config/nodes.yaml, car, bus, model file, bands and course.
-
-Also starts the virtual Leaf on a free UDP port and CAN group of the loopback interface.
-"""
+"""Assembles and checks the node parameters of a run, and starts the virtual Leaf."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -29,11 +26,11 @@ from .suite import Parameters, Suite, SuiteError, find_executable, free_udp_port
 T = TypeVar("T")
 REPLAY_NODES = ("recorder", "evaluator", "predictor")  # in the order of their start: subscribers first
 TRUNCATED = "{} is truncated: its recorder was killed; later data are not {}"
-LEAF_TIMEOUT = 20.0  # s, longest wait for the first message of the virtual Leaf
+LEAF_TIMEOUT = 20.0  # s until the virtual Leaf must have started to send
 
 
 def vehicle_file(given: Path | None) -> Path:
-    """Absolute path of the checked vehicle file, by default the Leaf's. Raises RunError and StCoreError."""
+    """Absolute path of a vehicle file, by default of the Leaf. Raises RunError and StCoreError if it is not valid."""
     path = (given or config("vehicle/leaf.yaml")).absolute()
     read_vehicle(path)
     return path
@@ -48,7 +45,7 @@ def bridge_parameters(vehicle: Path, ins: dict[str, Any], bus: dict[str, Any], d
                       signals: Path | None = None) -> dict[str, dict[str, Any]]:
     """Parameters of both bridges. ins: of oxts_bridge; bus: of canedge_bridge (interface, channel, steering).
 
-    The transform base_link to ins_link is the lever arm of the vehicle file. The file gives no height difference, so
+    The transform from base_link to ins_link is the lever arm of the vehicle file. The file contains no height, so
     base_link is the CG projected to the height of the INS.
     """
     car = read_vehicle(vehicle)
@@ -84,7 +81,7 @@ def live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Par
 
 
 def replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration) -> dict[str, dict[str, Any]]:
-    """Parameters of REPLAY_NODES: those in the recording, else those of config/nodes.yaml."""
+    """Parameters of REPLAY_NODES: from the recording, else from config/nodes.yaml."""
     common = {"vehicle_file": str(vehicle), "use_sim_time": True}
     nodes = {node: {**recorded.nodes.get(node, {}), **common} for node in ("predictor", "evaluator")}
     merged = merge(config("nodes.yaml"), {
@@ -133,9 +130,9 @@ def load_model(model: Path | None, effects: Path | None, car: VehicleParameters,
 
 def add_files(parameters: Parameters, bands: Path | None, course: Path | None,
               adaptive: bool | None = None) -> dict[str, dict[str, Any]]:
-    """The parameters with bands file and course of the predictor replaced by those given.
+    """The parameters with the given bands file and course for the predictor; None: unchanged.
 
-    adaptive: whether bands follow the errors of the run; None: unchanged. Raises SuiteError for a file that cannot be
+    adaptive: whether bands adapt to the errors of the run; None: unchanged. Raises SuiteError for a file that cannot be
     read, and for bands of another car, model or configuration.
     """
     changed = {node: {**values} for node, values in parameters.items()}
@@ -178,16 +175,16 @@ def _check_bands(bands: Path, predictor: Mapping[str, Any]) -> None:
 
 
 def recordings_of(path: Path) -> tuple[Path, list[Path]]:
-    """(bag with the measurements, bags with the scores) of a bag or of the folder of a run."""
+    """(bag with the measurements, bags with the scores) for a bag or the folder of a run."""
     bag = path / "bag" if path.is_dir() and not is_bag(path) and is_bag(path / "bag") else path
     errors = bag.parent / "errors"
     return bag, [errors] if is_bag(errors) and errors.is_dir() else [bag]
 
 
 class VirtualCar:
-    """The virtual Leaf and the bridge parameters for its interfaces.
+    """The virtual Leaf on a free UDP port and a CAN group of the loopback interface.
 
-    vehicle: vehicle file of bridges and nodes. options: of the command virtual_leaf, except those of the interfaces.
+    vehicle: vehicle file of bridges and nodes. options: of the command virtual_leaf, without those of its interfaces.
     simulated: vehicle file of the simulated car, by default the same. Raises SuiteError for invalid options.
     """
 
@@ -204,15 +201,12 @@ class VirtualCar:
             raise SuiteError(str(error)) from None
 
     def bridge_parameters(self) -> dict[str, dict[str, Any]]:
-        # config/nodes.yaml may describe the sensor of a real car; the virtual one follows the signal table.
+        # config/nodes.yaml may contain sign and latency of a real sensor; the virtual one follows the signal table.
         bus = {"interface": "udp_multicast", "channel": self.channel, "steering_sign": 1, "steering_latency": 0.0}
         return bridge_parameters(self.vehicle, {"udp_port": self.port, "bind_address": "127.0.0.1"}, bus)
 
     def start(self, suite: Suite) -> float:
-        """Start the car and wait until it sends; returns the duration of the drive [s].
-
-        Raises SuiteError with the last output of the car if it does not send.
-        """
+        """Start the car and wait until it sends; returns the duration of the drive [s]. Raises SuiteError."""
         arguments = [*self._arguments, "--output", str(suite.folder / "truth")]
         leaf = suite.start("virtual_leaf", [find_executable("st_sim", "virtual_leaf"), *arguments])
         if line := leaf.wait_for('"sending"', LEAF_TIMEOUT):

@@ -1,5 +1,4 @@
-"""Monitor node of a command (receives statistics, tick counts and diagnostics, publishes /diagnostics_agg), and the
-terminal view of a run."""
+"""Receives the statistics, tick counts and diagnostics of a running suite, and formats them for the terminal."""
 
 import contextlib
 import math
@@ -24,7 +23,7 @@ from st_ros.polling import PolledSubscription
 
 AGGREGATE_PERIOD = 1.0  # s between messages on /diagnostics_agg
 PREDICTION_PERIOD = 0.25  # s between reads of the newest prediction
-STATUS_TIMEOUT = 5.0  # s without an update before a status is silent
+STATUS_TIMEOUT = 5.0  # s without an update until a status counts as silent
 LEVELS = ("ok", "warning", "error", "stale")
 STALE = LEVELS.index("stale")
 
@@ -53,7 +52,7 @@ class SuiteState:
 
 
 class Monitor:
-    """Receives in a separate thread; `state` is replaced, never changed, so that reading needs no lock."""
+    """Node with its own thread. `state` is replaced, never changed, so that readers need no lock."""
 
     def __init__(self, domain_id: int | None = None):
         self.state = SuiteState()
@@ -62,8 +61,8 @@ class Monitor:
         rclpy.init(context=self._context, domain_id=domain_id,
                    signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
         self._node = Node("st_monitor", context=self._context)
-        self._node.create_subscription(ErrorSummary, "evaluator/summary", lambda m: self._set(summary=m), 10)
-        self._node.create_subscription(PredictorStatus, "predictor/status", lambda m: self._set(ticks=m), 10)
+        self._node.create_subscription(ErrorSummary, "evaluator/summary", lambda m: self._update(summary=m), 10)
+        self._node.create_subscription(PredictorStatus, "predictor/status", lambda m: self._update(ticks=m), 10)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._predictions = [
@@ -79,7 +78,7 @@ class Monitor:
         self._thread.start()
 
     def node_names(self) -> list[str]:
-        """Names of all other nodes in the graph; two nodes of one name are listed twice."""
+        """Names of all other nodes in the graph; a name that two nodes have is listed twice."""
         return [name for name in self._node.get_node_names() if name != self._node.get_name()]
 
     def wait_for_nodes(self, names: set[str], timeout: float) -> set[str]:
@@ -91,8 +90,8 @@ class Monitor:
             time.sleep(0.05)
         return missing
 
-    def last_status(self, name: str) -> float:
-        """Time of the newest /diagnostics of a node [s, monotonic]; minus infinity: never."""
+    def last_status_time(self, name: str) -> float:
+        """Monotonic time of the newest /diagnostics of a node [s]; minus infinity if there are none."""
         prefix = f"{name}: "
         return max((s.received_at for n, s in self.state.health.items() if n.startswith(prefix)), default=float("-inf"))
 
@@ -101,7 +100,7 @@ class Monitor:
         self._update_health({status.name: status})
 
     def _publish_aggregate(self) -> None:
-        """Publish /diagnostics_agg as a diagnostic aggregator does: the level of the suite, then every status."""
+        """Publish the worst level of the suite, followed by every status, as a diagnostic aggregator does."""
         now, statuses = time.monotonic(), self.state.health
         lines = [DiagnosticStatus(name=s.name, message=s.message, level=bytes([STALE if s.is_silent(now) else s.level]))
                  for s in sorted(statuses.values(), key=lambda s: s.name)]
@@ -125,14 +124,14 @@ class Monitor:
         with contextlib.suppress(ExternalShutdownException):
             self._executor.spin()
 
-    def _set(self, **changes: Any) -> None:
-        with self._lock:  # called by the monitor's thread and by the caller's
+    def _update(self, **changes: Any) -> None:
+        with self._lock:  # called from the monitor's thread and from others
             self.state = replace(self.state, **changes)
 
     def _read_predictions(self) -> None:
         for subscription in self._predictions:
             for message, _, _ in subscription.take():
-                self._set(prediction=message)
+                self._update(prediction=message)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
@@ -144,18 +143,19 @@ class Monitor:
             self.state = replace(self.state, health={**self.state.health, **statuses})
 
 
-def progress_view(state: SuiteState, elapsed: float, duration: float | None, title: str) -> RenderableType:
-    """The screen during a run. elapsed, duration in s; duration None: until stopped."""
+def render_progress(state: SuiteState, elapsed: float, duration: float | None, title: str) -> RenderableType:
+    """The terminal view of a run. elapsed, duration: in s; duration None: until stopped."""
     line = Table.grid(padding=(0, 1))
     if duration:
         bar = ProgressBar(total=duration, completed=min(elapsed, duration), width=40)
         line.add_row(title, bar, f"{elapsed:4.0f} / {duration:.0f} s")
     else:
         line.add_row(title, f"{elapsed:4.0f} s", "(Ctrl-C ends it)")
-    return Group(line, motion(state), running_errors(state), *bands(state), ticks(state), health(state))
+    return Group(line, render_motion(state), render_errors(state), *render_bands(state), render_ticks(state),
+                 render_health(state))
 
 
-def motion(state: SuiteState) -> Text:
+def render_motion(state: SuiteState) -> Text:
     """Motion of the car at the start of the newest prediction."""
     p = state.prediction
     if p is None or not len(p.velocity_x):
@@ -165,8 +165,8 @@ def motion(state: SuiteState) -> Text:
                 f"v_x r {p.velocity_x[0] * p.yaw_rate[0]:+.1f} m/s², {p.model} took {p.compute_time * 1e3:.1f} ms")
 
 
-def running_errors(state: SuiteState) -> RenderableType:
-    """Mean | max | RMSE of the horizon means so far, one row per model and mode."""
+def render_errors(state: SuiteState) -> RenderableType:
+    """Table of mean, largest and RMS of the horizon means so far, one row per model and mode."""
     statistics = state.summary.statistics if state.summary else []
     if not any(s.n_starts for s in statistics):
         return Text("waiting for the first complete horizon", style="dim")
@@ -175,31 +175,31 @@ def running_errors(state: SuiteState) -> RenderableType:
         table.add_column(column, justify="left" if column in ("model", "mode") else "right", no_wrap=True)
     for s in statistics:
         table.add_row(Text(s.model, style=MODEL_COLOUR.get(s.model, "")), s.mode, str(s.n_starts),
-                      _triple(s.longitudinal_mean, s.longitudinal_max, s.longitudinal_rmse),
-                      _triple(s.lateral_mean, s.lateral_max, s.lateral_rmse))
+                      _format_statistics(s.longitudinal_mean, s.longitudinal_max, s.longitudinal_rmse),
+                      _format_statistics(s.lateral_mean, s.lateral_max, s.lateral_rmse))
     return table
 
 
-def bands(state: SuiteState) -> list[Text]:
+def render_bands(state: SuiteState) -> list[Text]:
     """Coverage of the published bands; empty without bands."""
     return [Text(line) for line in format_band_lines(state.summary.statistics if state.summary else [])]
 
 
-def ticks(state: SuiteState) -> Text:
-    t = state.ticks
-    if t is None:
+def render_ticks(state: SuiteState) -> Text:
+    ticks = state.ticks
+    if ticks is None:
         return Text("predictor: no status yet", style="dim")
-    skipped = t.skipped_stale + t.skipped_overrun + t.skipped_slow
-    text = Text(f"ticks {t.due}, predicted {t.predicted}, skipped {skipped}")
-    if t.state_age > 0.0:
-        text.append(f", from a state {t.state_age * 1e3:.0f} ms old")
-    if t.reason:
-        text.append(f"  ({t.reason})", style="yellow")
+    skipped = ticks.skipped_stale + ticks.skipped_overrun + ticks.skipped_slow
+    text = Text(f"ticks {ticks.due}, predicted {ticks.predicted}, skipped {skipped}")
+    if ticks.state_age > 0.0:
+        text.append(f", from a state {ticks.state_age * 1e3:.0f} ms old")
+    if ticks.reason:
+        text.append(f"  ({ticks.reason})", style="yellow")
     return text
 
 
-def health(state: SuiteState) -> Text:
-    """Every status that is not ok, worst first; a single line if all are ok."""
+def render_health(state: SuiteState) -> Text:
+    """Every status that is not OK, the worst first; a single line if all are OK."""
     now = time.monotonic()
     text = Text()
     for status in sorted(state.health.values(), key=lambda s: (-s.level, s.name)):
@@ -212,5 +212,5 @@ def health(state: SuiteState) -> Text:
     return text if text else Text("all nodes OK" if state.health else "", style="green")
 
 
-def _triple(*values: float) -> str:
+def _format_statistics(*values: float) -> str:
     return " | ".join("-" if math.isnan(v) else f"{v:5.2f}" for v in values)

@@ -1,4 +1,4 @@
-"""The view of a running suite: the passenger's page with its server, and a Rerun recording of the run afterwards."""
+"""Serves the passenger's page of a running suite, and writes a Rerun recording of the run after its end."""
 
 import atexit
 import json
@@ -18,27 +18,27 @@ from .rerun_server import LOOPBACK, READY_TIMEOUT, STOP_TIMEOUT, check_new_rerun
 from .suite import Child, Processes, SuiteError
 
 PAGE = Path(__file__).with_name("passenger.html")
-# The page is a single file and loads nothing else, neither from this host nor from another.
+# The page is a single file, which may load nothing else from any host.
 POLICY = ("default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "
           "img-src data:; base-uri 'none'; form-action 'none'")
 MAX_CLIENTS = 16
-CLIENT_TIMEOUT = 10.0  # s until a client that requests or reads nothing is dropped
-KEEP_ALIVE = 2.0  # s without a frame until a comment is sent, which detects clients that have left
-SEND_BUFFER = 32_768  # bytes, about 0.5 s of frames: a slow client skips frames instead of seeing old ones
+CLIENT_TIMEOUT = 10.0  # s until a client that neither requests nor reads anything is dropped
+KEEP_ALIVE_PERIOD = 2.0  # s without a frame until a comment is sent, which fails if the client has left
+SEND_BUFFER = 32_768  # bytes, about 0.5 s of frames: a slow client then skips frames instead of showing old ones
 ALL_ADDRESSES = "0.0.0.0"
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves the page on an address. Raises OSError if the port is in use or the address is not of this host.
+    """Serves the page. Raises OSError if the port is in use, or the address does not belong to this host.
 
-    settings: constants of the page (title, models with colours, size of the car). port 0: a free one.
+    port: 0 for a free one. settings: constants of the page: title, models with colours, size of the car.
     """
 
     daemon_threads = True
 
     def __init__(self, address: str, port: int, settings: Mapping[str, Any]):
         super().__init__((address, port), _Handler)
-        script = json.dumps(settings).replace("<", "\\u003c")  # a title cannot end the script
+        script = json.dumps(settings).replace("<", "\\u003c")  # so that no title can end the script
         self.page = PAGE.read_text(encoding="utf-8").replace("/*SETTINGS*/null", script).encode()
         self.ended = False
         self._condition = threading.Condition()
@@ -50,32 +50,32 @@ class PageServer(ThreadingHTTPServer):
         return self.server_address[1]
 
     def publish(self, frame: Mapping[str, Any]) -> None:
-        """Send a frame to every client; a client that is slower than the frames gets only the newest."""
+        """Send a frame to every client; a client that is slower than the frames receives only the newest."""
         data = b"data: " + json.dumps(frame, separators=(",", ":")).encode() + b"\n\n"
         with self._condition:
             self._frame, self._number = data, self._number + 1
             self._condition.notify_all()
 
     def next_frame(self, after: int) -> tuple[bytes, int]:
-        """(frame, its number) newer than number `after`; an empty comment after KEEP_ALIVE without one."""
+        """The newest frame and its number, as soon as it exceeds `after`; an empty comment after KEEP_ALIVE_PERIOD."""
         with self._condition:
-            if self._condition.wait_for(lambda: self._number > after or self.ended, KEEP_ALIVE):
+            if self._condition.wait_for(lambda: self._number > after or self.ended, KEEP_ALIVE_PERIOD):
                 return self._frame, self._number
             return b":\n\n", after
 
-    def enter(self) -> bool:
-        """Count a further client; False if there are MAX_CLIENTS."""
+    def add_client(self) -> bool:
+        """Count an additional client; False if there are MAX_CLIENTS already."""
         with self._condition:
             accepted = self.clients < MAX_CLIENTS
             self.clients += accepted
             return accepted
 
-    def leave(self) -> None:
+    def remove_client(self) -> None:
         with self._condition:
             self.clients -= 1
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Clients that disconnect are normal."""
+        """Ignore errors of clients, which may disconnect at any time."""
 
     def stop(self) -> None:
         with self._condition:
@@ -92,23 +92,22 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         if not self._host_is_allowed():
-            self.send_error(403, "this host is not served under that name")
+            self.send_error(403, "the page is not available under this host name")
         elif self.path.split("?")[0] == "/":
-            self._answer(self.server.page, "text/html; charset=utf-8")
+            self._send(self.server.page, "text/html; charset=utf-8")
         elif self.path.startswith("/clock"):
-            self._answer(json.dumps(time.monotonic()).encode(), "application/json")
+            self._send(json.dumps(time.monotonic()).encode(), "application/json")
         elif self.path == "/frames":
-            self._stream()
+            self._send_frames()
         else:
             self.send_error(404)
 
     def _host_is_allowed(self) -> bool:
-        """Whether the host name is allowed: on loopback only local names, as a protection against DNS rebinding (a
-        foreign host name that resolves to 127.0.0.1)."""
+        """Whether the request may be answered: on loopback only under local names, against DNS rebinding."""
         name = self.headers.get("Host", "").rpartition(":")[0]
         return self.server.server_address[0] != LOOPBACK or name in (LOOPBACK, "localhost")
 
-    def _answer(self, content: bytes, kind: str) -> None:
+    def _send(self, content: bytes, kind: str) -> None:
         self.send_response(200)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(content)))
@@ -117,8 +116,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(content)
 
-    def _stream(self) -> None:
-        if not self.server.enter():
+    def _send_frames(self) -> None:
+        if not self.server.add_client():
             self.send_error(503, f"{MAX_CLIENTS} pages are open already")
             return
         try:
@@ -134,20 +133,20 @@ class _Handler(BaseHTTPRequestHandler):
         except OSError:
             pass  # the client has left
         finally:
-            self.server.leave()
+            self.server.remove_client()
 
     def log_message(self, *_: object) -> None:
-        """No log of requests."""
+        """Do not log requests."""
 
 
 class LiveView:
-    """page: serve the passenger's page. address: HOST or HOST:PORT of this computer to listen on. save: Rerun file
-    (.rrd) to write after the run. Raises SuiteError for an address or a file that cannot be used."""
+    """The passenger's page during a run, if `page` is set or an address (HOST or HOST:PORT of this computer) is given,
+    and the Rerun file `save` (.rrd) after it. Raises SuiteError for an address or a file that cannot be used."""
 
     def __init__(self, page: bool, address: str | None = None, save: Path | None = None):
         host, _, port = (address or LOOPBACK).partition(":")
         if port and not (port.isdecimal() and int(port) <= 65535):
-            raise SuiteError(f"--view-address {address}: the port is not a number up to 65535")
+            raise SuiteError(f"--view-address {address}: the port is not a whole number from 0 to 65535")
         if save is not None:
             check_new_rerun_file("--view-save", save)
         self._page, self._host, self._port = page or address is not None, host, int(port or 0)
@@ -158,11 +157,11 @@ class LiveView:
 
     def open(self, folder: Path, domain: int | None, predictor: Mapping[str, Any], title: str,
              console: Console) -> None:
-        """Start the page and print its address. predictor: parameters of that node. Raises SuiteError on failure."""
+        """Start the page and print its address. predictor: parameters of that node. Raises SuiteError if it fails."""
         if not self._page:
             return
         self._processes = Processes(folder, domain)
-        atexit.register(self.close)  # for any end of the run
+        atexit.register(self.close)  # also if the run ends with an error
         self._server = self._processes.start("passenger", [
             sys.executable, "-m", "st_live.nodes.passenger", "--vehicle", predictor["vehicle_file"], "--map-frame",
             predictor["map_frame"], "--title", title, "--address", self._host, "--port", str(self._port)])
@@ -170,11 +169,11 @@ class LiveView:
         if not line:
             output = self._server.last_lines() or "the page did not start"
             raise SuiteError(f"--view: {output} (log: {self._server.log})")
-        self.url = f"http://{_address_for_others(self._host)}:{line.strip().rpartition(':')[2]}/"
+        self.url = f"http://{_reachable_address(self._host)}:{line.strip().rpartition(':')[2]}/"
         show_address(self.url, console)
 
     def finish(self, folder: Path, console: Console) -> None:
-        """After the run: end the page, and write the recording of the run to the Rerun file of --view-save."""
+        """End the page, and write the Rerun file of --view-save from the recording of the run."""
         if self._server and self._server.process.poll() is not None:
             console.print(f"[yellow]the page ended before the run: {escape(self._server.last_lines())}[/yellow]",
                           highlight=False, soft_wrap=True)
@@ -192,8 +191,8 @@ class LiveView:
             self._processes = None
 
 
-def _address_for_others(host: str) -> str:
-    """Address for other devices: for ALL_ADDRESSES that of the interface with the default route."""
+def _reachable_address(host: str) -> str:
+    """Address at which other devices reach the page; for ALL_ADDRESSES, of the interface with the default route."""
     if host != ALL_ADDRESSES:
         return host
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

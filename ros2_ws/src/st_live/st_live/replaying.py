@@ -1,4 +1,4 @@
-"""Plays a recording through the real nodes: predictor, evaluator and recorder, on the clock of the recording."""
+"""Plays a recording through the nodes predictor, evaluator and recorder, on the clock of the recording."""
 
 import json
 import sys
@@ -27,18 +27,18 @@ from .page import LiveView
 from .session import Outcome, start_nodes
 from .suite import Child, Suite, SuiteError, claim_domain, read_domain_id
 
-SETTLING_TIME = 1.0  # s after the last message, for the last predictions to reach evaluator and recorder
+DRAIN_TIME = 1.0  # s after the last message, in which the last predictions reach evaluator and recorder
 PROGRESS_PERIOD = 0.2  # s
 
 
 def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, console: Console,
                view: LiveView | None = None, bands: Path | None = None, course: Path | None = None,
                adaptive: bool | None = None, settings: ReadSettings | None = None) -> tuple[Outcome, str]:
-    """(Outcome, name of the vehicle) of a replay with the configuration of the recording.
+    """Replay a bag with the configuration in it; returns the outcome and the name of the vehicle.
 
-    The recordings of the nodes are folder/bag and folder/errors. vehicle: file instead of the recorded one. rate: ratio
-    to the recorded speed; 0: as fast as the nodes can follow. course: instead of the recorded one. adaptive: as in
-    `add_files`. settings: topics of external recordings. Raises RunError, SuiteError and ConfigurationError.
+    The nodes record into folder/bag and folder/errors. vehicle, course: files to use instead of the recorded ones.
+    rate: ratio to the recorded speed; 0: as fast as the nodes can follow. adaptive: as in `add_files`. settings: topics
+    of external recordings. Raises RunError, SuiteError and ConfigurationError.
     """
     steering, odometry = (settings.steering, settings.odometry) if settings else (None, None)
     drive = read_bag(bag, steering=steering, odometry=odometry)
@@ -57,14 +57,14 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
         course.write_text(text)
     parameters = add_files(replay_parameters(folder, file, recorded), bands, course, adaptive)
     if "map_frame" not in recorded.nodes.get("predictor", {}):
-        for node in ("predictor", "evaluator"):  # the odometry of external recordings may be in another frame
+        for node in ("predictor", "evaluator"):  # external recordings may use another frame
             parameters[node]["map_frame"] = drive.frame
     outcome = _play(bag, drive.topics, folder, parameters, rate, console, view, player_options(steering, car))
     return outcome, car.name
 
 
 def describe_not_played(bag: Path, unknown: Sequence[str]) -> list[str]:
-    """Lines about content that a replay omits: topics of unknown type, and the end of a truncated recording."""
+    """Lines about content that a replay omits: topics of unknown type, and the missing end of a truncated recording."""
     topics = [f"of unknown type and not played: {', '.join(unknown)}"] if unknown else []
     return topics + ([TRUNCATED.format(bag, "played")] if was_interrupted(bag) else [])
 
@@ -80,7 +80,7 @@ def player_options(steering: SteeringField | None, car: VehicleParameters) -> li
 
 def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mapping[str, Mapping[str, Any]], rate: float,
           console: Console, view: LiveView | None, options: Sequence[str]) -> Outcome:
-    """topics: type -> topic played as the nodes' input (bag.BagDrive). options: further ones of the player."""
+    """topics: topic to play as input of the nodes, by type. options: additional options of the player."""
     chosen = read_domain_id()
     reserved = claim_domain() if chosen is None else nullcontext(chosen)
     problem, interrupted = "", False
@@ -100,7 +100,7 @@ def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mappin
         except KeyboardInterrupt:
             interrupted = True
         statuses = suite.stop("player")
-        time.sleep(SETTLING_TIME)
+        time.sleep(DRAIN_TIME)
         for name in reversed(REPLAY_NODES):
             statuses.update(suite.stop(name))
     return Outcome(statuses, interrupted, problem)

@@ -1,4 +1,4 @@
-"""Results of a run: summary.json, paths.png, the table in the terminal, and the exit status."""
+"""Reports the results of a run: summary.json, paths.png, the table in the terminal, and the exit status."""
 
 from pathlib import Path
 from typing import Any
@@ -27,11 +27,11 @@ INPUTS_OF_MODE = {"hindsight": "measured inputs", "forecast": "inputs held"}
 def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Console) -> int:
     """Write and print the results of a run; returns the exit status.
 
-    0 if every process ended normally, and a horizon was scored or the user ended the run; 130 if the user ended it
-    before the first data; else 1.
+    It is 0 if every process ended normally, and a horizon was scored or the user ended the run; 130 if the user ended
+    the run before the first data; else 1.
     """
     if outcome.interrupted and not outcome.statuses:
-        console.print("ended before the first data")
+        console.print("the run was ended before the first data")
         return 130
     _print_problems(folder, outcome, console)
     with console.status("reading the recordings, drawing"):
@@ -42,8 +42,8 @@ def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Con
             return 1
         summary = summarise(results, {**about, "exit_statuses": outcome.statuses})
         write_summary(folder / "summary.json", summary)
-        paths_figure(results, f"{about['what']}: {headline(summary)}", folder / "paths.png")
-    console.print(error_table(summary, f"{about['what']}: error over each 5 s horizon, at the INS point"))
+        draw_paths(results, f"{about['what']}: {make_headline(summary)}", folder / "paths.png")
+    console.print(make_error_table(summary, f"{about['what']}: error over each 5 s horizon, at the INS point"))
     for line in format_band_lines(results.bands):
         console.print(line, highlight=False, soft_wrap=True)
     ticks = summary["ticks"]
@@ -62,8 +62,9 @@ def _print_problems(folder: Path, outcome: Outcome, console: Console) -> None:
     if outcome.problem:
         console.print(f"[red]{escape(outcome.problem)}[/red]", highlight=False, soft_wrap=True)
     for name, times in outcome.restarts.items():
-        console.print(f"[yellow]{name} was restarted {times} times; its recordings continue in bag_2, errors_2, and "
-                      "`st recover` repairs truncated ones[/yellow]", soft_wrap=True)
+        count = "once" if times == 1 else f"{times} times"
+        console.print(f"[yellow]{name} was restarted {count}; recordings of a restarted node continue in bag_2 or "
+                      "errors_2, and `st recover` repairs truncated ones[/yellow]", soft_wrap=True)
     failed = {name: status for name, status in outcome.statuses.items() if status}
     if failed:
         names = ", ".join(f"{name} (status {status})" for name, status in failed.items())
@@ -71,12 +72,11 @@ def _print_problems(folder: Path, outcome: Outcome, console: Console) -> None:
                       soft_wrap=True)
 
 
-def paths_figure(results: Results, title: str, file: Path) -> None:
-    """Map of measured and predicted paths, and the horizon-mean errors versus start time.
+def draw_paths(results: Results, title: str, file: Path) -> None:
+    """Draw a map of measured and predicted paths, and the horizon-mean errors over start time.
 
     The map shows the hindsight predictions (measured inputs in the horizon, as in the paper). Hindsight and forecast
-    have separate error plots, because their scales differ by an order of magnitude when the driver acts.
-    Longitudinal + = predicted ahead, lateral + = predicted to the left.
+    have separate error plots, because their errors differ by an order of magnitude when the driver acts.
     """
     with plt.rc_context(RC):
         figure = plt.figure(figsize=(13, 5.4))
@@ -135,10 +135,10 @@ def _draw_errors(axes: Axes, results: Results, mode: str, quantity: str) -> None
                   ls=MODEL_LINE[model])
 
 
-def error_table(summary: dict[str, Any], title: str) -> Table:
-    """Mean | max | RMSE of the horizon-mean errors [m] as in the paper, the smallest of each column and mode in bold.
+def make_error_table(summary: dict[str, Any], title: str) -> Table:
+    """Table of mean, largest and RMS of the horizon-mean errors [m], as in the paper; the smallest of a mode are bold.
 
-    summary: as in summary.json.
+    summary: content of summary.json.
     """
     table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1))
     for column in ("mode", "model", "starts", "longitudinal, m\nmean | max | RMSE", "lateral, m\nmean | max | RMSE"):
@@ -149,24 +149,24 @@ def error_table(summary: dict[str, Any], title: str) -> Table:
             if mode not in modes:
                 continue
             row = modes[mode]
-            cells = [_cell(models, mode, axis, row) for axis in ("longitudinal", "lateral")]
+            cells = [_format_cell(models, mode, axis, row) for axis in ("longitudinal", "lateral")]
             table.add_row(mode, Text(model, style=MODEL_COLOUR.get(model, "")), str(row["n_starts"]), *cells)
         table.add_section()
     return table
 
 
-def _cell(models: dict[str, Any], mode: str, axis: str, row: dict[str, Any]) -> Text:
+def _format_cell(models: dict[str, Any], mode: str, axis: str, row: dict[str, Any]) -> Text:
     parts = []
     for statistic in STATISTICS:
         value = row[axis][statistic]
-        known = [abs(v) for m in models.values() if mode in m and (v := m[mode][axis][statistic]) is not None]
-        best = value is not None and abs(value) <= min(known) + 5e-4
-        parts.append(Text("-" if value is None else f"{value:.3f}", style="bold" if best else ""))
+        others = [abs(v) for m in models.values() if mode in m and (v := m[mode][axis][statistic]) is not None]
+        is_best = value is not None and abs(value) <= min(others) + 5e-4
+        parts.append(Text("-" if value is None else f"{value:.3f}", style="bold" if is_best else ""))
     return Text(" | ").join(parts)
 
 
-def headline(summary: dict[str, Any]) -> str:
-    """One sentence for a title: the lateral RMSE in hindsight, best model first."""
+def make_headline(summary: dict[str, Any]) -> str:
+    """Text for a title: the lateral RMSE in hindsight, the best model first."""
     lateral = {m: v["hindsight"]["lateral"]["rmse"] for m, v in summary["models"].items()}
     known = sorted((value, model) for model, value in lateral.items() if value is not None)
     if not known:

@@ -1,7 +1,7 @@
-"""Shows Rerun recordings in the browser: Rerun's server on the loopback interface, its page forwarded with a policy.
+"""Shows Rerun recordings in the browser with the server of Rerun on the loopback interface.
 
-Rerun's page requests four external addresses (a font, usage data, a release check, an example list). A
-Content-Security-Policy makes the browser refuse them.
+The page of Rerun requests four external addresses (a font, usage data, a release check, an example list). It is
+forwarded with a Content-Security-Policy, with which the browser refuses them.
 """
 
 import http.client
@@ -48,7 +48,7 @@ class _Handler(BaseHTTPRequestHandler):
             source.request("GET", self.path, headers={"Accept-Encoding": self.headers.get("Accept-Encoding", "")})
             response = source.getresponse()
         except OSError as error:
-            self.send_error(502, f"Rerun's server does not respond: {error}")
+            self.send_error(502, f"the server of Rerun does not respond: {error}")
             return
         self.send_response(response.status)
         for name, value in response.getheaders():
@@ -71,7 +71,7 @@ class _Handler(BaseHTTPRequestHandler):
             shutil.copyfileobj(stream, self.wfile)
 
     def log_message(self, *_: object) -> None:
-        """No log of requests."""
+        """Do not log requests."""
 
 
 def rerun_environment(folder: Path) -> dict[str, str]:

@@ -15,7 +15,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.text import Text
 
-from .node import Monitor, Status, health, progress_view, ticks
+from .node import Monitor, Status, render_health, render_progress, render_ticks
 from .page import LiveView
 from .suite import REALTIME_PERMISSION, Parameters, Suite, SuiteError, claim_domain, read_domain_id
 
@@ -90,7 +90,7 @@ class Supervisor:
             output = ended.last_lines(1) or "no output"
             self._schedule_restart(node, now, f"ended with status {ended.process.returncode} ({output})")
             return
-        last = self._monitor.last_status(node.name)
+        last = self._monitor.last_status_time(node.name)
         node.responded = node.responded or last > node.started
         silent = now - max(last, node.started)
         if silent > (SILENCE_TIMEOUT if node.responded else FIRST_STATUS_TIMEOUT):
@@ -165,7 +165,7 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
                 duration = min(duration or available, available)
             supervisor = Supervisor(suite, monitor, NODES) if supervised else None
             problem = _watch(suite, monitor, supervisor, console, title, duration, stop)
-            health_text = health(monitor.state).plain
+            health_text = render_health(monitor.state).plain
             statuses = {}
             for name in STOP_ORDER:
                 statuses.update(suite.stop(name))
@@ -216,11 +216,11 @@ def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, consol
                 except SuiteError as error:
                     return str(error)
             if console.is_terminal:
-                live.update(progress_view(monitor.state, elapsed, duration, title), refresh=True)
+                live.update(render_progress(monitor.state, elapsed, duration, title), refresh=True)
             elif time.monotonic() - last_line >= LOG_PERIOD:
                 last_line = time.monotonic()
-                console.print(Text(f"{title}: {elapsed:.0f} s; {ticks(monitor.state)}"), soft_wrap=True)
-                if problems := health(monitor.state).plain.rstrip():
+                console.print(Text(f"{title}: {elapsed:.0f} s; {render_ticks(monitor.state)}"), soft_wrap=True)
+                if problems := render_health(monitor.state).plain.rstrip():
                     console.print(Text(problems), soft_wrap=True)
     return ""
 

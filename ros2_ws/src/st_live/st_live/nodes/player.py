@@ -1,8 +1,8 @@
-"""Plays odometry, steering and plans of a recording with /clock, in a process started by `st replay`.
+"""Plays odometry, steering and plans of a recording together with /clock, in a process started by `st replay`.
 
-Messages are published byte for byte in the order of their log times (an external steering topic is converted to
-st_msgs/Steering); /clock follows them in steps. At a rate of 0 it plays as fast as predictor and evaluator can follow:
-the clock waits for the newest stamps they publish.
+Messages are published byte for byte in the order of their log times, except that an external steering topic is
+converted to st_msgs/Steering; /clock advances in steps. At a rate of 0 the clock waits until predictor and evaluator
+have followed, as the stamps in their messages show.
 """
 
 import argparse
@@ -30,16 +30,15 @@ from st_recordings.runs.run_types import SteeringField
 from st_ros import spin
 from st_ros.polling import LATCHED, PolledSubscription, from_nanoseconds, message_class, wait_for_any
 
-INPUTS = ("/ins/odometry", "/vehicle/steering")  # names published, independent of those in the recording
+INPUTS = ("/ins/odometry", "/vehicle/steering")  # topics published, whatever their names in the recording
 CLOCK_STEP_NS = 10_000_000
-DEPTH = 1000
+QUEUE_DEPTH = 1000
 DISCOVERY_TIMEOUT = 15.0  # s
 STATUS_PERIOD = 0.5  # s
-SUBSCRIBERS = 3  # predictor, evaluator, recorder
+SUBSCRIBERS = 3  # of each topic: predictor, evaluator, recorder
 PLAN, ORIGIN = "/plan/inputs", "/ins/origin"
-FEWER_SUBSCRIBERS = {PLAN: 2, ORIGIN: 1}  # predictor and recorder; without a course, the recorder only
-# At rate 0: longest wait of the clock for predictor and evaluator [s]; shorter after a wait without progress
-# (standstill, no inputs).
+FEWER_SUBSCRIBERS = {PLAN: 2, ORIGIN: 1}  # predictor and recorder; the recorder only, without a course
+# s, longest wait for a node at rate 0; the short one applies after a wait without progress, as at standstill.
 TIMEOUT, SHORT_TIMEOUT = 2.0, 0.005
 SCORE_DELAY = 1.0  # s; the clock may lead the newest scored start by the horizon plus this
 
@@ -47,12 +46,12 @@ SCORE_DELAY = 1.0  # s; the clock may lead the newest scored start by the horizo
 class Follower:
     """Follows the progress of another node by the time stamps in its messages.
 
-    sources: topic -> (message type, function that reads a time stamp [ns]). lead: permitted lead of the clock [s].
+    sources: message type, and function that reads a time stamp [ns], by topic. lead: permitted lead of the clock [s].
     """
 
     def __init__(self, node: Node, sources: Mapping[str, tuple[type, Callable[[bytes], int]]], lead: float):
-        self._node, self._lead_ns = node, round(lead * 1e9)
-        self._sources = [(PolledSubscription(node, message_type, topic, QoSProfile(depth=DEPTH), raw=True), read_stamp)
+        self._node, self._lead_ns, qos = node, round(lead * 1e9), QoSProfile(depth=QUEUE_DEPTH)
+        self._sources = [(PolledSubscription(node, message_type, topic, qos, raw=True), read_stamp)
                          for topic, (message_type, read_stamp) in sources.items()]
         self._newest_ns = 0
         self._progresses = True
@@ -63,7 +62,7 @@ class Follower:
         before = self._newest_ns
         while True:
             for subscription, read_stamp in self._sources:
-                for data, _, _ in subscription.take(DEPTH):
+                for data, _, _ in subscription.take(QUEUE_DEPTH):
                     self._newest_ns = max(self._newest_ns, read_stamp(data))
             reached = self._newest_ns >= clock_ns - self._lead_ns
             if reached or time.monotonic() > end:
@@ -73,13 +72,13 @@ class Follower:
             wait_for_any(self._node, subscriptions, max(end - time.monotonic(), 0.0))
 
 
-def header_stamp(data: bytes) -> int:
+def read_header_stamp(data: bytes) -> int:
     """header.stamp [ns] of a serialised message that begins with a header."""
     seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
     return seconds * 1_000_000_000 + nanoseconds
 
 
-def issued_at(data: bytes) -> int:
+def read_issued_at(data: bytes) -> int:
     """issued_at [ns] of a serialised st_msgs/Prediction: the field after the header."""
     (length,) = struct.unpack_from("<I", data, 12)
     seconds, nanoseconds = struct.unpack_from("<iI", data, 16 + -(-length // 4) * 4)
@@ -96,26 +95,27 @@ class Player:
         if options.steering_field:
             self._field = SteeringField(options.steering, options.steering_field,
                                         "wheel" if options.steering_wheel else "road")
-        # Scale of the number to rad and left +; ratio [1] and offset [rad] of the steering wheel.
+        # Factor from the number to rad, left +; steering ratio [1] and offset [rad] of the steering wheel.
         self._scale: float = options.steering_scale
         wheel: Sequence[float] = options.steering_wheel or (1.0, 0.0)
         self._ratio, self._offset = wheel
         self._node = Node("player")
-        self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=DEPTH))
+        self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=QUEUE_DEPTH))
         self._followers = [] if self._rate > 0 else [
-            # A lead of one tick, so that exactly one is due; it ends with a prediction or, without one, with a status.
-            Follower(self._node, {f"predictor/{options.models[-1]}/prediction": (Prediction, issued_at),
-                                  "predictor/status": (PredictorStatus, header_stamp)}, 1.0 / options.tick_rate),
-            Follower(self._node, {"evaluator/errors": (PredictionError, header_stamp)}, options.horizon + SCORE_DELAY),
+            # With a lead of one tick, exactly one tick is due; it ends with a prediction or else a status.
+            Follower(self._node, {f"predictor/{options.models[-1]}/prediction": (Prediction, read_issued_at),
+                                  "predictor/status": (PredictorStatus, read_header_stamp)}, 1.0 / options.tick_rate),
+            Follower(self._node, {"evaluator/errors": (PredictionError, read_header_stamp)},
+                     options.horizon + SCORE_DELAY),
         ]
         self._reported_at = 0.0
 
     def play(self) -> int:
         """Play the recording; returns 0 after its end or a stop signal, 1 without subscribers."""
         with AnyReader([self._bag], default_typestore=load_typestore(definitions_folder())) as reader:
-            publishers = self._publishers(reader.connections)
+            publishers = self._create_publishers(reader.connections)
             if not self._wait_for_subscribers(list(publishers.values())):
-                print("predictor and evaluator have not subscribed", file=sys.stderr)
+                print("recorder, predictor or evaluator has not subscribed to the inputs", file=sys.stderr)
                 return 1
             connections = [c for c in reader.connections if c.topic in publishers]
             first = clock_ns = self._advance(reader.start_time, reader.start_time, time.monotonic())
@@ -139,7 +139,7 @@ class Player:
         spin.flush(self._node)
         self._node.destroy_node()
 
-    def _publishers(self, connections: Sequence[Any]) -> dict[str, Publisher]:
+    def _create_publishers(self, connections: Sequence[Any]) -> dict[str, Publisher]:
         publishers: dict[str, Publisher] = {}
         for connection in connections:
             if connection.msgtype == "st_msgs/msg/InputPlan":
@@ -150,7 +150,7 @@ class Player:
                 converted = self._field and connection.topic == self._steering
                 message_type = Steering if converted else message_class(connection.msgtype)
                 name = self._names[connection.topic]
-                qos = LATCHED if name == ORIGIN else QoSProfile(depth=DEPTH)
+                qos = LATCHED if name == ORIGIN else QoSProfile(depth=QUEUE_DEPTH)
                 publishers[connection.topic] = self._node.create_publisher(message_type, name, qos)
         return publishers
 
@@ -163,7 +163,7 @@ class Player:
         return converted
 
     def _wait_for_subscribers(self, publishers: Sequence[Publisher]) -> bool:
-        """Whether recorder, predictor and evaluator have subscribed to odometry, steering and clock in time."""
+        """Wait for the subscribers of every topic and of the clock; returns whether all have subscribed in time."""
         end = time.monotonic() + DISCOVERY_TIMEOUT
         needed = {p: FEWER_SUBSCRIBERS.get(p.topic_name, SUBSCRIBERS) for p in (*publishers, self._clock)}
         while any(p.get_subscription_count() < count for p, count in needed.items()):
@@ -196,12 +196,12 @@ def main() -> int:
     parser.add_argument("--rate", type=float, default=1.0,
                         help="speed relative to the recording; 0: as fast as the nodes can follow")
     parser.add_argument("--models", nargs="+", required=True, help="models of the predictor, in its order")
-    parser.add_argument("--tick-rate", type=float, required=True, help="of the predictor [Hz]")
-    parser.add_argument("--horizon", type=float, required=True, help="of the predictor [s]")
+    parser.add_argument("--tick-rate", type=float, required=True, help="ticks per second of the predictor")
+    parser.add_argument("--horizon", type=float, required=True, help="horizon of the predictor [s]")
     parser.add_argument("--odometry", required=True, help="topic of the odometry in the recording")
     parser.add_argument("--steering", required=True, help="topic of the steering in the recording")
     parser.add_argument("--steering-scale", type=float, default=1.0, help="factor to rad, left +")
-    parser.add_argument("--steering-field", default="", help="field of the angle in other messages than Steering")
+    parser.add_argument("--steering-field", default="", help="field with the angle, in messages other than Steering")
     parser.add_argument("--steering-wheel", type=float, nargs=2,
                         help="steering ratio and offset [rad], for an angle of the steering wheel")
     options = parser.parse_args()

@@ -15,21 +15,21 @@ from st_ros.polling import PolledSubscription, message_class, steady_timer
 # Topics for viewers; raw packets and frames are not relayed.
 TOPICS = ("/ins/odometry", "/ins/status", "/vehicle/*", "/predictor/*", "/evaluator/*", "/view/*", "/tf",
           "/tf_static", "/diagnostics", "/diagnostics_agg")
-DEPTH = 100
-PERIOD = 0.02  # s, interval at which the queues are emptied
-DISCOVERY_PERIOD = 0.5  # s between searches for new topics
+QUEUE_DEPTH = 100
+FORWARD_PERIOD = 0.02  # s between reads of the queues
+TOPIC_SCAN_PERIOD = 0.5  # s between searches for new topics
 
 
 class RelayNode(Node):
     def __init__(self) -> None:
         super().__init__("foxglove_relay")
         self._open: dict[str, tuple[PolledSubscription, Channel] | None] = {}
-        steady_timer(self, PERIOD, self._forward)
-        steady_timer(self, DISCOVERY_PERIOD, self._open_new_topics)
+        steady_timer(self, FORWARD_PERIOD, self._forward)
+        steady_timer(self, TOPIC_SCAN_PERIOD, self._open_new_topics)
 
     def _forward(self) -> None:
         for subscription, channel in filter(None, self._open.values()):
-            for data, received_ns, _ in subscription.take(DEPTH):
+            for data, received_ns, _ in subscription.take(QUEUE_DEPTH):
                 channel.log(bytes(data), log_time=received_ns)
 
     def _open_new_topics(self) -> None:
@@ -49,9 +49,9 @@ class RelayNode(Node):
             print(f"{topic} is not relayed: type {type_name} is not installed", flush=True)
             return None
         latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
-        # No publisher waits for a viewer; only latched messages must arrive.
+        # Best effort, so that no publisher waits for a viewer; latched messages, which are sent once, must arrive.
         qos = QoSProfile(
-            depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
+            depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
         schema = Schema(name=type_name, encoding="ros2msg", data=text.encode())
         print(f"{topic} ({type_name})", flush=True)
