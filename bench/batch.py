@@ -53,7 +53,7 @@ def _model(name: str, car, log, folder: Path) -> dict:
     # Beyond both ends of the drive the inputs are held, so that no kernel receives NaN.
     angle, acceleration = (np.interp(block.times_ns, block.times_ns[np.isfinite(a)], a[np.isfinite(a)])
                            for a in (angle, acceleration))
-    w = block.table(model.inputs(angle, acceleration, p))
+    w = block.tabulate(model.inputs(angle, acceleration, p))
     start = np.ascontiguousarray(signals.states_at(times, car).T)
     one = [InputSequence(angle[4 * i:4 * i + 201], acceleration[4 * i:4 * i + 201]) for i in (0, 1000)]
     few = start[:, :240].copy()

@@ -21,11 +21,12 @@ Values = Mapping[str, Mapping[str, float]]
 class AugmentedModel(Model):
     """A base model with effects and the values of their parameters, created by `augment`.
 
-    In addition to a Model: `effective_vehicle`, the vehicle with its effects; `steering`, delay, play and lag applied
-    to a recorded road wheel angle; `observe` and `correct`, from true to measured values and back. `st_core.readings`
-    applies them to logs and trajectories. Models that differ only in values share their compiled functions.
+    It extends a Model by `effective_vehicle`, which applies effects to the vehicle parameters; `steering`, which
+    applies delay, play and lag to a recorded road wheel angle; and `observe` and `correct`, which convert true values
+    to INS readings and back. `st_core.readings` uses them for logs and trajectories. Models that differ only in values
+    share their compiled functions.
 
-    base: model without effects. effects: in the order they act. values: by effect and parameter.
+    base: model without effects. effects: in the order in which they act. values: by effect and parameter.
     """
 
     base: Model = field(kw_only=True)
@@ -34,7 +35,7 @@ class AugmentedModel(Model):
 
     @cached_property
     def free(self) -> tuple[tuple[str, Parameter], ...]:
-        """(effect, parameter) of all parameters that a fit may change, in the order of `vector`."""
+        """(effect name, parameter) of all parameters that a fit may change, in the order of `vector`."""
         return tuple((e.name, p) for e in self.effects for p in e.parameters if p.fit)
 
     @property
@@ -51,7 +52,7 @@ class AugmentedModel(Model):
         return self.with_values(values)
 
     def with_values(self, values: Values) -> "AugmentedModel":
-        """The model with some values changed. Raises ConfigurationError naming effect and limit."""
+        """The model with some values changed. Raises ConfigurationError, naming the effect and the limit."""
         for name in set(values) - set(self.values):
             raise ConfigurationError(f"effect {name}: not in this model, which has {', '.join(self.values) or 'none'}")
         changed = [e for e in self.effects if e.name in values]
@@ -70,16 +71,16 @@ class AugmentedModel(Model):
 
     @property
     def correction_key(self) -> tuple:
-        """Cache key of a corrected recording: equal for models whose `steering` and `correct` change it equally."""
+        """Cache key of a corrected recording; equal for models with the same `steering` and `correct`."""
         return tuple((e.name, *self.values[e.name].values()) for e in self.active if e.steering or e.observe)
 
     def input_dependencies(self, p: Any) -> tuple:
-        """The part of the parameters p that `inputs` depends on, as a cache key."""
+        """The part of the parameters p on which `inputs` depends, as a cache key."""
         active = compose(self.base, self.effects).active
         return (p.base, *(t for e, t in zip(active, p.effects, strict=True) if e.inputs or e.prepare)) if active else p
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
-        """The vehicle with the active effects on its parameters. Raises ConfigurationError beyond its limits."""
+        """The vehicle with the active effects on its parameters. Raises ConfigurationError outside their limits."""
         cached = self._vehicles.get(id(vehicle))
         if cached is None or cached[0] is not vehicle:
             changed = vehicle
@@ -90,7 +91,7 @@ class AugmentedModel(Model):
         return cached[1]
 
     def lean(self) -> "AugmentedModel":
-        """The model without costly effects that are at null; its predictions are bit-identical."""
+        """The model without the costly effects that are at null; its predictions are bit-identical."""
         return self.only(e for e in self.effects if e in self.active or not e.costly)
 
     def only(self, effects: Iterable[type[Effect]]) -> "AugmentedModel":
@@ -107,10 +108,9 @@ class AugmentedModel(Model):
         return a_x + added_x, a_y + added_y
 
     def steering(self, time: np.ndarray, angle: np.ndarray, begins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Time [s] and road wheel angle [rad] of a recording after the effects with memory: delay, play, lag.
+        """Time [s] and angle [rad] of the road wheels, with delay, play and lag applied to a recording of the steering.
 
-        time: increasing, from any origin. begins: True at the first sample and after each gap, where the memory is
-        reset.
+        time: increasing, from any origin. begins: True at the first sample and after gaps, where the effects restart.
         """
         for effect in self.active:
             if effect.steering:
@@ -118,14 +118,14 @@ class AugmentedModel(Model):
         return time, angle
 
     def observe(self, measured: Measured) -> Measured:
-        """INS readings for true values at the INS point."""
+        """INS readings of true values at the INS point."""
         for effect in self.active:
             if effect.observe:
                 measured = effect.observe(measured, self._theta(effect))
         return measured
 
     def correct(self, measured: Measured) -> Measured:
-        """True values at the INS point for INS readings: the inverse of `observe`."""
+        """True values at the INS point from INS readings; the inverse of `observe`."""
         for effect in reversed(self.active):
             if effect.correct:
                 measured = effect.correct(measured, self._theta(effect))
@@ -133,7 +133,7 @@ class AugmentedModel(Model):
 
     @cached_property
     def _vehicles(self) -> dict[int, tuple[VehicleParameters, VehicleParameters]]:
-        """Cache of effective_vehicle(), which is called for every prediction."""
+        """Cache of `effective_vehicle`, which is called for every prediction."""
         return {}
 
     @cached_property
@@ -149,9 +149,9 @@ class AugmentedModel(Model):
 def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedModel:
     """The base model with further effects.
 
-    effects: values by effect and parameter, optional for constants (not `Parameter.fit`); or names, for initial values.
-    Raises ConfigurationError naming effect, parameter and limit for an unknown or repeated effect, one that does not
-    apply to the base, and a value that is missing or outside its bounds.
+    effects: values by effect and parameter, optional for parameters that are not fitted; or names, for initial values.
+    Raises ConfigurationError, naming effect, parameter and limit, for an unknown or repeated effect, one that does not
+    apply to the base model, and a value that is missing or outside its bounds.
     """
     base = get_model(base)
     if not isinstance(effects, Mapping):
@@ -172,7 +172,7 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
 
 def _check_applicable(base: Model, effects: Sequence[type[Effect]]) -> None:
     models = {base.name}
-    # Effects may convert the model one after another: one pass for each such effect.
+    # A conversion may depend on another one, so there is one pass for each conversion.
     conversions = [effect.converts for effect in effects if effect.converts]
     for _ in conversions:
         models |= {to for start, to in conversions if start in models}
@@ -183,7 +183,7 @@ def _check_applicable(base: Model, effects: Sequence[type[Effect]]) -> None:
 
 
 def _compose(base: Model, effects: tuple[type[Effect], ...], values: Values) -> AugmentedModel:
-    """The model; values: already checked, those of other effects are ignored."""
+    """The model of a base and effects. values: already checked; values of other effects are ignored."""
     values = MappingProxyType({e.name: values[e.name] for e in effects})
     composed = compose(base, effects)
 
@@ -210,7 +210,7 @@ def _check_values(effect: type[Effect], values: Mapping[str, float]) -> dict[str
     for parameter in effect.parameters:
         key = f"effect {effect.name}: {parameter.name}"
         if parameter.name not in values and parameter.fit:
-            raise ConfigurationError(f"{key}: no value given")
+            raise ConfigurationError(f"{key}: no value given; add one")
         result[parameter.name] = parameter.check(values.get(parameter.name, parameter.null), key)
     for name in values:
         if name not in result:
@@ -219,11 +219,11 @@ def _check_values(effect: type[Effect], values: Mapping[str, float]) -> dict[str
 
 
 def fold(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Values) -> VehicleParameters:
-    """The vehicle with effects folded into its parameters; each effect must have `fold`.
+    """The vehicle with effects folded into its parameters; each effect must define `fold`.
 
-    Predictions from the same readings are the same; if steering ratio or offset changed, the road wheel angle must be
-    recomputed (`DriveLog.with_steering`), and the play of steering_backlash divided by the factor of steering_ratio.
-    Raises ConfigurationError beyond the limits of a vehicle file.
+    Predictions from the same readings do not change. If steering ratio or offset changed, however, the road wheel angle
+    must be recomputed (`DriveLog.with_steering`), and the play of steering_backlash divided by the factor of
+    steering_ratio. Raises ConfigurationError for a value outside the limits of a vehicle file.
     """
     for effect in effects:
         assert effect.fold is not None

@@ -1,8 +1,8 @@
 """Predictions over a recorded drive, all at once: from a log and start times to states at horizon points.
 
 The results equal those of `prediction.predict` with the inputs of the log, for any backend. Starts are computed in
-blocks: in addition to the result, memory contains the two inputs of the log on the grid, 16 bytes each half step, twice
-that for a model that corrects the measurements, and the tables of one block.
+blocks. In addition to the result, memory contains the tables of one block and the two inputs of the log on the grid:
+16 bytes per half step, 32 for a model that corrects the measurements.
 """
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
@@ -32,10 +32,9 @@ Signals = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class LogPrediction:
-    """One model from n starts, at k points of the horizon. starts_ns: (n,). time: (k,) after the start [s].
+    """Predictions of one model from n starts, at k points of the horizon. time: (k,) after the start [s].
 
-    states: (n, k, 6) at the CG, columns as STATE_NAMES. NaN from where an input is not known; all NaN where the start
-    state is not.
+    states: (n, k, 6) at the CG, columns as STATE_NAMES; NaN from an unknown input on, and for an unknown start state.
     """
 
     model: Model
@@ -47,7 +46,7 @@ class LogPrediction:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A drive corrected for a model. sampled: its road wheel angle and velocity_x_dot, laid out, by block."""
+    """A drive with the corrections of a model. sampled: road wheel angle and velocity_x_dot, arranged, by block."""
 
     signals: LogSignals
     sampled: dict[Hashable, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
@@ -56,18 +55,18 @@ class Recording:
 class LogBatch:
     """Starts in one drive, sampled once, to be predicted with any models, cars and values.
 
-    starts_ns: any instants [ns]. Fastest where they are multiples of half an integration step apart: then everything
-    that depends on the inputs alone is computed once for the log, not for each start.
-    horizon, step [s]. inputs: measured = those of the log over the horizon (hindsight); held = those at the start; or
-    planned road wheel angles [rad], velocity_x_dot [m/s^2] and, of a path, slip-free angles [rad], each
+    starts_ns: any instants [ns]. Starts that are multiples of half an integration step apart are fastest: quantities
+    that depend only on the inputs are then computed once for the log, not for each start.
+    horizon, step [s]. inputs: measured = inputs of the log over the horizon (hindsight); held = inputs at the start; or
+    planned road wheel angles [rad], velocity_x_dot [m/s^2] and, for a path, slip-free angles [rad], each
     (n, 2 * steps + 1) on the half-step grid.
-    points [s]: of the horizon, multiples of step; None: 0, step, ... horizon. substeps: integration steps in a step;
-    auto = as few as are stable at the speeds of the log. Warns once where one step is too long for them.
+    points [s]: of the horizon, multiples of step; None: 0, step, ... horizon. substeps: integration steps per step;
+    auto = the smallest stable number at the speeds of the log. Warns once if a given number is unstable.
     backend: lanes or numpy; None: the fastest available. maximum_gap [s], filter_cutoff [Hz], acceleration: as in
-    LogSignals; they are taken from there when `log` is one. signals: those that a model needs beyond its inputs,
-    (time [ns], values) by name.
-    Raises ConfigurationError for a horizon or points that are not whole numbers of steps, a missing signal, substeps
-    below 1 and an unknown backend. Checked by: test_batch.py, against Evaluator and `predict`.
+    LogSignals; ignored if `log` is a LogSignals. signals: (time [ns], values), by name, of the signals that a model
+    needs in addition to its inputs.
+    Raises ConfigurationError for a horizon or points that are not whole numbers of steps, a missing signal, invalid
+    substeps and an unknown backend. Checked by: test_batch.py, against Evaluator and `predict`.
     """
 
     def __init__(self, log: DriveLog | LogSignals, starts_ns: np.ndarray, horizon: float = 5.0, step: float = 0.05, *,
@@ -77,7 +76,8 @@ class LogBatch:
         if isinstance(inputs, str) and inputs not in ("measured", "held"):
             raise ConfigurationError(f"inputs: {inputs!r} is neither measured nor held")
         if substeps != "auto" and (not isinstance(substeps, int) or not 1 <= substeps <= stability.MAX_SUBSTEPS):
-            raise ConfigurationError(f"substeps: {substeps!r} is not auto and outside 1 to {stability.MAX_SUBSTEPS}")
+            raise ConfigurationError(f"substeps: {substeps!r} is neither auto nor an integer from 1 to "
+                                     f"{stability.MAX_SUBSTEPS}")
         self._backend = get_backend(backend)
         self.signals = log if isinstance(log, LogSignals) else LogSignals(log, maximum_gap, filter_cutoff, acceleration)
         self.starts_ns = np.asarray(starts_ns, np.int64).ravel()
@@ -110,7 +110,7 @@ class LogBatch:
             if values.shape != expected:
                 raise ConfigurationError(f"planned {name}: shape {values.shape}, not {expected}")
         if substeps != 1:
-            raise ConfigurationError("substeps: planned inputs are on the half-step grid; use 1")
+            raise ConfigurationError("substeps: planned inputs are on the half-step grid; use substeps=1")
         return tuple(values[rows] for values in planned)
 
     def _speed_range(self) -> tuple[float, ...]:
@@ -161,14 +161,14 @@ class LogBatch:
     def _blocks(self, count: int, separate: bool) -> Iterable[Block]:
         """Blocks of all starts; cached if there is only one."""
         if (count, separate) not in self._single_block:
-            blocks = self._planned(count, separate)
+            blocks = self._plan_blocks(count, separate)
             first_two = list(islice(blocks, 2))
             if len(first_two) > 1:
                 return chain(first_two, blocks)
             self._single_block[count, separate] = first_two
         return self._single_block[count, separate]
 
-    def _planned(self, count: int, separate: bool) -> Iterator[Block]:
+    def _plan_blocks(self, count: int, separate: bool) -> Iterator[Block]:
         # Held inputs are needed only at the start, unless earlier steering still acts on the wheels.
         throughout = self._inputs == "measured" or separate
         instants = half_step_grid(0, self.steps * count, self.step / count) if throughout else np.zeros(1, np.int64)
@@ -180,7 +180,7 @@ class LogBatch:
         return self._recorded if log is self.signals.log else Recording(self.signals.of(log))
 
     def _sample(self, block: Block, recording: Recording, model: Model) -> list[np.ndarray]:
-        """Road wheel angle, velocity_x_dot and the model's signals at all instants of a block, laid out."""
+        """Road wheel angle, velocity_x_dot and the signals of the model at all instants of a block, arranged."""
         key, signals, times_ns = (block.number, block.times_ns.size), recording.signals, block.times_ns
         if key in recording.sampled:
             angle, acceleration = recording.sampled[key]
@@ -200,7 +200,7 @@ class LogBatch:
         return [angle, acceleration, *others]
 
     def _sample_separately(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
-        """As `_sample`, of planned inputs, or of held ones for a model with memory; block: not shared."""
+        """As `_sample`, for starts that share no instants: planned inputs, or held inputs and a model with memory."""
         times, raw = block.times_ns, self.signals.log
         if isinstance(self._inputs, str):
             angle = self.signals.road_wheel_angle_at(times[0])
@@ -221,7 +221,7 @@ class LogBatch:
 
     def _table(self, block: Block, values: list[np.ndarray], model: Model, p: Any) -> np.ndarray:
         """w at all instants of a block."""
-        return block.table(model.inputs(*values[:2], p, *values[2:]))
+        return block.tabulate(model.inputs(*values[:2], p, *values[2:]))
 
     def _advance(self, block: Block, values: list[np.ndarray], states: np.ndarray, model: Model, p: Any,
                  substeps: int) -> np.ndarray:

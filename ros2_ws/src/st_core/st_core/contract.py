@@ -1,7 +1,7 @@
 """Requirements on every effect, checked by `st effects check` for the library and for users' own effects.
 
-Each function in `REQUIREMENTS` returns the violation by an effect and a car, in one line with numbers, or "". Covered
-are all backends: floats, the numpy batch, the compiled lanes and CasADi. Checked by: test_contract.py.
+Each function in `REQUIREMENTS` describes in one line how an effect on a car violates the requirement, or returns "".
+The checks cover all backends: floats, the numpy batch, the compiled lanes and CasADi. Checked by: test_contract.py.
 """
 
 import importlib.util
@@ -21,28 +21,28 @@ from .stability import growth_factor, lateral_modes
 from .types import InputSequence, VehicleState
 from .vehicle import VehicleParameters
 
-STEP, STEPS = 0.05, 40
+STEP, STEPS = 0.05, 40  # s; number of steps
 SPEEDS = (4.0, 8.0, 15.0, 25.0)  # m/s
-STANDSTILL = (-1.0, 0.0, 1e-9, 0.5, 2.0)  # m/s
-ROUNDING = 1e-9  # relative to max(1, |value|): permitted difference between backends
-# Permitted residual after `correct`, relative to the change by `observe`; not 0, as `correct` starts from the reading.
+STANDSTILL_SPEEDS = (-1.0, 0.0, 1e-9, 0.5, 2.0)  # m/s
+ROUNDING = 1e-9  # largest difference between backends, relative to max(1, |value|)
+# Largest residual after `correct`, relative to the change by `observe`; not 0, since `correct` starts from the reading.
 CORRECTION_RESIDUAL = 0.05
-GROWTH_RATE = 0.1  # 1/s, permitted for a mode in excess of that of the base
-MIRROR = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])
-MIRRORED = ("y", "yaw", "velocity_y", "yaw_rate", "acceleration_y", "yaw_acceleration")
+GROWTH_RATE = 0.1  # 1/s, largest increase of the growth rate of a mode over that of the base
+MIRROR_SIGNS = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])  # of the states
+ODD_READINGS = ("y", "yaw", "velocity_y", "yaw_rate", "acceleration_y", "yaw_acceleration")
 READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
 
 
 @dataclass(frozen=True)
 class Requirement:
-    """Text of a requirement, and its violation, "" if fulfilled."""
+    """Text of a requirement. problem: description of its violation, "" if it is fulfilled."""
 
     text: str
     problem: str
 
 
 def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> tuple[Requirement, ...]:
-    """Result of every requirement, in the order of REQUIREMENTS; an exception counts as a violation."""
+    """Check every requirement, in the order of REQUIREMENTS; an exception counts as a violation."""
     results = []
     for text, find_violation in REQUIREMENTS.items():
         try:
@@ -66,10 +66,10 @@ def _check_null(effect: type[Effect], vehicle: VehicleParameters) -> str:
         model = set_effects_to_null(active)
         change = float(np.abs(_predict_floats(model, vehicle) - _predict_floats(base, vehicle)).max())
         if np.isnan(change) or change > 0.0:
-            return f"at null the path of {base.name} changes by {change:.3g}; it must be equal to the last bit"
+            return f"at null the path of {base.name} changes by {change:.3g}; it must not change, to the last bit"
         readings = model.observe(READING), model.correct(READING)
         if readings != (READING, READING) or model.effective_vehicle(vehicle) != vehicle:
-            return "at null a reading or the car is changed"
+            return "at null it changes a reading or the vehicle parameters"
     return ""
 
 
@@ -81,7 +81,7 @@ def _check_change(effect: type[Effect], vehicle: VehicleParameters) -> str:
                    np.abs(steered[0] - time).max(),
                    np.abs(steered[1] - angle).max(), np.abs(np.subtract(model.observe(READING), READING)).max())
         if not max(changed) > 0.0 and model.effective_vehicle(vehicle) == vehicle and not effect.specific_force:
-            return f"at its initial values nothing changes in the {base.name} model"
+            return f"at its initial values it changes nothing in the {base.name} model"
     return ""
 
 
@@ -90,7 +90,7 @@ def _check_finite(effect: type[Effect], vehicle: VehicleParameters) -> str:
         for p in (p for p in effect.parameters if p.fit):
             for value in p.bounds:
                 model = start.with_values({effect.name: {p.name: value}})
-                for speed in STANDSTILL:
+                for speed in STANDSTILL_SPEEDS:
                     if not np.isfinite(_predict_floats(model, vehicle, speed, acceleration=0.0)).all():
                         return f"{p.name} = {value:g}, {base.name}: not finite from {speed:g} m/s"
                 rates = _rates(model, vehicle)
@@ -115,12 +115,12 @@ def _check_backends(effect: type[Effect], vehicle: VehicleParameters) -> str:
 
 def _check_mirror(effect: type[Effect], vehicle: VehicleParameters) -> str:
     if effect.kind == "surroundings":
-        return ""  # depends on the map and is not symmetric
+        return ""  # surroundings depend on the map and are not symmetric
     flipped = {p.name: -p.initial for p in effect.parameters if p.odd}
     for base, model in _models(effect):
         other = model.with_values({effect.name: flipped}) if flipped else model
-        paths = _predict_floats(other, vehicle, side=-1.0) - MIRROR * _predict_floats(model, vehicle)
-        readings = np.subtract(other.observe(_mirrored(READING)), _mirrored(model.observe(READING)))
+        paths = _predict_floats(other, vehicle, side=-1.0) - MIRROR_SIGNS * _predict_floats(model, vehicle)
+        readings = np.subtract(other.observe(_mirror(READING)), _mirror(model.observe(READING)))
         difference = float(max(np.abs(paths).max(), np.abs(readings).max()))
         if not difference < ROUNDING:
             return (f"a left turn is not the mirror image of a right one in the {base.name} model ({difference:.2g}); "
@@ -142,10 +142,12 @@ def describe_instability(base: Model, model: Model, vehicle: VehicleParameters, 
         if base.name != "kinematic":
             before, after = (float(lateral_modes(m, vehicle, speed).real.max()) for m in (base, model))
             if not after <= max(before, 0.0) + GROWTH_RATE:
-                return f"a lateral mode grows by {after:.2g} per second at {speed:.3g} m/s; without it {before:.2g}"
+                return (f"a lateral mode grows at {after:.2g} 1/s at {speed:.3g} m/s, without the effect at "
+                        f"{before:.2g} 1/s")
         factor = growth_factor(model, vehicle, speed, STEP)
         if factor > max(1.0, growth_factor(base, vehicle, speed, STEP)):
-            return f"too fast for steps of {1e3 * STEP:g} ms at {speed:.3g} m/s, factor {factor:.2g} per step"
+            return (f"a mode is too fast for steps of {1e3 * STEP:g} ms at {speed:.3g} m/s: it grows by a factor of "
+                    f"{factor:.2g} per step")
     return ""
 
 
@@ -171,11 +173,11 @@ REQUIREMENTS = {
     "it does not make the car unstable": _check_stability,
     "correct() inverts observe()": _check_correction,
 }
-"""By requirement: function of effect and car that returns the violation."""
+"""By text of the requirement: function of effect and car that describes a violation."""
 
 
 def _models(effect: type[Effect]) -> Iterator[tuple[Model, AugmentedModel]]:
-    """Base and base with the effect at its initial values, for every kind of model it applies to."""
+    """(base, base with the effect at its initial values) for every base model to which the effect applies."""
     for name, base in MODELS.items():
         if name in effect.applies_to:
             yield base, augment(base, [effect.name])
@@ -216,7 +218,7 @@ def _predict_backend(model: Model, vehicle: VehicleParameters, backend: str) -> 
 
 
 def _predict_casadi(model: Model, vehicle: VehicleParameters) -> np.ndarray:
-    """(speeds, 6) at the end, by integration of `dynamics`: an exported step has constant inputs."""
+    """Last states (speeds, 6), by integration of `dynamics`, since an exported step has constant inputs."""
     from .backends.casadi_backend import build
     from .integrate import rk4_step
 
@@ -243,5 +245,5 @@ def _rates(model: Model, vehicle: VehicleParameters) -> np.ndarray:
     return np.array(model.rhs(model.start_state(_start(SPEEDS[-1]), w, p), w, p), float)
 
 
-def _mirrored(m: Measured) -> Measured:
-    return m._replace(**{name: -getattr(m, name) for name in MIRRORED})
+def _mirror(m: Measured) -> Measured:
+    return m._replace(**{name: -getattr(m, name) for name in ODD_READINGS})

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 UNDERSTEER = 0.004
-"""rad s^2/m: understeer gradient K assumed for an unknown car."""
+"""rad s^2/m, understeer gradient K assumed for an unknown car."""
 
 Shape = Callable[[np.ndarray], np.ndarray]
 """Lateral acceleration divided by its target, -1 to 1, at times [s] within one period."""
@@ -46,7 +46,7 @@ class PiecewiseLinear:
 
 @dataclass(frozen=True)
 class Sine:
-    """A sine whose frequency increases exponentially from `low` to `high` [Hz] within `duration` [s], then 0."""
+    """A sine with a frequency that increases exponentially from `low` to `high` [Hz] within `duration` [s], then 0."""
 
     low: float
     high: float
@@ -63,11 +63,11 @@ class Manoeuvre:
     """Steering and pedal inputs over time.
 
     name: also the scenario of the virtual car. speed: at the start [m/s]. lateral: peak target acceleration at the
-    initial speed [m/s^2]. profile: lateral acceleration divided by that. period: after which the manoeuvre repeats [s].
-    repetitions: periods in one drive. pedals: consecutive (duration [s], forward acceleration [m/s^2]), where the speed
-    never exceeds the initial speed; empty for constant speed. closed_loop: the driver follows a road of this curvature
-    (PiecewiseLinear); otherwise the steering is open loop. With pedals the road is a circle, and the steering is held
-    while braking. description: one line.
+    initial speed [m/s^2]. profile: lateral acceleration divided by `lateral`, over time. period: time after which the
+    manoeuvre repeats [s]. repetitions: periods in one drive. pedals: consecutive (duration [s], forward acceleration
+    [m/s^2]), limited to the initial speed; empty for constant speed. closed_loop: the driver follows a road of this
+    curvature (PiecewiseLinear); otherwise the steering is open loop. With pedals the road is a circle, and the steering
+    is held while braking. description: one line.
     """
 
     name: str
@@ -124,22 +124,24 @@ def sweep(speed: float, lateral: float, duration: float = 26.0, pause: float = 4
 
 
 def step(speed: float, lateral: float, hold: float = 4.0, pause: float = 3.0) -> Manoeuvre:
-    """Step steer to one side, straight, step steer to the other; each held for `hold` [s], straight for `pause` [s]."""
+    """Step steer to one side, then to the other, each held for `hold` [s] after driving straight for `pause` [s]."""
     parts = ((pause, 0.0, 0.0), (hold, 1.0, 1.0), (pause, 0.0, 0.0), (hold, -1.0, -1.0))
     return Manoeuvre("step", speed, lateral, PiecewiseLinear(parts), 2 * (hold + pause), repetitions=2,
                      description=f"steps of steering to both sides at {speed:g} m/s")
 
 
 def ramp_to_limit(speed: float, lateral: float, up: float = 25.0, down: float = 2.0, rest: float = 4.0) -> Manoeuvre:
-    """Ramp steer within `up` [s], back within `down` [s], `rest` [s]; then the other side. lateral: above what
-    the tyres can reach."""
+    """Ramp steer within `up` [s], back within `down` [s], straight for `rest` [s]; then the same to the other side.
+
+    lateral: more than the tyres can reach.
+    """
     return Manoeuvre("ramp_to_limit", speed, lateral, _both_sides((up, 0.0, 1.0), (down, 1.0, 0.0), (rest, 0.0, 0.0)),
                      2 * (up + down + rest), description=f"steering slowly increased to the limit at {speed:g} m/s")
 
 
 def brake_in_turn(speed: float, lateral: float, cruise: float = 8.0, braking: float = 4.0, down_to: float = 3.0,
                   acceleration: float = 2.0, driving: float = 6.0) -> Manoeuvre:
-    """A circle; braking [m/s^2] at held steering down to a speed [m/s], then acceleration [m/s^2] for `driving` [s]."""
+    """Circle for `cruise` [s], braking [m/s^2] to a speed [m/s] with held steering, acceleration for `driving` [s]."""
     pedals = ((cruise, 0.0), ((speed - down_to) / braking, -braking), (driving, acceleration))
     period = sum(seconds for seconds, _ in pedals)
     constant = PiecewiseLinear(((period, 1.0, 1.0),))
@@ -149,15 +151,15 @@ def brake_in_turn(speed: float, lateral: float, cruise: float = 8.0, braking: fl
 
 
 def lane_change(speed: float, lateral: float) -> Manoeuvre:
-    """Double lane change: 3.5 m to the side, 25 m in the other lane, and back; 40 m before and 35 m after it.
+    """Double lane change: 40 m straight, 3.5 m to the side, 25 m in the other lane, back, 35 m straight.
 
-    The curvature runs 0, k, -k, 0 within the length s of one change: width = 2 k (s / 4)^2 for small angles.
+    The curvature is 0, k, -k, 0 within the length s of one change: width = 2 k (s / 4)^2 for small angles.
     """
     quarter = math.sqrt(3.5 * speed**2 / (2 * abs(lateral)))
-    there = ((quarter, 0.0, 1.0), (2 * quarter, 1.0, -1.0), (quarter, -1.0, 0.0))
-    back = tuple((length, -first, -last) for length, first, last in there)
-    metres = ((40.0, 0.0, 0.0), *there, (25.0, 0.0, 0.0), *back, (35.0, 0.0, 0.0))
-    shape = PiecewiseLinear(tuple((length / speed, first, last) for length, first, last in metres))
+    change = ((quarter, 0.0, 1.0), (2 * quarter, 1.0, -1.0), (quarter, -1.0, 0.0))
+    return_change = tuple((length, -first, -last) for length, first, last in change)
+    parts = ((40.0, 0.0, 0.0), *change, (25.0, 0.0, 0.0), *return_change, (35.0, 0.0, 0.0))  # lengths in m
+    shape = PiecewiseLinear(tuple((length / speed, first, last) for length, first, last in parts))
     return Manoeuvre("lane_change", speed, lateral, shape, shape.duration, repetitions=2, closed_loop=True,
                      description=f"double lane changes at {speed:g} m/s")
 
@@ -169,13 +171,13 @@ def slalom(speed: float, lateral: float, frequency: float = 0.5, waves: int = 12
 
 
 def weave(speed: float, lateral: float, waves: float = 6.0) -> Manoeuvre:
-    """Sine steering at 0.25 Hz and a small amplitude about the centre."""
+    """Sine steering at 0.25 Hz with a small amplitude about the centre."""
     return Manoeuvre("weave", speed, lateral, Sine(0.25, 0.25, 4 * waves), 4 * waves,
                      description=f"gentle sine steering of 0.25 Hz about the centre at {speed:g} m/s")
 
 
 def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) -> Manoeuvre:
-    """Steady circle for `hold` [s], entered and left within `ramp` [s]; then the same to the other side."""
+    """Steady circle for `hold` [s], entered and left within `ramp` [s] each; then the same to the other side."""
     return Manoeuvre("circle", speed, lateral,
                      _both_sides((ramp, 0.0, 1.0), (hold, 1.0, 1.0), (ramp, 1.0, 0.0), (1.0, 0.0, 0.0)),
                      2 * (hold + 2 * ramp + 1.0), description=f"steady circles to both sides, {speed:g} m/s and "
@@ -183,7 +185,7 @@ def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) 
 
 
 def there_and_back(speed: float, lateral: float) -> Manoeuvre:
-    """10 s straight, a U-turn, straight back, a U-turn: a wind of constant direction then acts from both sides."""
+    """10 s straight, a U-turn, straight back, a U-turn: so a wind of constant direction acts from both sides."""
     half = ((10.0, 0.0, 0.0), (1.0, 0.0, 1.0), (math.pi * speed / abs(lateral) - 1.0, 1.0, 1.0), (1.0, 1.0, 0.0))
     shape = PiecewiseLinear(half + half)
     return Manoeuvre("there_and_back", speed, lateral, shape, shape.duration, closed_loop=True,
@@ -195,8 +197,8 @@ def figure_eight() -> Manoeuvre:
     speed, radius, ramp, straight = 4.0, 11.5, 6.0, 34.3015  # m/s, then m
     arc = math.radians(240.0) * radius - ramp
     half = ((straight / 2, 0.0, 0.0), (ramp, 0.0, 1.0), (arc, 1.0, 1.0), (ramp, 1.0, 0.0), (straight / 2, 0.0, 0.0))
-    metres = half + tuple((length, -first, -last) for length, first, last in half)
-    shape = PiecewiseLinear(tuple((length / speed, first, last) for length, first, last in metres))
+    parts = half + tuple((length, -first, -last) for length, first, last in half)  # lengths in m
+    shape = PiecewiseLinear(tuple((length / speed, first, last) for length, first, last in parts))
     return Manoeuvre("S1", speed, speed**2 / radius, shape, shape.duration, closed_loop=True,
                      description=f"figure eight at {speed:g} m/s, R = {radius:g} m")
 

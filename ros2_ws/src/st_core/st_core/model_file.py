@@ -1,16 +1,16 @@
-"""A model as a file, model.yaml: base model, effects with values and intervals, and their provenance.
+"""Model files, model.yaml: base model, effects with values and confidence intervals, and their provenance.
 
     base: nonlinear
-    vehicle: {name: "Nissan Leaf ZE0", hash: "..."}             and, when embedded, parameters: {a vehicle file}
+    vehicle: {name: "Nissan Leaf ZE0", hash: "..."}             and, if embedded, parameters: {a vehicle file}
     effects:
       steering_lag:
         time_constant: {value: 0.08, unit: "s", interval: [0.07, 0.09], source: "..."}
     provenance: {date: "2026-11-21", version: "0.1.0", data: {"run.ncom": "sha256 ..."}, note: "..."}
     hash: "..."
 
-The values are valid for one car, that of `vehicle.hash`. A value with `effective: true` improves the prediction but is
-not a property of the car. An interval is a 95 % confidence interval under the assumptions of its source, null if
-unknown. The hash covers base, values and vehicle: a file with a hash that does not match its content was edited and is
+The values are valid for one car, identified by `vehicle.hash`. A value with `effective: true` improves the prediction
+but is not a property of the car. An interval is a 95 % confidence interval under the assumptions of its source, null if
+unknown. The hash covers base, values and vehicle: a file whose hash does not match its content was edited and is
 refused; a file without a hash is not checked.
 """
 
@@ -47,7 +47,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class ModelProvenance:
-    """date: of the estimate, ISO 8601. version: of st_core. data: sha256 by name of each run used. note: free text."""
+    """date: of the estimate, ISO 8601. version: of st_core. data: sha256 of each run used, by name. note: free text."""
 
     date: str = ""
     version: str = __version__
@@ -59,7 +59,7 @@ class ModelProvenance:
 class ModelFile:
     """Content of a model.yaml. base: name of the base model. effects: estimates by effect and parameter.
 
-    vehicle: the car, when embedded. vehicle_name, vehicle_hash: of the car of the values; "" if not stated.
+    vehicle: the car, if embedded. vehicle_name, vehicle_hash: identify the car of the values; "" if not stated.
     """
 
     base: str
@@ -73,7 +73,7 @@ class ModelFile:
     def of(cls, model: AugmentedModel, vehicle: VehicleParameters, provenance: ModelProvenance,
            intervals: Mapping[tuple[str, str], Interval] | None = None, source: str = "not stated",
            embed: bool = True) -> "ModelFile":
-        """The file of a model. intervals: by (effect, parameter). embed: put the vehicle's parameters in the file."""
+        """The file of a model. intervals: by (effect, parameter). embed: include the vehicle parameters in the file."""
         effects = {effect.name: {p.name: Estimate(model.values[effect.name][p.name],
                                                   (intervals or {}).get((effect.name, p.name)),
                                                   source if p.fit else p.source) for p in effect.parameters}
@@ -85,14 +85,14 @@ class ModelFile:
         return augment(self.base, {e: {p: v.value for p, v in parts.items()} for e, parts in self.effects.items()})
 
     def check_vehicle(self, vehicle: VehicleParameters, origin: str) -> None:
-        """Raises ConfigurationError if the values are for another car than `vehicle`, which was read from `origin`."""
+        """Raises ConfigurationError if the values are for a car other than `vehicle`, which was read from `origin`."""
         if self.vehicle_hash and vehicle.hash != self.vehicle_hash:
             expected, given = (f"{name!r} {digest[:12]}" for name, digest in (
                 (self.vehicle_name, self.vehicle_hash), (vehicle.name, vehicle.hash)))
             different = _differences(self.vehicle, vehicle) if self.vehicle else ""
             differ = f" (they differ in {different})" if different else ""
             raise ConfigurationError(f"vehicle.hash: the values are valid for {expected}, {origin} is {given}{differ}; "
-                                     "use the vehicle file of their identification")
+                                     "use the vehicle file with which they were identified")
 
     @property
     def hash(self) -> str:
@@ -123,8 +123,8 @@ class ModelFile:
     def from_yaml(cls, text: str, origin: str = "model") -> "ModelFile":
         """The content of a model file. origin: name shown in errors, usually the path.
 
-        Effects of the user must have been loaded (`effects.load_folder`). Raises ConfigurationError, one line: origin,
-        key, what is wrong, the limit and what to do.
+        The user's own effects must be loaded before (`effects.load_folder`). Raises ConfigurationError, one line:
+        origin, key, what is wrong, the limit and what to do.
         """
         try:
             return cls._from_document(load(text))
@@ -143,7 +143,7 @@ class ModelFile:
         digest = document.get("hash")
         if digest is not None and digest != file.hash:
             raise ConfigurationError(f"hash: {str(digest)[:12]} is not that of the content, {file.hash[:12]}: base, a "
-                                     "value or the vehicle was changed since; remove the line hash to accept that")
+                                     "value or the vehicle was edited; to accept the edit, remove the line `hash`")
         return file
 
 
@@ -227,7 +227,7 @@ def _text(where: str, value: Any) -> str:
 
 
 def _differences(first: VehicleParameters, second: VehicleParameters) -> str:
-    """Entries with different values, as "mass: 1590, 1700 kg"; "" without any."""
+    """Entries of two cars with different values, such as "mass: 1590, 1700 kg"; "" if there are none."""
     values = {key: (getattr(first, key), getattr(second, key)) for key in VEHICLE_QUANTITIES}
     listed = [f"{key}: {a:g}, {b:g} {VEHICLE_QUANTITIES[key].si_unit}".removesuffix(" 1")
               for key, (a, b) in values.items() if a != b]

@@ -1,7 +1,7 @@
-"""Planned inputs in the horizon: from steering and acceleration or from speed and curvature, checked before use.
+"""Planned inputs over the horizon, from steering and acceleration or from speed and curvature, and checks before use.
 
 A plan gives future inputs of the car as functions of time on the measurement clock. It replaces the constant inputs of
-a forecast only if `plan_problem` finds no problem; otherwise the reason is reported.
+a forecast only if `plan_problem` finds no problem; otherwise the problem is reported.
 Checked by: test_planned_inputs.py, against hindsight.
 """
 
@@ -20,7 +20,7 @@ from .types import ControlInput, InputSequence, VehicleState
 from .vehicle import VehicleParameters
 
 MAX_AGE = 0.5
-"""s. Planners replan at 10 Hz and more; an older plan means that the planner has stopped."""
+"""s, of a plan. Planners replan at 10 Hz or faster; an older plan means that the planner has stopped."""
 MAX_SPACING = 0.5
 """s between points: half a period of the fastest steering of a driver, 1 Hz."""
 MAX_ROAD_WHEEL_ANGLE = 0.8
@@ -32,20 +32,20 @@ MAX_ACCELERATION = 12.0
 ANGLE_TOLERANCE = 0.05
 """rad between planned and measured road wheel angle at the start: 45 deg at the steering wheel."""
 ACCELERATION_TOLERANCE = 3.0
-"""m/s^2 between planned and measured at the start: a brake that is being applied needs 0.3 s to build up."""
+"""m/s^2 between planned and measured acceleration at the start: braking takes 0.3 s to build up."""
 SLIP_FREE = "slip_free_angle"
 """Signal of inputs that follow a path: the road wheel angle of a car without slip, for models without tyres."""
 SPEED_TOLERANCE = 2.0
-"""m/s between planned and measured at the start."""
+"""m/s between planned and measured speed at the start."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedInputs:
-    """Inputs of one plan. issued_ns, time_ns (n,): instants on the measurement clock [ns]. road_wheel_angle (n,):
-    left + [rad], as the steering sensor will measure it. velocity_x_dot (n,) [m/s^2]. speed [m/s] and slip_free_angle
-    [rad], (n,): of a plan `from_path`.
+    """Inputs of one plan, linear between its n points.
 
-    Between its points a plan is linear. Raises StCoreError, one line, for arrays of unequal length.
+    issued_ns: time of issue; time_ns: (n,), instants of the points; both on the measurement clock [ns]. Each (n,):
+    road_wheel_angle [rad], left +, as the steering sensor will measure it; velocity_x_dot [m/s^2]; speed [m/s] and
+    slip_free_angle [rad] of a plan `from_path`. Raises StCoreError, one line, for arrays of unequal length.
     """
 
     issued_ns: int
@@ -70,8 +70,8 @@ class PlannedInputs:
 
             delta = L (1 + K v^2) k,    velocity_x_dot = dv/dt
 
-        K: `handling.stability_factor`, the linear car in a steady turn, 0 for models without tyres. Quasi-static:
-        in a fast change of curvature the path is late by the response time of the car, about 0.1 s.
+        K: `handling.stability_factor` of the linear car; 0 for models without tyres. The steering is that of a steady
+        turn: after a fast change of curvature the path is late by the response time of the car, about 0.1 s.
         """
         speed, curvature = np.asarray(speed, float), np.asarray(curvature, float)
         seconds = (np.asarray(time_ns, np.int64) - np.int64(issued_ns)) * NANOSECOND
@@ -92,7 +92,7 @@ class PlannedInputs:
 
 
 def steady_state_steering(speed: np.ndarray, curvature: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
-    """Road wheel angle [rad] of the linear car in a steady turn of curvature [1/m], left +, at speed [m/s].
+    """Road wheel angle [rad] of the linear car in a steady turn of curvature k [1/m], left +, at speed v [m/s].
 
         delta = L (1 + K v^2) k            Source: Guiggiani, The Science of Vehicle Dynamics, ch. 6.
     """
@@ -108,10 +108,10 @@ def path_inputs(speed: np.ndarray, curvature: np.ndarray, seconds: np.ndarray,
 
 def recorded_plan(time_ns: np.ndarray, columns: Sequence[np.ndarray], steps: int, step: float,
                   maximum_gap: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
-    """A plan recorded along a drive as inputs of `log_evaluation.evaluate_log`.
+    """A plan recorded along a drive, as inputs of `log_evaluation.evaluate_log`.
 
-    time_ns: ascending [ns]. columns: road wheel angle, velocity_x_dot and, of a path, slip-free angle, as planned for
-    that instant before the start of the prediction. NaN, and gaps longer than maximum_gap [s]: not planned.
+    time_ns: increasing [ns]. columns: planned road wheel angle, velocity_x_dot and, for a path, slip-free angle at
+    these instants. NaN, and gaps longer than maximum_gap [s], mean that nothing was planned.
     """
     gap_ns = round(maximum_gap / NANOSECOND)
 
@@ -126,8 +126,8 @@ def plan_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs
                  vehicle: VehicleParameters) -> str:
     """Reason, in one line, why a plan is not used for a forecast from a start [ns] over a horizon [s]; "" if it is.
 
-    state, inputs: measured at the start. In this order: empty, not finite, times not increasing, stale, in the past,
-    late, short, coarse, infeasible, contradicting the measurement.
+    state, inputs: measured at the start. Checked in this order: number of points, increasing times, finite values, age,
+    coverage of the horizon, spacing, feasibility, agreement with the measurement.
     """
     return (_format_problem(plan) or _timing_problem(plan, start_ns, horizon) or _demand_problem(plan, state, vehicle)
             or _consistency_problem(plan, start_ns, state, inputs))
@@ -135,7 +135,7 @@ def plan_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs
 
 def _format_problem(plan: PlannedInputs) -> str:
     if len(plan.time_ns) < 2:
-        return f"plan: {len(plan.time_ns)} points; at least two are needed"
+        return f"plan: {len(plan.time_ns)} point(s); at least two are needed"
     if (np.diff(plan.time_ns) <= 0).any():
         return "plan: its times are not increasing"
     for name in ("road_wheel_angle", "velocity_x_dot", "speed"):
@@ -157,7 +157,7 @@ def _timing_problem(plan: PlannedInputs, start_ns: int, horizon: float) -> str:
     if first > 0.0:
         return f"plan: it begins {first:.2f} s after the start"
     if last < horizon - 1.0e-6:
-        return f"plan: it ends {last:.2f} s after the start, the horizon is {horizon:g} s"
+        return f"plan: it ends {last:.2f} s after the start, before the end of the horizon of {horizon:g} s"
     widest = float(np.diff(plan.time_ns).max()) * NANOSECOND
     return f"plan: points are up to {widest:.2f} s apart (limit {MAX_SPACING:g} s)" if widest > MAX_SPACING else ""
 
@@ -165,17 +165,19 @@ def _timing_problem(plan: PlannedInputs, start_ns: int, horizon: float) -> str:
 def _demand_problem(plan: PlannedInputs, state: VehicleState, vehicle: VehicleParameters) -> str:
     angle, seconds = plan.road_wheel_angle, np.diff(plan.time_ns) * NANOSECOND
     if (largest := float(np.abs(angle).max())) > MAX_ROAD_WHEEL_ANGLE:
-        return f"plan: road wheel angle of {largest:.2f} rad (limit {MAX_ROAD_WHEEL_ANGLE:g})"
+        return f"plan: road wheel angle of {largest:.2f} rad (limit {MAX_ROAD_WHEEL_ANGLE:g} rad)"
     if (rate := float(np.abs(np.diff(angle) / seconds).max())) > MAX_STEERING_RATE:
-        return f"plan: steering rate of {rate:.2f} rad/s at the road wheel (limit {MAX_STEERING_RATE:g})"
+        return f"plan: steering rate of {rate:.2f} rad/s at the road wheel (limit {MAX_STEERING_RATE:g} rad/s)"
     speed = plan.speed
     if speed is None:
-        # The trapezoidal rule is written out, because scipy is not imported by the live nodes.
+        # By the trapezoidal rule; the live nodes do not import scipy.
         mean = 0.5 * (plan.velocity_x_dot[1:] + plan.velocity_x_dot[:-1])
         speed = state.velocity_x + np.cumsum([0.0, *(mean * np.diff(plan.time_ns) * NANOSECOND)])
     lateral = speed * speed * angle / steady_state_steering(speed, np.ones_like(speed), vehicle)
     demand = float(np.hypot(plan.velocity_x_dot, lateral).max())
-    return f"plan: acceleration of {demand:.1f} m/s^2 (limit {MAX_ACCELERATION:g})" if demand > MAX_ACCELERATION else ""
+    if demand > MAX_ACCELERATION:
+        return f"plan: acceleration of {demand:.1f} m/s^2 (limit {MAX_ACCELERATION:g} m/s^2)"
+    return ""
 
 
 def _consistency_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput) -> str:
@@ -186,8 +188,8 @@ def _consistency_problem(plan: PlannedInputs, start_ns: int, state: VehicleState
         values = getattr(plan, name)
         planned = math.nan if values is None else float(plan._at(values, np.array([start_ns]))[0])
         if abs(planned - measured) > tolerance:
-            return (f"plan: {name} {planned:.3g} {unit} at the start, measured {measured:.3g} "
-                    f"(tolerance {tolerance:g}); wrong sign, frame or unit?")
+            return (f"plan: {name} is {planned:.3g} {unit} at the start, but {measured:.3g} {unit} was measured "
+                    f"(tolerance {tolerance:g} {unit}); wrong sign, frame or unit?")
     return ""
 
 
@@ -200,7 +202,7 @@ def model_inputs(model: Model, planned: InputSequence) -> InputSequence:
 
 def wheel_sequence(model: Model, planned: InputSequence, start_ns: int, step: float, steering_time_ns: np.ndarray,
                    road_wheel_angle: np.ndarray, maximum_gap: float) -> InputSequence:
-    """`model_inputs` on the half-step grid from start_ns, after the delay, play and lag of the model's steering."""
+    """`model_inputs` on the half-step grid from start_ns, with the delay, play and lag of the steering of the model."""
     planned = model_inputs(model, planned)
     if not has_steering_memory(model):
         return planned

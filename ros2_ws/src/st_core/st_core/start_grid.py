@@ -1,9 +1,9 @@
-"""Layout of start times for a batch: the instants to sample, and the position of each start among them.
+"""Layout of prediction starts in a batch: the instants to sample, and the position of each start among them.
 
-Windows of starts 0.1 s apart overlap fifty-fold. Where the starts are multiples of half an integration step apart, the
-instants are shared: one grid for the log, stored as [phase, index] of grid point g = index * q + phase, q half steps
-between starts. So neighbouring starts are neighbours in memory at every instant, and no window is copied. For starts at
-other times, each has separate instants in the same layout.
+The horizons of starts 0.1 s apart overlap fifty-fold. If the starts are multiples of half an integration step apart,
+they share instants: one grid for the log, in which point index * q + phase is stored at [phase, index], with q half
+steps between starts. So neighbouring starts are neighbours in memory at every instant, and nothing is copied. Other
+starts have separate instants in the same layout.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,11 +17,11 @@ SEPARATE_BLOCK = 2**17  # instants
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Columns of a batch that are computed together. rows: of the starts. selected: the column of each of them.
+    """Columns of a batch that are computed together. rows: starts in the block. selected: column of each start.
 
-    starts_ns: (count,) of the columns. times_ns: instants to sample, (m,) where shared, else (instants, columns).
-    offsets: instant k of column i is at `offsets[k] + i` of a row of the table. columns: count, padded to a multiple of
-    the lanes.
+    starts_ns: (count,), start of each column. times_ns: instants to sample, (m,) if shared, else (instants, columns).
+    offsets: instant k of column i is element `offsets[k] + i` of a row of the table. columns: count, rounded up to a
+    multiple of the lanes. spacing: half steps between shared columns; 0 for separate instants.
     """
 
     number: int
@@ -39,15 +39,15 @@ class Block:
 
     @property
     def shared(self) -> bool:
-        """Whether starts share instants."""
+        """Whether the starts share instants."""
         return self.spacing > 0
 
     def arrange(self, values: np.ndarray) -> np.ndarray:
-        """(m,) values at times_ns in the order that `offsets` refers to."""
+        """Values at times_ns, (m,), in the order to which `offsets` refers."""
         return (values.reshape(-1, self.spacing).T if self.shared else values).ravel()
 
-    def table(self, fields: tuple) -> np.ndarray:
-        """(fields, m) table of quantities, each an array in this layout or a number."""
+    def tabulate(self, fields: tuple) -> np.ndarray:
+        """Table (fields, m) of quantities, each of them an arranged array or a number."""
         result = np.empty((len(fields), self.times_ns.size))
         for row, field in zip(result, fields, strict=True):
             row[:] = field
@@ -55,26 +55,25 @@ class Block:
 
 
 def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, share: bool = True) -> Iterator[Block]:
-    """Blocks that cover all starts. starts_ns: increasing. instants_ns: after each start, increasing from 0.
+    """Blocks that cover all starts. starts_ns: increasing. instants_ns: times after each start, increasing from 0.
 
-    share: False where the value at an instant depends on the start.
+    share: False if the values at an instant depend on the start.
     """
-    runs = _runs(starts_ns, instants_ns) if share else []
+    runs = _find_runs(starts_ns, instants_ns) if share else []
     columns = sum(cover + _reach(spacing, instants_ns) for _, spacing, cover in runs)
     if runs and columns <= 2 * len(starts_ns) + lanes:
-        yield from _shared(starts_ns, instants_ns, lanes, runs)
+        yield from _plan_shared(starts_ns, instants_ns, lanes, runs)
     else:
-        yield from _separate(starts_ns, instants_ns, lanes)
+        yield from _plan_separate(starts_ns, instants_ns, lanes)
 
 
 def _reach(spacing: int, instants_ns: np.ndarray) -> int:
-    """Number of columns between the first and the last of a window."""
+    """Number of columns by which the last instant of a horizon is behind its start."""
     return (len(instants_ns) - 1) // spacing
 
 
-def _runs(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[tuple[slice, int, int]]:
-    """(rows, half steps between columns, columns) of stretches with overlapping windows; empty without a common grid.
-    """
+def _find_runs(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[tuple[slice, int, int]]:
+    """(rows, half steps between columns, columns) of starts with overlapping horizons; empty without a common grid."""
     if len(instants_ns) < 2 or not len(starts_ns):
         return []
     half, count = int(instants_ns[1]), len(instants_ns)
@@ -92,9 +91,9 @@ def _runs(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[tuple[slice, i
     return runs
 
 
-def _shared(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int,
-            runs: Sequence[tuple[slice, int, int]]) -> Iterator[Block]:
-    """Runs one after the other in a block; the columns that a window extends into are unused between them."""
+def _plan_shared(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int,
+                 runs: Sequence[tuple[slice, int, int]]) -> Iterator[Block]:
+    """Blocks of consecutive runs; between runs, the columns into which the last horizon extends are unused."""
     pieces = []
     for rows, spacing, cover in runs:
         column = (starts_ns[rows] - starts_ns[rows.start]) // (int(instants_ns[1]) * spacing)
@@ -107,10 +106,10 @@ def _shared(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int,
     for piece in pieces:
         if group and (group[0][1] != piece[1] or sum(_width(p, instants_ns) for p in (*group, piece))
                          > SHARED_BLOCK):
-            yield _joined(number, group, instants_ns, lanes)
+            yield _join_pieces(number, group, instants_ns, lanes)
             group, number = [], number + 1
         group.append(piece)
-    yield _joined(number, group, instants_ns, lanes)
+    yield _join_pieces(number, group, instants_ns, lanes)
 
 
 def _width(piece: tuple, instants_ns: np.ndarray) -> int:
@@ -118,12 +117,12 @@ def _width(piece: tuple, instants_ns: np.ndarray) -> int:
     return int(column[-1]) + 1 + _reach(spacing, instants_ns)
 
 
-def _joined(number: int, pieces: list[tuple], instants_ns: np.ndarray, lanes: int) -> Block:
+def _join_pieces(number: int, pieces: list[tuple], instants_ns: np.ndarray, lanes: int) -> Block:
     half, spacing = int(instants_ns[1]), pieces[0][1]
     width = [_width(piece, instants_ns) for piece in pieces]
     first = np.concatenate(([0], np.cumsum(width)))
     count = int(first[-1]) - _reach(spacing, instants_ns)
-    columns = _padded(count, lanes)
+    columns = _round_up(count, lanes)
     width[-1] += columns - count
     indices = sum(width)
     times = [origin + half * np.arange(w * spacing) for (*_, origin), w in zip(pieces, width, strict=True)]
@@ -134,16 +133,16 @@ def _joined(number: int, pieces: list[tuple], instants_ns: np.ndarray, lanes: in
                  (k % spacing) * indices + k // spacing, columns, spacing)
 
 
-def _separate(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int) -> Iterator[Block]:
+def _plan_separate(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int) -> Iterator[Block]:
     count = len(instants_ns)
-    size = _padded(max(min(SEPARATE_BLOCK // count, SHARED_BLOCK), 1), lanes)
+    size = _round_up(max(min(SEPARATE_BLOCK // count, SHARED_BLOCK), 1), lanes)
     for number, first in enumerate(range(0, len(starts_ns), size)):
         starts = starts_ns[first:first + size]
-        columns = _padded(len(starts), lanes)
+        columns = _round_up(len(starts), lanes)
         padded = np.pad(starts, (0, columns - len(starts)), mode="edge")
         yield Block(number, slice(first, first + len(starts)), np.arange(len(starts)), starts,
                     instants_ns[:, None] + padded, np.arange(count) * columns, columns)
 
 
-def _padded(count: int, lanes: int) -> int:
+def _round_up(count: int, lanes: int) -> int:
     return -(-count // lanes) * lanes

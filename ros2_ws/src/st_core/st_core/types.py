@@ -1,7 +1,7 @@
 """States, inputs, samples and trajectories, and the frames they are expressed in: map axes x east, y north; body axes
 x forward, y left; yaw from east counter-clockwise. SI units.
 
-Functions of angles and positions take floats or arrays and return the same.
+Functions of angles and positions accept floats or arrays and return the same kind.
 """
 
 import math
@@ -52,10 +52,10 @@ class ControlInput:
 
 @dataclass(frozen=True, slots=True)
 class InputSequence:
-    """Inputs in a horizon on the half-step grid 0, step/2, step, ...: 2 * steps + 1 values each, as ControlInput.
+    """Inputs over a horizon on the half-step grid 0, step/2, step, ...: 2 * steps + 1 values each, as ControlInput.
 
-    NaN marks an input that is not known; the trajectory is NaN from there on. signals: those a model needs beyond its
-    inputs (`Model.signals`), by name, on the same grid.
+    NaN marks an unknown input; the trajectory is NaN from there on. signals: further signals that a model needs
+    (`Model.signals`), by name, on the same grid.
     """
 
     road_wheel_angle: np.ndarray
@@ -77,7 +77,7 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         if self.states.ndim != 2 or self.states.shape[1] != len(STATE_NAMES):
-            raise StCoreError(f"a trajectory is (points, {len(STATE_NAMES)}), not {self.states.shape}")
+            raise StCoreError(f"states of a trajectory: shape {self.states.shape}, not (points, {len(STATE_NAMES)})")
 
     @property
     def x(self) -> np.ndarray:
@@ -105,7 +105,7 @@ class Trajectory:
 
     @property
     def time(self) -> np.ndarray:
-        """Seconds after the start of each point."""
+        """Time of each point after the start [s]."""
         return self.step * np.arange(len(self.states))
 
 
@@ -144,7 +144,7 @@ def map_to_body(x: Number, y: Number, yaw: Number) -> tuple[Number, Number]:
 
 def pose_errors(predicted_x: Number, predicted_y: Number, predicted_yaw: Number, x: Number, y: Number,
                 yaw: Number) -> tuple[Number, Number, Number]:
-    """Prediction errors (longitudinal [m], lateral [m], yaw [rad]) of each point of the INS; NaN where not measured.
+    """Prediction errors (longitudinal [m], lateral [m], yaw [rad]) of the INS pose; NaN where it was not measured.
 
         (e_lon, e_lat) = R(-yaw_measured) (p_predicted - p_measured),  p at the INS point
 
@@ -160,7 +160,7 @@ def ins_to_cg(sample: InsSample, cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -
         p_cg = p_ins - R(yaw) d,    v_x,cg = v_x,ins + r d_y,    v_y,cg = v_y,ins - r d_x
 
     d = (cg_to_ins_x, cg_to_ins_y) [m] is the INS point seen from the CG, forward and left; behind the CG d_x < 0.
-    Source: paper, eq. of the sensor offset (its d points the other way). Checked by: test_frames.py.
+    Source: paper, equation of the sensor offset, in which d has the opposite sign. Checked by: test_frames.py.
     """
     cosine, sine = math.cos(sample.yaw), math.sin(sample.yaw)
     return VehicleState(
@@ -175,14 +175,14 @@ def ins_to_cg(sample: InsSample, cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -
 
 def cg_to_ins_position(x: Number, y: Number, yaw: Number, cg_to_ins_x: Number,
                        cg_to_ins_y: Number = 0.0) -> tuple[Number, Number]:
-    """Map position [m] of the INS point, (x, y) each like the input, for CG positions x, y [m] and yaw [rad]."""
+    """Position (x, y) of the INS point in the map frame [m], from the position of the CG [m] and yaw [rad]."""
     forward, left = body_to_map(cg_to_ins_x, cg_to_ins_y, yaw)
     return x + forward, y + left
 
 
 def ins_to_cg_acceleration(acceleration_x: Number, acceleration_y: Number, yaw_rate: Number, yaw_acceleration: Number,
                            cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -> tuple[Number, Number]:
-    """Acceleration at the CG [m/s^2], body axes, from that at the INS point.
+    """Acceleration at the CG from the acceleration at the INS point [m/s^2], body axes.
 
         a_x,cg = a_x,ins + r^2 d_x + r_dot d_y,    a_y,cg = a_y,ins - r_dot d_x + r^2 d_y
 

@@ -209,7 +209,7 @@ def test_signals_a_model_asks_for(leaf, log):
     ({"points": (5.05,)}, "within the horizon"), ({"points": (2.0, 1.0)}, "increasing"), ({"points": ()}, "points"),
     ({"horizon": 1.01}, "horizon: 1.01 s is not a whole number of steps"),
     ({"inputs": "guessed"}, "inputs: 'guessed' is neither measured nor held"),
-    ({"substeps": 0}, "substeps: 0 is not auto and outside 1 to 64"), ({"substeps": 1.5}, "substeps: 1.5"),
+    ({"substeps": 0}, "substeps: 0 is neither auto nor an integer from 1 to 64"), ({"substeps": 1.5}, "substeps: 1.5"),
     ({"backend": "gpu"}, "unknown backend 'gpu'"),
 ])
 def test_what_cannot_be_is_refused(leaf, log, wrong, message):

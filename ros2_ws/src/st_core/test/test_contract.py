@@ -38,11 +38,11 @@ def of(acceleration):
 
 @pytest.mark.parametrize(("acceleration", "requirement", "words"), [
     (lambda at, t: (1e-9 + t.gain) * at.yaw_rate, "at null it changes nothing", "to the last bit"),
-    (lambda at, t: 0.0 * at.yaw_rate, "at its initial values it changes something", "nothing changes"),
+    (lambda at, t: 0.0 * at.yaw_rate, "at its initial values it changes something", "it changes nothing"),
     (lambda at, t: -t.gain * at.yaw_rate / at.velocity_x, "finite at its bounds", "division by zero"),
     (lambda at, t: t.gain * np.float32(at.yaw_rate), "equal on floats", "numpy"),
     (lambda at, t: 0.1 * t.gain + 0.0 * at.yaw_rate, "left and right are mirror images", "odd=True"),
-    (lambda at, t: 20.0 * t.gain * at.yaw_rate, "it does not make the car unstable", "grows by"),
+    (lambda at, t: 20.0 * t.gain * at.yaw_rate, "it does not make the car unstable", "grows at"),
     (lambda at, t: -99.0 * t.gain * at.yaw_rate, "it does not make the car unstable", "too fast for steps"),
 ])
 def test_a_violated_requirement_is_named(leaf, acceleration, requirement, words):

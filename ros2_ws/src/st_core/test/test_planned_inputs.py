@@ -75,7 +75,7 @@ def test_a_steady_turn_follows_the_planned_curvature(leaf):
 
 @pytest.mark.parametrize(("changes", "reason"), [
     ({}, ""),
-    ({"time_ns": np.zeros(0, int), "road_wheel_angle": np.zeros(0), "velocity_x_dot": np.zeros(0)}, "0 points"),
+    ({"time_ns": np.zeros(0, int), "road_wheel_angle": np.zeros(0), "velocity_x_dot": np.zeros(0)}, "0 point(s)"),
     ({"road_wheel_angle": np.where(np.arange(61) == 7, np.nan, 0.02)}, "road_wheel_angle is not finite at point 7"),
     ({"velocity_x_dot": np.full(61, np.inf)}, "velocity_x_dot is not finite at point 0"),
     ({"time_ns": np.full(61, START)}, "times are not increasing"),
@@ -83,15 +83,15 @@ def test_a_steady_turn_follows_the_planned_curvature(leaf):
     ({"issued_ns": START + 10**9}, "clocks disagree"),
     ({"time_ns": START - 10**10 + np.arange(61) * 10**8}, "ended 4.00 s before"),
     ({"time_ns": START + 10**9 + np.arange(61) * 10**8}, "begins 1.00 s after"),
-    ({"time_ns": START + np.arange(61) * 5 * 10**7}, "ends 3.00 s after the start, the horizon is 5 s"),
+    ({"time_ns": START + np.arange(61) * 5 * 10**7}, "ends 3.00 s after the start, before the end of the horizon of 5 s"),
     ({"time_ns": START + np.arange(61) * 6 * 10**8}, "up to 0.60 s apart"),
     ({"road_wheel_angle": np.full(61, 0.9)}, "0.90 rad"),
     ({"road_wheel_angle": 0.02 + 0.2 * (np.arange(61) % 2)}, "steering rate"),
     ({"velocity_x_dot": np.linspace(0.5, 20.0, 61)}, "limit 12"),
     ({"road_wheel_angle": np.linspace(0.02, 0.5, 61)}, "limit 12"),
     ({"road_wheel_angle": np.full(61, -0.06)}, "wrong sign, frame or unit"),
-    ({"velocity_x_dot": np.full(61, -4.0)}, "velocity_x_dot -4 m/s^2 at the start, measured 0.5"),
-    ({"speed": np.full(61, 15.0)}, "speed 15 m/s at the start, measured 10"),
+    ({"velocity_x_dot": np.full(61, -4.0)}, "velocity_x_dot is -4 m/s^2 at the start, but 0.5 m/s^2 was measured"),
+    ({"speed": np.full(61, 15.0)}, "speed is 15 m/s at the start, but 10 m/s was measured"),
 ])
 def test_bad_plans_are_refused_with_the_reason(leaf, changes, reason):
     found = plan_problem(plan(**changes), START, STATE, HELD, 5.0, leaf)

@@ -321,7 +321,7 @@ def test_a_curve_at_its_bound_is_no_proposal(laws):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("sign", "words"), [(1.0, "a lateral mode grows by"), (-1.0, "")])
+@pytest.mark.parametrize(("sign", "words"), [(1.0, "a lateral mode grows at"), (-1.0, "")])
 def test_a_law_that_makes_the_car_unstable_is_no_proposal(laws, sign, words):
     laws, car = laws
     c = Candidate("yaw_moment", "yaw_rate", -1.0, -0.15, 0.15)

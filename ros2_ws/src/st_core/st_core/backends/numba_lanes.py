@@ -1,8 +1,8 @@
-"""Lanes, parallel predictions in vector registers, compiled by numba from the functions of the model.
+"""Backend compiled by numba from the functions of the model: predictions (lanes) in parallel in vector registers.
 
-All functions of a model are inlined into one loop over lanes that contains a whole Runge-Kutta step; LLVM vectorises
-it. Three vectors are interleaved, because the chain of operations within one is long.
-Measured: docs/measurements/performance.md.
+All functions of a model are inlined into one loop over lanes, which contains a whole Runge-Kutta step and is vectorised
+by LLVM. Three vectors are interleaved, because each operation within a vector waits for the previous one.
+Measurements: docs/measurements/performance.md.
 """
 
 import logging
@@ -27,12 +27,12 @@ from ..types import STATE_NAMES
 from . import numba_cache, numpy_batch, structure
 from .numba_ops import FLAGS, inline
 
-# A multiple of three vectors of 8 (AVX-512) or 4 (AVX2) numbers. With fewer than 16 the loop is not vectorised and
-# seven times slower; 32 to 96 lanes and 2 to 4 vectors differ by less than 15 %.
+# A multiple of three vectors of 8 (AVX-512) or 4 (AVX2) numbers. With fewer than 16 lanes LLVM does not vectorise the
+# loop, which is seven times slower; with 32 to 96 lanes and 2 to 4 vectors the speed differs by less than 15 %.
 LANES = 48
-INTERLEAVE = 3
-CACHE_LINE = 64
-STOP = frozenset((ops.__name__,))
+INTERLEAVE = 3  # vectors
+CACHE_LINE = 64  # bytes
+STOP = frozenset((ops.__name__,))  # modules whose functions are compiled by `numba_ops`
 
 _compiled: dict[Any, Any] = {}
 _inlined: set = set()
@@ -41,7 +41,7 @@ _lock = Lock()
 
 def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.ndarray, step: float,
             points: np.ndarray) -> np.ndarray:
-    """States of all columns at the points, as defined in the package; in numpy, with a warning, if not compilable."""
+    """States of all columns at the points, see the package; by numpy, with a warning, if numba cannot compile it."""
     numbers: list[float] = []
     kernel = _kernel(model, p, _skeleton(p, numbers), len(w), len(start))
     if kernel is None:
@@ -55,7 +55,7 @@ def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.
 
 
 def compiles(model: Model, p: Any, fields: int, states: int) -> bool:
-    """Whether numba can compile `advance` for this number of fields of w and of states; compiles or loads it."""
+    """Whether numba can compile `advance` for these numbers of fields of w and of states; compiles or loads it."""
     return _kernel(model, p, _skeleton(p, []), fields, states) is not None
 
 
@@ -68,7 +68,7 @@ def as_floats(p: Any) -> Any:
 
 
 def _kernel(model: Model, p: Any, skeleton: tuple, fields: int, states: int):
-    # The key has no values, so that a fit, which changes them a thousand times, compiles once.
+    # The key contains no parameter values, so a fit, which changes them a thousand times, compiles once.
     key = (model.rhs, skeleton, fields, states)
     with _lock:
         if key not in _compiled:
@@ -77,7 +77,7 @@ def _kernel(model: Model, p: Any, skeleton: tuple, fields: int, states: int):
 
 
 def _skeleton(p: tuple, numbers: list[float]) -> tuple:
-    """Nesting and types of p; appends its numbers. Equivalent to the type that numba determines in milliseconds."""
+    """Nesting and types of p, a fast equivalent of its numba type; appends the numbers in p to `numbers`."""
     shape: list[Any] = [type(p)]
     for value in p:
         if isinstance(value, tuple):
@@ -89,14 +89,14 @@ def _skeleton(p: tuple, numbers: list[float]) -> tuple:
 
 
 def _compile(model: Model, shape, fields: int, states: int):
-    kernel = _prepared(model, shape, fields, states)
+    kernel = _make_kernel(model, shape, fields, states)
     try:
         fingerprint = structure.fingerprint(cast(FunctionType, model.rhs), STOP)
         numba_cache.enable(kernel, f"{fingerprint} {shape} {fields} {states}")
     except structure.UnhashableError:
         pass  # not cached: compiled in every process
     try:
-        with _interleaved():
+        with _interleave_vectors():
             numba_cache.compile_or_load(kernel, SIGNATURE)
     except NumbaError as error:
         reason = " ".join(str(error).split())
@@ -107,24 +107,24 @@ def _compile(model: Model, shape, fields: int, states: int):
 
 
 def uncached(model: Model, shape, fields: int, states: int):
-    """A newly compiled kernel, for inspection of its instructions. shape: numba's type of `as_floats(p)`."""
-    kernel = _prepared(model, shape, fields, states)
-    with _interleaved():
+    """A newly compiled kernel, for inspection of its instructions. shape: numba type of `as_floats(p)`."""
+    kernel = _make_kernel(model, shape, fields, states)
+    with _interleave_vectors():
         kernel.compile(SIGNATURE)
     return kernel
 
 
-def _prepared(model: Model, shape, fields: int, states: int):
+def _make_kernel(model: Model, shape, fields: int, states: int):
     for function in structure.reachable(cast(FunctionType, model.rhs), STOP):
         if function not in _inlined:
             _inlined.add(inline(function))
-    return _make(model.rhs, _parameters(shape), _load(fields), _load(states), _scratch(states * LANES))
+    return _define_kernel(model.rhs, _parameters(shape), _load(fields), _load(states), _scratch(states * LANES))
 
 
 @contextmanager
-def _interleaved() -> Iterator[None]:
-    # LLVM's default is one vector, on Intel server processors of half the width, which is 40 % slower. The options are
-    # global to the process and therefore reset.
+def _interleave_vectors() -> Iterator[None]:
+    # By default LLVM uses one vector, on Intel server processors of half the width, which is 40 % slower. The options
+    # apply to the whole process and are therefore reset.
     _, _, features = cpu_target.target_context.codegen().magic_tuple()
     for option, value in (("interleave", INTERLEAVE), ("width", 8 if "+avx512f" in features else 0)):
         llvmlite.binding.set_option("st_core", f"-force-vector-{option}={value}")
@@ -139,7 +139,7 @@ _ROW, _INDICES = types.float64[::1], types.int64[::1]
 SIGNATURE = types.void(_ROW, _ROW, types.int64, _ROW, types.int64, _INDICES, types.float64, _INDICES, _ROW)
 
 
-def _make(rhs, parameters, load_w, load_state, scratch):
+def _define_kernel(rhs, parameters, load_w, load_state, scratch):
     @numba.njit(fastmath=set(FLAGS), error_model="numpy", nogil=True)
     def kernel(values, start, columns, w, row, offsets, step, points, out):
         p = parameters(values)
@@ -172,7 +172,7 @@ def _make(rhs, parameters, load_w, load_state, scratch):
 def _parameters(shape):
     @intrinsic
     def parameters(_, values):
-        """p, nested as it was, from its numbers in a row."""
+        """The parameters p, nested, from a row of their numbers."""
         def generate(context, builder, signature, arguments):
             row = context.make_array(signature.args[0])(context, builder, arguments[0])
             place = iter(range(10**9))
@@ -189,8 +189,10 @@ def _parameters(shape):
 def _scratch(count: int):
     @intrinsic
     def scratch(_):
-        """Stack memory for count numbers, aligned to cache lines, as is the stack then; otherwise a spilled vector
-        needs two lines, and the speed varies by a third between processes.
+        """Stack memory for `count` numbers, aligned to cache lines.
+
+        This aligns the stack as well; otherwise a vector that is spilled to it may occupy two cache lines, and the
+        speed varies by a third between processes.
         """
         def generate(context, builder, signature, arguments):
             memory = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), count))
@@ -203,7 +205,7 @@ def _scratch(count: int):
 def _load(count: int):
     @intrinsic
     def load(_, table, row, column):
-        """A tuple: table[i * row + column] for i < count."""
+        """The tuple of table[i * row + column] for i < count."""
         result = types.UniTuple(types.float64, count)
 
         def generate(context, builder, signature, arguments):
@@ -233,7 +235,7 @@ def _store(_, table, row, column, values):
 
 @intrinsic
 def _add(_, first, factor, second):
-    """first + factor * second, number by number of two tuples."""
+    """first + factor * second, element by element of two tuples."""
     result = types.UniTuple(types.float64, len(first))
 
     def generate(context, builder, signature, arguments):
