@@ -83,7 +83,7 @@ def test_a_steady_turn_follows_the_planned_curvature(leaf):
     ({"issued_ns": START + 10**9}, "clocks disagree"),
     ({"time_ns": START - 10**10 + np.arange(61) * 10**8}, "ended 4.00 s before"),
     ({"time_ns": START + 10**9 + np.arange(61) * 10**8}, "begins 1.00 s after"),
-    ({"time_ns": START + np.arange(61) * 5 * 10**7}, "ends 3.00 s after the start, before the end of the horizon of 5 s"),
+    ({"time_ns": START + np.arange(61) * 5 * 10**7}, "ends 3.00 s after the start, before the end of the horizon"),
     ({"time_ns": START + np.arange(61) * 6 * 10**8}, "up to 0.60 s apart"),
     ({"road_wheel_angle": np.full(61, 0.9)}, "0.90 rad"),
     ({"road_wheel_angle": 0.02 + 0.2 * (np.arange(61) % 2)}, "steering rate"),
