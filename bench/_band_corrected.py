@@ -10,7 +10,7 @@ from st_core.log import DriveLog
 from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
-from st_offline.bands.bands_report import intervals_of
+from st_offline.bands.bands_report import collect_intervals
 from st_offline.discovery.discovery_report import build_model_file
 from st_offline.discovery.drives import Drive, Request
 from st_offline.discovery.vehicle_update import update_vehicle
@@ -32,4 +32,4 @@ def corrected(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[Veh
     if model is None:
         return car, get_model("nonlinear"), {}
     file = ModelFile.from_yaml(model.to_yaml())
-    return car, file.model(), next(iter(intervals_of([file]).values()))
+    return car, file.model(), next(iter(collect_intervals([file]).values()))

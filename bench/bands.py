@@ -23,8 +23,8 @@ from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
-from st_offline.bands.bands_report import share_rows, share_sums, summarise_shares
-from st_offline.bands.scoring import band_sums, pooled_sums, summarise_bands
+from st_offline.bands.bands_report import share_rows, sum_shares, summarise_shares
+from st_offline.bands.scoring import pool_sums, sum_band_scores, summarise_bands
 from st_recordings.paths import config, project_root
 from st_recordings.runs import find_runs, read
 
@@ -182,7 +182,7 @@ def corrected() -> dict[str, Row]:
     car, model, intervals = corrected_files([here.drive("to mend", k, here.off) for k in range(TO_CORRECT)], here.file)
     logs = [here.drive("off", k, here.off).with_steering(car) for k in range(SEEDS)]
     after = {log.name: samples(log, car, (model,)) for log in logs}
-    _write_shares([share_sums([model], car, SETTINGS.signals(log), SETTINGS, {model.name: intervals}) for log in logs])
+    _write_shares([sum_shares([model], car, SETTINGS.signals(log), SETTINGS, {model.name: intervals}) for log in logs])
     before = here.samples("off", SEEDS, here.off)
     healthy = here.samples("seed", SEEDS, here.healthy)
     name = model.name
@@ -196,7 +196,7 @@ def corrected() -> dict[str, Row]:
 
 def _write_shares(runs: Sequence[dict]) -> None:
     """Write the decomposition of the error of the corrected car into the page."""
-    shares = summarise_shares(pooled_sums(runs))
+    shares = summarise_shares(pool_sums(runs))
     (one,) = shares.values()
     causes = {name: values["5"]["lateral"] for name, values in one["rms_of_cause"].items()}
     largest = sorted(causes, key=causes.get, reverse=True)[:5]
@@ -280,14 +280,14 @@ def tested(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSamples
     domain, entries = CalibrationDomain.of([one.conditions for one in known]), []
     for one in new:
         rows = domain(one.conditions)
-        sums = band_sums(band, one.conditions[rows], one.errors[question][rows].astype(float))
+        sums = sum_band_scores(band, one.conditions[rows], one.errors[question][rows].astype(float))
         entries.append(sums | {"without_band": int((~rows).sum())})
     return entries
 
 
 def row(runs: Sequence[dict], refused: Sequence[str]) -> Row:
     """refused: groups for which no band could be calibrated, with the reason."""
-    of_all = summarise_bands({"models": {"m": {"q": pooled_sums(runs)}}})["models"]["m"]["q"] if runs else None
+    of_all = summarise_bands({"models": {"m": {"q": pool_sums(runs)}}})["models"]["m"]["q"] if runs else None
     if of_all is None or not of_all["starts"]:
         return dict.fromkeys(COLUMNS, "-") | {"no band": "; ".join(refused) or "100%"}
     every = {level: [one["coverage"][level] / one["starts"] for one in runs if one["starts"]]

@@ -111,8 +111,8 @@ def measure_evaluate(source: Path, output: Path) -> dict:
     from st_recordings.runs import bag, load
 
     reading = {"read_bag": (bag, "read_bag")} if (source / "metadata.yaml").exists() else _reading()
-    parts = {**reading, "hash": (load, "hashes"), "predict": (work, "evaluate_log"),
-             "starts_csv": (work, "write_starts"), "draw": (work, "run_figures"),
+    parts = {**reading, "hash": (load, "hash_files"), "predict": (work, "evaluate_log"),
+             "starts_csv": (work, "write_starts"), "draw": (work, "draw_run"),
              "report": (evaluation_command, "write_results")}
     seconds = _timed(parts)
     status = cli.app(["evaluate", str(source), "--output", str(output)], standalone_mode=False)

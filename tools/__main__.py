@@ -1,4 +1,4 @@
-"""`./st test`, `./st shell`, `./st bench` and `./st docs`: commands that exist in a checkout only."""
+"""Adds the commands `test`, `shell`, `bench` and `docs`, which exist only in a checkout, to `./st`."""
 
 from pathlib import Path
 
@@ -39,20 +39,20 @@ def docs(
     """
     from . import gallery as pictures
     from . import structure
-    from .reference import page
+    from .reference import reference_page
 
     console = Console()
     folder = output or project_root() / "docs"
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in (("reference.md", page(commands())), ("gallery.md", pictures.page())):
+    for name, text in (("reference.md", reference_page(commands())), ("gallery.md", pictures.gallery_page())):
         (folder / name).write_text(text, encoding="utf-8")
         console.print(f"{folder / name}", highlight=False, soft_wrap=True)
     figure = folder / structure.FIGURE
-    structure.draw(project_root() / "ros2_ws" / "src", figure)
+    structure.draw_structure(project_root() / "ros2_ws" / "src", figure)
     console.print(f"{figure}", highlight=False, soft_wrap=True)
     if gallery:
         try:
-            pictures.draw(folder / "images", console)
+            pictures.draw_gallery(folder / "images", console)
         except pictures.GalleryError as error:
             typer.echo(f"st docs: {error}", err=True)
             raise typer.Exit(1) from None

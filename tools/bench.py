@@ -1,4 +1,4 @@
-"""`st bench`: list and run the measurements under bench/."""
+"""The command `st bench`: lists and runs the measurements in bench/."""
 
 import ast
 import importlib
@@ -17,13 +17,13 @@ from st_recordings.paths import project_root, source_version
 
 def bench(
     context: typer.Context,
-    name: str | None = typer.Argument(None, help="One of the listed names; without it they are listed."),
-    json_file: Path | None = typer.Option(None, "--json", help="Also write the result here."),
+    name: str | None = typer.Argument(None, help="Name of a benchmark; without it all are listed."),
+    json_file: Path | None = typer.Option(None, "--json", help="File for the result and the machine."),
 ) -> None:
     """List the benchmarks, or run one and print its figures."""
     folder = project_root() / "bench"
     files = {path.stem: path for path in sorted(folder.glob("*.py")) if not path.stem.startswith("_")}
-    # A package has options of its own and prints for itself.
+    # A package has its own options and prints its own result.
     packages = {path.parent.name: path for path in sorted(folder.glob("*/__init__.py"))}
     console = Console()
     if name is None:
@@ -42,10 +42,10 @@ def bench(
     if context.args:
         typer.echo(f"st bench {name}: unexpected argument {context.args[0]}", err=True)
         raise typer.Exit(2)
-    result = _load(files[name]).run()
-    _show(console, name, result)
+    result = _load_module(files[name]).run()
+    _print_result(console, name, result)
     if json_file:
-        machine = {"python": platform.python_version(), "machine": platform.machine(), "cpu": _cpu(),
+        machine = {"python": platform.python_version(), "machine": platform.machine(), "cpu": _processor_name(),
                    "version": source_version()}
         json_file.write_text(json.dumps({"bench": name, "machine": machine, "result": result}, indent=2) + "\n")
 
@@ -54,42 +54,42 @@ def _first_line(path: Path) -> str:
     return (ast.get_docstring(ast.parse(path.read_text())) or "").strip().splitlines()[0]
 
 
-def _load(path: Path) -> ModuleType:
+def _load_module(path: Path) -> ModuleType:
     sys.path.insert(0, str(path.parent))
     specification = importlib.util.spec_from_file_location(f"bench_{path.stem}", path)
-    assert specification and specification.loader  # it is a file of Python
+    assert specification and specification.loader  # always true for a Python file
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     return module
 
 
-def _show(console: Console, name: str, result: dict) -> None:
+def _print_result(console: Console, name: str, result: dict) -> None:
     table = Table("measure", "value", title=name, box=None, title_justify="left")
-    plain = {key: value for key, value in result.items() if not _is_table(value)}
-    for key, value in _flatten(plain):
-        table.add_row(key, _text(value))
+    scalars = {key: value for key, value in result.items() if not _is_table(value)}
+    for key, value in _flatten(scalars):
+        table.add_row(key, _format_cell(value))
     console.print(table)
     for key, rows in result.items():
-        if key not in plain:
+        if key not in scalars:
             columns = list(next(iter(rows.values())))
             row_table = Table(key, box=None)
             for column in columns:
                 row_table.add_column(column, justify="right")
             for row, values in rows.items():
-                row_table.add_row(row, *(_text(values[column]) for column in columns))
+                row_table.add_row(row, *(_format_cell(values[column]) for column in columns))
             console.print()
             console.print(row_table)
 
 
 def _is_table(value: object) -> bool:
-    """Whether these are rows with the same columns, all numbers or words."""
+    """Whether a value is a dict of rows with the same columns and no nested dicts."""
     rows = list(value.values()) if isinstance(value, dict) else []
     if len(rows) < 2 or not all(isinstance(row, dict) and row.keys() == rows[0].keys() for row in rows):
         return False
     return bool(rows[0]) and not any(isinstance(cell, dict) for row in rows for cell in row.values())
 
 
-def _text(value: object) -> str:
+def _format_cell(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
@@ -100,7 +100,7 @@ def _flatten(result: dict, prefix: str = "") -> list[tuple[str, object]]:
     return rows
 
 
-def _cpu() -> str:
+def _processor_name() -> str:
     for line in Path("/proc/cpuinfo").read_text().splitlines():
         if line.startswith("model name"):
             return line.split(":", 1)[1].strip()

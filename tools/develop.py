@@ -1,4 +1,4 @@
-"""`./st test` and `./st shell`."""
+"""The commands `st test` and `st shell` of a checkout."""
 
 import os
 import shutil
@@ -19,7 +19,7 @@ def test(
 ) -> None:
     """Run every test. Further arguments go to pytest: ./st test -k ncom."""
     root = project_root()
-    # Failed, broken and skipped tests are listed with their reasons.
+    # -rfEs lists failed, broken and skipped tests with their reasons.
     pytest = [sys.executable, "-m", "pytest", "-rfEs", "-q"]
     fast_only = "not slow and " if fast else ""
     # Timing tests mostly wait: two at a time leave half of two cores idle. They run after all others.
@@ -41,7 +41,7 @@ NO_ROS2 = (
 
 
 def shell(context: typer.Context) -> None:
-    """Open a shell with everything sourced (or run one command in it: ./st shell -- python)."""
+    """Open a shell with the environment of st, or run one command in it: ./st shell -- python."""
     if (not context.args or context.args[0] == "ros2") and shutil.which("ros2") is None:
         typer.echo(NO_ROS2, err=True)
     if context.args:

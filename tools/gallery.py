@@ -1,4 +1,4 @@
-"""docs/gallery.md and its pictures: a drive of the virtual Leaf through the commands, and the pictures they draw."""
+"""Writes docs/gallery.md and draws its pictures, with commands applied to drives of the virtual Leaf and a real car."""
 
 import shutil
 import subprocess
@@ -28,8 +28,8 @@ ST, VIRTUAL_LEAF = (sys.executable, "-m", "st_cli.cli"), (sys.executable, "-m", 
 ANIMATED = (24.0, 38.0)  # s of the drive
 FRAMES_PER_SECOND = 5
 SIZE, DPI = (8.0, 4.2), 80
-GHOST_AGES = (1.0, 2.0, 3.0, 4.0, 5.0)  # s
-AHEAD, BEHIND, ASIDE = 34.0, 16.0, 30.0  # m
+GHOST_AGES = (1.0, 2.0, 3.0, 4.0, 5.0)  # s, of the earlier predictions that are drawn
+AHEAD, BEHIND, ASIDE = 34.0, 16.0, 30.0  # m, visible range
 
 
 class GalleryError(RuntimeError):
@@ -40,8 +40,8 @@ class GalleryError(RuntimeError):
 class Exhibit:
     """A command and the picture it draws.
 
-    command: as a user types it, {} for the folder of the gallery. picture: the file shown. before: commands that
-    produce the input.
+    command: as a user types it, with {} for the folder of the gallery. picture: file that it draws. before: commands
+    that make its input.
     """
 
     title: str
@@ -75,8 +75,8 @@ EXHIBITS = (
 )
 
 
-def page() -> str:
-    """The text of gallery.md."""
+def gallery_page() -> str:
+    """Text of gallery.md."""
     lines = ["# Gallery", "",
              "See what each command draws, for a drive of the virtual Leaf (S6, U-turns) and a short real drive of "
              "another car ([examples/data](../examples/data/README.md)). `./st docs --gallery` regenerates this page.",
@@ -84,32 +84,32 @@ def page() -> str:
              "From the driver's seat: current predictions, predictions made one to five seconds ago, and the "
              "path driven.", "", "![Predicted paths bend with the steering](images/gallery_drive.webp)"]
     for number, exhibit in enumerate(EXHIBITS, 1):
-        commands = (f"$ {_as_typed(command)}" for command in (*exhibit.before, exhibit.command))
+        commands = (f"$ {_format_command(command)}" for command in (*exhibit.before, exhibit.command))
         lines += ["", f"## {exhibit.title}", "", "```console", *commands, "```", "", exhibit.text, "",
                   f"![{exhibit.title}](images/gallery_{number}.png)"]
     return "\n".join(lines) + "\n"
 
 
-def draw(folder: Path, console: Console) -> None:
+def draw_gallery(folder: Path, console: Console) -> None:
     """Run the commands and write their pictures and the animation into `folder`. Raises GalleryError."""
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="st-gallery-") as name:
         for number, exhibit in enumerate(EXHIBITS, 1):
             for command in (*exhibit.before, exhibit.command):
-                _run(command, name, console)
-            found = sorted(Path(name).glob(exhibit.picture))
-            if not found:
+                _run_command(command, name, console)
+            pictures = sorted(Path(name).glob(exhibit.picture))
+            if not pictures:
                 raise GalleryError(f"{exhibit.command} wrote no {exhibit.picture}")
-            shutil.copyfile(found[0], folder / f"gallery_{number}.png")
+            shutil.copyfile(pictures[0], folder / f"gallery_{number}.png")
         animate(Path(name, "run"), read_vehicle(config("vehicle/leaf.yaml")), folder / "gallery_drive.webp", *ANIMATED)
 
 
-def _as_typed(command: str) -> str:
+def _format_command(command: str) -> str:
     return command.replace("{}", "runs/gallery")
 
 
-def _run(command: str, folder: str, console: Console) -> None:
-    console.print(f"$ {_as_typed(command)}", highlight=False, soft_wrap=True)
+def _run_command(command: str, folder: str, console: Console) -> None:
+    console.print(f"$ {_format_command(command)}", highlight=False, soft_wrap=True)
     words = command.replace("{}", folder).split()
     program = VIRTUAL_LEAF if words[1] == "shell" else ST
     rest = words[6:] if words[1] == "shell" else words[1:]
@@ -125,13 +125,13 @@ def animate(run: Path, car: VehicleParameters, file: Path, first: float, last: f
     frames = []
     with plt.rc_context(RC):
         for seconds in np.arange(first, last, 1.0 / FRAMES_PER_SECOND):
-            frames.append(_frame(results, predictions, car, begin_ns, seconds, first, last))
+            frames.append(_draw_frame(results, predictions, car, begin_ns, seconds, first, last))
     duration = round(1000 / FRAMES_PER_SECOND)
     frames[0].save(file, save_all=True, append_images=frames[1:], duration=duration, loop=0, quality=60, method=2)
     return len(frames)
 
 
-def _frame(results: Results, predictions: dict[str, Predictions], car: VehicleParameters, begin_ns: int,
+def _draw_frame(results: Results, predictions: dict[str, Predictions], car: VehicleParameters, begin_ns: int,
            seconds: float, first: float, last: float) -> Image.Image:
     figure, (scene, errors) = plt.subplots(1, 2, figsize=SIZE, dpi=DPI, width_ratios=(1.0, 1.0))
     now_ns = begin_ns + round(seconds * 1e9)
@@ -146,7 +146,7 @@ def _frame(results: Results, predictions: dict[str, Predictions], car: VehiclePa
     draw(track.x[past][::10], track.y[past][::10], color=MEASURED_COLOUR, lw=5, alpha=0.5, solid_capstyle="round")
     for model, found in predictions.items():
         for age in (*reversed(GHOST_AGES), 0.0):
-            path = _path(found, car, now_ns - round(age * 1e9))
+            path = _find_path(found, car, now_ns - round(age * 1e9))
             if path is not None:
                 draw(*path, color=MODEL_COLOUR[model], lw=2.2 if age == 0 else 0.8, alpha=1.0 if age == 0 else 0.35,
                      label=model if age == 0 else None)
@@ -170,8 +170,8 @@ def _frame(results: Results, predictions: dict[str, Predictions], car: VehiclePa
     return image
 
 
-def _path(found: Predictions, car: VehicleParameters, start_ns: int) -> tuple[np.ndarray, np.ndarray] | None:
-    """The INS point's path of the prediction nearest to an instant; None if none is within 150 ms."""
+def _find_path(found: Predictions, car: VehicleParameters, start_ns: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """Path of the INS point in the prediction nearest to an instant; None if no prediction is within 150 ms."""
     nearest = int(np.argmin(np.abs(found.starts_ns - start_ns)))
     if abs(int(found.starts_ns[nearest]) - start_ns) > 150_000_000:
         return None

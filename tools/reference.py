@@ -1,4 +1,4 @@
-"""docs/reference.md: commands, topics, message fields and node parameters, read from the code."""
+"""Writes docs/reference.md: commands, topics, message fields and node parameters, read from the code."""
 
 import importlib
 import math
@@ -20,7 +20,7 @@ NODES = {  # node: module and name of its parameter table
     "identifier": ("st_predictor.params", "IDENTIFIER"),
 }
 MODELS = ("kinematic", "linear", "nonlinear")  # and augmented, where a model file is given
-# Topic, type, publisher, what it is. <model>: each model.
+# Topic, type, publisher, description. <model> stands for each model.
 TOPICS = (
     ("/ins/odometry", "nav_msgs/msg/Odometry", "oxts_bridge",
      "INS point in the map frame (ENU), body velocities; 100 or 250 Hz"),
@@ -63,21 +63,21 @@ _FIELD = re.compile(
     r"^(?P<type>[\w/]+(?:\[[^\]]*\])?)\s+(?P<name>\w+)\s*(?:=\s*(?P<value>\S+))?\s*(?:#\s*(?P<text>.*))?$")
 
 
-def page(st: TyperGroup) -> str:
+def reference_page(st: TyperGroup) -> str:
     """Text of the page; st: the command group with all verbs."""
     parts = [
         "# Reference\n\nLook up commands, topics, message fields and node parameters. `./st docs` writes this page "
         "from the code, and a test fails when it is out of date. Units are SI, axes ISO 8855: "
         "[conventions.md](method/conventions.md).\n",
-        "## Commands\n", *commands(st),
-        "## Topics\n", topics(),
-        "## Messages\n", *messages(project_root() / "ros2_ws" / "src" / "st_msgs" / "msg"),
-        "## Node parameters\n\nDefaults with comments: [config/nodes.yaml](../config/nodes.yaml).\n", *nodes(),
+        "## Commands\n", *describe_commands(st),
+        "## Topics\n", describe_topics(),
+        "## Messages\n", *describe_messages(project_root() / "ros2_ws" / "src" / "st_msgs" / "msg"),
+        "## Node parameters\n\nDefaults with comments: [config/nodes.yaml](../config/nodes.yaml).\n", *describe_nodes(),
     ]
     return "\n".join(parts).rstrip() + "\n"
 
 
-def commands(st: TyperGroup) -> Iterable[str]:
+def describe_commands(st: TyperGroup) -> Iterable[str]:
     for name, command in sorted(st.commands.items()):
         arguments = [p for p in command.params if p.param_type_name == "argument"]
         options = [p for p in command.params if isinstance(p, TyperOption) and p.name != "help"]
@@ -88,11 +88,11 @@ def commands(st: TyperGroup) -> Iterable[str]:
                 (f"`{o.opts[0]}`" + _kind(o), _plain(o.help)) for o in options))
 
 
-def topics() -> str:
+def describe_topics() -> str:
     return table(("topic", "type", "published by", ""), ((f"`{topic}`", *others) for topic, *others in TOPICS))
 
 
-def messages(folder: Path) -> Iterable[str]:
+def describe_messages(folder: Path) -> Iterable[str]:
     for file in sorted(folder.glob("*.msg")):
         lines = [line.strip() for line in file.read_text().splitlines() if line.strip()]
         heading = [line.lstrip("# ") for line in lines if line.startswith("#")]
@@ -107,7 +107,7 @@ def messages(folder: Path) -> Iterable[str]:
         yield table(("field", "type", "unit, sign, meaning"), rows)
 
 
-def nodes() -> Iterable[str]:
+def describe_nodes() -> Iterable[str]:
     for node, (module, name) in NODES.items():
         yield f"### {node}\n"
         parameters: Sequence[Parameter] = getattr(importlib.import_module(module), name)

@@ -1,4 +1,4 @@
-"""Figure of the packages and their imports, from the syntax trees of the sources."""
+"""Draws the figure of the packages and their imports, from the syntax trees of the sources."""
 
 import ast
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,27 +17,27 @@ BOX = {"boxstyle": "round,pad=0.5", "facecolor": "#eef3f8", "edgecolor": "#2f4b6
 DIRECT, IMPLIED = "#2f4b66", "#b4c0cc"
 BOX_HALF_WIDTH = 0.13  # of the width of the figure, margin included
 ROW_WIDTH = 0.85  # over the width of the figure
-SHIFTS = (0.0, -0.05, 0.05, -0.1, 0.1, -0.15, 0.15)
-SWEEPS = 3
+SHIFTS = (0.0, -0.05, 0.05, -0.1, 0.1, -0.15, 0.15)  # of a row that are tried, over the width of the figure
+SWEEPS = 3  # optimisations of every row
 
 Edge = tuple[str, str]
 
 
-def packages(sources: Path) -> list[str]:
+def list_packages(sources: Path) -> list[str]:
     """Names of the ROS packages below ros2_ws/src."""
     return sorted(file.parent.name for file in sources.glob("*/package.xml"))
 
 
-def edges(sources: Path) -> set[Edge]:
-    """(package, package it imports), from every Python file but tests and setup.py, imports in functions included."""
-    known = packages(sources)
+def find_edges(sources: Path) -> set[Edge]:
+    """(package, imported package), including imports in functions; tests and setup.py are excluded."""
+    known = list_packages(sources)
     files = ((name, file) for name in known for file in (sources / name).rglob("*.py"))
     return {(name, top) for name, file in files if file.relative_to(sources).parts[1] != "test" and
-            file.name != "setup.py" for top in _imported(file) if top in known and top != name}
+            file.name != "setup.py" for top in _imported_modules(file) if top in known and top != name}
 
 
-def _imported(file: Path) -> Iterator[str]:
-    """First parts of the modules a file imports; relative imports stay inside the package and are left out."""
+def _imported_modules(file: Path) -> Iterator[str]:
+    """Top-level packages that a file imports, except by relative imports, which stay inside the package."""
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"), str(file))):
         if isinstance(node, ast.Import):
             yield from (alias.name.partition(".")[0] for alias in node.names)
@@ -45,8 +45,11 @@ def _imported(file: Path) -> Iterator[str]:
             yield (node.module or "").partition(".")[0]
 
 
-def layers(names: list[str], arrows: set[Edge]) -> list[list[str]]:
-    """Packages by the longest chain of imports below them; the first layer imports none. CycleError for a cycle."""
+def sort_into_layers(names: list[str], arrows: set[Edge]) -> list[list[str]]:
+    """Packages by the length of the longest chain of imports below them; those of the first layer import no package.
+
+    Raises CycleError for a cycle.
+    """
     sorter = TopologicalSorter({name: {b for a, b in arrows if a == name} for name in names})
     sorter.prepare()
     rows = []
@@ -57,8 +60,8 @@ def layers(names: list[str], arrows: set[Edge]) -> list[list[str]]:
     return rows
 
 
-def implied(arrows: set[Edge]) -> set[Edge]:
-    """Arrows whose two packages are also connected by a longer path of arrows."""
+def find_implied(arrows: set[Edge]) -> set[Edge]:
+    """Arrows whose packages are also connected by a longer path of arrows."""
     paths = arrows  # end points, extended by one arrow at a time
     connected: set[Edge] = set()
     while paths:
@@ -67,17 +70,17 @@ def implied(arrows: set[Edge]) -> set[Edge]:
     return arrows & connected
 
 
-def draw(sources: Path, file: Path) -> None:
-    """Write the figure as PNG. Its Description lists the arrows, as lines `a -> b`: see `edges_in`."""
-    names, arrows = packages(sources), edges(sources)
-    centres, indirect = _centres(layers(names, arrows), arrows), implied(arrows)
+def draw_structure(sources: Path, file: Path) -> None:
+    """Write the figure as PNG; its metadata lists the arrows, which `read_edges` reads."""
+    names, arrows = list_packages(sources), find_edges(sources)
+    centres, indirect = _place_boxes(sort_into_layers(names, arrows), arrows), find_implied(arrows)
     figure, axes = plt.subplots(figsize=(9.0, 7.0), dpi=110)
     axes.set(xlim=(0.0, 1.0), ylim=(-0.4, max(y for _, y in centres.values()) + 0.4))
     axes.set_axis_off()
     figure.tight_layout(pad=0.2)
     boxes = {name: axes.text(*centre, name, ha="center", va="center", fontsize=11, family="monospace", zorder=3,
                              bbox=BOX) for name, centre in centres.items()}
-    figure.canvas.draw()  # sizes of the boxes, at whose edges the arrows end
+    figure.canvas.draw()  # computes the sizes of the boxes, at the edges of which the arrows end
     for arrow in sorted(arrows, key=lambda a: (a not in indirect, a)):
         start, end = arrow
         grey = arrow in indirect
@@ -91,33 +94,33 @@ def draw(sources: Path, file: Path) -> None:
     plt.close(figure)
 
 
-def edges_in(metadata: Mapping[str, str]) -> set[Edge]:
-    """The arrows of a picture made by `draw`, from its metadata."""
+def read_edges(metadata: Mapping[str, str]) -> set[Edge]:
+    """Arrows in the metadata of a figure that `draw_structure` wrote."""
     return {(a, b) for a, _, b in (line.partition(" -> ") for line in metadata["Description"].splitlines())}
 
 
-def _centres(rows: list[list[str]], arrows: set[Edge]) -> dict[str, tuple[float, float]]:
-    """Centres of the boxes, one row per layer. Rows are shifted in turn until the arrows miss the boxes."""
-    chosen = [_row(row, level, 0.0) for level, row in enumerate(rows)]
+def _place_boxes(rows: list[list[str]], arrows: set[Edge]) -> dict[str, tuple[float, float]]:
+    """Centres of the boxes, one row per layer; rows are permuted and shifted so that the arrows avoid the boxes."""
+    chosen = [_place_row(row, level, 0.0) for level, row in enumerate(rows)]
     for _ in range(SWEEPS):
         for level, row in enumerate(rows):
-            trials = [[*chosen[:level], _row(order, level, shift), *chosen[level + 1:]]
+            trials = [[*chosen[:level], _place_row(order, level, shift), *chosen[level + 1:]]
                       for order in permutations(row) for shift in SHIFTS]
-            chosen = min(trials, key=lambda trial: _clutter(_merged(trial), arrows))
-    return _merged(chosen)
+            chosen = min(trials, key=lambda trial: _layout_penalty(_merge_rows(trial), arrows))
+    return _merge_rows(chosen)
 
 
-def _row(order: Sequence[str], level: int, shift: float) -> dict[str, tuple[float, float]]:
+def _place_row(order: Sequence[str], level: int, shift: float) -> dict[str, tuple[float, float]]:
     return {name: (0.5 + ROW_WIDTH * ((number + 0.5) / len(order) - 0.5) + shift, float(level))
             for number, name in enumerate(order)}
 
 
-def _merged(rows: list[dict[str, tuple[float, float]]]) -> dict[str, tuple[float, float]]:
+def _merge_rows(rows: list[dict[str, tuple[float, float]]]) -> dict[str, tuple[float, float]]:
     return {name: centre for row in rows for name, centre in row.items()}
 
 
-def _clutter(centres: dict[str, tuple[float, float]], arrows: set[Edge]) -> float:
-    """Penalty of a layout: arrows through or near boxes, then horizontal length of the arrows."""
+def _layout_penalty(centres: dict[str, tuple[float, float]], arrows: set[Edge]) -> float:
+    """Penalty of a layout for arrows through or near boxes, and less for the horizontal length of the arrows."""
     total = 0.0
     for start, end in sorted(arrows):
         (x0, y0), (x1, y1) = centres[start], centres[end]

@@ -27,7 +27,7 @@ from st_core.log_evaluation import EvaluationSettings
 from st_core.models import get_model
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
-from st_offline.model_export import half_width_function
+from st_offline.model_export import make_half_width_function
 from st_recordings.paths import config, new_folder
 from st_sim.car import Car, read_car
 from st_sim.path import straight
@@ -182,7 +182,7 @@ def compare(seeds: int, model: str) -> dict[str, dict[str, float]]:
     vehicle, car, tuning = VehicleParameters.from_yaml(file.read_text(), str(file)), read_car(file), Tuning()
     controller = Controller(get_model(model), vehicle, round(HORIZON / tuning.step), tuning, "rti", corridor=True)
     (band, domain), found = calibrate_band(controller, car, vehicle, model), {}
-    narrow, wide = (half_width_function(band, level, vehicle) for level in LEVELS)
+    narrow, wide = (make_half_width_function(band, level, vehicle) for level in LEVELS)
     variants = {"as it is": None, "tightened": Margin(narrow, domain, HORIZON),
             f"tightened as {NEAR:g} s ahead": Margin(narrow, domain, NEAR),
             f"{LEVELS[1]:.0%} band, as {NEAR:g} s ahead": Margin(wide, domain, NEAR)}

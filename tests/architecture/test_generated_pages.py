@@ -19,11 +19,11 @@ DOCS = ROOT / "docs"
 
 
 def test_the_reference_is_what_the_code_says() -> None:
-    assert (DOCS / "reference.md").read_text() == reference.page(commands()), "run ./st docs"
+    assert (DOCS / "reference.md").read_text() == reference.reference_page(commands()), "run ./st docs"
 
 
 def test_the_reference_holds_every_parameter_and_every_field() -> None:
-    page = reference.page(commands())
+    page = reference.reference_page(commands())
     for parameter in params.PREDICTOR + params.RECORDER:
         assert f"| `{parameter.name}` |" in page
     for file in (ROOT / "ros2_ws/src/st_msgs/msg").glob("*.msg"):
@@ -41,7 +41,7 @@ def test_a_cell_keeps_its_bars_and_a_line_that_is_no_field_is_refused(tmp_path) 
     assert reference.table(("a",), [("x|y",)]) == "| a |\n| --- |\n| x\\|y |\n"
     (tmp_path / "Odd.msg").write_text("float64 = x\n")
     with pytest.raises(ValueError, match=r"Odd\.msg: float64 = x"):
-        list(reference.messages(tmp_path))
+        list(reference.describe_messages(tmp_path))
 
 
 def test_every_picture_and_page_that_is_linked_is_there() -> None:
@@ -52,7 +52,7 @@ def test_every_picture_and_page_that_is_linked_is_there() -> None:
 
 def test_the_gallery_shows_each_command_with_its_picture() -> None:
     text = (DOCS / "gallery.md").read_text()
-    assert text == gallery.page(), "run ./st docs"
+    assert text == gallery.gallery_page(), "run ./st docs"
     for command in (c for e in gallery.EXHIBITS for c in (*e.before, e.command)):
         assert f"$ {command.replace('{}', 'runs/gallery')}" in text
 

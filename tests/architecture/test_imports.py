@@ -102,21 +102,21 @@ def test_every_package_is_looked_at():
 
 def test_the_figure_of_the_structure_shows_these_imports():
     """What `st docs` draws, what the picture in the repository holds, and what this walk sees are the same arrows."""
-    known = set(structure.packages(SOURCES))
+    known = set(structure.list_packages(SOURCES))
     seen = {(path.parts[0], top) for path in python_files() for _, module in imports(path)
             if (top := module.partition(".")[0]) in known - {path.parts[0]}}
     assert known == {*PACKAGES, "st_msgs"}
-    assert structure.edges(SOURCES) == seen
-    assert structure.edges_in(Image.open(ROOT / "docs" / structure.FIGURE).text) == seen, "run ./st docs"
+    assert structure.find_edges(SOURCES) == seen
+    assert structure.read_edges(Image.open(ROOT / "docs" / structure.FIGURE).text) == seen, "run ./st docs"
     assert f"]({structure.FIGURE})" in (ROOT / "docs" / "architecture.md").read_text()
 
 
 def test_layers_and_implied_arrows_of_a_structure():
     arrows = {("a", "b"), ("b", "c"), ("a", "c")}
-    assert structure.layers(["a", "b", "c", "d"], arrows) == [["c", "d"], ["b"], ["a"]]
-    assert structure.implied(arrows) == {("a", "c")}
+    assert structure.sort_into_layers(["a", "b", "c", "d"], arrows) == [["c", "d"], ["b"], ["a"]]
+    assert structure.find_implied(arrows) == {("a", "c")}
     with pytest.raises(ValueError, match="cycle"):
-        structure.layers(["a", "b"], {("a", "b"), ("b", "a")})
+        structure.sort_into_layers(["a", "b"], {("a", "b"), ("b", "a")})
 
 
 def test_packages_import_in_one_direction():

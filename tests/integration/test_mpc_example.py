@@ -8,7 +8,7 @@ import pytest
 from st_core.augmented import augment
 from st_core.models import MODELS
 from st_core.vehicle import VehicleParameters
-from st_offline.model_export import export
+from st_offline.model_export import export_model
 from st_sim.car import read_car
 from st_sim.scenarios import load
 from st_sim.settings import PRESETS
@@ -58,7 +58,7 @@ def test_a_gate_is_passed_along_its_post_and_a_band_keeps_the_car_off(monkeypatc
     from controller import Controller, Tuning
     from st_core.bands import Band, CalibrationDomain
     from st_core.bands.scale import Scale, features, knots_of
-    from st_offline.model_export import half_width_function
+    from st_offline.model_export import make_half_width_function
 
     monkeypatch.setattr(corridor, "DURATION", 6.0)
     there, time = [corridor.Gate(30.0, 36.0, -1, 1.0)], 0.05 * np.arange(1, 51)
@@ -72,7 +72,7 @@ def test_a_gate_is_passed_along_its_post_and_a_band_keeps_the_car_off(monkeypatc
     seen = CalibrationDomain(np.full((99, 99), 100), (100.0, 100.0))
     controller = Controller(MODELS["linear"], LEAF, 25, Tuning(), "rti", corridor=True)
     plain, kept_off = (corridor.drive(controller, read_car(FILE), LEAF, there, 1, one)
-                       for one in (None, corridor.Margin(half_width_function(band, 0.9, LEAF), seen, 0.5)))
+                       for one in (None, corridor.Margin(make_half_width_function(band, 0.9, LEAF), seen, 0.5)))
     assert -0.2 < plain.depth < 0.3
     assert kept_off.depth == pytest.approx(plain.depth - 0.3, abs=0.1) and kept_off.error > plain.error
     assert len(plain.log.x) == 300
@@ -98,7 +98,7 @@ def test_exported_model_is_what_acados_would_take(tmp_path, free):
     import acados_example
 
     model = augment("nonlinear", {"tyre_relaxation": {"length": 0.4}, "road_bank": {"angle": 0.05}})
-    export(model, LEAF, tmp_path, "casadi", substeps=2, free=free)
+    export_model(model, LEAF, tmp_path, "casadi", substeps=2, free=free)
     imported = acados_example.load(tmp_path)
     assert imported.x.numel() == 8 and imported.p.numel() == len(free)
     x, u = np.array([0.0, 0.0, 10.0, 0.1, 0.2, 0.3, 0.01, 0.02]), np.array([0.05, 0.5])
@@ -111,7 +111,7 @@ def test_acados_integrates_the_same(tmp_path):
     pytest.importorskip("acados_template", reason="acados is not installed")
     import acados_example
 
-    export(MODELS["nonlinear"], LEAF, tmp_path, "casadi")
+    export_model(MODELS["nonlinear"], LEAF, tmp_path, "casadi")
     imported = acados_example.load(tmp_path)
     x, u = np.array([0.0, 0.0, 10.0, 0.1, 0.2, 0.3]), np.array([0.05, 0.5])
     expected = imported.step(x, u, 0.05).full().ravel()

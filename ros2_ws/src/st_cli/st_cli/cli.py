@@ -1,4 +1,4 @@
-"""The `st` command: one function per verb, in the files of verbs/."""
+"""The program `st`: registers the commands in verbs/ and runs them."""
 
 import errno
 import os
@@ -71,7 +71,7 @@ def main() -> None:
 
 
 def _ensure_log_directory() -> None:
-    """Make sure that ROS can write its log: it does not start otherwise. Default: below the home directory."""
+    """Make sure that ROS, which does not start without a log directory, can write into one."""
     if not {"ROS_LOG_DIR", "ROS_HOME"} & os.environ.keys():
         try:
             Path(os.environ["HOME"], ".ros", "log").mkdir(parents=True, exist_ok=True)

@@ -78,7 +78,7 @@ def test_recordings_that_were_calibrated_with_are_no_test(folder, tmp_path):
     base, _ = folder
     result = st("evaluate", base / "known" / "weave_1.csv", "--vehicle", base / "car.yaml", "--model", "linear",
                 "--bands", base / "bands.yaml", "--figures", "", "--output", tmp_path / "o")
-    assert "used for calibration: not a test" in " ".join(result.output.split())
+    assert "this is no test of the bands" in " ".join(result.output.split())
 
 
 def test_bands_of_another_car_or_model_are_refused_in_one_line(folder, tmp_path):

@@ -69,7 +69,7 @@ def test_a_violated_requirement_is_reported_with_an_exit_status(law):
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
-    (("check", "nothing.py"), "nothing.py: no effect file"), (("describe",), "'describe' is not one of")])
+    (("check", "nothing.py"), "nothing.py: is not an effect file"), (("describe",), "'describe' is not one of")])
 def test_what_is_no_effect_file_is_one_line(arguments, words):
     result = st("effects", *arguments)
     assert result.exit_code == 2 and words in result.output

@@ -142,14 +142,14 @@ BAD = {
                "row 1: rear_left_kg is 'heavy', not a number"),
     "infinite": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n450,450,inf,350\n",
                  "every number must be finite"),
-    "header only": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n", "has a header and no rows"),
+    "header only": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n", "has a header but no rows"),
     "short row": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n450,450\n",
                   "row 1 has 2 cells, the header 4"),
     "twice": ("scales", "front_left_kg,front_left_kg,rear_left_kg,rear_right_kg\n1,2,3,4\n",
               "front_left occurs twice"),
     "degrees as radians": ("cg-height", "pitch_rad,rear_left_kg,rear_right_kg,front_radius_m,rear_radius_m\n"
                            "0,340,340,0.3,0.3\n5,345,345,0.3,0.3\n10,350,350,0.3,0.3\n", "limit 45 deg"),
-    "no pitch": ("cg-height", "rear_left_kg,rear_right_kg\n340,340\n", "has no column pitch_deg, nor lift_m"),
+    "no pitch": ("cg-height", "rear_left_kg,rear_right_kg\n340,340\n", "has neither a column pitch_deg, nor lift_m"),
     "too few": ("steering-ratio", "steering_wheel_deg,left_wheel_deg,right_wheel_deg\n0,0,0\n90,5,5\n", "2 rows, at "
                                                                                                         "least 5"),
     "which tyre": ("tyre", "load_n,slip_angle_deg,lateral_force_n\n3300,1,500\n", "has no column tyre"),

@@ -199,13 +199,13 @@ def test_bands_of_another_car_model_or_configuration_are_refused(bands, leaf):
 
 def test_half_widths_as_a_casadi_function_are_those_of_the_band(bands, leaf):
     casadi = pytest.importorskip("casadi", reason="casadi is not installed")
-    from st_offline.model_export import half_width_function
+    from st_offline.model_export import make_half_width_function
 
     band = bands.bands[QUESTION]
-    function = casadi.Function.deserialize(half_width_function(band, 0.9, leaf).serialize())
+    function = casadi.Function.deserialize(make_half_width_function(band, 0.9, leaf).serialize())
     for velocity, rate, acceleration, activity in ((12.0, 0.2, -1.0, 0.03), (0.0,) * 4, (30.0, -0.2, 3.0, 0.2)):
         here = np.abs([[velocity, velocity * rate, acceleration, activity]])
         found = function([0.0, 0.0, velocity, 0.1, 0.5, rate], [0.02, acceleration], activity)
         np.testing.assert_allclose(np.asarray(found), band.half_widths(here, 0.9)[0], rtol=1e-9)
     with pytest.raises(ConfigurationError, match="bands have"):
-        half_width_function(band, 0.99, leaf)
+        make_half_width_function(band, 0.99, leaf)

@@ -1,4 +1,4 @@
-"""The figure of a clock alignment: signals of both recordings, correlation and residual lags."""
+"""Draws a clock alignment: signals of both recordings, correlation and residual lags."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,8 +18,8 @@ CLOSE_UP_DURATION = 10.0  # s
 MAX_POINTS = 4000  # per line
 
 
-def alignment_figure(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
-    """Write the figure: speed versus time, the 10 s of yaw rate with the most motion, correlation, residual lags."""
+def draw_alignment(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
+    """Write the figure: speed over the whole run, yaw rate over the 10 s with the most motion, correlation, lags."""
     candidates = [s for s in signals if not s.angle] or list(signals)
     speed = next((s for s in candidates if "velocity" in s.name or "speed" in s.name), candidates[0])
     with plt.rc_context(RC):
@@ -43,7 +43,7 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
     if "curvature" in signal.name:  # only proportional to the reference, so it is scaled
         known = np.isfinite(signal.reference)
         values = np.polyval(np.polyfit(np.interp(reference[known], other, values), signal.reference[known], 1), values)
-    start = -np.inf if whole else _most_active(reference, signal.reference, other)
+    start = -np.inf if whole else _find_most_active(reference, signal.reference, other)
     for time, line, colour, width, alpha, label in (
             (reference, signal.reference, MEASURED_COLOUR, 3.0, 0.55, "INS recording"),
             (other, values, OTHER_COLOUR, 1.0, 1.0, "CAN log")):
@@ -56,13 +56,13 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
            xlabel="s after the first INS measurement", ylabel=f"{signal.name.split(' (')[0]}, {unit}")
 
 
-def _most_active(time: np.ndarray, values: np.ndarray, other: np.ndarray) -> float:
+def _find_most_active(time: np.ndarray, values: np.ndarray, other: np.ndarray) -> float:
     """Start [s] of the close-up: the section, within the overlap of both recordings, where the signal varies most."""
     low, high = max(time[0], other[0]), min(time[-1], other[-1]) - CLOSE_UP_DURATION
     starts = np.arange(low, max(high, low + 1e-3), CLOSE_UP_DURATION / 4)
     edges = np.searchsorted(time, np.stack([starts, starts + CLOSE_UP_DURATION]))
-    spread = [np.nanstd(values[a:b]) if np.isfinite(values[a:b]).sum() > 5 else 0.0 for a, b in edges.T]
-    return float(starts[int(np.argmax(spread))])
+    deviations = [np.nanstd(values[a:b]) if np.isfinite(values[a:b]).sum() > 5 else 0.0 for a, b in edges.T]
+    return float(starts[int(np.argmax(deviations))])
 
 
 def _draw_correlation(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: Alignment) -> None:
@@ -72,7 +72,7 @@ def _draw_correlation(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: 
         ax.text(0.5, 0.5, "no signal to correlate", transform=ax.transAxes, ha="center")
         return
     zero = alignment.offset_ns * 1e-9
-    # r is 0 at lags with too little overlap; a lag next to one of these is interpolated towards 0.
+    # The correlation is 0 at lags with too little overlap, and interpolated towards 0 at the lags next to these.
     has_overlap = minimum_filter1d(r != 0, 3, mode="nearest")
     ax.plot(lags - zero, np.where(has_overlap, r, np.nan), color=MEASURED_COLOUR, lw=0.9)
     for peak, style, name in ((alignment.peak, "o", "best"), (alignment.second_peak, "s", "second")):

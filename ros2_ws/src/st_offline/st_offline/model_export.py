@@ -1,4 +1,4 @@
-"""A model as files for a controller: CasADi functions or C, with a description of x, u and p; bands as functions."""
+"""Exports a model and its bands for a controller, as CasADi functions or C, with a description of x, u and p."""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -21,16 +21,14 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready
 
 Format = Literal["casadi", "c"]
-STEPS = (0.01, 0.02, 0.05, 0.1)
-"""Integration steps [s] for which the description states the lowest stable speed."""
+STEPS = (0.01, 0.02, 0.05, 0.1)  # s; the description states the lowest stable speed for each
 
 
 def load_model(name: str, vehicle: VehicleParameters, origin: str, requested: bool) -> tuple[Model, VehicleParameters]:
-    """The model with this name or from this model file, and its car: `vehicle`, or the car embedded in the file.
+    """The model with this name or from this model file, and its car: the car embedded in the file, else `vehicle`.
 
-    origin: source of `vehicle`, for error messages. requested: given by the user, not a default. Raises
-    ConfigurationError, one line, for an unknown model or one of another car, OSError for a file that cannot be
-    read.
+    origin: source of `vehicle`, for error messages. requested: whether the user named `vehicle`. Raises
+    ConfigurationError for an unknown model or a model of another car, OSError for a file that cannot be read.
     """
     if not name.endswith((".yaml", ".yml")):
         if name not in MODELS:
@@ -42,12 +40,12 @@ def load_model(name: str, vehicle: VehicleParameters, origin: str, requested: bo
     return file.model(), file.vehicle or vehicle
 
 
-def export(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format, substeps: int = 1,
+def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format, substeps: int = 1,
            free: Iterable[str] = (), bands: Bands | None = None) -> list[Path]:
-    """Write the functions of a model into an existing folder, with model.json and README.md. Returns the files.
+    """Write the functions of a model into an existing folder, with model.json and README.md; returns the files.
 
-    bands: also their half-widths, a CasADi function for each mode and level (`half_width_function`).
-    Raises ConfigurationError for an unknown parameter in `free`, see `casadi_backend.build`.
+    free: parameters that stay arguments of the functions. bands: their half-widths are also written, as a CasADi
+    function for each mode and level. Raises ConfigurationError for an unknown parameter in `free`.
     """
     symbolic = build(model, vehicle, substeps, free)
     if kind == "casadi":
@@ -58,27 +56,27 @@ def export(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format,
         generator = casadi.CodeGenerator(symbolic.name, {"with_header": True})
         for function in symbolic.functions:
             generator.add(function)
-        generator.generate(f"{folder}/")  # its argument is a prefix of the file name
+        generator.generate(f"{folder}/")  # the argument is a prefix of the file name
         files = [folder / f"{symbolic.name}.c", folder / f"{symbolic.name}.h"]
     description = describe(symbolic, model, vehicle, [f.name for f in files])
     if bands is not None:
-        found = {(mode, level): band for (name, mode), band in bands.bands.items() if name == model.name
-                 for level in band.factors if level in LEVELS}
-        if not found:
+        exported = {(mode, level): band for (name, mode), band in bands.bands.items() if name == model.name
+                    for level in band.factors if level in LEVELS}
+        if not exported:
             raise ConfigurationError(f"the bands have no entry for model {model.name}, only for "
                                      f"{', '.join(bands.models)}; calibrate them with --model {model.name}")
-        for (mode, level), band in found.items():
+        for (mode, level), band in exported.items():
             name = f"{model.name}_band_{mode}_{100 * level:.0f}"
             files.append(folder / f"{name}.casadi")
-            half_width_function(band, level, vehicle, name).save(str(files[-1]))
+            make_half_width_function(band, level, vehicle, name).save(str(files[-1]))
     written = [*files, folder / "model.json", folder / "README.md"]
     written[-2].write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
-    written[-1].write_text(_readme(description, kind), encoding="utf-8")
+    written[-1].write_text(_format_readme(description, kind), encoding="utf-8")
     return written
 
 
 def describe(symbolic: SymbolicModel, model: Model, vehicle: VehicleParameters, files: list[str]) -> dict[str, Any]:
-    """Content of model.json. Limits and values that do not exist are null."""
+    """Content of model.json; missing limits and values are null."""
     effects: Mapping[str, Mapping[str, float]] = getattr(model, "values", {})
     return {
         "model": symbolic.name,
@@ -88,9 +86,9 @@ def describe(symbolic: SymbolicModel, model: Model, vehicle: VehicleParameters, 
         "vehicle": {"name": vehicle.name, "hash": vehicle.hash},
         "version": __version__,
         "frame": "x forward, y left, z up; centre of gravity; map x east, y north; yaw counter-clockwise from east",
-        "states": [_entry(v) for v in symbolic.states],
-        "inputs": [_entry(v) for v in symbolic.inputs],
-        "parameters": [{**_entry(v), "value": json_ready(v.value)} for v in symbolic.parameters],
+        "states": [_describe_variable(v) for v in symbolic.states],
+        "inputs": [_describe_variable(v) for v in symbolic.inputs],
+        "parameters": [{**_describe_variable(v), "value": json_ready(v.value)} for v in symbolic.parameters],
         "substeps": symbolic.substeps,
         "stable_above_m_s": {f"{step:g}": round(lowest_stable_speed(model, vehicle, step / symbolic.substeps), 3)
                              for step in STEPS},
@@ -100,12 +98,12 @@ def describe(symbolic: SymbolicModel, model: Model, vehicle: VehicleParameters, 
     }
 
 
-def _entry(variable: Variable) -> dict[str, Any]:
+def _describe_variable(variable: Variable) -> dict[str, Any]:
     return {"name": variable.name, "unit": variable.unit, "lower": json_ready(variable.lower),
             "upper": json_ready(variable.upper)}
 
 
-def _readme(description: dict[str, Any], kind: Format) -> str:
+def _format_readme(description: dict[str, Any], kind: Format) -> str:
     name, p = description["model"], ", p" if description["parameters"] else ""
     states, inputs, parameters = (", ".join(f"{one['name']} [{one['unit']}]" for one in description[key]) or "none"
                                   for key in ("states", "inputs", "parameters"))
@@ -131,21 +129,21 @@ def _readme(description: dict[str, Any], kind: Format) -> str:
         "them outside." if missing else "", how))) + "\n"
 
 
-MAX_LOG = 60.0
-"""Limit of the logarithm of a squared scale: finite in floats, far above any error of a prediction."""
+MAX_LOG_SCALE = 60.0
+"""Limit of the logarithm of a squared scale, which is finite in floats and far above any prediction error."""
 
 
-def half_width_function(band: Band, level: float, vehicle: VehicleParameters,
+def make_half_width_function(band: Band, level: float, vehicle: VehicleParameters,
                         name: str = "half_widths") -> casadi.Function:
-    """(x, u, steering_activity) -> (points, 3): along, across [m] and yaw [rad] at every point of the horizon.
+    """CasADi function of the half-widths of a band, (points of the horizon, 3): along, across [m] and yaw [rad].
 
-    x: the six states at the CG. u: road_wheel_angle [rad], velocity_x_dot [m/s^2]. steering_activity [rad/s]: root mean
-    square of the road wheel's rate in the last second. The numbers are those of `Band.half_widths`; the calibration
-    domain is not checked. Raises ConfigurationError for a level that is not in the band.
+    Its arguments are x: the six states at the CG; u: road_wheel_angle [rad], velocity_x_dot [m/s^2]; and
+    steering_activity [rad/s]: root mean square rate of the road-wheel angle in the last second. Its values equal
+    `Band.half_widths`; the calibration domain is not checked. Raises ConfigurationError for a level without a band.
     """
     if level not in band.factors:
         known = ", ".join(f"{one:g}" for one in band.factors)
-        raise ConfigurationError(f"level {level:g}: the bands have {known}")
+        raise ConfigurationError(f"the bands have no level {level:g}; use {known}")
     x, u, activity = casadi.SX.sym("x", 6), casadi.SX.sym("u", 2), casadi.SX.sym("steering_activity")
     velocity_x = x[2] - x[5] * vehicle.cg_to_ins_y
     phi = casadi.vertcat(*features_of_one(magnitudes(velocity_x, x[5], u[1], activity), casadi.log, casadi.fmax))
@@ -153,7 +151,7 @@ def half_width_function(band: Band, level: float, vehicle: VehicleParameters,
     between, floor = interpolation_matrix(scale.knots, scale.time), floor_at(scale.floor, scale.time)
     columns = []
     for axis, coefficients in enumerate(scale.coefficients):
-        at_knots = casadi.fmin(casadi.fmax(2.0 * casadi.DM(coefficients) @ phi, -MAX_LOG), MAX_LOG)
+        at_knots = casadi.fmin(casadi.fmax(2.0 * casadi.DM(coefficients) @ phi, -MAX_LOG_SCALE), MAX_LOG_SCALE)
         squared = casadi.exp(casadi.DM(between) @ at_knots) + casadi.DM(np.square(floor[:, axis]))
         columns.append(band.factors[level] * casadi.sqrt(squared))
     return casadi.Function(name, [x, u, activity], [casadi.horzcat(*columns)], ["x", "u", "steering_activity"],

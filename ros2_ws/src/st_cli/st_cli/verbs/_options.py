@@ -1,4 +1,4 @@
-"""Options shared by the verbs, the car and read settings they define, and one-line errors."""
+"""Defines the options shared by the commands, resolves the car that they name, and reports errors in one line."""
 
 import inspect
 from collections.abc import Callable, Iterator
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from st_recordings.runs.run_types import SteeringField
 
 
-def _sign(value: int | None) -> int | None:
+def _check_sign(value: int | None) -> int | None:
     if value not in (None, 1, -1):
         raise typer.BadParameter(f"{value} is neither 1 nor -1")
     return value
@@ -71,19 +71,19 @@ Dbc = Annotated[Path | None, typer.Option(
 Signals = Annotated[Path | None, typer.Option(
     help="Signal table for the DBC; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
 SteeringSign = Annotated[int | None, typer.Option(
-    callback=_sign, help="1 if the sensor, as decoded by DBC and table, is positive to the left; -1: to the right. "
-    "Default that of --car, else 1; live: else that of config/nodes.yaml.")]
+    callback=_check_sign, help="1 if the sensor, as decoded by DBC and table, is positive to the left; -1: to the "
+    "right. Default that of --car, else 1; live: else that of config/nodes.yaml.")]
 SteeringTopic = Annotated[str | None, typer.Option(
     "--steering-topic", help="Bags of other recorders: the topic with the steering angle, of any type defined in the "
     "bag. Default: the one of type st_msgs/Steering.")]
 SteeringPath = Annotated[str | None, typer.Option(
-    "--steering-field", help="Field of the number in its messages: data (default), drive.steering_angle, ... Without "
-    "--steering-topic: the column of a CSV or VBO.")]
+    "--steering-field", help="Field of its messages with the steering angle: data (default), drive.steering_angle, ... "
+    "Without --steering-topic: the column of a CSV or VBO.")]
 SteeringIs = Annotated[Literal["road", "wheel"], typer.Option(
-    "--steering-is", help="Meaning of the number: angle of the front road wheels (road), or of the steering wheel "
-    "(wheel), which is converted with ratio and offset of the vehicle file.")]
+    "--steering-is", help="Which angle it is: that of the front road wheels (road), or of the steering wheel (wheel), "
+    "which is converted with ratio and offset of the vehicle file.")]
 SteeringUnit = Annotated[Literal["rad", "deg"] | None, typer.Option(
-    "--steering-unit", help="Unit of the number; default: rad in a topic, that of the header in a table.")]
+    "--steering-unit", help="Unit of this angle; default: rad in a topic, the unit of the header in a table.")]
 OdometryTopic = Annotated[str | None, typer.Option(
     "--odometry-topic", help="Bags with several topics of type nav_msgs/Odometry: the one of the INS.")]
 Record = Annotated[Literal["needed", "all"], typer.Option(
@@ -96,7 +96,7 @@ SteeringLatency = Annotated[float | None, typer.Option(
 
 @contextmanager
 def report_errors(verb: str, *more: type[Exception]) -> Iterator[None]:
-    """Report errors of a verb's inputs in one line, with exit status 2. more: errors specific to this verb."""
+    """Report errors in the inputs of a command in one line, with exit status 2. more: errors of this command only."""
     from st_core.errors import StCoreError
     from st_recordings.paths import OutputError
     from st_recordings.runs.errors import RunError
@@ -111,7 +111,7 @@ def report_errors(verb: str, *more: type[Exception]) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """Options for reading recordings, as given by the user. One field per option."""
+    """Options for reading recordings, as given by the user; one field per option."""
 
     car: CarName = None
     vehicle: VehicleFile = None
@@ -128,7 +128,7 @@ class ReadOptions:
     odometry_topic: OdometryTopic = None
 
     def resolve(self, **others: Any) -> "tuple[Path | None, ReadSettings]":
-        """(vehicle file, None if none was named; settings for reading). others: further fields of ReadSettings.
+        """(vehicle file, None if the user named none; settings for reading). others: further fields of ReadSettings.
 
         Raises RunError for a car that cannot be read.
         """
@@ -143,7 +143,7 @@ class ReadOptions:
 
     @property
     def steering(self) -> "SteeringField | None":
-        """Where to find the steering angle in an external bag or a table; None if no option names it."""
+        """Place of the steering angle in an external bag or a table; None if no option names it."""
         from st_recordings.runs.run_types import SteeringField
 
         if self.steering_topic is None and self.steering_field is None:
@@ -158,7 +158,7 @@ BAG_INPUTS = ("car", "vehicle", "steering_sign", "steering_topic", "steering_fie
 
 
 def reads_recordings(*names: str, **changed: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator of a verb that replaces its parameter `read_options` by the options of ReadOptions.
+    """Decorator that replaces the parameter `read_options` of a command by the options of ReadOptions.
 
     names: fields to use, default all. changed: annotations that differ, by field.
     """
@@ -166,7 +166,7 @@ def reads_recordings(*names: str, **changed: Any) -> Callable[[Callable[..., Any
 
     def decorate(verb: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(verb)
-        def called(**given: Any) -> Any:
+        def call(**given: Any) -> Any:
             from st_recordings.runs.errors import group_similar_warnings
 
             options = {f.name: given.pop(f.name) for f in chosen}
@@ -178,16 +178,16 @@ def reads_recordings(*names: str, **changed: Any) -> Callable[[Callable[..., Any
         own = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in inspect.signature(verb).parameters.values()]
         position = next(k for k, p in enumerate(own) if p.name == "read_options")
         parameters = [*own[:position], *options, *own[position + 1 :]]
-        called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        called.__annotations__ = {p.name: p.annotation for p in parameters}
-        return called
+        call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        call.__annotations__ = {p.name: p.annotation for p in parameters}
+        return call
 
     return decorate
 
 
 @dataclass(frozen=True)
 class NamedCar:
-    """Parts of a car. vehicle, dbc, signals: None if not named. steering: sign and latency, if given."""
+    """Files and settings of a car. vehicle, dbc, signals: None if not named. steering: sign and latency, if given."""
 
     vehicle: Path | None
     dbc: Path | None
@@ -198,9 +198,9 @@ class NamedCar:
 def resolve_car(car: str | None, vehicle: Path | None, dbc: Path | None = None, signals: Path | None = None,
                 steering_sign: int | None = None, steering_latency: float | None = None,
                 complete: bool = False) -> NamedCar:
-    """The parts of a car; the option of a part replaces it.
+    """Files and settings of a car; each option replaces a part of it.
 
-    Raises RunError for a car that cannot be read and, if `complete`, for one without DBC or signal table.
+    Raises RunError for a car that cannot be read and, if `complete`, for a car without DBC or signal table.
     """
     from st_recordings.car import load_car
     from st_recordings.runs.errors import RunError
@@ -212,8 +212,8 @@ def resolve_car(car: str | None, vehicle: Path | None, dbc: Path | None = None, 
     named = load_car(car)
     for file, option in ((dbc or named.dbc, "--dbc"), (signals or named.signals, "--signals")):
         if complete and not file.is_file():
-            raise RunError(file, "does not exist; it has to describe the bus of this car",
-                           f"write it, or name another with {option}")
+            raise RunError(file, "does not exist, but has to describe the bus of this car",
+                           f"write it, or name another file with {option}")
     of_car: dict[str, Any] = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
     return NamedCar(vehicle or named.vehicle, dbc or named.dbc, signals or named.signals, of_car | from_options)
 
@@ -222,7 +222,7 @@ LEAF = config("car/leaf/vehicle.yaml")
 
 
 def load_vehicle_or_default(vehicle: Path | None) -> "tuple[VehicleParameters, Path]":
-    """(vehicle parameters, their file); the Leaf's if none was named. Raises RunError and StCoreError."""
+    """(vehicle parameters, their file), by default those of the Leaf. Raises RunError and StCoreError."""
     from st_recordings.car import read_vehicle
 
     file = vehicle or LEAF
@@ -230,16 +230,16 @@ def load_vehicle_or_default(vehicle: Path | None) -> "tuple[VehicleParameters, P
 
 
 def report_default_car(verb: str, file: Path | str) -> None:
-    """Print one line if `file` is the Leaf's, because no car was named."""
+    """Print a line if `file` belongs to the Leaf, which is used because no car was named."""
     from st_recordings.car import car_names
 
     if Path(file).resolve().parent == LEAF.resolve().parent:
-        typer.echo(f"st {verb}: no car was named: the Leaf's file {file} is used; --car names another "
+        typer.echo(f"st {verb}: no car was named: the Leaf's file {file} is used; --car names another car "
                    f"({', '.join(car_names())}, or a folder)", err=True)
 
 
 def report_default_car_of_bag(verb: str, bag: Path, vehicle: Path | None) -> None:
-    """As `report_default_car`, for a recording without a vehicle file. Raises RunError if it cannot be read."""
+    """Call `report_default_car` for a bag that contains no vehicle file. Raises RunError if it cannot be read."""
     from st_live.configuration import recordings_of
     from st_recordings.recorded_results import recorded_configuration
     from st_recordings.runs.bag import read_metadata_records

@@ -1,4 +1,4 @@
-"""`st calibrate` and `st course`: bands and courses from recorded drives."""
+"""The commands `st calibrate` and `st course`: make bands and courses from recorded drives."""
 
 from pathlib import Path
 from typing import Literal

@@ -1,4 +1,4 @@
-"""`st car`: writes or checks the folder of a car."""
+"""The command `st car`: writes or checks the folder of a car."""
 
 from pathlib import Path
 from typing import Literal

@@ -1,4 +1,4 @@
-"""`st check`: faults in recordings, found before they are mistaken for model errors."""
+"""The command `st check`: finds faults in recordings before they are mistaken for model errors."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from . import _options as shared
 def check(
     runs: shared.Runs,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/check-<time>."),
-    json: Path | None = typer.Option(None, "--json", help="File of the numbers; default check.json in that folder.",
+    json: Path | None = typer.Option(None, "--json", help="File for all numbers; default check.json in that folder.",
                                      dir_okay=False),
     propose_correction: Path | None = typer.Option(
         None, "--propose-correction", "--propose-cure", dir_okay=False,
@@ -30,5 +30,5 @@ def check(
         vehicle, read = read_options.resolve()
         parameters, file = shared.load_vehicle_or_default(vehicle)
         job = Job(runs, parameters, str(file), vehicle is not None, read, output, json, propose_correction)
-        status = run_command(job, Console(), lambda file: shared.report_default_car("check", file))
+        status = run_command(job, Console(), lambda used: shared.report_default_car("check", used))
     raise typer.Exit(status)

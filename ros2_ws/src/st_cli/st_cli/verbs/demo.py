@@ -1,4 +1,4 @@
-"""`st demo`: the whole live suite on this computer, with the virtual Leaf or a recorded drive as its source."""
+"""The command `st demo`: runs the live suite on this computer, with the virtual Leaf or a recorded drive."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ from rich.console import Console
 
 from . import _options as shared
 
-RUN_ON_TIME = 2.0  # s of driving after the end of the predictor
+EXTRA_DRIVING = 2.0  # s, after the end of the predictor
 SCENARIOS = (
     "S1 to S7 of the paper, sweep, step, ramp_to_limit, brake_in_turn, lane_change, slalom, weave, circle, "
     "there_and_back, or a .yaml file"
@@ -53,8 +53,8 @@ def demo(
     options = ["--seed", str(seed), "--ncom-rate", str(ncom_rate)]
     for name, value in (("--drive", drive and drive.absolute()), ("--scenario", scenario), ("--plant", plant)):
         options += [name, str(value)] if value else []
-    # The car drives on while the predictor stops, so that every tick up to the end has inputs.
-    options += ["--duration", str(duration + RUN_ON_TIME)] if duration else []
+    # The car drives on while the predictor stops, so that every prediction up to the end has inputs.
+    options += ["--duration", str(duration + EXTRA_DRIVING)] if duration else []
     options += [part for setting in effect for part in ("--effect", setting)]
     with shared.report_errors("demo", SuiteError):
         car = configuration.VirtualCar(configuration.vehicle_file(vehicle), options,

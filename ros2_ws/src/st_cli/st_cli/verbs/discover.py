@@ -1,4 +1,4 @@
-"""`st discover`: finds errors of vehicle file, sensors and model."""
+"""The command `st discover`: finds errors of vehicle file, sensors and model."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,17 +28,17 @@ class WithReferences(TyperCommand):
 
 
 def expand_references(arguments: Sequence[str]) -> list[str]:
-    """The arguments with --reference before each path that follows it, up to the next option."""
-    found: list[str] = []
-    count = -1  # of the paths after --reference; -1: not after it
+    """Repeat --reference before each of the paths that follow it, up to the next option."""
+    expanded: list[str] = []
+    count = -1  # paths since --reference; -1 outside its list
     for argument in arguments:
         if argument.startswith("-"):
             count = 0 if argument == REFERENCE else -1
         elif count >= 0:
-            found += [REFERENCE] if count else []
+            expanded += [REFERENCE] if count else []
             count += 1
-        found.append(argument)
-    return found
+        expanded.append(argument)
+    return expanded
 
 
 @shared.reads_recordings()
@@ -83,13 +83,13 @@ def discover(
         parameters, file = shared.load_vehicle_or_default(vehicle)
         request = Request(
             base, parameters, str(file), file.read_text(encoding="utf-8"),
-            DiscoverySettings(channels=tuple(_parts(channels)), seed=seed, certify=certify), runs, reference, read,
-            effects, output, jobs, tuple(_parts(figures)), report, not fresh, force, propose)
+            DiscoverySettings(channels=tuple(_split_names(channels)), seed=seed, certify=certify), runs, reference,
+            read, effects, output, jobs, tuple(_split_names(figures)), report, not fresh, force, propose)
         status = run_command(request, Console())
     if vehicle is None:
         shared.report_default_car("discover", file)
     raise typer.Exit(status)
 
 
-def _parts(text: str) -> list[str]:
+def _split_names(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]

@@ -1,4 +1,4 @@
-"""`st effects`: the library of physical effects, and the contract tests of user-defined ones."""
+"""The command `st effects`: lists the library of physical effects, and tests user-defined ones."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,13 +20,13 @@ HOOK_LABELS = {
 
 def effects(
     what: Literal["list", "check"] = typer.Argument("list", help="list, or check."),
-    files: list[Path] = typer.Argument(None, help="check: effect files (.py); all of the library without one."),
+    files: list[Path] = typer.Argument(None, help="check: effect files (.py); default all effects of the library."),
     car: CarName = None,
     vehicle: VehicleFile = None,
     own: Path | None = typer.Option(None, "--effects", help="list: folder of your own effects to include.", exists=True,
                                     file_okay=False),
 ) -> None:
-    """List the effects: kind, slot, hooks, similar effects, channels needed; or check effect files of your own.
+    """List the effects (kind, slot, hooks, similar effects, required channels), or check effect files of your own.
 
     check: equal to the base model at null, finite within its bounds, equal for floats, batches, compiled and CasADi,
     symmetric in left and right, stable. Exit status: 0 all requirements met, 1 some not, 2 a file cannot be loaded.
@@ -71,10 +71,10 @@ def _check_contracts(files: Sequence[Path], car: "VehicleParameters", console: C
 
     for file in files:
         if not file.is_file() or file.suffix != ".py":
-            raise ConfigurationError(f"{file}: no effect file (.py)")
-    chosen = [e for f in files for e in load_file(str(f.resolve().parent), f.stem)] if files else EFFECTS.values()
+            raise ConfigurationError(f"{file}: is not an effect file (.py)")
+    checked = [e for f in files for e in load_file(str(f.resolve().parent), f.stem)] if files else EFFECTS.values()
     all_met = True
-    for effect in chosen:
+    for effect in checked:
         results = check_effect(effect, car)
         violated = [one for one in results if one.problem]
         all_met &= not violated

@@ -1,4 +1,4 @@
-"""`st evaluate`: the paper's table and figures from recordings."""
+"""The command `st evaluate`: makes the table and figures of the paper from recordings."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -60,7 +60,7 @@ def evaluate(
     with shared.report_errors("evaluate"):
         task, vehicle, vehicle_origin = make_task(
             read_options, model, effects, acceleration, inputs, (horizon, step, minimum_speed, interval), force=force,
-            starts=_numbers(at), formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
+            starts=_parse_seconds(at), formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
             bands=None if bands is None else (str(bands), bands.read_text(encoding="utf-8")), adaptive=adaptive,
             course=None if course is None else (str(course), course.read_text(encoding="utf-8")))
         load_course(task.course)
@@ -74,8 +74,10 @@ def evaluate(
 def make_task(read_options: shared.ReadOptions, model: Sequence[str], effects: Path | None, acceleration: str,
               inputs: Literal["interpolate", "hold"], times: Sequence[float],
               **others: Any) -> "tuple[Task, Path | None, str]":
-    """(task, vehicle file that was named, file with the vehicle in use). times: horizon, step [s], minimum speed [m/s],
-    interval of the starts [s]. others: of Task."""
+    """(task, vehicle file that the user named, file with the vehicle in use).
+
+    times: horizon [s], step [s], minimum speed [m/s], interval of the starts [s]. others: further fields of Task.
+    """
     from st_core.log_evaluation import EvaluationSettings
     from st_core.prediction import PredictionSettings
     from st_offline.evaluation.work import Task
@@ -102,9 +104,9 @@ def read_model(name: str) -> str | tuple[str, str]:
 
 def resolve_vehicle(vehicle: Path | None, models: Sequence[str | tuple[str, str]],
                     effects: Path | None = None) -> tuple["VehicleParameters", str]:
-    """(car, its file): of the vehicle file, else embedded in a model file, else the Leaf.
+    """(vehicle parameters, their file): from the vehicle file, else from a model file, else those of the Leaf.
 
-    effects: folder of user-defined effects of the model files; they are loaded.
+    effects: folder of user-defined effects in the model files, which is loaded.
     """
     from st_core.effects import load_folder
     from st_core.model_file import ModelFile
@@ -120,7 +122,7 @@ def resolve_vehicle(vehicle: Path | None, models: Sequence[str | tuple[str, str]
     return parameters, str(file)
 
 
-def _numbers(text: str) -> tuple[float, ...]:
+def _parse_seconds(text: str) -> tuple[float, ...]:
     try:
         return tuple(float(part) for part in text.split(",") if part.strip())
     except ValueError:

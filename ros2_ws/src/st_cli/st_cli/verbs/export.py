@@ -1,4 +1,4 @@
-"""`st export`: a model as functions for a controller."""
+"""The command `st export`: writes a model as functions for a controller."""
 
 import importlib.util
 from pathlib import Path
@@ -34,7 +34,7 @@ def export(
     if importlib.util.find_spec("casadi") is None:
         typer.echo("st export: CasADi is not installed: pip install '.[mpc]', or casadi", err=True)
         raise typer.Exit(2)
-    from st_offline.model_export import export as write_model
+    from st_offline.model_export import export_model as write_model
     from st_offline.model_export import load_model
 
     with shared.report_errors("export", OSError):

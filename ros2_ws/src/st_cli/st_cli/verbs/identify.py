@@ -1,4 +1,4 @@
-"""`st identify`: vehicle parameters from experiments and from driving."""
+"""The command `st identify`: identifies vehicle parameters from experiments and from driving."""
 
 from pathlib import Path
 
@@ -29,7 +29,7 @@ def identify(
     from st_live.configuration import load_model
     from st_live.suite import SuiteError
     from st_offline.identification.experiment import Setup
-    from st_offline.identification.identify_command import EXPERIMENTS, Job, run
+    from st_offline.identification.identify_command import EXPERIMENTS, Job, run_command
     from st_recordings.paths import new_folder
 
     console = Console()
@@ -48,7 +48,7 @@ def identify(
         folder = new_folder(output, f"identify-{what}", create=False)
         base = load_model(model, effects, parameters, str(file))
         job = Job(EXPERIMENTS[what], tuple(files or ()), Setup(parameters, read, force, base), str(file), folder)
-        status = run(job, console)
+        status = run_command(job, console)
     if vehicle is None:
         shared.report_default_car("identify", file)
     raise typer.Exit(status)

@@ -1,4 +1,4 @@
-"""`st live`: the suite on the real car."""
+"""The command `st live`: runs the suite on the real car."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""`st align`, `st import`, `st ncom`, `st recover`: commands for raw logs and bags."""
+"""The commands `st align`, `st import`, `st ncom` and `st recover` for raw logs and bags."""
 
 import json
 from pathlib import Path
@@ -24,7 +24,7 @@ def align(
     Exit status 0: good or doubtful (see the reasons). 1: no alignment. 2: files that cannot be read.
     """
     from rich.console import Console
-    from st_offline.alignment_figure import alignment_figure
+    from st_offline.alignment_figure import draw_alignment
     from st_offline.terminal import print_line
     from st_recordings.paths import new_folder
     from st_recordings.runs.raw import read_pair, summarise_alignment
@@ -40,19 +40,19 @@ def align(
     if read_options.car is None and read_options.dbc is None:
         shared.report_default_car("align", pair.dbc)
     alignment = pair.alignment
-    report(pair, console)
+    print_alignment(pair, console)
     about = {**summarise_alignment(alignment), "ins_can_latency": pair.latency}
     (folder / "alignment.json").write_text(json.dumps(about, indent=2, allow_nan=False) + "\n")
     print_line(f"  {folder / 'alignment.json'}", console)
     if pair.shared and alignment.offset_ns:
         title = f"{pair.name}: {describe_alignment(alignment, pair.can.start_ns, pair.ins.absolute)}"
-        alignment_figure(pair.shared, alignment, title, folder / "alignment.png")
+        draw_alignment(pair.shared, alignment, title, folder / "alignment.png")
         print_line(f"  {folder / 'alignment.png'}  [dim]both signals, aligned[/dim]", console)
     raise typer.Exit(1 if alignment.verdict == "refused" else 0)
 
 
 def describe_alignment(alignment, start_ns: int, absolute: bool) -> str:
-    """Result in one sentence, for a title. start_ns: start of the CAN log. absolute: whether INS time is UTC."""
+    """Result in one line, for a title. start_ns: start of the CAN log. absolute: whether the INS time is UTC."""
     offset = (f"offset {_seconds(alignment.offset_at_ns(start_ns))} s" if absolute
               else f"CAN log starts at INS time {_seconds(alignment.to_reference_ns(start_ns))} s")
     if alignment.method == "by hand":
@@ -61,7 +61,7 @@ def describe_alignment(alignment, start_ns: int, absolute: bool) -> str:
             f"{alignment.drift_deviation:.1f} ppm, {alignment.verdict}")
 
 
-def report(pair, console) -> None:
+def print_alignment(pair, console) -> None:
     """Print the result: verdict, offset, drift, their deviations, and the signals."""
     from rich.table import Table
     from st_offline.terminal import print_line
@@ -83,11 +83,11 @@ def report(pair, console) -> None:
                 table.add_row("INS frames on the bus", pair.latency, "after the instant of measurement")
             table.add_row("INS minus CAN clock", f"{_seconds(alignment.offset_ns)} s",
                           f"{at:.1f} s later, in the middle of the common time")
-            table.add_row("  deviation there", f"{alignment.offset_deviation * 1e3:.2f} ms",
+            table.add_row("  its standard deviation", f"{alignment.offset_deviation * 1e3:.2f} ms",
                           f"{max(alignment.offset_deviation**2 - assumed**2, 0.0) ** 0.5 * 1e3:.2f} ms without the "
-                          "deviation of the assumed delay")
+                          "uncertainty of the assumed delay")
             table.add_row("drift", f"{alignment.drift_ppm:+.2f} ± {alignment.drift_deviation:.2f} ppm",
-                          "INS against CAN clock")
+                          "INS relative to CAN clock")
             table.add_row("common time", f"{alignment.overlap:.1f} s", "")
         console.print(table)
     for reason in alignment.reasons:
@@ -95,16 +95,16 @@ def report(pair, console) -> None:
     if alignment.signals:
         table = Table(box=None, padding=(0, 2))
         table.add_column("signal")
-        for name in ("alone, ms", "correlation", "residual / spread"):
+        for name in ("difference alone, ms", "correlation", "residual / standard deviation"):
             table.add_column(name, justify="right")
         for row in alignment.signals:
-            alone = f"{round(row.difference * 1e3, 2) + 0.0:+.2f} ± {row.deviation * 1e3:.2f}"
-            table.add_row(row.name, alone, f"{row.correlation:.5f}", f"{row.residual:.4f}")
+            difference = f"{round(row.difference * 1e3, 2) + 0.0:+.2f} ± {row.deviation * 1e3:.2f}"
+            table.add_row(row.name, difference, f"{row.correlation:.5f}", f"{row.residual:.4f}")
         console.print(table)
 
 
 def _seconds(nanoseconds: int) -> str:
-    """Signed seconds with microseconds; exact also for an offset of years, which a float would round."""
+    """Signed seconds with microseconds, without the rounding of a float for an offset of years."""
     seconds, remainder = divmod(abs(nanoseconds), 10**9)
     return f"{'-' if nanoseconds < 0 else '+'}{seconds}.{remainder // 1000:06d}"
 
@@ -121,8 +121,8 @@ def import_(
 ) -> None:
     """Write INS recording and CAN logs as one rosbag2 MCAP, aligned to one time base, with raw packets and frames.
 
-    `ros2 bag play` sends it to the live nodes, and every st verb reads it. Exit status 0: all runs written; 1: some
-    not (with the reason); 2: none.
+    `ros2 bag play` sends it to the live nodes, and every st command reads it. Exit status: 0 all runs written, 1 some
+    not, 2 none.
     """
     from rich.console import Console
     from st_recordings.paths import OutputError, new_folder
@@ -133,23 +133,23 @@ def import_(
     with shared.report_errors("import"):
         vehicle, settings = read_options.resolve(search=search, accept_doubtful=not strict)
         parameters, file = shared.load_vehicle_or_default(vehicle)
-    found = [run for run in find_runs(paths) if run.kind == "ncom" or run.problem is not None]
-    if not found:
+    runs = [run for run in find_runs(paths) if run.kind == "ncom" or run.problem is not None]
+    if not runs:
         typer.echo(f"st import: {', '.join(map(str, paths))}: no .ncom with CAN logs found, and only these are "
                    "imported; every other command reads CSV, VBO and bags with their CAN logs directly", err=True)
         raise typer.Exit(2)
     written = 0
-    for run in found:
+    for run in runs:
         try:
-            given = output / run.name if output and len(found) > 1 else output
-            folder = new_folder(given, f"import-{run.name}", create=False)
+            bag = output / run.name if output and len(runs) > 1 else output
+            folder = new_folder(bag, f"import-{run.name}", create=False)
             _import_one(run, parameters, folder, settings, force, console)
             written += 1
         except (RunError, OutputError) as error:
             typer.echo(f"st import: {error}", err=True)
     if vehicle is None:
         shared.report_default_car("import", file)
-    if written < len(found):
+    if written < len(runs):
         raise typer.Exit(1 if written else 2)
 
 
@@ -157,7 +157,7 @@ def _import_one(source, parameters, folder: Path, settings, force: bool, console
     import time
 
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-    from st_offline.alignment_figure import alignment_figure
+    from st_offline.alignment_figure import draw_alignment
     from st_offline.checking.check_report import print_findings
     from st_offline.checking.gate import make_run_check
     from st_offline.terminal import print_line
@@ -177,7 +177,7 @@ def _import_one(source, parameters, folder: Path, settings, force: bool, console
     alignment = done.run.alignment
     text = describe_alignment(alignment, done.run.can.start_ns, absolute=True)
     if done.run.shared:
-        alignment_figure(done.run.shared, alignment, f"{source.name}: {text}", folder / "alignment.png")
+        draw_alignment(done.run.shared, alignment, f"{source.name}: {text}", folder / "alignment.png")
     style = VERDICT_STYLE[alignment.verdict]
     print_line(f"[bold]{source.name}[/bold]  [{style}]{text}[/{style}]", console)
     print_line("  " + ", ".join(f"{topic} {count}" for topic, count in done.counts.items()), console)
@@ -187,8 +187,8 @@ def _import_one(source, parameters, folder: Path, settings, force: bool, console
 
 def ncom(
     file: Path = typer.Argument(..., help="NCOM recording.", exists=True, dir_okay=False),
-    csv: Path = typer.Option(..., "--csv", help="Navigation values, one row per packet."),
-    status: Path | None = typer.Option(None, "--status", help="Status fields, one row per change."),
+    csv: Path = typer.Option(..., "--csv", help="File for the navigation values, one row per packet."),
+    status: Path | None = typer.Option(None, "--status", help="File for the status fields, one row per change."),
 ) -> None:
     """Write an NCOM file as CSV: time, acceleration, rates, position, velocity, attitude and derived values."""
     from oxts_bridge.export import write_csv
@@ -203,9 +203,10 @@ def ncom(
 def recover(
     path: Path = typer.Argument(..., help="A bag directory or an .mcap file that was not closed.", exists=True),
     output: Path | None = typer.Option(None, "--output",
-                                       help="Path of the repaired recording; default: in place, the cut file is kept."),
+                                       help="Path of the repaired recording; default: in place; the damaged file is "
+                                       "kept."),
 ) -> None:
-    """Repair a recording cut off by a crash or power loss; complete ones are left as they are."""
+    """Repair a recording cut off by a crash or power loss; a complete recording is not changed."""
     from st_recordings import mcap
 
     try:

@@ -1,4 +1,4 @@
-"""`st replay` and `st verify`: plays a recording through the real nodes, and compares it with the library."""
+"""The commands `st replay` and `st verify`: play a recording through the nodes, and compare it with offline results."""
 
 from pathlib import Path
 
@@ -51,19 +51,16 @@ def replay(
     raise typer.Exit(status)
 
 
-TOLERANCE = 0.001  # m
-
-
 @shared.reads_recordings(*shared.BAG_INPUTS, vehicle=shared.VehicleOfBag)
 def verify(
     bag: Path = typer.Argument(..., help="A recording, or the folder of a run of st.", exists=True),
-    tolerance: float = typer.Option(TOLERANCE, help="Largest accepted difference, m.", min=0.0),
+    tolerance: float = typer.Option(0.001, help="Largest accepted difference, m.", min=0.0),
     replayed: bool = typer.Option(False, "--replay", help="Play it through the nodes and compare the result."),
     force: bool = typer.Option(False, "--force", help="Use the recording even if `st check` finds an error in it."),
     output: Path | None = typer.Option(None, help="Folder of that replay; default runs/verify-<time>."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
-    """Compare every prediction and score of the nodes with those of the library for the same measurements.
+    """Compare every prediction and score of the nodes with those computed offline from the same measurements.
 
     A recording without predictions is played through the nodes first. Exit status: 0 all within the tolerance, 1 not,
     2 nothing to compare.

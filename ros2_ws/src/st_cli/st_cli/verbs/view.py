@@ -1,4 +1,4 @@
-"""`st view` and `st foxglove`: shows a recorded run, or a running suite."""
+"""The commands `st view` and `st foxglove`: show a recorded run or a running suite."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ def view(
     from st_live.rerun_server import RecordingView, check_new_rerun_file, check_rerun
     from st_live.suite import SuiteError
 
-    # SIGTERM ends it as Ctrl-C does, so that server and temporary folder are removed.
+    # SIGTERM acts like Ctrl-C, so that the server is stopped and the temporary folder removed.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     console = Console()
     with report_errors("view", SuiteError), tempfile.TemporaryDirectory(prefix="st-view-") as name:
@@ -41,7 +41,7 @@ def view(
                 frames = draw(recording, file, vehicle)
             console.print(f"{frames} frames of {recording.name}", highlight=False)
         elif save:
-            raise SuiteError(f"--save {save}: {recording} is a saved view already")
+            raise SuiteError(f"--save {save}: {recording} is already a saved view; leave out --save")
         if not save:
             with RecordingView(Path(name), file) as page:
                 page.show(console)
@@ -49,7 +49,7 @@ def view(
 
 def foxglove(
     port: int = typer.Option(8765, help="Port of the WebSocket.", min=1, max=65535),
-    host: str = typer.Option("127.0.0.1", help="Address to listen on; default: from this computer only."),
+    host: str = typer.Option("127.0.0.1", help="Address to listen on; default: this computer only."),
     domain: int | None = typer.Option(None, help="ROS domain of the suite; `st demo` prints it.", min=0, max=232),
     vehicle: Path | None = typer.Option(None, help="Vehicle file, for the outline; default config/vehicle/leaf.yaml.",
                                         exists=True, dir_okay=False),

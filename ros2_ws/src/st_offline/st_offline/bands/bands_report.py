@@ -1,4 +1,4 @@
-"""Tables and figures of tested bands, and of the decomposition of the error."""
+"""Reports tested bands, and the decomposition of the error into causes, as tables and figures."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -17,14 +17,14 @@ from st_core.vehicle import VehicleParameters
 
 from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
 from ..terminal import print_line, rows_table
-from .scoring import Sums, pooled_sums, summarise_adaptive, summarise_bands, top_level
+from .scoring import Sums, pool_sums, summarise_adaptive, summarise_bands, top_level
 
 MODE_TITLES = {"hindsight": "model (measured inputs)", "forecast": "forecast (inputs held)"}
-NO_CONTENT: dict[str, Any] = {"models": {}}  # in place of `summarise_bands` without scored runs
+NO_CONTENT: dict[str, Any] = {"models": {}}  # replaces the result of `summarise_bands` without scored runs
 
 
-def band_figures(content: dict[str, Any] | None, output: FigureOutput) -> list[PageFigure]:
-    """Reliability diagram of the result of `summarise_bands`; an empty list if no start had a band."""
+def draw_bands(content: dict[str, Any] | None, output: FigureOutput) -> list[PageFigure]:
+    """Draw a reliability diagram from the result of `summarise_bands`; an empty list if no start had a band."""
     models = {model: modes for model, modes in (content or NO_CONTENT)["models"].items()
               if any(scores["starts"] for scores in modes.values())}
     if not models:
@@ -48,15 +48,15 @@ def band_figures(content: dict[str, Any] | None, output: FigureOutput) -> list[P
         figure.legend(handles=handles, loc="outside lower left", ncols=6)
         return [save_figure(figure, output, "bands_reliability",
                             f"Reliability of the bands; largest deviation from {_percent(top)}: {worst}",
-                            "Grey: coverage equal to the nominal one. Below it the band covers less.")]
+                            "Grey line: coverage equal to the nominal coverage. Below it, the band is too narrow.")]
 
 
-NO_BANDS = ("[dim]bands: none given; calibrate them on other runs of this car with `st calibrate RUN… --vehicle FILE "
+NO_BANDS = ("[dim]no bands were given: calibrate them on other runs of this car with `st calibrate RUN… --vehicle FILE "
             "--output bands.yaml`, and test them on these runs with `--bands bands.yaml`[/dim]")
 
 
 def band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
-    """One row for each model and mode in the result of `summarise_bands`; columns by their titles."""
+    """Table row of each model and mode in the result of `summarise_bands`, by column title."""
     rows, top = [], _top_level(content)
     for model, modes in (content or NO_CONTENT)["models"].items():
         for mode, scores in modes.items():
@@ -65,17 +65,17 @@ def band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
             rows.append({
                 "model": model, "inputs": mode,
                 "starts": str(scores["starts"]), "no band": str(scores["without_band"]),
-                "50 % covers": _share(scores["coverage"].get("0.5")),
-                f"{_percent(top)} covers": _share(scores["coverage"].get(top)),
+                "50 % covers": _format_share(scores["coverage"].get("0.5")),
+                f"{_percent(top)} covers": _format_share(scores["coverage"].get(top)),
                 "worst cell": f"{worst['coverage']:.0%} ({worst['cell']}, {worst['starts']} starts)" if worst else "-",
-                f"interval score {_percent(top)}, along | across, m": _pair(interval_score),
-                "CRPS, along | across, m": _pair(crps),
-                f"half-width {_percent(top)}, along | across, m": _pair(widths[-1] if widths else None)})
+                f"interval score {_percent(top)}, along | across, m": _format_pair(interval_score),
+                "CRPS, along | across, m": _format_pair(crps),
+                f"half-width {_percent(top)}, along | across, m": _format_pair(widths[-1] if widths else None)})
     return rows
 
 
 def _top_level(content: dict[str, Any] | None) -> str:
-    """The highest level that was scored: "0.9", or lower for bands from too few runs."""
+    """The highest scored level: "0.9", or lower for bands from too few runs."""
     models = (content or NO_CONTENT)["models"]
     return top_level(next((scores["coverage"] for modes in models.values() for scores in modes.values()), {}))
 
@@ -85,15 +85,16 @@ def _percent(level: str) -> str:
 
 
 def adaptive_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
-    """One row for each model and mode of `summarise_adaptive`; columns by their titles."""
+    """Table row of each model and mode in the result of `summarise_adaptive`, by column title."""
     return [{"model": model, "inputs": mode, "starts": str(scores["starts"]),
-             **{f"{_percent(level)} covers": _share(share) for level, share in scores["coverage"].items()},
-             **{f"{_percent(level)} after 2 min": _share(share) for level, share in scores["late_coverage"].items()}}
+             **{f"{_percent(level)} covers": _format_share(share) for level, share in scores["coverage"].items()},
+             **{f"{_percent(level)} after 2 min": _format_share(share)
+                for level, share in scores["late_coverage"].items()}}
             for model, modes in (content or {}).items() for mode, scores in modes.items()]
 
 
 def _terminal_tables(top: str) -> dict[str, tuple[str, ...]]:
-    """Columns by table title: one table with all columns of `band_rows` would be wider than 80 characters."""
+    """Columns of `band_rows` by table title; a single table would be wider than 80 characters."""
     level = _percent(top)
     return {
         "Bands: share of paths entirely inside": ("starts", "no band", "50 % covers", f"{level} covers"),
@@ -105,11 +106,11 @@ def _terminal_tables(top: str) -> dict[str, tuple[str, ...]]:
 
 
 def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Console) -> None:
-    """Prints the tables of all runs pooled, readable in a terminal of 80 columns.
+    """Print the tables for all runs pooled, in a width of 80 columns.
 
     sums: one entry for each run. tested, adaptive: whether bands and adaptive bands were scored.
     """
-    pooled = pooled_sums(sums)
+    pooled = pool_sums(sums)
     if tested:
         content = summarise_bands(pooled)
         rows = band_rows(content)
@@ -117,8 +118,8 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
             reported = [{column: row[column] for column in ("model", "inputs", *columns)} for row in rows]
             console.print(rows_table(reported, title=title, width=min(console.width, 120)), highlight=False)
         if known := content["known_recordings"]:
-            print_line(f"[yellow]{len(known)} of the files were used for calibration: not a test of the bands[/yellow]",
-                       console)
+            print_line(f"[yellow]the calibration used {len(known)} of these files: this is no test of the bands; use "
+                       "other runs[/yellow]", console)
     elif not adaptive:
         console.print(NO_BANDS, highlight=False, soft_wrap=True)
     if adaptive:
@@ -129,46 +130,48 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
                                  "square, along | across", width=min(console.width, 140)))
 
 
-def _share(value: float | None) -> str:
+def _format_share(value: float | None) -> str:
     return "-" if value is None else f"{value:.1%}"
 
 
-def _pair(axes: dict[str, float] | None) -> str:
+def _format_pair(axes: dict[str, float] | None) -> str:
     if not axes or axes["longitudinal"] is None:
         return "-"
     return f"{axes['longitudinal']:.2f} | {axes['lateral']:.2f}"
 
 
-RESIDUAL = "what remains"
+RESIDUAL = "what remains"  # key in evaluation.json
 REPORTED_SECONDS = ("1", "3", "5")  # prediction times in the table
 
 
-def intervals_of(files: Sequence[ModelFile]) -> dict[str, Intervals]:
-    """95 % intervals in model files, by the name of their model."""
+def collect_intervals(files: Sequence[ModelFile]) -> dict[str, Intervals]:
+    """95 % intervals of the values in model files, by the name of the model."""
     return {file.model().name: {(effect, name): estimate.interval for effect, parts in file.effects.items()
                                 for name, estimate in parts.items() if estimate.interval is not None} for file in files}
 
 
-def share_sums(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
+def sum_shares(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
                intervals: Mapping[str, Intervals]) -> Sums:
-    """Decomposition of the error of one run, summed over its starts."""
-    found: Sums = {}
+    """Squared contributions to the errors of one run by cause, summed over its starts."""
+    shares: Sums = {}
     for model in models:
         starts, total, parts = squared_contributions(model, vehicle, signals, settings, intervals.get(model.name))
-        found[model.name] = {"starts": starts, "total": _by_second(total),
-                             "parts": {kind: {name: _by_second(squares) for (group, name), squares in parts.items()
-                                              if group == kind} for kind in (PARAMETERS, SENSORS)}}
-    return {"shares": found}
+        by_kind = {kind: {name: _name_seconds(squares) for (group, name), squares in parts.items() if group == kind}
+                   for kind in (PARAMETERS, SENSORS)}
+        shares[model.name] = {"starts": starts, "total": _name_seconds(total), "parts": by_kind}
+    return {"shares": shares}
 
 
-def _by_second(values: np.ndarray) -> dict[str, dict[str, float]]:
+def _name_seconds(values: np.ndarray) -> dict[str, dict[str, float]]:
     return {str(k + 1): dict(zip(AXES, row.tolist(), strict=True)) for k, row in enumerate(values)}
 
 
 def summarise_shares(sums: Sums) -> dict[str, Any]:
-    """By model: starts, RMS of the error [m, m, rad] and of each cause by second and axis, and fractions of the mean
-    square error; those of all causes and the residual add up to 1."""
-    found = {}
+    """By model: number of starts, RMS of the error and of each cause [m, m, rad], fractions of the mean square error.
+
+    The fractions of all causes and of the residual add up to 1.
+    """
+    summary = {}
     for model, squares_of_model in sums.get("shares", {}).items():
         if not squares_of_model["starts"]:
             continue
@@ -179,16 +182,16 @@ def summarise_shares(sums: Sums) -> dict[str, Any]:
                  for kind in (PARAMETERS, SENSORS)}
         shares = {kind: squares / total for kind, squares in kinds.items()}
         shares[RESIDUAL] = 1.0 - sum(shares.values())
-        found[model] = {
-            "starts": count, "rms": _by_second(np.sqrt(total / count)),
-            "rms_of_cause": {name: _by_second(np.sqrt(squares / count)) for name, squares in causes.items()},
+        summary[model] = {
+            "starts": count, "rms": _name_seconds(np.sqrt(total / count)),
+            "rms_of_cause": {name: _name_seconds(np.sqrt(squares / count)) for name, squares in causes.items()},
             "stated": list(squares_of_model["parts"][PARAMETERS]),
-            "share": {kind: _by_second(values) for kind, values in shares.items()}}
-    return found
+            "share": {kind: _name_seconds(values) for kind, values in shares.items()}}
+    return summary
 
 
 def share_rows(shares: Mapping[str, Any]) -> list[dict[str, str]]:
-    """One row for each model and second reported; columns by their titles."""
+    """Table row of each model and reported second, by column title."""
     rows = []
     for model, summary in shares.items():
         for second in (s for s in REPORTED_SECONDS if s in summary["rms"]):
@@ -204,5 +207,5 @@ def share_rows(shares: Mapping[str, Any]) -> list[dict[str, str]]:
 
 
 def _as_array(by_second: Mapping[str, Mapping[str, float]]) -> np.ndarray:
-    """(seconds, axes)."""
+    """Array (seconds, axes) of the values by second and axis."""
     return np.array([[second[axis] for axis in AXES] for second in by_second.values()])

@@ -1,4 +1,4 @@
-"""Scores of bands for the errors of one run, block by block: coverage, interval score, CRPS, sharpness."""
+"""Scores bands with the errors of runs: coverage, interval score, CRPS, sharpness."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,22 +10,22 @@ from st_core.log_evaluation import AXES, Block
 from st_core.log_signals import LogSignals
 
 Sums = dict[str, Any]
-MIN_STARTS = 200  # in a cell; with fewer, the standard error of a 90 % coverage is above 2 percentage points
+MIN_STARTS = 200  # of a cell; with fewer, the standard error of a coverage of 90 % exceeds 2 percentage points
 LEVELS = (0.5, 0.9)  # coverage levels in reports
-EDGES = {"speed": (SPEED_EDGES, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION_EDGES, "m/s²"),
+CONDITION_EDGES = {"speed": (SPEED_EDGES, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION_EDGES, "m/s²"),
          "steering_activity": (STEERING_RATE_EDGES, "rad/s")}
 _PROBABILITIES = np.concatenate([0.5 - 0.5 * np.array(RELIABILITY)[::-1], [0.5], 0.5 + 0.5 * np.array(RELIABILITY)])
 
 
 class Scorer:
-    """Scores of the bands on one run, as sums. Errors are rotated into the predicted frame, that of the bands."""
+    """Sums of scores of the bands on one run. Errors are rotated into the predicted frame, in which bands are given."""
 
     def __init__(self, bands: Bands, signals: LogSignals):
         self._bands, self._signals = bands, signals
         self._sums: list[Sums] = []
 
     def add(self, starts_ns: np.ndarray, block: Block) -> None:
-        """Add one block of an evaluation; starts without a measured horizon are left out."""
+        """Add one block of an evaluation; starts with an incomplete measured horizon are left out."""
         conditions = conditions_at(self._signals, starts_ns)
         inside = self._bands.domain(conditions)
         for (model, mode), errors in block.errors.items():
@@ -34,19 +34,19 @@ class Scorer:
             scored = np.isfinite(errors).all(axis=(1, 2))
             rows = scored & inside
             band = self._bands.bands[model, mode]
-            entry = band_sums(band, conditions[rows], to_predicted_frame(errors[rows][:, 1:]))
+            entry = sum_band_scores(band, conditions[rows], to_predicted_frame(errors[rows][:, 1:]))
             entry["without_band"] = int((scored & ~inside).sum())
             self._sums.append({"models": {model: {mode: entry}}})
 
     def sums(self, files: Mapping[str, str]) -> Sums:
-        """Sums of all blocks. files: sha256 by path of the run; those used for calibration are in known_recordings."""
+        """Sums over all blocks; known_recordings: files of the run used for calibration. files: sha256 by path."""
         known = set(self._bands.recordings.values())
-        return pooled_sums([*self._sums, {"known_recordings": [name for name, digest in files.items()
+        return pool_sums([*self._sums, {"known_recordings": [name for name, digest in files.items()
                                                                if digest in known]}])
 
 
 class AdaptiveScorer:
-    """Coverage of adaptive bands on one run, in order of time, as sums. bands: calibrated ones, or None."""
+    """Sums of the coverage of adaptive bands on one run. bands: calibrated bands from which they start, or None."""
 
     LATE = 120.0  # s after the first start; coverage from then on is counted separately
 
@@ -57,7 +57,7 @@ class AdaptiveScorer:
         self._sums: list[Sums] = []
 
     def add(self, starts_ns: np.ndarray, block: Block) -> None:
-        """Add one block of an evaluation; blocks must be in order of time."""
+        """Add one block of an evaluation; blocks must be added in the order of time."""
         if not len(starts_ns):
             return
         self._first = int(starts_ns[0]) if self._first is None else self._first
@@ -80,36 +80,35 @@ class AdaptiveScorer:
 
     def sums(self) -> Sums:
         """{"adaptive": {model: {mode: counts}}}."""
-        return {"adaptive": pooled_sums(self._sums)}
+        return {"adaptive": pool_sums(self._sums)}
 
 
 def summarise_adaptive(sums: Sums) -> dict[str, Any]:
-    """{model: {mode: starts, coverage, late_starts, late_coverage}}, coverage by level; None if nothing was scored."""
-    return {model: {mode: {**counts, "coverage": _divided(counts["coverage"], counts["starts"]),
-                           "late_coverage": _divided(counts["late_coverage"], counts["late_starts"])}
+    """{model: {mode: starts, coverage, late_starts, late_coverage}}, coverage by level, None without starts."""
+    return {model: {mode: {**counts, "coverage": _divide(counts["coverage"], counts["starts"]),
+                           "late_coverage": _divide(counts["late_coverage"], counts["late_starts"])}
                     for mode, counts in modes.items()} for model, modes in sums.get("adaptive", {}).items()}
 
 
 def scored_levels(band: Band) -> list[float]:
-    """Scored levels: LEVELS; if the runs are too few for the last, the highest level of the band below it."""
+    """Levels to score: LEVELS, or if the runs are too few for the last one, the highest level of the band instead."""
     return sorted({*(level for level in LEVELS if level in band.factors),
                    max(level for level in band.factors if level <= LEVELS[-1])})
 
 
-def band_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
-    """Sums over starts with a band. conditions: (n, 4); errors: (n, points, 3) in the predicted frame, without the
-    start.
+def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
+    """Sums over starts with a band. conditions: (n, 4). errors: (n, points after the start, 3), in the predicted frame.
 
-    coverage: paths entirely inside, by level; axes: the same, each axis alone; seconds: inside throughout each second;
-    cells: the same by speed, lateral acceleration and second. interval_score [m, m, rad]: mean over the horizon, by
-    level and axis. crps [m, m, rad]: mean over the whole seconds. half_width: by level, second and axis, at the second.
+    coverage: number of paths entirely inside, by level; axes: for each axis alone; seconds: inside throughout each
+    second; cells: by speed, lateral acceleration and second. interval_score [m, m, rad]: mean over the horizon, by
+    level and axis. crps [m, m, rad]: mean over the whole seconds. half_width [m, m, rad]: by level, second and axis.
     """
-    import scoringrules  # loaded only where bands are scored
+    import scoringrules  # slow to import, and needed only where bands are scored
 
     scale, size = band.scale(conditions), np.abs(errors)
     ratio = size / scale
     time, levels = band.scale.time, scored_levels(band)
-    # Rounded, because 20 steps of 0.05 s add up to 1.0000000000000002 s in floats.
+    # Rounding is needed because 20 steps of 0.05 s add up to 1.0000000000000002 s in floats.
     second = np.ceil(np.round(time, 6)).astype(int)
     whole = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]
     by_point, by_axis = ratio.max(axis=2), ratio.max(axis=1)
@@ -117,72 +116,72 @@ def band_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
     sums: Sums = {"starts": len(errors), "without_band": 0, "coverage": {}, "axes": {}, "seconds": {},
                   "interval_score": {}, "half_width": {}, "conditions": {}, "cells": {},
                   "reliability": {f"{level:g}": int((highest <= c).sum()) for level, c in band.factors.items()},
-                  "crps": _by_axis(_crps(band, scale[:, whole], errors[:, whole]))}
+                  "crps": _name_axes(_sum_crps(band, scale[:, whole], errors[:, whole]))}
     for level in levels:
         key, c = f"{level:g}", band.factors[level]
         within[key] = highest <= c
         sums["coverage"][key] = int(within[key].sum())
-        sums["axes"][key] = _by_axis((by_axis <= c).sum(axis=0))
+        sums["axes"][key] = _name_axes((by_axis <= c).sum(axis=0))
         score = scoringrules.interval_score(errors, -c * scale, c * scale, 1.0 - level, backend="numpy")
-        sums["interval_score"][key] = _by_axis(score.mean(axis=1).sum(axis=0))
-        sums["half_width"][key] = {f"{time[k]:g}": _by_axis(c * scale[:, k].sum(axis=0)) for k in whole}
+        sums["interval_score"][key] = _name_axes(score.mean(axis=1).sum(axis=0))
+        sums["half_width"][key] = {f"{time[k]:g}": _name_axes(c * scale[:, k].sum(axis=0)) for k in whole}
     inside = {f"{level:g}": np.stack([(by_point[:, second == s] <= band.factors[level]).all(axis=1)
                                       for s in np.unique(second)], axis=1) for level in levels}
     sums["seconds"] = {key: {str(s): int(value) for s, value in zip(np.unique(second), one.sum(axis=0), strict=True)}
                        for key, one in inside.items()}
     cells = {name: np.searchsorted(np.array(edges), conditions[:, CONDITIONS.index(name)], side="right") - 1
-              for name, (edges, _) in EDGES.items()}
+              for name, (edges, _) in CONDITION_EDGES.items()}
     for name, cell in cells.items():
         sums["conditions"][name.replace("_", " ")] = {
-            _label(name, k): _count(cell == k, within) for k in np.unique(cell).tolist()}
+            _cell_label(name, k): _count_coverage(cell == k, within) for k in np.unique(cell).tolist()}
     for v, a in np.unique(np.stack([cells["speed"], cells["lateral_acceleration"]], axis=1), axis=0).tolist():
         rows = (cells["speed"] == v) & (cells["lateral_acceleration"] == a)
         for column, s in enumerate(np.unique(second)):
-            name = f"{_label('speed', v)}, {_label('lateral_acceleration', a)}, second {s}"
-            sums["cells"][name] = _count(rows, {key: one[:, column] for key, one in inside.items()})
+            name = f"{_cell_label('speed', v)}, {_cell_label('lateral_acceleration', a)}, second {s}"
+            sums["cells"][name] = _count_coverage(rows, {key: one[:, column] for key, one in inside.items()})
     return sums
 
 
-def _crps(band: Band, scale: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """(3,) CRPS of the symmetric distribution with the quantiles of the band: mean over points, sum over starts."""
+def _sum_crps(band: Band, scale: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """(3,) CRPS of the symmetric distribution with the quantiles of the band: mean over points, summed over starts."""
     import scoringrules
 
-    found = np.zeros(errors.shape[2])
+    crps = np.zeros(errors.shape[2])
     for axis, ratios in enumerate(band.ratios):
         quantiles = np.concatenate([-ratios[::-1], [0.0], ratios])
         score = scoringrules.crps_quantile(errors[:, :, axis], scale[:, :, axis, None] * quantiles, _PROBABILITIES,
                                            backend="numpy")
-        found[axis] = score.mean(axis=1).sum() if score.size else 0.0
-    return found
+        crps[axis] = score.mean(axis=1).sum() if score.size else 0.0
+    return crps
 
 
-def _count(rows: np.ndarray, within: Mapping[str, np.ndarray]) -> Sums:
+def _count_coverage(rows: np.ndarray, within: Mapping[str, np.ndarray]) -> Sums:
     return {"starts": int(rows.sum()), "coverage": {key: int(inside[rows].sum()) for key, inside in within.items()}}
 
 
-def _by_axis(values: np.ndarray) -> dict[str, float]:
+def _name_axes(values: np.ndarray) -> dict[str, float]:
     return dict(zip(AXES, np.asarray(values).tolist(), strict=True))
 
 
-def _label(name: str, cell: int) -> str:
-    edges, unit = EDGES[name]
+def _cell_label(name: str, cell: int) -> str:
+    edges, unit = CONDITION_EDGES[name]
     if cell + 1 == len(edges):
         return f"above {edges[-1]:g} {unit}"
     return f"{edges[cell]:g} to {edges[cell + 1]:g} {unit}"
 
 
-def pooled_sums(entries: Sequence[Sums]) -> Sums:
-    """Sum of nested sums, key by key; lists are concatenated."""
+def pool_sums(entries: Sequence[Sums]) -> Sums:
+    """Add nested sums, key by key; lists are concatenated."""
     total: Sums = {}
     for one in entries:
-        _add(total, one)
+        _add_sums(total, one)
     return total
 
 
-def _add(total: Sums, one: Mapping[str, Any]) -> None:
+def _add_sums(total: Sums, one: Mapping[str, Any]) -> None:
     for key, value in one.items():
         if isinstance(value, Mapping):
-            _add(total.setdefault(key, {}), value)
+            _add_sums(total.setdefault(key, {}), value)
         elif isinstance(value, list):
             total[key] = [*total.get(key, []), *value]
         else:
@@ -190,40 +189,40 @@ def _add(total: Sums, one: Mapping[str, Any]) -> None:
 
 
 def summarise_bands(sums: Sums) -> dict[str, Any]:
-    """{model: {mode: shares and means}} and the known recordings; None where no start had a band."""
+    """{model: {mode: shares and means}}, None where no start had a band; and the recordings used for calibration."""
     return {"known_recordings": sums.get("known_recordings", []),
-            "models": {model: {mode: _means(one) for mode, one in modes.items()}
+            "models": {model: {mode: _summarise_scores(one) for mode, one in modes.items()}
                        for model, modes in sums.get("models", {}).items()}}
 
 
-def _means(sums: Sums) -> dict[str, Any]:
+def _summarise_scores(sums: Sums) -> dict[str, Any]:
     count = sums["starts"]
-    means = _divided({key: sums[key] for key in ("coverage", "axes", "seconds", "interval_score", "crps", "half_width",
+    means = _divide({key: sums[key] for key in ("coverage", "axes", "seconds", "interval_score", "crps", "half_width",
                                                  "reliability") if key in sums}, count)
     conditions = [{"quantity": quantity, "label": label, "starts": one["starts"],
-                   "coverage": _divided(one["coverage"], one["starts"])}
+                   "coverage": _divide(one["coverage"], one["starts"])}
                   for quantity, labels in sums["conditions"].items() for label, one in labels.items()]
     return {"starts": count, "without_band": sums["without_band"], **means, "conditions": conditions,
             "worst_cell": worst_cell(sums["cells"], top_level(sums["coverage"]))}
 
 
-def _divided(value: Any, count: int) -> Any:
-    """The value, or every number in a nested mapping, divided by `count`; None for a count of 0."""
+def _divide(value: Any, count: int) -> Any:
+    """Divide a number, or all numbers of a nested mapping, by `count`; None for a count of 0."""
     if isinstance(value, Mapping):
-        return {key: _divided(one, count) for key, one in value.items()}
+        return {key: _divide(one, count) for key, one in value.items()}
     return value / count if count else None
 
 
 def top_level(by_level: Mapping[str, Any]) -> str:
-    """The highest level that was scored, "0.9" for none."""
+    """The highest scored level; "0.9" if nothing was scored."""
     return max(by_level, key=float, default="0.9")
 
 
 def worst_cell(cells: Mapping[str, Mapping[str, Any]], level: str) -> dict[str, Any] | None:
-    """The cell with the lowest coverage at a level, among those with MIN_STARTS; None if there is none."""
+    """The cell with at least MIN_STARTS and the lowest coverage at a level; None if there is none."""
     known = [(counts["coverage"][level] / counts["starts"], name, counts["starts"]) for name, counts in cells.items()
              if counts["starts"] >= MIN_STARTS and level in counts["coverage"]]
     if not known:
         return None
-    share, name, starts = min(known)
-    return {"cell": name, "coverage": share, "starts": starts}
+    coverage, name, starts = min(known)
+    return {"cell": name, "coverage": coverage, "starts": starts}

@@ -16,8 +16,8 @@ from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
 from st_recordings.results import collect_versions
 
-from ..bands.bands_report import adaptive_rows, band_figures, band_rows, share_rows, summarise_shares
-from ..bands.scoring import pooled_sums, summarise_adaptive, summarise_bands
+from ..bands.bands_report import adaptive_rows, band_rows, draw_bands, share_rows, summarise_shares
+from ..bands.scoring import pool_sums, summarise_adaptive, summarise_bands
 from ..checking.check_report import describe_clocks, describe_effect, findings_from_json, group_by_name
 from ..pages import template
 from . import tables
@@ -83,7 +83,7 @@ def document(reports: Sequence[RunReport], choices: Choices) -> dict[str, Any]:
 
 
 def _summarise_bands(good: Sequence[RunReport], task: Task) -> dict[str, Any]:
-    sums = pooled_sums([r.bands for r in good])
+    sums = pool_sums([r.bands for r in good])
     fixed = {"bands": {r.name: summarise_bands(r.bands) for r in good},
              "bands_all_runs": {"file": task.bands[0], **summarise_bands(sums), "shares": summarise_shares(sums)}
              } if task.bands else {}
@@ -119,7 +119,7 @@ def write_results(reports: Sequence[RunReport], choices: Choices, title: str) ->
     about = f"{words['vehicle']}; starts {words['starts']}; horizon {words['horizon']}; {words['measured inputs']}."
     files["latex"].write_text(tables.latex_table(good, choices.over, about))
     drawn = draw_overview(good, choices.over, FigureOutput(folder, choices.task.formats))
-    of_bands = band_figures(content.get("bands_all_runs"), FigureOutput(folder, choices.task.formats))
+    of_bands = draw_bands(content.get("bands_all_runs"), FigureOutput(folder, choices.task.formats))
     write_page(files["page"], title, reports, content, words, drawn, of_bands, choices.over)
     return files
 

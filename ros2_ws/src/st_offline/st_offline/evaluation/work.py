@@ -30,7 +30,7 @@ from st_recordings.runs.csv_table import read_header
 from st_recordings.runs.ncom import origin_offset
 from st_recordings.runs.raw import summarise_alignment
 
-from ..bands.bands_report import intervals_of, share_sums
+from ..bands.bands_report import collect_intervals, sum_shares
 from ..bands.scoring import AdaptiveScorer, Scorer
 from ..checking.check_report import findings_as_json
 from ..checking.gate import RUN_ERRORS, Refused, check_for_use, describe_problem
@@ -137,7 +137,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         "findings": findings}
     sums: dict[str, Any] = adaptive.sums() if adaptive else {}
     if scorer:
-        shares = share_sums(models, task.vehicle, signals, task.settings, intervals_of(parse_model_files(task)))
+        shares = sum_shares(models, task.vehicle, signals, task.settings, collect_intervals(parse_model_files(task)))
         sums = scorer.sums(run.provenance["files"]) | shares | sums
     seconds = dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True))
     return RunReport(source.name, "", describe_ranking(evaluation), about, tables.summarise_by_model(evaluation),

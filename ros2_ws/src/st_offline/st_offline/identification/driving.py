@@ -1,4 +1,4 @@
-"""`st identify` from driving: steering offset, ratio, INS mounting, cornering stiffness, yaw inertia; with figures."""
+"""Experiments of `st identify` from driving: steering offset and ratio, INS mounting, stiffness, yaw inertia."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -22,17 +22,16 @@ from st_recordings.runs import RunError, find_runs, read
 
 from ..checking.gate import check_log, refuse_errors
 from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
-from .experiment import Experiment, Setup, number
+from .experiment import Experiment, Setup, format_rounded
 
-MAX_POINTS = 4000
-"""Maximum number of points in a scatter plot; more only make it darker."""
+MAX_POINTS = 4000  # in a scatter plot; more only make it darker
 PAPER_COLOUR, FIT_COLOUR = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
 DEG = np.rad2deg(1.0)
-UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
+DISPLAY_UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
 
 
 def draw_offset(found: Identification, output: FigureOutput) -> PageFigure:
-    """Offset of every straight window and both results; yaw-rate residuals."""
+    """Offset in each straight window with both estimates, and the residuals of the yaw rate."""
     data = found.figure
     with style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.4), width_ratios=(2, 1))
@@ -42,57 +41,61 @@ def draw_offset(found: Identification, output: FigureOutput) -> PageFigure:
                                         (found.estimates[1], FIT_COLOUR, "mean of windows")):
             left.axhspan(*(np.array(estimate.interval95) * DEG), color=colour, alpha=0.25, lw=0)
             left.axhline(estimate.value * DEG, color=colour, label=label)
-        left.set(xlabel="driving, s (runs one after the other, straights only)", ylabel="reading when straight, deg")
+        left.set(xlabel="driving, s (straights of all runs, one after the other)", ylabel="straight-ahead reading, deg")
         left.legend(loc="best")
         right.hist(data["residual_yaw_rate"] * DEG, 40, color=MEASURED_COLOUR)
-        right.set(xlabel="yaw rate simulated - measured, deg/s", ylabel="predictions")
+        right.set(xlabel="simulated minus measured yaw rate, deg/s", ylabel="predictions")
         first, second = (e.value * DEG for e in found.estimates[:2])
         return save_figure(figure, output, "steering-offset",
-                           f"Steering offset {first:.2f} deg by the yaw rate, {second:.2f} deg by the mean reading",
+                           f"Steering offset {first:.2f} deg from the yaw rate, {second:.2f} deg from the mean reading",
                            "Bands: 95 % intervals. Right: residuals of the yaw rate.")
 
 
 def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
-    """Ratio of lateral to forward velocity versus curvature, slip removed; slope: INS ahead of the rear axle [m]."""
+    """Ratio of lateral to forward velocity, corrected for slip, versus curvature, and the residuals.
+
+    The slope of the ratio is the distance of the INS ahead of the rear axle [m].
+    """
     data = found.figure
     with style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
-        thin = _thinned_rows(len(data["curvature"]))
+        drawn = _thin_rows(len(data["curvature"]))
         for index, name in enumerate(data["names"]):
-            rows = thin[data["run"][thin] == index]
+            rows = drawn[data["run"][drawn] == index]
             left.plot(data["curvature"][rows], data["slope"][rows], ".", ms=2.5, label=name)
         ends = np.array([data["curvature"].min(), data["curvature"].max()])
         left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT, lw=1, label="fit")
-        left.set(xlabel="yaw rate / forward velocity, 1/m (left +)", ylabel="lateral / forward velocity, slip removed")
+        left.set(xlabel="yaw rate / forward velocity, 1/m (left +)", ylabel="lateral / forward velocity without slip")
         if len(data["names"]) <= 8:
             left.legend(markerscale=3, fontsize=7)
-        right.plot(data["speed"][thin], data["residual"][thin] * 1e3, ".", color=MEASURED_COLOUR, ms=2.5)
+        right.plot(data["speed"][drawn], data["residual"][drawn] * 1e3, ".", color=MEASURED_COLOUR, ms=2.5)
         right.axhline(0.0, color=TEXT, lw=0.8)
         right.set(xlabel="forward velocity, m/s", ylabel="residual, mm/s")
         lever, angle = found["cg_to_ins_x"], found["ins_misalignment"]
-        title = f"INS {_value(lever)} ahead of the CG, heading turned by {_value(angle)}"
-        caption = "Slope of the line: INS ahead of the rear axle. Where it crosses zero curvature: misalignment."
+        title = f"INS {_format_estimate(lever)} ahead of the CG, misaligned by {_format_estimate(angle)}"
+        caption = ("The slope of the line is the distance of the INS ahead of the rear axle; its value at zero "
+                   "curvature is the misalignment.")
         return save_figure(figure, output, "ins", title, caption)
 
 
 def draw_stiffness(found: Identification, output: FigureOutput) -> PageFigure:
-    """Axle force versus slip angle, as in the paper; for stiffness by prediction, both slopes and 95 % regions."""
+    """Axle force versus slip angle, as in the paper; after a fit by prediction, also both slopes and 95 % regions."""
     paper = found.figure.get("paper")
-    both = ", ".join(f"{axle} {_value(found[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
-    cloud = "force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
+    both = ", ".join(f"{axle} {_format_estimate(found[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
+    points = "force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
     with style():
         if found.experiment == "stiffness-paper":
             figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
-            _clouds(panels, found, (found,))
-            return save_figure(figure, output, found.experiment, f"Slopes {both}", f"Dots: {cloud}")
+            _draw_force_and_slip(panels, found, (found,))
+            return save_figure(figure, output, found.experiment, f"Slopes {both}", f"Dots: {points}")
         figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.6), width_ratios=(1.2, 1.2, 1))
         if paper is not None:
-            _clouds(panels[:2], paper, (paper, found))
+            _draw_force_and_slip(panels[:2], paper, (paper, found))
         else:
             for axes in panels[:2]:
                 axes.set_axis_off()
         pair = panels[2]
-        _ellipse(pair, found, found.estimates[:2])
+        _draw_region(pair, found, found.estimates[:2])
         for one, colour, label in ((found, FIT_COLOUR, "prediction"), (paper, PAPER_COLOUR, "regression (paper)")):
             if one is not None and np.isfinite([e.value for e in one.estimates[:2]]).all():
                 front, rear = one.estimates[:2]
@@ -102,25 +105,26 @@ def draw_stiffness(found: Identification, output: FigureOutput) -> PageFigure:
                        for axis, e in (("x", front), ("y", rear))})
         pair.set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
         pair.legend(fontsize=8)
-        caption = "Left: the paper's force and slip, with both slopes. Right: 95 % intervals and region of both."
+        caption = ("Left: force and slip as in the paper, with both slopes. Right: 95 % intervals of both methods, and "
+                   "the joint region of the prediction.")
         return save_figure(figure, output, "stiffness", f"Cornering stiffness {both} by prediction", caption)
 
 
 def draw_prediction(found: Identification, output: FigureOutput) -> PageFigure:
-    """Residuals of a fit of predictions, run after run, and the first parameter with its strongest correlation."""
+    """Residuals of a fit of predictions, and the first parameter with the one most correlated with it."""
     data, first = found.figure, found.estimates[0]
     with style():
         figure, panels = plt.subplot_mosaic([["rate", "pair"], ["across", "pair"]], figsize=(WIDTH, 4.2),
                                             width_ratios=(1.5, 1))
         position = _concatenate_times(data["residual_run"], data["residual_time"])
-        thin = _thinned_rows(len(position))
+        drawn = _thin_rows(len(position))
         begins = position[np.unique(data["residual_run"], return_index=True)[1]]
         for column, (key, label, factor) in enumerate((("rate", "yaw rate, deg/s", DEG),
                                                        ("across", "lateral velocity, mm/s", 1e3))):
             axes = panels[key]
             for begin in begins[1:]:
                 axes.axvline(begin - 1.0, color=TEXT, lw=0.6, ls=":")
-            axes.plot(position[thin], data["residuals"][thin, column] * factor, ".", ms=1.5, color=MEASURED_COLOUR)
+            axes.plot(position[drawn], data["residuals"][drawn, column] * factor, ".", ms=1.5, color=MEASURED_COLOUR)
             axes.axhline(0.0, color=TEXT, lw=0.8)
             axes.set_ylabel(label)
         panels["rate"].tick_params(labelbottom=False)
@@ -129,26 +133,27 @@ def draw_prediction(found: Identification, output: FigureOutput) -> PageFigure:
         if found.correlation is not None:
             second = found.estimates[1 + int(np.argmax(np.abs(found.correlation[0, 1:])))]
         pair = panels["pair"]
-        _ellipse(pair, found, (first, second))
-        x, y = (e.value * _unit(e.parameter)[0] for e in (first, second))
-        errors = [np.abs(np.array(e.interval95) - e.value)[:, None] * _unit(e.parameter)[0] for e in (first, second)]
+        _draw_region(pair, found, (first, second))
+        x, y = (e.value * _display_unit(e.parameter)[0] for e in (first, second))
+        errors = [np.abs(np.array(e.interval95) - e.value)[:, None] * _display_unit(e.parameter)[0]
+                  for e in (first, second)]
         pair.errorbar(x, y, xerr=errors[0], yerr=errors[1], fmt="o", ms=4, color=TEXT, label="95 % interval")
         for axis, one in (("x", first), ("y", second)):
-            unit = _unit(one.parameter)[1]
+            unit = _display_unit(one.parameter)[1]
             getattr(pair, f"set_{axis}label")(one.parameter.replace("_", " ") + (f", {unit}" if unit != "1" else ""))
         pair.legend(loc="lower left", fontsize=8)
-        title = "; ".join(f"{e.parameter.replace('_', ' ')} {_value(e)}" for e in (first, second))
-        caption = ("Left: predicted minus measured, dotted lines between runs. Right: the first parameter and the one "
-                   "most correlated with it; intervals include systematic uncertainty.")
+        title = "; ".join(f"{e.parameter.replace('_', ' ')} {_format_estimate(e)}" for e in (first, second))
+        caption = ("Left: predicted minus measured values, with dotted lines between runs. Right: the first parameter "
+                   "and the one most correlated with it; the intervals include systematic uncertainty.")
         return save_figure(figure, output, found.experiment, title, caption)
 
 
-def _clouds(panels: Sequence[plt.Axes], cloud: Identification, lines: Sequence[Identification]) -> None:
+def _draw_force_and_slip(panels: Sequence[plt.Axes], points: Identification, lines: Sequence[Identification]) -> None:
     for axes, axle in zip(panels, ("front", "rear"), strict=True):
-        slip, force = cloud.figure[f"slip_{axle}"], cloud.figure[f"force_{axle}"]
-        thin = _thinned_rows(len(slip))
-        axes.plot(slip[thin] * DEG, force[thin] * 1e-3, ".", color=MEASURED_COLOUR, ms=2)
-        # The line passes through the middle of the samples, which an offset of steering or INS shifts from the origin.
+        slip, force = points.figure[f"slip_{axle}"], points.figure[f"force_{axle}"]
+        drawn = _thin_rows(len(slip))
+        axes.plot(slip[drawn] * DEG, force[drawn] * 1e-3, ".", color=MEASURED_COLOUR, ms=2)
+        # Each line passes through the mean of the samples, which an offset of steering or INS shifts from the origin.
         middle, ends = slip.mean(), np.array([slip.min(), slip.max()])
         styles = ((PAPER_COLOUR, "regression (paper)"), (FIT_COLOUR, "prediction"))
         for one, (colour, label) in zip(lines, styles, strict=False):
@@ -161,58 +166,61 @@ def _clouds(panels: Sequence[plt.Axes], cloud: Identification, lines: Sequence[I
         axes.legend(fontsize=8)
 
 
-def _ellipse(axes: plt.Axes, found: Identification, pair: Sequence[Estimate]) -> None:
-    """95 % region of two estimates from the covariance of the fit."""
+def _draw_region(axes: plt.Axes, found: Identification, pair: Sequence[Estimate]) -> None:
+    """Draw the joint 95 % region of two estimates from the covariance of the fit."""
     data, names = found.figure, [e.parameter for e in pair]
     index = [data["names"].index(name) for name in names]
     values, directions = np.linalg.eigh(data["covariance"][np.ix_(index, index)])
     size = directions * np.sqrt(chi2.ppf(0.95, 2) * np.maximum(values, 0.0))
     angle = np.linspace(0.0, 2.0 * np.pi, 121)
     x, y = size @ np.stack([np.cos(angle), np.sin(angle)])
-    axes.plot((pair[0].value + x) * _unit(names[0])[0], (pair[1].value + y) * _unit(names[1])[0], color=FIT_COLOUR,
-              lw=1, label="95 % region")
+    axes.plot((pair[0].value + x) * _display_unit(names[0])[0], (pair[1].value + y) * _display_unit(names[1])[0],
+              color=FIT_COLOUR, lw=1, label="95 % region")
 
 
-def _thinned_rows(count: int) -> np.ndarray:
+def _thin_rows(count: int) -> np.ndarray:
     return np.arange(0, count, max(1, count // MAX_POINTS))
 
 
 def _concatenate_times(run: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Times of all runs, concatenated [s]."""
-    result, end = np.zeros(len(time)), 0.0
+    """Time axis [s] on which the runs follow each other, 2 s apart."""
+    result, start = np.zeros(len(time)), 0.0
     for index in np.unique(run):
         rows = run == index
-        result[rows] = end + time[rows] - time[rows].min()
-        end = float(result[rows].max()) + 2.0
+        result[rows] = start + time[rows] - time[rows].min()
+        start = float(result[rows].max()) + 2.0
     return result
 
 
-def _unit(parameter: str) -> tuple[float, str]:
+def _display_unit(parameter: str) -> tuple[float, str]:
     unit = FREE_PARAMETERS[parameter].unit
-    return UNITS.get(unit, (1.0, unit))
+    return DISPLAY_UNITS.get(unit, (1.0, unit))
 
 
-def _value(estimate: Estimate) -> str:
-    factor, unit = UNITS.get(estimate.unit, (1.0, estimate.unit))
-    value, spread = estimate.value * factor, estimate.standard_uncertainty * factor
-    text = f"{number(value, spread)} +/- {number(spread, spread)}"
+def _format_estimate(estimate: Estimate) -> str:
+    factor, unit = DISPLAY_UNITS.get(estimate.unit, (1.0, estimate.unit))
+    value, uncertainty = estimate.value * factor, estimate.standard_uncertainty * factor
+    text = f"{format_rounded(value, uncertainty)} +/- {format_rounded(uncertainty, uncertainty)}"
     return text if unit == "1" else f"{text} {unit}"
 
 
-MAX_DISAGREEMENT = 0.15  # relative
-ADVICE = "Steering ratio or lever arm may be wrong: run `st identify steering` and `st identify ins` first."
-RECORDINGS = "recordings of drives, several are better: folders, .ncom with CAN logs, bags, CSV"
+MAX_DISAGREEMENT = 0.15  # relative difference of two stiffnesses
+STIFFNESS_ADVICE = "Steering ratio or lever arm may be wrong: run `st identify steering` and `st identify ins` first."
+RECORDINGS_HELP = "recordings of drives (several are better): folders, .ncom with CAN logs, bags, CSV"
 
 
-def experiment(name: str, what: str, needs: str, compute: Callable[..., Identification], draw,
-               predicts: bool = False) -> Experiment:
-    """Experiment from drives. compute: function of (logs, vehicle); predicts: whether it also takes a model, base."""
+def drive_experiment(name: str, what: str, needs: str, compute: Callable[..., Identification], draw,
+                     predicts: bool = False) -> Experiment:
+    """Experiment that uses recorded drives.
+
+    compute: called with (logs, vehicle), and with the argument `base`, a model, if `predicts`.
+    """
     def identify(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
         if not predicts and setup.model is not MODELS["nonlinear"]:
             raise IdentificationError(f"{name} uses no model: remove --model")
         logs: list[DriveLog] = []
         failed: dict[str, Exception] = {}
-        warnings: dict[str, None] = {}  # each once, in order
+        warnings: dict[str, None] = {}  # a dict keeps each warning once, in order
         findings: dict[str, tuple[Finding, ...]] = {}
         for source in find_runs(files):
             try:
@@ -228,15 +236,15 @@ def experiment(name: str, what: str, needs: str, compute: Callable[..., Identifi
             raise next(iter(failed.values()), None) or IdentificationError(
                 "no drives were given; name at least one recording")
         found = compute(logs, setup.vehicle, **({"base": setup.model} if predicts else {}))
-        left_out = ((source, str(error)) for source, error in failed.items())
-        return (replace(found, experiment=name, rejected=(*left_out, *found.rejected),
+        unread = ((source, str(error)) for source, error in failed.items())
+        return (replace(found, experiment=name, rejected=(*unread, *found.rejected),
                         warnings=(*found.warnings, *warnings), findings=findings),)
 
-    return Experiment(name, what, f"{RECORDINGS}; {needs}", identify, draw, drives=True)
+    return Experiment(name, what, f"{RECORDINGS_HELP}; {needs}", identify, draw, drives=True)
 
 
-def stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:
-    """Stiffnesses by prediction, with the paper's regression of the same drives in the figure and the warnings."""
+def compare_stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:
+    """Fit the stiffnesses by prediction, and compare them with the regression of the paper on the same drives."""
     found = fit_stiffness(logs, vehicle, base)
     try:
         paper = identify_stiffness(logs, vehicle)
@@ -250,10 +258,11 @@ def stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:
             comparisons.append(f"The paper's regression gives no {name}: {other.verdict}")
             continue
         text = describe_contradiction(estimate, other.value, other.standard_uncertainty, "the paper's regression")
-        # The regression averages over the tyre's curve, so a difference of a few per cent is expected.
+        # The regression averages over the curve of the tyre, so a difference of a few per cent is expected.
         if text and abs(estimate.value - other.value) > MAX_DISAGREEMENT * other.value:
-            text += f" {ADVICE}"
-            estimates.append(replace(estimate, status="doubtful", verdict=f"{estimate.verdict} Doubtful: {ADVICE}"))
+            text += f" {STIFFNESS_ADVICE}"
+            verdict = f"{estimate.verdict} Doubtful: {STIFFNESS_ADVICE}"
+            estimates.append(replace(estimate, status="doubtful", verdict=verdict))
         else:
             estimates.append(estimate)
         comparisons.append(text or f"The paper's regression gives {name} {other.value:.0f} +/- "
@@ -263,16 +272,16 @@ def stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:
 
 
 DRIVING = (
-    experiment("steering-offset", "offset of the steering wheel sensor, by two methods", "straight on, above 5 m/s",
-               identify_steering_offset, draw_offset),
-    experiment("steering", "steering ratio and offset, without turntables", "bends and straights at several speeds",
-               identify_steering, draw_prediction, predicts=True),
-    experiment("ins", "lever arm and misalignment of the INS", "2 to 9 m/s, straights and bends to both sides",
-               identify_ins_mounting, draw_mounting),
-    experiment("stiffness", "cornering stiffnesses, by prediction", "bends to both sides, up to 4 m/s^2", stiffness,
-               draw_stiffness, predicts=True),
-    experiment("stiffness-paper", "cornering stiffnesses, the paper's regression", "bends to both sides",
-               identify_stiffness, draw_stiffness),
-    experiment("yaw-inertia", "yaw inertia", "steps, lane changes, sweeps", identify_yaw_inertia, draw_prediction,
-               predicts=True),
+    drive_experiment("steering-offset", "offset of the steering wheel sensor, by two methods",
+                     "straight driving above 5 m/s", identify_steering_offset, draw_offset),
+    drive_experiment("steering", "steering ratio and offset, without turntables",
+                     "bends and straights at several speeds", identify_steering, draw_prediction, predicts=True),
+    drive_experiment("ins", "lever arm and misalignment of the INS", "2 to 9 m/s, straights and bends to both sides",
+                     identify_ins_mounting, draw_mounting),
+    drive_experiment("stiffness", "cornering stiffnesses, by prediction", "bends to both sides, up to 4 m/s^2",
+                     compare_stiffness, draw_stiffness, predicts=True),
+    drive_experiment("stiffness-paper", "cornering stiffnesses, by the regression of the paper", "bends to both sides",
+                     identify_stiffness, draw_stiffness),
+    drive_experiment("yaw-inertia", "yaw inertia", "steps, lane changes, sweeps", identify_yaw_inertia,
+                     draw_prediction, predicts=True),
 )

@@ -1,4 +1,4 @@
-"""An experiment of `st identify`: its table of data (units in the header, SI inside) and its results as table cells."""
+"""Experiments of `st identify`: reading their tables (units in the header, SI inside) and formatting their results."""
 
 import csv
 import math
@@ -18,8 +18,10 @@ from ..evaluation.drawing import FigureOutput, PageFigure
 
 @dataclass(frozen=True)
 class Setup:
-    """Inputs of every experiment in addition to its files. read: options for reading recordings. force: use drives that
-    the checks reject. model: base model of fits by prediction.
+    """Inputs of every experiment in addition to its files.
+
+    read: options for reading recordings. force: whether to use drives in which the checks find errors. model: base
+    model of fits by prediction.
     """
 
     vehicle: VehicleParameters
@@ -28,18 +30,17 @@ class Setup:
     model: Model = MODELS["nonlinear"]
 
     def uncertainty_of(self, parameter: str) -> float:
-        """Standard uncertainty of a value of the vehicle file, SI; 0 if the file has none."""
+        """Standard uncertainty of a value of the vehicle file, SI; 0 if the file does not state it."""
         known = self.vehicle.provenance.get(parameter)
         return (known.uncertainty or 0.0) if known else 0.0
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """name: as on the command line. what: description in a line. files: description of the required files.
+    """One experiment. name: as on the command line. what: description in one line. files: description of the files.
 
-    identify: reads the files and computes; several outcomes if one call performs several experiments.
-    draw: the figure of an outcome of this experiment. drives: whether the files are recordings of drives.
-    Both raise StCoreError or RunError, one line for the user.
+    identify: reads the files and computes one or more results; raises StCoreError or RunError. draw: draws the figure
+    of a result. files_needed: whether files must be given. drives: whether the files are recordings of drives.
     """
 
     name: str
@@ -54,38 +55,38 @@ class Experiment:
 COLUMN_NAMES = ("parameter", "value", "±", "95 % interval", "unit", "in the file", "status")
 
 
-def rows(found: Identification, vehicle: VehicleParameters) -> list[Sequence[str]]:
-    """One row of COLUMN_NAMES per estimate; "in the file": value of `vehicle`."""
-    return [_row(estimate, vehicle) for estimate in found.estimates]
+def estimate_rows(found: Identification, vehicle: VehicleParameters) -> list[Sequence[str]]:
+    """Table row of each estimate, with the columns of COLUMN_NAMES; "in the file" is the value of `vehicle`."""
+    return [_estimate_row(estimate, vehicle) for estimate in found.estimates]
 
 
-def _row(estimate: Estimate, vehicle: VehicleParameters) -> Sequence[str]:
+def _estimate_row(estimate: Estimate, vehicle: VehicleParameters) -> Sequence[str]:
     factor, unit = (180.0 / math.pi, "deg") if estimate.unit == "rad" else (1.0, estimate.unit)
-    spread = estimate.standard_uncertainty * factor
+    uncertainty = estimate.standard_uncertainty * factor
     before = ""
     if quantity(estimate.parameter) is not None:
         before = f"{value_of(vehicle, estimate.parameter) * factor:.5g}"
-    low, high = (number(end * factor, spread) for end in estimate.interval95)
-    return (estimate.parameter, number(estimate.value * factor, spread), number(spread, spread), f"{low} to {high}",
-            unit, before, estimate.status)
+    low, high = (format_rounded(end * factor, uncertainty) for end in estimate.interval95)
+    return (estimate.parameter, format_rounded(estimate.value * factor, uncertainty),
+            format_rounded(uncertainty, uncertainty), f"{low} to {high}", unit, before, estimate.status)
 
 
-def number(value: float, spread: float) -> str:
-    """The value to the second significant digit of its uncertainty; five digits if it has none."""
+def format_rounded(value: float, uncertainty: float) -> str:
+    """A value rounded to the second significant digit of its uncertainty; to five digits without an uncertainty."""
     if not math.isfinite(value):
         return "unknown"
-    if not math.isfinite(spread) or spread <= 0.0:
+    if not math.isfinite(uncertainty) or uncertainty <= 0.0:
         return f"{value:.5g}"
-    decimals = min(1 - math.floor(math.log10(spread)), 12)
+    decimals = min(1 - math.floor(math.log10(uncertainty)), 12)
     return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 
-TO_SI = {"kg": 1.0, "n": 1.0, "kn": 1000.0, "m": 1.0, "mm": 0.001, "rad": 1.0, "deg": math.pi / 180.0}
+SI_FACTORS = {"kg": 1.0, "n": 1.0, "kn": 1000.0, "m": 1.0, "mm": 0.001, "rad": 1.0, "deg": math.pi / 180.0}
 
 
 @dataclass(frozen=True)
 class Table:
-    """numbers: by name without unit, (n,) SI; NaN where a cell is empty. units: as in the header. texts: by name."""
+    """Columns of a table by name. numbers: (n,) SI, NaN where a cell is empty. units: in the header. texts: as read."""
 
     file: Path
     numbers: Mapping[str, np.ndarray]
@@ -98,9 +99,9 @@ class Table:
 
 def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Mapping[str, Sequence[str]] | None = None,
                  texts: Sequence[str] = ()) -> Table:
-    """A table with all `required` columns, and the `optional` and `texts` ones it has.
+    """Read a CSV table: all `required` columns, and those of `optional` and `texts` that exist.
 
-    required, optional: units allowed by name. Raises RunError with the file and the invalid column or row.
+    required, optional: permitted units by name. Raises RunError with the file and the invalid column or row.
     """
     check_readable(file)
     try:
@@ -110,22 +111,23 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
     delimiter = ";" if lines and ";" in lines[0] else ","
     header, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)] or [[]]
     known = {**required, **(optional or {})}
-    columns = _columns(file, header, known, texts)
+    columns = _find_columns(file, header, known, texts)
     missing = [name for name in required if name not in columns]
     if missing:
         names = ", ".join(" or ".join(f"{name}_{unit}" for unit in required[name]) for name in missing)
         raise RunError(file, f"has no column {names}; its columns are {', '.join(header)[:200]}",
                        "name each column with its unit, as in docs/manual/identification.md")
     if not rows:
-        raise RunError(file, "has a header and no rows", "add a row for each measurement")
+        raise RunError(file, "has a header but no rows", "add a row for each measurement")
     for row_number, row in enumerate(rows, 1):
         if len(row) != len(header):
             raise RunError(file, f"row {row_number} has {len(row)} cells, the header {len(header)}", "correct that row")
     numbers, units, words = {}, {}, {}
     for name, (column, unit) in columns.items():
         if name in known:
-            cells = [_number(file, header[column], row_number, row[column]) for row_number, row in enumerate(rows, 1)]
-            numbers[name], units[name] = np.array(cells) * TO_SI[unit], unit
+            cells = [_parse_number(file, header[column], row_number, row[column])
+                     for row_number, row in enumerate(rows, 1)]
+            numbers[name], units[name] = np.array(cells) * SI_FACTORS[unit], unit
         else:
             words[name] = tuple(row[column] for row in rows)
     for name in required:
@@ -135,7 +137,7 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
     return Table(file, numbers, units, words)
 
 
-def _columns(file: Path, header: Sequence[str], known: Mapping[str, Sequence[str]],
+def _find_columns(file: Path, header: Sequence[str], known: Mapping[str, Sequence[str]],
              texts: Sequence[str]) -> dict[str, tuple[int, str]]:
     columns: dict[str, tuple[int, str]] = {}
     for column, title in enumerate(header):
@@ -156,14 +158,14 @@ def _columns(file: Path, header: Sequence[str], known: Mapping[str, Sequence[str
     return columns
 
 
-def _number(file: Path, title: str, row: int, cell: str) -> float:
+def _parse_number(file: Path, title: str, row: int, cell: str) -> float:
     if not cell:
         return math.nan
     try:
         value = float(cell)
     except ValueError:
-        raise RunError(file, f"row {row}: {title} is {cell[:40]!r}, not a number", "write a decimal point "
-                       "and no unit") from None
+        raise RunError(file, f"row {row}: {title} is {cell[:40]!r}, not a number",
+                       "write a number with a decimal point and without a unit") from None
     if not math.isfinite(value):
         raise RunError(file, f"row {row}: {title} is {cell}", "every number must be finite")
     return value

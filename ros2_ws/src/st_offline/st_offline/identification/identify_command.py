@@ -1,4 +1,4 @@
-"""The command `st identify`: compute, print, write the files."""
+"""The command `st identify`: runs an experiment, prints the result and writes its files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ from ..evaluation.drawing import FigureOutput, PageFigure
 from ..pages import template
 from ..terminal import list_files, print_line, rows_table
 from .driving import DRIVING
-from .experiment import COLUMN_NAMES, Experiment, Setup, rows
+from .experiment import COLUMN_NAMES, Experiment, Setup, estimate_rows
 from .workshop import CG_HEIGHT, LAMBDA, SCALES, STEERING_RATIO, TYRE
 
 EXPERIMENTS: dict[str, Experiment] = {
@@ -45,7 +45,7 @@ STATUS_STYLE = {"identified": "green", "doubtful": "yellow", "unidentifiable": "
 
 @dataclass(frozen=True)
 class Job:
-    """Request of the command line. vehicle_file: file of the setup's vehicle. folder: of the results."""
+    """Options of `st identify`. vehicle_file: file of `setup.vehicle`. folder: of the results."""
 
     experiment: Experiment
     files: tuple[Path, ...]
@@ -54,8 +54,11 @@ class Job:
     folder: Path
 
 
-def run(job: Job, console: Console) -> int:
-    """Exit status: 0 when something was identified, else 1. Raises StCoreError, RunError, OutputError."""
+def run_command(job: Job, console: Console) -> int:
+    """Run the command; returns the exit status: 0 if something was identified, else 1.
+
+    Raises StCoreError, RunError, OutputError.
+    """
     with console.status(f"identifying: {job.experiment.what}"):
         found = tuple(replace(outcome, warnings=(*outcome.warnings, *filter(None, (
             compare_with_file(job.setup.vehicle, estimate) for estimate in outcome.estimates))))
@@ -65,8 +68,8 @@ def run(job: Job, console: Console) -> int:
     found = (replace(found[0], warnings=(*found[0].warnings, *objections(car, job.setup.vehicle))), *found[1:])
     stale = describe_stale_scales(job.setup.vehicle, found)
     with console.status("writing"):
-        files = write(job, found, car, about(job, now))
-    show(found, job.setup.vehicle, stale, console)
+        files = write_results(job, found, car, provenance(job, now))
+    print_results(found, job.setup.vehicle, stale, console)
     list_files({files["identification.json"]: "values, uncertainties, verdicts",
                 files["vehicle.yaml"]: "vehicle file with the identified values",
                 files["report.html"]: "figures, correlations, data used and left out"}, console)
@@ -74,27 +77,28 @@ def run(job: Job, console: Console) -> int:
 
 
 def run_experiment(job: Job) -> tuple[Identification, ...]:
-    """Outcome of the experiment; errors in the data name their file."""
+    """Results of the experiment. Messages of errors in the data begin with the files."""
     if job.experiment.files_needed and not job.files:
-        raise IdentificationError(f"no files were given; it needs {job.experiment.files}")
+        raise IdentificationError(f"no files were given; {job.experiment.name} needs {job.experiment.files}")
     try:
         return job.experiment.identify(job.files, job.setup)
     except IdentificationError as error:
         raise IdentificationError(f"{', '.join(map(str, job.files[:3]))}: {error}") from None
 
 
-def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Sequence[str], console: Console) -> None:
-    """Table and verdicts in the terminal."""
+def print_results(found: Sequence[Identification], vehicle: VehicleParameters, stale: Sequence[str],
+                  console: Console) -> None:
+    """Print the findings of the checks, and the table, verdicts and warnings of each result."""
     print_findings(findings_by_drive(found), console)
     for outcome in found:
         console.print(rows_table([
             {"parameter": escape(f"{name}{'' if unit == '1' else f', {unit}'}"), "value": value,
              "95 % interval": interval, "file": before, "status": f"[{STATUS_STYLE[status]}]{status}[/]"}
-            for name, value, _, interval, unit, before, status in rows(outcome, vehicle)],
+            for name, value, _, interval, unit, before, status in estimate_rows(outcome, vehicle)],
             title=outcome.experiment, title_justify="left", padding=(0, 2, 0, 0)))
         for style, texts in (("default", [f"{e.parameter}: {e.verdict}" for e in outcome.estimates]),
                              ("dim", [coverage.describe() for coverage in outcome.coverage]),
-                             ("dim", [f"left out: {name}: {why}" for name, why in outcome.rejected]),
+                             ("dim", [f"{name}: left out: {why}" for name, why in outcome.rejected]),
                              ("yellow", outcome.warnings)):
             for text in texts:
                 print_line(f"  [{style}]{escape(text)}[/]", console)
@@ -107,10 +111,10 @@ def findings_by_drive(found: Sequence[Identification]) -> dict[str, tuple[Findin
     return {name: findings for outcome in found for name, findings in outcome.findings.items()}
 
 
-def about(job: Job, now: datetime) -> dict[str, Any]:
-    """Provenance of the values: vehicle, files, versions."""
+def provenance(job: Job, now: datetime) -> dict[str, Any]:
+    """Provenance of the values: time, experiment, vehicle, files, versions."""
     data = list(job.files)
-    if job.experiment.drives:  # a folder stands for the recordings in it
+    if job.experiment.drives:  # replaces folders by the recordings in them
         data = [file for source in find_runs(job.files) for file in (*source.files, *source.can)]
     return {
         "created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name,
@@ -119,27 +123,27 @@ def about(job: Job, now: datetime) -> dict[str, Any]:
     }
 
 
-def write(job: Job, found: Sequence[Identification], car: VehicleParameters, facts: dict[str, Any]) -> dict[str, Path]:
-    """Writes all files of the results folder; returns their paths by name."""
+def write_results(job: Job, found: Sequence[Identification], car: VehicleParameters,
+                  facts: dict[str, Any]) -> dict[str, Path]:
+    """Write all files; returns their paths by name."""
     output = FigureOutput(new_folder(job.folder, ""), FORMATS)
     figures = [draw(outcome, output) if (draw := EXPERIMENTS[outcome.experiment].draw) else None for outcome in found]
     texts = {
         "identification.json": json_text({name: entry for outcome in found
                                           for name, entry in outcome.document().items()}),
-        "details.json": json_text({**facts, "experiments": [details(outcome) for outcome in found]}),
-        "vehicle.yaml": vehicle_text(Path(job.vehicle_file), car, found),
-        "report.html": page(found, figures, job.setup.vehicle, facts),
+        "details.json": json_text({**facts, "experiments": [experiment_details(outcome) for outcome in found]}),
+        "vehicle.yaml": updated_vehicle_text(Path(job.vehicle_file), car, found),
+        "report.html": render_page(found, figures, job.setup.vehicle, facts),
     }
     for name, text in texts.items():
         (job.folder / name).write_text(text, encoding="utf-8")
     return {name: job.folder / name for name in texts}
 
 
-def vehicle_text(file: Path, car: VehicleParameters, found: Sequence[Identification]) -> str:
-    """The user's vehicle file with the identified entries in place; its comments and other entries are kept.
+def updated_vehicle_text(file: Path, car: VehicleParameters, found: Sequence[Identification]) -> str:
+    """The user's vehicle file with the identified entries replaced; comments and other entries are unchanged.
 
-    If the edited file would not read as `car`, for example because a derived scale changes, the car is written as a
-    whole.
+    If the edited file would not be read as `car`, for example because a derived scale changes, a new file is written.
     """
     keys = [e.parameter for outcome in found for e in outcome.estimates
             if quantity(e.parameter) is not None and e.status != "unidentifiable"]
@@ -157,8 +161,8 @@ def vehicle_text(file: Path, car: VehicleParameters, found: Sequence[Identificat
     return edit_or_rewrite(text, {key: partial(entry, key) for key in keys}, car, 1e-12)
 
 
-def details(found: Identification) -> dict[str, Any]:
-    """One experiment in details.json."""
+def experiment_details(found: Identification) -> dict[str, Any]:
+    """Entry of one experiment in details.json."""
     matrix = found.correlation
     return {
         "what": found.experiment, "used": list(found.used),
@@ -174,19 +178,19 @@ def details(found: Identification) -> dict[str, Any]:
     }
 
 
-def page(found: Sequence[Identification], figures: Sequence[PageFigure | None], vehicle: VehicleParameters,
+def render_page(found: Sequence[Identification], figures: Sequence[PageFigure | None], vehicle: VehicleParameters,
          facts: dict[str, Any]) -> str:
-    """report.html, self-contained."""
+    """Content of report.html."""
     values = [f"{name.replace('_', ' ')} "
               + (status if status == "unidentifiable" else f"{value} {unit}".removesuffix(" 1") + f" ({status})")
-              for outcome in found for name, value, _, _, unit, _, status in rows(outcome, vehicle)]
+              for outcome in found for name, value, _, _, unit, _, status in estimate_rows(outcome, vehicle)]
 
     def excitation(c: Coverage) -> tuple[list[str], list[list[str]]]:
         return [f"from, {c.unit}", *(f"{edge:.4g}" for edge in c.edges[:-1])], [["samples", *map(str, c.counts)]]
 
     def correlation(outcome: Identification) -> tuple[list[str], list[list[str]]]:
         names = [estimate.parameter for estimate in outcome.estimates]
-        assert outcome.correlation is not None  # the page shows only an existing one
+        assert outcome.correlation is not None  # the template calls this only if there is one
         return ["correlation", *names], [[name, *(f"{x:+.2f}" for x in row[:len(names)])]
                                          for name, row in zip(names, outcome.correlation, strict=False)]
 
@@ -194,4 +198,5 @@ def page(found: Sequence[Identification], figures: Sequence[PageFigure | None], 
         title=f"{vehicle.name}: {', '.join(values)}", found=list(zip(found, figures, strict=True)), about=facts,
         recordings={name: {"findings": findings_as_json(findings)}
                     for name, findings in findings_by_drive(found).items()},
-        heads=COLUMN_NAMES, rows=lambda outcome: rows(outcome, vehicle), excitation=excitation, correlation=correlation)
+        heads=COLUMN_NAMES, rows=lambda outcome: estimate_rows(outcome, vehicle), excitation=excitation,
+        correlation=correlation)

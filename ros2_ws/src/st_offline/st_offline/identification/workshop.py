@@ -25,11 +25,11 @@ from st_recordings.runs.errors import RunError
 from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
 from .experiment import Experiment, Setup, Table, read_columns
 
-NOTES = ("weighing", "driver", "payload")
+NOTES = ("weighing", "driver", "payload")  # columns of text
 
 
 def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
-    """Each row of the files is one weighing."""
+    """Identify mass and CG position; each row of the files is one weighing."""
     readings, names, loads, scales = [], [], [], set()
     for file in files:
         table = read_columns(file, {wheel: ("kg",) for wheel in WHEELS}, {"scale_uncertainty": ("kg",)}, NOTES)
@@ -49,7 +49,7 @@ def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification
 
 
 def draw_scales(found: Identification, output: FigureOutput) -> PageFigure:
-    """Every weighing and the 95 % interval of both values."""
+    """All weighings, with the 95 % intervals of mass and CG position."""
     data = found.figure
     rows = np.arange(len(data["names"]))
     with style():
@@ -58,10 +58,10 @@ def draw_scales(found: Identification, output: FigureOutput) -> PageFigure:
                                          (panels[1], "cg_to_front_axle", data["distances"], "CG behind front axle, m")):
             estimate = found[key]
             axes.axvspan(*estimate.interval95, color=MODEL_COLOUR["augmented"], alpha=0.2, lw=0, label="95 % interval")
-            axes.axvline(estimate.value, color=MODEL_COLOUR["augmented"], label="value")
-            kept = data["kept"]
-            axes.plot(values[kept], rows[kept], "o", color=TEXT, ms=5, label="weighing")
-            axes.plot(values[~kept], rows[~kept], "x", color=MEASURED_COLOUR, ms=6, label="left out")
+            axes.axvline(estimate.value, color=MODEL_COLOUR["augmented"], label="estimate")
+            used = data["kept"]
+            axes.plot(values[used], rows[used], "o", color=TEXT, ms=5, label="weighing")
+            axes.plot(values[~used], rows[~used], "x", color=MEASURED_COLOUR, ms=6, label="left out")
             axes.set_xlabel(label)
             axes.ticklabel_format(useOffset=False)
         panels[0].set_yticks(rows, data["names"])
@@ -70,13 +70,13 @@ def draw_scales(found: Identification, output: FigureOutput) -> PageFigure:
             axes.grid(axis="y", visible=False)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower left", ncols=4)
-        caption = "One point per weighing. The interval contains their scatter and the scales' own uncertainty."
+        caption = "One point per weighing. The interval includes their scatter and the uncertainty of the scales."
         title = f"{found['mass'].verdict} {found['cg_to_front_axle'].verdict}"
         return save_figure(figure, output, "scales", title, caption)
 
 
 SCALES = Experiment("scales", "mass and CG position from four wheel scales",
-                    "CSV: front_left_kg, front_right_kg, rear_left_kg, rear_right_kg; a row per weighing",
+                    "CSV: front_left_kg, front_right_kg, rear_left_kg, rear_right_kg; one row per weighing",
                     identify_scales, draw_scales)
 
 
@@ -84,7 +84,7 @@ ANGLES = {"steering_wheel": ("deg", "rad"), "left_wheel": ("deg", "rad"), "right
 
 
 def identify_ratio(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
-    """Each file has one or several sweeps, named in a column `series`."""
+    """Identify the steering ratio; each file has one or more sweeps, named in the column `series`."""
     columns, names = [], []
     for file in files:
         table = read_columns(file, ANGLES, texts=("series",))
@@ -95,7 +95,7 @@ def identify_ratio(files: Sequence[Path], setup: Setup) -> tuple[Identification,
 
 
 def draw_ratio(found: Identification, output: FigureOutput) -> PageFigure:
-    """Wheel angles versus steering wheel angle with the fitted line, and its residuals."""
+    """Road-wheel angles versus steering-wheel angle, with the fitted line and its residuals."""
     data, estimate = found.figure, found.estimates[0]
     steering, sweeps = np.degrees(data["steering"]), np.asarray(data["sweeps"])
     with style():
@@ -135,45 +135,46 @@ STEERING_RATIO = Experiment("steering-ratio", "steering ratio from turntables",
 
 LOADS = {"rear_left": ("kg",), "rear_right": ("kg",)}
 RADII = {"front_radius": ("m", "mm"), "rear_radius": ("m", "mm")}
-OTHERS = {"pitch": ("deg", "rad"), "lift": ("m", "mm"), "car_mass": ("kg",)}
+OTHER_COLUMNS = {"pitch": ("deg", "rad"), "lift": ("m", "mm"), "car_mass": ("kg",)}
 
 
 def identify_height(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
-    """Each file has one or several lifts, named in a column `series`."""
+    """Identify the CG height; each file has one or more lifts, named in the column `series`."""
     vehicle = setup.vehicle
     parts, names, masses = [], [], set()
     for file in files:
-        table = read_columns(file, LOADS, {**RADII, **OTHERS}, ("series",))
+        table = read_columns(file, LOADS, {**RADII, **OTHER_COLUMNS}, ("series",))
         series = table.texts.get("series") or ("1",) * len(table)
         names += [f"{file.name}:{name}" for name in series]
         masses |= {mass for mass in table.numbers.get("car_mass", np.zeros(0)).tolist() if np.isfinite(mass)}
         empty = np.full(len(table), np.nan)
         columns = table.numbers
-        parts.append((_pitch(table, vehicle.wheelbase), columns["rear_left"] + columns["rear_right"],
+        parts.append((_read_pitch(table, vehicle.wheelbase), columns["rear_left"] + columns["rear_right"],
                       *(columns.get(name, empty) for name in RADII)))
     if len(masses) > 1:
-        raise RunError(files[0], f"car_mass_kg has several values: {sorted(masses)}", "all rows must be of one car")
+        raise RunError(files[0], f"car_mass_kg has several values: {sorted(masses)}", "give measurements of one car")
     pitch, load, front, rear = (np.concatenate(column) for column in zip(*parts, strict=True))
-    given = masses.pop() if masses else None
-    car = LiftedCar(given or vehicle.mass, vehicle.wheelbase, vehicle.cg_to_front_axle,
-                    0.0 if given else setup.uncertainty_of("mass"), setup.uncertainty_of("wheelbase"))
+    weighed = masses.pop() if masses else None
+    car = LiftedCar(weighed or vehicle.mass, vehicle.wheelbase, vehicle.cg_to_front_axle,
+                    0.0 if weighed else setup.uncertainty_of("mass"), setup.uncertainty_of("wheelbase"))
     return (identify_cg_height(Lift(pitch, load, tuple(names), front, rear), car),)
 
 
-def _pitch(table: Table, wheelbase: float) -> np.ndarray:
+def _read_pitch(table: Table, wheelbase: float) -> np.ndarray:
+    """Pitch of each row [rad], measured or computed from the lift."""
     columns = table.numbers
     if "pitch" in columns:
         if not np.isfinite(columns["pitch"]).all():
             raise RunError(table.file, "a row has no pitch", "fill that cell, or leave the row out")
         return columns["pitch"]
     if "lift" not in columns or not set(RADII) <= set(columns):
-        raise RunError(table.file, "has no column pitch_deg, nor lift_m with front_radius_m and rear_radius_m",
-                       "measure one of the two in every row")
+        raise RunError(table.file, "has neither a column pitch_deg, nor lift_m with front_radius_m and rear_radius_m",
+                       "measure pitch or lift in every row")
     return pitch_from_lift(columns["lift"], columns["front_radius"], columns["rear_radius"], wheelbase)
 
 
 def draw_height(found: Identification, output: FigureOutput) -> PageFigure:
-    """Rear load versus tan(pitch) with the line, and the height from each single row."""
+    """Rear load versus pitch with the fitted line, and the CG height computed from each row alone."""
     data, estimate = found.figure, found.estimates[0]
     pitch, lifts = np.degrees(data["pitch"]), np.asarray(data["lifts"])
     with style():
@@ -195,47 +196,47 @@ def draw_height(found: Identification, output: FigureOutput) -> PageFigure:
         right.legend(fontsize=8)
         low, high = estimate.interval95
         title = f"CG {estimate.value:.3f} m above the ground, 95 % interval {low:.3f} to {high:.3f} m"
-        caption = ("Left: rear load and the line with slope m (h - r) / l over tan(pitch). Right: the height from each "
-                   "row with a lifted axle.")
+        caption = ("Left: rear load, and the fit with the slope m (h - r) / l versus tan(pitch). Right: the height "
+                   "from each row with a lifted axle.")
         return save_figure(figure, output, "cg-height", title, caption)
 
 
 CG_HEIGHT = Experiment("cg-height", "CG height from the axle-lift test (ISO 10392)",
-                       "CSV: pitch_deg, rear_left_kg, rear_right_kg, front_radius_m, rear_radius_m; a row per pitch",
+                       "CSV: pitch_deg, rear_left_kg, rear_right_kg, front_radius_m, rear_radius_m; one row per pitch",
                        identify_height, draw_height)
 
 
-COLUMNS = {"load": ("n", "kn", "kg"), "slip_angle": ("deg", "rad"), "lateral_force": ("n", "kn")}
-# Colours of the three loads, as in the paper but darker on white; then those of further loads.
+TYRE_COLUMNS = {"load": ("n", "kn", "kg"), "slip_angle": ("deg", "rad"), "lateral_force": ("n", "kn")}
+# Colours of three loads as in the paper, but darker on white, and of further loads.
 LOAD_COLOURS = ("#3baa32", "#1792b5", "#d1048b", "#8c6d1f", "#5a5a5a", "#7e2f8e")
 
 
 def identify_lambda(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
-    """Files: flat-plank tables, for the uncertainty of the tyres' stiffness; may be none."""
-    found = {}
-    for table in read_tables(files) if files else ():
+    """Identify the stiffness scale lambda_ky. files: flat-plank tables for the uncertainty of the tyre, or none."""
+    uncertainties = {}
+    for table in read_tyre_tables(files) if files else ():
         axle = table.tyre.removeprefix("tyre_")
         fit = fit_tyre(table, getattr(setup.vehicle, table.tyre))
-        stiffness, spread = fit.stiffness(getattr(setup.vehicle, f"static_tyre_load_{axle}"))
-        found[table.tyre] = StiffnessUncertainty(spread / abs(stiffness), table.name)
-    return (identify_lambda_ky(setup.vehicle, found),)
+        stiffness, uncertainty = fit.stiffness(getattr(setup.vehicle, f"static_tyre_load_{axle}"))
+        uncertainties[table.tyre] = StiffnessUncertainty(uncertainty / abs(stiffness), table.name)
+    return (identify_lambda_ky(setup.vehicle, uncertainties),)
 
 
-def read_tables(files: Sequence[Path]) -> list[FlatPlank]:
-    """All rows of each tyre, from all files. The column `tyre` is front or rear."""
+def read_tyre_tables(files: Sequence[Path]) -> list[FlatPlank]:
+    """One table for each tyre, from the rows of all files; the column `tyre` contains front or rear."""
     rows: dict[str, list[tuple[np.ndarray, ...]]] = {}
     names: dict[str, list[str]] = {}
     for file in files:
-        table = read_columns(file, COLUMNS, texts=("tyre",))
+        table = read_columns(file, TYRE_COLUMNS, texts=("tyre",))
         if table.units["load"] == "kg":
-            raise RunError(file, "column load_kg: a load in newtons is expected", "name it load_n and give newtons")
+            raise RunError(file, "column load_kg: the load must be in newtons", "convert it and name it load_n")
         if "tyre" not in table.texts:
-            raise RunError(file, "has no column tyre", "add one with front or rear in each row")
+            raise RunError(file, "has no column tyre", "add it, with front or rear in each row")
         axle = np.array([word.lower().removeprefix("tyre_") for word in table.texts["tyre"]])
         for word in dict.fromkeys(axle.tolist()):
             if word not in ("front", "rear"):
                 raise RunError(file, f"tyre is {word[:40]!r} in a row", "write front or rear")
-            columns = (table.numbers[name][axle == word] for name in COLUMNS)
+            columns = (table.numbers[name][axle == word] for name in TYRE_COLUMNS)
             rows.setdefault(f"tyre_{word}", []).append(tuple(columns))
             names.setdefault(f"tyre_{word}", []).append(file.name)
     tables = []
@@ -246,7 +247,7 @@ def read_tables(files: Sequence[Path]) -> list[FlatPlank]:
 
 
 def draw_tyre(found: Identification, output: FigureOutput) -> PageFigure:
-    """Measured and fitted force, residuals, and stiffness versus load."""
+    """Measured and fitted lateral force, residuals, and stiffness versus load."""
     data = found.figure
     slip = np.degrees(data["slip"])
     with style():
@@ -256,8 +257,8 @@ def draw_tyre(found: Identification, output: FigureOutput) -> PageFigure:
             left.plot(slip[row], data["force"][row], "o", color=colour, ms=3)
             left.plot(np.degrees(data["grid"]), data["curves"][k], color=colour, label=f"{load:.0f} N")
             middle.plot(slip[row], data["residuals"][row], "o", color=colour, ms=3)
-            value, spread = np.abs(data["stiffness"][k])
-            right.errorbar(load, value / 1e3, 1.96 * spread / 1e3, fmt="o", color=colour, ms=4)
+            value, deviation = np.abs(data["stiffness"][k])
+            right.errorbar(load, value / 1e3, 1.96 * deviation / 1e3, fmt="o", color=colour, ms=4)
         left.set(xlabel="slip angle, deg (sliding to the left +)", ylabel="lateral force, N")
         left.legend(title="load", fontsize=8)
         middle.axhline(0.0, color=TEXT, lw=0.8)
@@ -266,7 +267,7 @@ def draw_tyre(found: Identification, output: FigureOutput) -> PageFigure:
         right.set(ylim=(0.0, None), xlabel="load, N", ylabel="cornering stiffness, kN/rad")
         share = 100.0 * np.sqrt(np.mean(data["residuals"] ** 2)) / np.abs(data["force"]).max()
         axle = data["tyre"].removeprefix("tyre_")
-        title = f"Magic Formula of the {axle} tyre: {share:.2f} % of the largest force unexplained"
+        title = f"Magic Formula of the {axle} tyre: RMS residual {share:.2f} % of the largest force"
         return save_figure(figure, output, data["tyre"].replace("_", "-"), title,
                            "Points: measured. Lines: Magic Formula. Bars: 95 % interval of the stiffness at zero slip.")
 
@@ -274,7 +275,7 @@ def draw_tyre(found: Identification, output: FigureOutput) -> PageFigure:
 TYRE = Experiment("tyre", "Magic Formula parameters from flat-plank tables",
                   "CSV: tyre (front or rear), load_n, slip_angle_deg, lateral_force_n",
                   lambda files, setup: tuple(identify_magic_formula(table, getattr(setup.vehicle, table.tyre))
-                                             for table in read_tables(files)), draw_tyre)
+                                             for table in read_tyre_tables(files)), draw_tyre)
 LAMBDA = Experiment("lambda", "stiffness scale of the Magic Formula from the axle's stiffness",
                     "none, or the flat-plank tables for the uncertainty of the tyre", identify_lambda,
                     files_needed=False)
