@@ -16,9 +16,9 @@ PAGE = project_root() / "docs" / "measurements" / "mpc.md"
 def run() -> dict:
     """By constraint; see examples/mpc/corridor.py."""
     sys.path.insert(0, str(project_root() / "examples" / "mpc"))
-    from corridor import compared
+    from corridor import compare
 
-    found = compared(int(os.environ.get("ST_CORRIDOR_SEEDS", "50")), MODEL)
+    found = compare(int(os.environ.get("ST_CORRIDOR_SEEDS", "50")), MODEL)
     rows = [{"constraint": name, "cars": str(one["seeds"]), "touch a post": str(one["violations"]),
              "deepest, m": f"{one['deepest']:.2f}", "median depth, m": f"{one['depth_median']:.2f}",
              "rms from the road, m": f"{one['error_rms']:.3f}", "cost": f"{one['cost']:.2f}"}

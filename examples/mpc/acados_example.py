@@ -1,10 +1,10 @@
-"""The exported model in acados: loads the .casadi files, passes on dynamics, step, names and bounds.
+"""Loads an exported model (.casadi files) and uses it in acados, with its names and bounds.
 
     ./st export nonlinear --output build/nonlinear
     ./st shell -- python examples/mpc/acados_example.py build/nonlinear
 
-Without acados the functions are only loaded and checked against each other. With it (acados_template installed,
-ACADOS_SOURCE_DIR set) an integrator is built and compared with the exported step.
+Without acados it only loads the functions and compares the step with the dynamics. With acados (acados_template
+installed, ACADOS_SOURCE_DIR set) it also builds an integrator and compares that with the exported step.
 """
 
 import importlib.util
@@ -19,7 +19,7 @@ import numpy as np
 
 @dataclass
 class Imported:
-    """An exported model with symbols around it. bounds: (lower, upper), infinite where the file has none."""
+    """An exported model with symbols of its states, inputs and parameters. *_bounds: lower and upper, or infinite."""
 
     description: dict
     x: casadi.SX
@@ -32,7 +32,7 @@ class Imported:
 
 
 def load(folder: Path) -> Imported:
-    """What `st export --format casadi` wrote."""
+    """The model in a folder written by `st export --format casadi`."""
     description = json.loads((folder / "model.json").read_text(encoding="utf-8"))
     name = description["model"]
     dynamics, step = (casadi.Function.load(str(folder / f"{name}_{kind}.casadi")) for kind in ("dynamics", "step"))
@@ -49,8 +49,8 @@ def _bounds(entries: list[dict]) -> tuple[np.ndarray, np.ndarray]:
     return np.array(lower), np.array(upper)
 
 
-def acados_model(model: Imported):
-    """The model as acados expects it: explicit and implicit dynamics over SX symbols."""
+def make_acados_model(model: Imported):
+    """The model as acados expects it, with explicit and implicit dynamics of SX symbols."""
     from acados_template import AcadosModel
 
     result = AcadosModel()
@@ -61,7 +61,7 @@ def acados_model(model: Imported):
 
 
 def constrain(ocp, model: Imported) -> None:
-    """Bounds of the file as box constraints of an acados OCP; states without bounds are left out."""
+    """Set the bounds of the file as box constraints of an acados OCP; states without bounds have none."""
     lower, upper = model.state_bounds
     chosen = np.flatnonzero(np.isfinite(lower) & np.isfinite(upper))
     ocp.constraints.idxbx, ocp.constraints.lbx, ocp.constraints.ubx = chosen, lower[chosen], upper[chosen]
@@ -69,8 +69,8 @@ def constrain(ocp, model: Imported) -> None:
     ocp.constraints.lbu, ocp.constraints.ubu = model.input_bounds
 
 
-def difference(model: Imported, x: np.ndarray, u: np.ndarray, h: float) -> float:
-    """Largest difference between the exported step and Runge-Kutta over the expression passed to acados."""
+def largest_difference(model: Imported, x: np.ndarray, u: np.ndarray, h: float) -> float:
+    """Largest difference between the exported step and Runge-Kutta integration of the dynamics passed to acados."""
     values = [q["value"] for q in model.description["parameters"]]
     f = casadi.Function("f", [model.x, model.u], [casadi.substitute(model.rates, model.p, casadi.DM(values))]
                         if values else [model.rates])
@@ -87,7 +87,7 @@ def integrate_with_acados(model: Imported, x: np.ndarray, u: np.ndarray, h: floa
     from acados_template import AcadosSim, AcadosSimSolver
 
     sim = AcadosSim()
-    sim.model = acados_model(model)
+    sim.model = make_acados_model(model)
     sim.solver_options.T, sim.solver_options.integrator_type = h, "ERK"
     sim.solver_options.num_stages, sim.solver_options.num_steps = 4, model.description["substeps"]
     sim.parameter_values = np.array([q["value"] for q in model.description["parameters"]])
@@ -102,7 +102,7 @@ def main() -> int:
     x = np.zeros(model.x.numel())
     x[2], u = 10.0, np.array([0.05, 0.5])
     print(f"{model.description['model']}: {model.x.numel()} states, {model.u.numel()} inputs, "
-          f"{model.p.numel()} parameters; expression against exported step: {difference(model, x, u, 0.05):.1e}")
+          f"{model.p.numel()} parameters; dynamics against exported step: {largest_difference(model, x, u, 0.05):.1e}")
     if importlib.util.find_spec("acados_template") is None:
         print("acados_template is not installed: the comparison with acados is skipped")
         return 0

@@ -1,4 +1,4 @@
-"""Closed loop of virtual car, road and controller; the tracking error is measured at the CG every 20 ms."""
+"""Drives the virtual car along a road with the controller, and measures the tracking error at the CG."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -10,18 +10,16 @@ from st_sim.scenarios import Plan
 from st_sim.settings import Settings
 from st_sim.simulation import ControlledCar
 
-MAX_DISTANCE = 4.0
-"""m from the road, at which a drive ends: the behaviour beyond is meaningless."""
-SAMPLING_TIME = 0.02
-"""s between two measurements of the tracking error."""
+MAX_DISTANCE = 4.0  # m from the road; a drive ends there, because the car has left the road
+SAMPLING_TIME = 0.02  # s between measurements of the tracking error
 
 
 @dataclass(frozen=True)
 class Drive:
-    """Figures of one drive. error_*: distance of the CG from the road [m]; speed_rms: of the speed error [m/s].
+    """Results of one drive. error_*: distance of the CG from the road [m]; speed_rms: of the speed error [m/s].
 
-    wall_*, cpu_*: of one solution [ms]; its median, 95th and largest; iterations: median. unsolved: number of
-    solutions the solver gave up on. finished: False when the car left the road, after `duration` [s].
+    wall_*, cpu_*: median, 95th percentile and largest time of a solution [ms]. iterations: median. unsolved: number of
+    steps that the solver did not solve. finished: False if the car left the road, after `duration` [s].
     """
 
     error_rms: float
@@ -44,13 +42,13 @@ class Drive:
 
 
 class Road:
-    """The road of a plan. distance: of its point nearest to the car, along the road [m]."""
+    """The road of a plan. distance: along the road to its point nearest to the car [m]."""
 
     def __init__(self, plan: Plan):
         self.plan, self.distance = plan, plan.start
 
     def track(self, x: float, y: float) -> float:
-        """Move to the road point nearest to (x, y); distance of (x, y) from the road [m], left +."""
+        """Update `distance` for a car at (x, y); returns the distance of the car from the road [m, left +]."""
         for _ in range(3):
             road = self.plan.path.pose(self.distance)
             self.distance += math.cos(road.yaw) * (x - road.x) + math.sin(road.yaw) * (y - road.y)
@@ -58,7 +56,7 @@ class Road:
         return math.cos(road.yaw) * (y - road.y) - math.sin(road.yaw) * (x - road.x)
 
     def ahead(self, steps: int, step: float) -> Reference:
-        """Reference at the end of each step for a car at the speed of the road."""
+        """Reference at the end of each step for a car that drives at the speed of the plan."""
         rows, distance = [], self.distance
         for _ in range(steps):
             middle = distance + 0.5 * step * self.plan.speed_at(distance)
@@ -69,9 +67,9 @@ class Road:
 
 def drive(controller: Controller, car: Car, settings: Settings, plan: Plan, duration: float,
           seed: int = 0) -> tuple[Drive, np.ndarray]:
-    """Drive a plan; its figures, and rows (time, x, y, distance from the road, speed error, commanded angle).
+    """Drive a plan; returns its results, and rows (time, x, y, distance from the road, speed error, commanded angle).
 
-    Commands act without the delay of the solver, whose time is only measured.
+    The time of the solver is measured but does not delay its commands.
     """
     road, plant = Road(plan), ControlledCar(car, settings, seed)
     here = plan.path.pose(plan.start)
@@ -85,18 +83,18 @@ def drive(controller: Controller, car: Car, settings: Settings, plan: Plan, dura
         for _ in range(round(step / SAMPLING_TIME)):
             plant.advance(SAMPLING_TIME, *solution.inputs)
             x, y, speed, *_ = plant.state
-            off = road.track(x, y)
-            rows.append((plant.time, x, y, off, speed - plan.speed_at(road.distance), solution.inputs[0]))
-        finished = abs(off) < MAX_DISTANCE
+            offset = road.track(x, y)
+            rows.append((plant.time, x, y, offset, speed - plan.speed_at(road.distance), solution.inputs[0]))
+        finished = abs(offset) < MAX_DISTANCE
     table = np.array(rows)
     # The first solution has no warm start.
     wall = 1e3 * np.array([s.wall for s in solutions[1:]])
     cpu = 1e3 * np.array([s.cpu for s in solutions[1:]])
-    figures = Drive(
+    results = Drive(
         error_rms=float(np.sqrt(np.mean(table[:, 3] ** 2))), error_max=float(np.max(np.abs(table[:, 3]))),
         speed_rms=float(np.sqrt(np.mean(table[:, 4] ** 2))), wall_median=float(np.median(wall)),
         wall_p95=float(np.percentile(wall, 95)), wall_max=float(np.max(wall)), cpu_median=float(np.median(cpu)),
         cpu_p95=float(np.percentile(cpu, 95)), cpu_max=float(np.max(cpu)),
         iterations=float(np.median([s.iterations for s in solutions[1:]])), solutions=len(solutions),
         unsolved=sum(not s.solved for s in solutions), duration=float(plant.time), finished=finished)
-    return figures, table
+    return results, table

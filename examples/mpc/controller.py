@@ -1,11 +1,11 @@
-"""Nonlinear model predictive control of a car along a road, with any model of the suite inside.
+"""Nonlinear model predictive control of a car along a road, with any model of the suite.
 
     min  sum_k  q_n n_k^2 + q_c c_k^2 + q_s s_k^2 + q_v (v_k - v_ref,k)^2 + r_d (d_delta_k)^2 + r_a (d_a_k)^2
     s.t. x_{k+1} = F(x_k, u_k, h),  u_k = u_{k-1} + d_k,  bounds on u and d
          low_k - e_k <= n_k <= high_k + e_k,  e_k >= 0, with r_e e_k^2 added to the sum     (corridor only)
 
 n, s: distance from the reference point across and along the road [m]; c: velocity across the road [m/s]; d: change of
-the inputs from one step to the next. F is `step` of st_core.backends.casadi_backend; multiple shooting.
+the inputs from one step to the next. F is `step` of st_core.backends.casadi_backend. The method is multiple shooting.
 """
 
 from dataclasses import dataclass, field
@@ -26,17 +26,17 @@ SOLVERS = {
                           "qpsol_options": {"print_time": False, "print_iter": False, "print_header": False,
                                             "print_info": False, "error_on_fail": False}}),
 }
-"""ipopt: solved to convergence at each step. rti, real-time iteration: one quadratic program per step (SQP with qrqp,
-Gauss-Newton Hessian, full steps), started from the solution of the previous step."""
+"""ipopt solves each step to convergence. rti (real-time iteration) solves one quadratic program per step, started from
+the previous solution: SQP with qrqp, Gauss-Newton Hessian, full steps."""
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """Weights [1 / unit^2], limits and the prediction step h [s], which is also the time between two decisions.
+    """Weights [1 / unit^2], limits, and the prediction step h [s], which is also the time between two decisions.
 
     across, course, along, speed: q_n, q_c, q_s, q_v. steering_change, acceleration_change: r_d, r_a. angle [rad],
-    acceleration [m/s^2]: bounds of u; angle_change, acceleration_step: of d. substeps: at 3 m/s the tyre dynamics are
-    too stiff for one Runge-Kutta step of 0.1 s. outside: r_e [1/m^2]; a feasible corridor is left by millimetres only.
+    acceleration [m/s^2]: bounds of u; angle_change, acceleration_step: of d. substeps: of a step, for which the tyre
+    dynamics are too stiff at 3 m/s. outside: r_e [1/m^2]; a feasible corridor is left by millimetres only.
     """
 
     step: float = 0.1
@@ -55,7 +55,7 @@ class Tuning:
 
 
 class Reference(NamedTuple):
-    """The road at the end of each step: (steps,) each; x, y [m], yaw of the road [rad], speed [m/s]."""
+    """Position [m] and yaw [rad] of the road and speed [m/s] at the end of each step, (steps,) each."""
 
     x: np.ndarray
     y: np.ndarray
@@ -64,10 +64,10 @@ class Reference(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """inputs: (road_wheel_angle, velocity_x_dot) for the next step. planned: (steps, 2), those of every step.
+    """inputs: (road_wheel_angle [rad], velocity_x_dot [m/s^2]) for the next step. planned: of every step, (steps, 2).
 
-    predicted: (steps, states), at the end of each. wall, cpu: time of the solver [s]. solved: False if ipopt did not
-    converge, or the result of rti is not finite; the inputs are then the last iterate, or the last inputs.
+    predicted: (steps, states), at the end of each step. wall, cpu: time of the solver [s]. solved: False if ipopt did
+    not converge (inputs: of its last iterate), or the result is not finite (inputs: the previous ones).
     """
 
     inputs: tuple[float, float]
@@ -81,9 +81,9 @@ class Solution(NamedTuple):
 
 @dataclass
 class Controller:
-    """One model, one horizon. Call `control` every `tuning.step` seconds; it starts from its last solution.
+    """Controller with one model and horizon. Call `control` every `tuning.step` [s]; it starts from its last solution.
 
-    corridor: whether `control` is given limits of the distance from the road.
+    corridor: whether `control` gets limits of the distance from the road.
     """
 
     model: Model
@@ -96,14 +96,14 @@ class Controller:
     def __post_init__(self):
         self.symbolic = build(self.model, self.vehicle, self.tuning.substeps)
         if self.symbolic.parameters:
-            raise ValueError(f"model {self.model.name} needs {self.symbolic.parameters[0].name}, which has no value")
+            raise ValueError(f"model {self.model.name}: {self.symbolic.parameters[0].name} has no value; fix it first")
         self._states = len(self.symbolic.states)
         self._last = (0.0, 0.0)
         self._guess: np.ndarray | None = None
         self._duals = None
-        self._make()
+        self._build_problem()
 
-    def _make(self) -> None:
+    def _build_problem(self) -> None:
         t, n, steps = self.tuning, self._states, self.steps
         limits = steps if self.corridor else 0
         unknown = casadi.MX.sym("unknown", (2 + n) * steps + limits)
@@ -116,7 +116,7 @@ class Controller:
             gaps.append(self.symbolic.step(x, u, t.step) - ahead)
             change = u - last
             weights = casadi.vertcat(t.steering_change ** 0.5, t.acceleration_change ** 0.5)
-            residuals += [self._stage(ahead, u, road[:, k]), weights * change]
+            residuals += [self._stage_residuals(ahead, u, road[:, k]), weights * change]
             changes.append(change)
             x, last = ahead, u
         outside, bounds = unknown[(2 + n) * steps:], given[n + 2 + 4 * steps:]
@@ -138,7 +138,7 @@ class Controller:
 
     @staticmethod
     def _gauss_newton(unknown, given, residuals, constraints):
-        """2 J' J in place of the second derivatives: never indefinite, so every quadratic program has a minimum."""
+        """Hessian 2 J' J, which is never indefinite, so that every quadratic program has a minimum."""
         jacobian = casadi.jacobian(residuals, unknown)
         scale, multipliers = casadi.MX.sym("scale"), casadi.MX.sym("multipliers", constraints.numel())
         return casadi.Function("hessian", [unknown, given, scale, multipliers],
@@ -149,7 +149,7 @@ class Controller:
     def _across(x, road):
         return casadi.cos(road[2]) * (x[1] - road[1]) - casadi.sin(road[2]) * (x[0] - road[0])
 
-    def _stage(self, x, u, road):
+    def _stage_residuals(self, x, u, road):
         t = self.tuning
         sine, cosine = casadi.sin(road[2]), casadi.cos(road[2])
         off_x, off_y = x[0] - road[0], x[1] - road[1]
@@ -160,16 +160,16 @@ class Controller:
                               t.speed ** 0.5 * (x[2] - road[3]))
 
     def reset(self) -> None:
-        """Discard the last solution, as before another drive."""
+        """Discard the last solution; call it before another drive."""
         self._last, self._guess, self._duals = (0.0, 0.0), None, None
 
     def control(self, state: tuple[float, ...], road: Reference,
                 corridor: tuple[np.ndarray, np.ndarray] | None = None,
                 measured: tuple[float, float] | None = None) -> Solution:
-        """The inputs for the next step from the six states at the CG; yaw and the yaw of the road need no wrapping.
+        """Inputs for the next step from the six states at the CG; the yaw of car and road need not be wrapped.
 
-        corridor: least and largest distance from the road at the end of each step, left + (steps,) [m].
-        measured: present inputs; needed where the car does not follow the last solution.
+        corridor: limits of the distance from the road at the end of each step, left +, (steps,) each [m]. measured:
+        present inputs, required if the car does not follow the last solution.
         """
         self._last = self._last if measured is None else measured
         start = self.symbolic.start(state, self._last).full().ravel()

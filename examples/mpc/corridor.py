@@ -1,14 +1,14 @@
-"""A constraint tightened by a calibrated band: cars that differ from the controller's model pass through gates.
+"""Tightens a constraint of a controller with a calibrated band: cars that differ from its model pass through gates.
 
     ./st shell -- python examples/mpc/corridor.py              50 seeds, with and without tightening
     ./st shell -- python examples/mpc/corridor.py --seeds 5
 
-A straight road at 10 m/s with three gates; the controller stays as close to the road as the gates allow, so it passes
-close to their posts. Every seed is another car: mass, tyres, friction and steering are drawn around the vehicle file
-(SPREAD). Bands of the controller's model over its horizon are calibrated on drives of other such cars through other
-gates. The tightened controller keeps a distance from every post: the lateral half-width of the band at each point of
-its horizon. A variant limits it to its value NEAR seconds ahead, because later decisions correct the rest. Writes
-corridor.json. docs/manual/mpc.md explains the result.
+The road is straight and has three gates. At 10 m/s the controller stays as close to the road as the gates allow, so it
+passes close to their posts. Each seed is another car with random mass, tyres, friction and steering (DEVIATIONS). Bands
+of the controller's model over its horizon are calibrated on drives of other random cars through other gates. With
+tightening, the controller keeps the lateral half-width of the band at each point of its horizon as a distance from
+every post. A variant limits this distance to its value NEAR seconds ahead, because later decisions correct larger
+errors. Writes corridor.json; docs/manual/mpc.md explains the result.
 """
 
 import argparse
@@ -35,25 +35,21 @@ from st_sim.scenarios import RoadPlan
 from st_sim.settings import REALISTIC, Settings
 from st_sim.simulation import ControlledCar
 
-SPEED, DURATION, HORIZON = 10.0, 20.0, 2.5
-SPREAD = {"mass_factor": 0.04, "front_stiffness_factor": 0.08, "rear_stiffness_factor": 0.08, "friction_factor": 0.05,
-          "steering_offset": 0.006, "steering_ratio_factor": 0.02}
-"""One standard deviation, of a factor or of the value [rad]."""
-CALIBRATION_CARS, LEVELS = 32, (0.9, 0.95)
-"""Number of cars on whose drives the bands are calibrated, and levels of the bands; n cars allow at most n/(n + 1)."""
-NEAR = 0.5
-"""s ahead: five decisions later."""
+SPEED, DURATION, HORIZON = 10.0, 20.0, 2.5  # m/s, s, s
+DEVIATIONS = {  # standard deviations of the settings of the plant; of the offset in rad
+    "mass_factor": 0.04, "front_stiffness_factor": 0.08, "rear_stiffness_factor": 0.08, "friction_factor": 0.05,
+    "steering_offset": 0.006, "steering_ratio_factor": 0.02}
+CALIBRATION_CARS, LEVELS = 32, (0.9, 0.95)  # on their drives bands are calibrated; n cars allow levels up to n/(n + 1)
+NEAR = 0.5  # s ahead, after five decisions
 SETTINGS = EvaluationSettings(PredictionSettings(horizon=HORIZON))
-GATE_STARTS = (50.0, 115.0, 180.0)
-"""m along the road."""
-MIN_VIOLATION = 0.01
-"""m beyond a post, from which a pass counts as a violation."""
+GATE_STARTS = (50.0, 115.0, 180.0)  # m along the road
+MIN_VIOLATION = 0.01  # m beyond a post, from which on a pass counts as a violation
 
 
 class Margin(NamedTuple):
-    """Distance kept from every post: the lateral half-width of the band, at most its value `until` [s] ahead.
+    """Distance to keep from every post: the lateral half-width of the band, at most its value `until` [s] ahead.
 
-    half_widths: of `half_width_function`, as `st export --bands` writes it. domain: conditions of the calibration.
+    half_widths: function that `st export --bands` writes. domain: conditions for which the band is calibrated.
     """
 
     half_widths: casadi.Function
@@ -62,7 +58,7 @@ class Margin(NamedTuple):
 
 
 class Gate(NamedTuple):
-    """begin, end: along the road [m]. The CG passes at least `clearance` [m] to its left (side 1) or right (-1)."""
+    """From begin to end [m along the road] the CG must be `clearance` [m] or more left (side 1) or right (-1) of it."""
 
     begin: float
     end: float
@@ -71,8 +67,11 @@ class Gate(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """depth: largest distance beyond a post [m], <= 0 without contact. error: rms distance from the road [m]. cost:
-    mean of the controller's q_n n^2 + q_v (v - v_ref)^2 + r_d d_delta^2 over the drive. log: of the drive."""
+    """Result of one drive.
+
+    depth: largest distance beyond a post [m], <= 0 without contact. error: rms distance from the road [m]. cost: mean
+    of q_n n^2 + q_v (v - v_ref)^2 + r_d d_delta^2, as in the controller. log: the measurements.
+    """
 
     depth: float
     error: float
@@ -81,15 +80,15 @@ class Outcome(NamedTuple):
 
 
 def make_gates(generator: np.random.Generator | None = None) -> list[Gate]:
-    """Three random gates; without a generator those of the comparison."""
+    """Three random gates; without a generator, the gates of the comparison."""
     if generator is None:
-        return [Gate(b, b + 6.0, side, 1.2) for b, side in zip(GATE_STARTS, (1, -1, 1), strict=True)]
-    begins = np.array(GATE_STARTS) + generator.uniform(-6.0, 6.0, 3)
-    return [Gate(b, b + 6.0, int(generator.choice([-1, 1])), generator.uniform(0.5, 1.5)) for b in begins]
+        return [Gate(start, start + 6.0, side, 1.2) for start, side in zip(GATE_STARTS, (1, -1, 1), strict=True)]
+    starts = np.array(GATE_STARTS) + generator.uniform(-6.0, 6.0, 3)
+    return [Gate(start, start + 6.0, int(generator.choice([-1, 1])), generator.uniform(0.5, 1.5)) for start in starts]
 
 
 def limits(gates: Sequence[Gate], distances: np.ndarray, margin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest distance from the road at distances along it (n,); margin: kept from every post (n,) [m]."""
+    """Limits of the distance from the road (left +) at distances along it, with a margin to posts; (n,) each [m]."""
     low, high = np.full(len(distances), -4.0), np.full(len(distances), 4.0)
     for gate in gates:
         at_gate = (distances >= gate.begin) & (distances <= gate.end)
@@ -101,17 +100,17 @@ def limits(gates: Sequence[Gate], distances: np.ndarray, margin: np.ndarray) -> 
 
 
 def plant_settings(seed: int) -> Settings:
-    """Random settings of the plant of a seed."""
-    draw = np.random.default_rng([21, seed])
+    """Random settings of the plant for a seed."""
+    generator = np.random.default_rng([21, seed])
     values = dict(REALISTIC)
-    for name, spread in SPREAD.items():
-        values[name] += spread * float(np.clip(draw.standard_normal(), -2.5, 2.5))
+    for name, deviation in DEVIATIONS.items():
+        values[name] += deviation * float(np.clip(generator.standard_normal(), -2.5, 2.5))
     return values
 
 
 def drive(controller: Controller, car: Car, vehicle: VehicleParameters, gates: Sequence[Gate], seed: int,
           tightening: Margin | None = None) -> Outcome:
-    """One drive; tightening: distance kept from every post, None for none."""
+    """Drive a car through the gates. tightening: None for constraints without a margin."""
     controller.reset()
     plan = RoadPlan(straight(400.0, SPEED))
     road, plant, step = Road(plan), ControlledCar(car, plant_settings(seed), seed), controller.tuning.step
@@ -122,8 +121,8 @@ def drive(controller: Controller, car: Car, vehicle: VehicleParameters, gates: S
         road.track(*plant.state[:2])
         ahead = road.ahead(controller.steps, step)
         if tightening is not None:
-            # Outside the calibrated conditions the last band is used.
-            current = _margin(tightening, plant.state, angles, acceleration, step)
+            # Outside the calibrated conditions the last margin is kept.
+            current = _compute_margin(tightening, plant.state, angles, acceleration, step)
             margin = margin if current is None else current
         along = road.distance + step * SPEED * np.arange(1, controller.steps + 1)
         angle, acceleration = controller.control(plant.state, ahead, limits(gates, along, margin)).inputs
@@ -131,31 +130,31 @@ def drive(controller: Controller, car: Car, vehicle: VehicleParameters, gates: S
         for _ in range(round(step / SAMPLING_TIME)):
             rows.append((plant.time, *plant.state, angle))
             plant.advance(SAMPLING_TIME, angle, acceleration)
-            off = road.track(*plant.state[:2])
+            offset = road.track(*plant.state[:2])
             low, high = limits(gates, np.array([road.distance]), np.zeros(1))
-            depth = max(depth, float(low[0]) - off, off - float(high[0]))
+            depth = max(depth, float(low[0]) - offset, offset - float(high[0]))
     table, tuning = np.array(rows), controller.tuning
     cost = (tuning.across * np.mean(table[:, 2] ** 2) + tuning.speed * np.mean((table[:, 3] - SPEED) ** 2)
             + tuning.steering_change * np.mean(np.diff(angles) ** 2))
-    return Outcome(depth, float(np.sqrt(np.mean(table[:, 2] ** 2))), float(cost), _log(table, vehicle, seed))
+    return Outcome(depth, float(np.sqrt(np.mean(table[:, 2] ** 2))), float(cost), _make_log(table, vehicle, seed))
 
 
-def _margin(tightening: Margin, state: Sequence[float], angles: Sequence[float], acceleration: float,
+def _compute_margin(tightening: Margin, state: Sequence[float], angles: Sequence[float], acceleration: float,
             step: float) -> np.ndarray | None:
-    """Distance to keep at the end of each step [m]; None outside the calibrated conditions."""
-    at = np.interp(np.arange(-1.0, 0.01, 0.05), step * np.arange(-10, 1), angles[-11:])
-    activity = float(steering_activity(at))
-    here = conditions(state[2], state[5], acceleration, activity)[None]
-    if not tightening.domain(here)[0]:
+    """Distance to keep from posts at the end of each step [m]; None outside the calibrated conditions."""
+    last_second = np.interp(np.arange(-1.0, 0.01, 0.05), step * np.arange(-10, 1), angles[-11:])
+    activity = float(steering_activity(last_second))
+    condition = conditions(state[2], state[5], acceleration, activity)[None]
+    if not tightening.domain(condition)[0]:
         return None
-    every = round(step / SETTINGS.prediction.step)
+    stride = round(step / SETTINGS.prediction.step)
     widths = np.asarray(tightening.half_widths(state[:6], (angles[-1], acceleration), activity))
-    across = widths[every - 1::every, 1]
+    across = widths[stride - 1::stride, 1]
     return np.minimum(across, across[round(tightening.until / step) - 1])
 
 
-def _log(table: np.ndarray, vehicle: VehicleParameters, seed: int) -> DriveLog:
-    """The drive as an INS without noise would have recorded it, with the commanded steering."""
+def _make_log(table: np.ndarray, vehicle: VehicleParameters, seed: int) -> DriveLog:
+    """The drive as recorded by an INS without noise, with the commanded steering."""
     time, x, y, forward, across, yaw, rate, angle = table.T
     time_ns = np.round(time * 1e9).astype(np.int64)
     d_x, d_y = vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
@@ -166,10 +165,10 @@ def _log(table: np.ndarray, vehicle: VehicleParameters, seed: int) -> DriveLog:
 
 def calibrate_band(controller: Controller, car: Car, vehicle: VehicleParameters,
                    model: str) -> tuple[Band, CalibrationDomain]:
-    """Band of the hindsight predictions, because the controller knows its future inputs; and its domain."""
+    """Band and domain of hindsight predictions, which have known future inputs like those of the controller."""
     runs = []
-    for k in range(CALIBRATION_CARS):
-        log = drive(controller, car, vehicle, make_gates(np.random.default_rng([22, k])), 1000 + k).log
+    for seed in range(CALIBRATION_CARS):
+        log = drive(controller, car, vehicle, make_gates(np.random.default_rng([22, seed])), 1000 + seed).log
         runs.append(error_samples([get_model(model)], vehicle, SETTINGS.signals(log), SETTINGS))
     time = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
     band = calibrate(runs, (model, "hindsight"), time, LEVELS)
@@ -181,23 +180,24 @@ def compare(seeds: int, model: str) -> dict[str, dict[str, float]]:
     file = config("vehicle/leaf.yaml")
     vehicle, car, tuning = VehicleParameters.from_yaml(file.read_text(), str(file)), read_car(file), Tuning()
     controller = Controller(get_model(model), vehicle, round(HORIZON / tuning.step), tuning, "rti", corridor=True)
-    (band, domain), found = calibrate_band(controller, car, vehicle, model), {}
+    (band, domain), summaries = calibrate_band(controller, car, vehicle, model), {}
     narrow, wide = (make_half_width_function(band, level, vehicle) for level in LEVELS)
     variants = {"as it is": None, "tightened": Margin(narrow, domain, HORIZON),
             f"tightened as {NEAR:g} s ahead": Margin(narrow, domain, NEAR),
             f"{LEVELS[1]:.0%} band, as {NEAR:g} s ahead": Margin(wide, domain, NEAR)}
-    for name, used in variants.items():
-        found[name] = summarise([drive(controller, car, vehicle, make_gates(), seed, used) for seed in range(seeds)])
-        print(name, found[name], flush=True)
-    return found
+    for name, margin in variants.items():
+        summaries[name] = summarise([drive(controller, car, vehicle, make_gates(), seed, margin)
+                                     for seed in range(seeds)])
+        print(name, summaries[name], flush=True)
+    return summaries
 
 
-def summarise(drives: Sequence[Outcome]) -> dict[str, float]:
-    """Number and depth of violations [m], error [m] and cost over all cars."""
-    depths = np.array([one.depth for one in drives])
-    return {"seeds": len(drives), "violations": int((depths > MIN_VIOLATION).sum()), "deepest": float(depths.max()),
-            "depth_median": float(np.median(depths)), "error_rms": float(np.mean([one.error for one in drives])),
-            "cost": float(np.mean([one.cost for one in drives]))}
+def summarise(outcomes: Sequence[Outcome]) -> dict[str, float]:
+    """Number and depth of violations [m], mean error [m] and mean cost over all cars."""
+    depths, errors, costs = np.array([(outcome.depth, outcome.error, outcome.cost) for outcome in outcomes]).T
+    return {"seeds": len(outcomes), "violations": int((depths > MIN_VIOLATION).sum()), "deepest": float(depths.max()),
+            "depth_median": float(np.median(depths)), "error_rms": float(np.mean(errors)),
+            "cost": float(np.mean(costs))}
 
 
 def main() -> int:
@@ -207,8 +207,8 @@ def main() -> int:
     parser.add_argument("--output", type=Path, help="folder; default runs/corridor-<time>")
     options = parser.parse_args()
     folder = new_folder(options.output, "corridor")
-    found = compare(options.seeds, options.model)
-    (folder / "corridor.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    summaries = compare(options.seeds, options.model)
+    (folder / "corridor.json").write_text(json.dumps(summaries, indent=1) + "\n", encoding="utf-8")
     print(folder)
     return 0
 

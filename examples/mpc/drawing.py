@@ -1,4 +1,4 @@
-"""Figures of the example, in the style of the suite."""
+"""Draws the figures of nmpc.py in the style of the suite."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,30 +17,30 @@ SOLVER_NAME = {"rti": "real-time iteration (SQP, qrqp)", "ipopt": "IPOPT to conv
 
 
 def draw_trade_off(rows: list[dict], titles: Mapping[str, str], file: Path) -> None:
-    """Tracking error against processor time: a line per model and solver, a point per horizon."""
+    """Draw tracking error over processor time, with a line per model and solver and a point per horizon."""
     with plt.rc_context(RC):
         figure, axes = plt.subplots(1, len(titles), figsize=(3.6 * len(titles) + 0.6, 3.9), squeeze=False, sharex=True,
                                     sharey=True)
         for axis, (road, title) in zip(axes[0], titles.items(), strict=True):
             axis.loglog()
-            here = [row for row in rows if row["road"] == road]
-            for solver, model in dict.fromkeys((row["solver"], row["model"]) for row in here):
-                _line(axis, [r for r in here if (r["solver"], r["model"]) == (solver, model)], solver, model)
+            on_road = [row for row in rows if row["road"] == road]
+            for solver, model in dict.fromkeys((row["solver"], row["model"]) for row in on_road):
+                _draw_line(axis, [r for r in on_road if (r["solver"], r["model"]) == (solver, model)], solver, model)
             axis.set(title=title, xlabel="processor time per solution, median [ms]")
         for scale in (axes[0][0].xaxis, axes[0][0].yaxis):
             scale.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             scale.set_major_formatter(FormatStrFormatter("%g"))
             scale.set_minor_formatter(NullFormatter())
         axes[0][0].set_ylabel("distance from the road, rms [m]")
-        _legend(figure, rows)
+        _add_legend(figure, rows)
         figure.savefig(file)
         plt.close(figure)
 
 
-def _line(axis, rows: list[dict], solver: str, model: str) -> None:
+def _draw_line(axis, rows: list[dict], solver: str, model: str) -> None:
     colour = MODEL_COLOUR.get(model, MEASURED_COLOUR)
-    done = [row for row in rows if row["finished"]]
-    axis.plot([r["cpu_median"] for r in done], [r["error_rms"] for r in done], color=colour, linewidth=1.0,
+    finished = [row for row in rows if row["finished"]]
+    axis.plot([r["cpu_median"] for r in finished], [r["error_rms"] for r in finished], color=colour, linewidth=1.0,
               linestyle=MODEL_LINE.get(model, "solid"), zorder=2)
     for row in rows:
         size = 16.0 + 22.0 * row["horizon"]
@@ -50,7 +50,7 @@ def _line(axis, rows: list[dict], solver: str, model: str) -> None:
                      linewidth=1.0, alpha=0.9, zorder=3)
 
 
-def _legend(figure, rows: list[dict]) -> None:
+def _add_legend(figure, rows: list[dict]) -> None:
     entries = [Line2D([], [], color=MODEL_COLOUR.get(model, MEASURED_COLOUR), linestyle=MODEL_LINE.get(model, "solid"),
                       label=model) for model in dict.fromkeys(row["model"] for row in rows)]
     entries += [Line2D([], [], color=MEASURED_COLOUR, marker=MARKER[solver], linestyle="none",
@@ -64,21 +64,21 @@ def _legend(figure, rows: list[dict]) -> None:
 
 
 def draw_paths(tables: Mapping[tuple, np.ndarray], titles: Mapping[str, str], file: Path) -> None:
-    """Distance from the road over time, for the shortest and the longest horizon."""
+    """Draw the distance from the road over time for the shortest and longest horizon; keys of tables: see nmpc.py."""
     horizons = sorted({key[3] for key in tables})
     extremes = list(dict.fromkeys((horizons[0], horizons[-1])))
     solver = next(key[1] for key in tables)
     with plt.rc_context(RC):
         figure, axes = plt.subplots(len(titles), len(extremes), figsize=(8.4, 2.1 * len(titles) + 0.6), squeeze=False,
                                     sharex="row", sharey="row")
-        for line, (road, title) in zip(axes, titles.items(), strict=True):
-            for axis, horizon in zip(line, extremes, strict=True):
-                for (at, by, model, ahead), table in tables.items():
-                    if (at, by, ahead) == (road, solver, horizon):
-                        axis.plot(table[:, 0], table[:, 3], color=MODEL_COLOUR.get(model, MEASURED_COLOUR),
-                                  linestyle=MODEL_LINE.get(model, "solid"), label=model)
+        for row, (road, title) in zip(axes, titles.items(), strict=True):
+            for axis, horizon in zip(row, extremes, strict=True):
+                for model, table in ((key[2], table) for key, table in tables.items()
+                                     if (key[0], key[1], key[3]) == (road, solver, horizon)):
+                    axis.plot(table[:, 0], table[:, 3], color=MODEL_COLOUR.get(model, MEASURED_COLOUR),
+                              linestyle=MODEL_LINE.get(model, "solid"), label=model)
                 axis.set_title(f"{title}; horizon {horizon:g} s")
-            line[0].set_ylabel("left of the road [m]")
+            row[0].set_ylabel("left of the road [m]")
         for axis in axes[-1]:
             axis.set_xlabel("time [s]")
         axes[0][0].legend()

@@ -1,8 +1,8 @@
-"""Path following with each model and several horizons: which model does a controller need, and which horizon?
+"""Compares controllers with each model and several horizons: which model and which horizon does path following need?
 
-    ./st shell -- python examples/mpc/nmpc.py                     everything, a minute of processor time
-    ./st shell -- python examples/mpc/nmpc.py --quick             one road, two horizons, seconds
-    ./st shell -- python examples/mpc/nmpc.py --model model.yaml  a fitted model in addition to the three
+    ./st shell -- python examples/mpc/nmpc.py                     all models, a minute of processor time
+    ./st shell -- python examples/mpc/nmpc.py --quick             one road, two horizons, a few seconds
+    ./st shell -- python examples/mpc/nmpc.py --model model.yaml  a model file instead of the three models
 
 Writes drives.json, trade_off.png and paths.png. docs/manual/mpc.md explains the result.
 """
@@ -27,11 +27,11 @@ from st_sim.scenarios import Plan, RoadPlan, load
 from st_sim.settings import SimulationError, resolve
 
 MODELS = ["kinematic", "linear", "nonlinear"]
-HORIZONS = [0.5, 1.0, 2.0, 3.0]
+HORIZONS = [0.5, 1.0, 2.0, 3.0]  # s
 
 
 def lane_change_at_the_limit() -> Plan:
-    """The double lane change of the scenarios at 15 m/s: up to 7 m/s^2."""
+    """The double lane change of the scenarios, but at 15 m/s, with up to 7 m/s^2."""
     speed = 15.0
     return RoadPlan([*straight(40, speed), *lane_shift(3.5, 30, speed), *straight(25, speed),
                      *lane_shift(-3.5, 30, speed), *straight(35, speed)])
@@ -52,24 +52,24 @@ def main() -> int:
         car, settings = read_car(options.vehicle), resolve(options.plant)
         models = {}
         for name in options.model:
-            # The plant is the vehicle named here; a model file may contain another, identified one.
-            model, own = load_model(name, vehicle, str(options.vehicle), requested=False)
-            models[model.name] = model, own
+            # --vehicle is the plant; a model file may contain an identified vehicle for its model.
+            model, model_vehicle = load_model(name, vehicle, str(options.vehicle), requested=False)
+            models[model.name] = model, model_vehicle
     except (OSError, StCoreError, SimulationError) as error:
         print(f"nmpc.py: {error}", file=sys.stderr)
         return 2
     tuning, rows, tables = Tuning(), [], {}
     for road in options.road:
-        plan_of, duration, _ = ROADS[road]
+        make_plan, duration, _ = ROADS[road]
         for solver in options.solver:
-            for name, (model, own) in models.items():
+            for name, (model, model_vehicle) in models.items():
                 for horizon in options.horizon:
-                    controller = Controller(model, own, round(horizon / tuning.step), tuning, solver)
-                    figures, table = drive(controller, car, settings, plan_of(), duration)
+                    controller = Controller(model, model_vehicle, round(horizon / tuning.step), tuning, solver)
+                    results, table = drive(controller, car, settings, make_plan(), duration)
                     rows.append({"road": road, "solver": solver, "model": name, "horizon": horizon,
-                                 **figures.as_dict()})
+                                 **results.as_dict()})
                     tables[road, solver, name, horizon] = table
-                    print(_line(rows[-1], figures), flush=True)
+                    print(_format_row(rows[-1], results), flush=True)
     document = {"plant": options.plant, "vehicle": vehicle.hash, "tuning": vars(tuning), "python":
                 platform.python_version(), "machine": platform.machine(), "drives": rows}
     (folder / "drives.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
@@ -80,11 +80,11 @@ def main() -> int:
     return 0
 
 
-def _line(row: dict, figures: Drive) -> str:
-    end = "" if figures.finished else f"   left the road after {figures.duration:.1f} s"
+def _format_row(row: dict, results: Drive) -> str:
+    end = "" if results.finished else f"   left the road after {results.duration:.1f} s"
     return (f"{row['road']:18} {row['solver']:6} {row['model']:10} {row['horizon']:4.1f} s   "
-            f"error {figures.error_rms:6.3f} rms {figures.error_max:6.3f} max m   "
-            f"cpu {figures.cpu_median:6.2f} median {figures.cpu_p95:6.2f} p95 ms   unsolved {figures.unsolved}{end}")
+            f"error {results.error_rms:6.3f} rms {results.error_max:6.3f} max m   "
+            f"cpu {results.cpu_median:6.2f} median {results.cpu_p95:6.2f} p95 ms   unsolved {results.unsolved}{end}")
 
 
 def _arguments() -> argparse.Namespace:
@@ -93,7 +93,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--horizon", nargs="+", type=float, default=HORIZONS, help="s")
     parser.add_argument("--road", nargs="+", choices=ROADS, default=list(ROADS))
     parser.add_argument("--solver", nargs="+", choices=SOLVERS, default=list(SOLVERS))
-    parser.add_argument("--plant", default="realistic", help="ideal, realistic or a YAML file, as of virtual_leaf")
+    parser.add_argument("--plant", default="realistic", help="ideal, realistic or a YAML file, as for virtual_leaf")
     parser.add_argument("--vehicle", type=Path, default=config("vehicle/leaf.yaml"))
     parser.add_argument("--output", type=Path, help="folder; default runs/mpc-<time>")
     parser.add_argument("--quick", action="store_true", help="lane change, 1 and 2 s, rti only")

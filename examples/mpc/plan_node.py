@@ -1,13 +1,13 @@
-"""Planner node: publishes plan/inputs ten times a second: the optimal path along a road from the present state.
+"""Planner node that publishes plan/inputs ten times a second: the optimal inputs along a road from the present state.
 
     ROS_DOMAIN_ID=7 ./st demo --scenario S6 --duration 40                         in one terminal
     ROS_DOMAIN_ID=7 ./st shell -- python examples/mpc/plan_node.py                in another: the road of S6
     ... plan_node.py --course course.yaml                                         the line of an earlier drive
 
-Subscribes to ins/odometry and vehicle/steering. Each plan is one solution of the controller of nmpc.py over 5.6 s, from
-the measured state and steering. The node plans, it does not drive: its plan is a good forecast only while the driver
-follows the same line and speed. The line of a course, of the INS point, is taken as that of the CG. The mode `plan` is
-explained in docs/manual/forecast.md.
+Each plan is one solution of the controller of nmpc.py over 5.6 s from the measured state (ins/odometry) and steering
+(vehicle/steering). The node does not drive: its plan is a good forecast only while the driver follows the same line and
+speed. The line of a course, which is of the INS point, is used for the CG. docs/manual/forecast.md explains the mode
+`plan`.
 """
 
 import argparse
@@ -35,40 +35,35 @@ from st_ros.polling import PolledSubscription, from_nanoseconds
 from st_sim.scenarios import RoadPlan, load
 from st_sim.settings import SimulationError
 
-STEPS = 56
-"""Steps of 0.1 s: the first one, the predictor's horizon of 5 s, and the 0.5 s for which a plan may be used."""
-ROAD_LENGTH = 5000.0
-"""m of a scenario's road; a quarter of an hour for S6."""
-LOWEST_SPEED = 2.0
-"""m/s. Slower, the models with tyres are too stiff for the step of the controller."""
+STEPS = 56  # of 0.1 s: the first one, the predictor's horizon of 5 s, and the 0.5 s for which a plan may be used
+ROAD_LENGTH = 5000.0  # m of a scenario's road; a quarter of an hour for S6
+MIN_SPEED = 2.0  # m/s; at lower speed the models with tyres are too stiff for the step of the controller
+# m between planned and reference positions; a larger deviation is another minimum, which the solver does not leave.
 MAX_DEVIATION = 3.0
-"""m between planned and reference positions. More is another minimum of the cost, from which the solver does not
-return."""
-MAX_GAP = 0.1
-"""s between the newest odometry and the newest steering."""
+MAX_GAP = 0.1  # s between the newest odometry and the newest steering
 
 
-def scenario_course(name: str) -> Course:
-    """The road of a scenario as a course. Raises SimulationError for one without a fixed road."""
+def make_scenario_course(name: str) -> Course:
+    """The road of a scenario as a course. Raises SimulationError for a scenario without a fixed road."""
     plan = load(name)
     if not isinstance(plan, RoadPlan):
-        raise SimulationError(f"--road {name}: its road depends on the driver; choose one of constant course, as S6")
+        raise SimulationError(f"--road {name}: its road depends on the driver; choose one with a fixed road, as S6")
     along = plan.start + np.arange(-50.0, ROAD_LENGTH, SPACING)
     points = [(*plan.path.pose(s), plan.path.curvature(s), plan.speed_at(s)) for s in along.tolist()]
     return Course((Pass(name, (), np.array(points)),))
 
 
-def next_point(course: Course, last: NearPoint, state: VehicleState) -> NearPoint | None:
-    """The course point near the car that continues the last one; None off the road.
+def find_next_point(course: Course, last: NearPoint, state: VehicleState) -> NearPoint | None:
+    """The course point near the car that best continues the last one; None if the car is not on the road.
 
-    The nearest point may belong to another lap with another continuation.
+    The nearest point may belong to another lap, which continues differently.
     """
     return min(course.find_near(state.x, state.y, state.yaw), default=None,
                key=lambda point: (point.pass_index != last.pass_index, abs(point.row - last.row)))
 
 
-def reference(course: Course, point: NearPoint, state: VehicleState, steps: int, step: float) -> Reference | None:
-    """The road at the end of each step [s] for a car at its speed; None close to the end of the road."""
+def make_reference(course: Course, point: NearPoint, state: VehicleState, steps: int, step: float) -> Reference | None:
+    """The road at the end of each step [s] for a car with its speed; None if the road ends before."""
     points = course.passes[point.pass_index].points[point.row:]
     x, y, yaw = points[0, :3]
     along = np.arange(len(points)) * SPACING
@@ -83,8 +78,8 @@ def reference(course: Course, point: NearPoint, state: VehicleState, steps: int,
                        for column in (points[:, 0], points[:, 1], directions, points[:, 4])))
 
 
-def plan_message(stamp_ns: int, measured: tuple[float, float], solution: Solution, step: float) -> InputPlan:
-    """The plan of a solution: measured inputs at its stamp, each planned pair in the middle of its step [s]."""
+def make_plan_message(stamp_ns: int, measured: tuple[float, float], solution: Solution, step: float) -> InputPlan:
+    """Message with the plan of a solution: measured inputs at its stamp, planned inputs in the middle of each step."""
     count = len(solution.planned)
     inputs = np.vstack([measured, solution.planned, solution.planned[-1]])
     seconds = [0.0, *((np.arange(count) + 0.5) * step), count * step]
@@ -93,13 +88,13 @@ def plan_message(stamp_ns: int, measured: tuple[float, float], solution: Solutio
     return message
 
 
-def _deviation(solution: Solution, road: Reference) -> float:
+def _largest_deviation(solution: Solution, road: Reference) -> float:
     """Largest distance between planned and reference positions [m]."""
     return float(np.hypot(solution.predicted[:, 0] - road.x, solution.predicted[:, 1] - road.y).max())
 
 
 class Planner(Node):
-    """Publishes a plan every step of its controller; none while the car is slow, off the road, or not measured."""
+    """Publishes a plan in every step of the controller unless the car is slow, not measured, or not on the road."""
 
     def __init__(self, controller: Controller, course: Course):
         super().__init__("planner")
@@ -119,6 +114,7 @@ class Planner(Node):
         self._counts[self._publish_plan()] += 1
 
     def _publish_plan(self) -> str:
+        """Publish a plan if possible; returns the count to increase."""
         before = self._sample
         for message, _, _ in self._odometry.take():
             sample = convert.ins_sample(message, "map")
@@ -128,14 +124,14 @@ class Planner(Node):
             if message.valid:
                 self._angle, self._angle_ns = message.road_wheel_angle, convert.to_nanoseconds(message.header.stamp)
         now, car = self._sample, self._controller.vehicle
-        if now is None or before is None or now.time_ns <= before.time_ns or now.velocity_x < LOWEST_SPEED \
+        if now is None or before is None or now.time_ns <= before.time_ns or now.velocity_x < MIN_SPEED \
                 or abs(now.time_ns - self._angle_ns) * 1e-9 > MAX_GAP:
             self._controller.reset()
             return "slow or not measured"
         state = ins_to_cg(now, car.cg_to_ins_x, car.cg_to_ins_y)
         step = self._controller.tuning.step
-        point = next_point(self._course, self._point, state)
-        road = reference(self._course, point, state, self._controller.steps, step) if point else None
+        point = find_next_point(self._course, self._point, state)
+        road = make_reference(self._course, point, state, self._controller.steps, step) if point else None
         self._point = point or self._point
         if road is None:
             self._controller.reset()
@@ -144,10 +140,10 @@ class Planner(Node):
         measured = self._angle, acceleration
         solution = self._controller.control(state.as_tuple(), road, measured=measured)
         self._longest = max(self._longest, solution.wall)
-        if not solution.solved or _deviation(solution, road) > MAX_DEVIATION:
+        if not solution.solved or _largest_deviation(solution, road) > MAX_DEVIATION:
             self._controller.reset()
             return "not solved"
-        self._publisher.publish(plan_message(now.time_ns, measured, solution, step))
+        self._publisher.publish(make_plan_message(now.time_ns, measured, solution, step))
         return "published"
 
     def close(self) -> None:
@@ -164,7 +160,7 @@ def main() -> int:
     options = parser.parse_args(remove_ros_args(sys.argv)[1:])
     try:
         vehicle = VehicleParameters.from_yaml(options.vehicle.read_text(encoding="utf-8"), str(options.vehicle))
-        course = scenario_course(options.road) if options.course is None else Course.from_yaml(
+        course = make_scenario_course(options.road) if options.course is None else Course.from_yaml(
             options.course.read_text(encoding="utf-8"), str(options.course))
     except (OSError, StCoreError, SimulationError) as error:
         print(f"plan_node.py: {error}", file=sys.stderr)

@@ -102,7 +102,7 @@ def test_exported_model_is_what_acados_would_take(tmp_path, free):
     imported = acados_example.load(tmp_path)
     assert imported.x.numel() == 8 and imported.p.numel() == len(free)
     x, u = np.array([0.0, 0.0, 10.0, 0.1, 0.2, 0.3, 0.01, 0.02]), np.array([0.05, 0.5])
-    assert acados_example.difference(imported, x, u, 0.05) < 1e-12
+    assert acados_example.largest_difference(imported, x, u, 0.05) < 1e-12
     assert imported.state_bounds[0][2] > 0.0 and np.isinf(imported.state_bounds[0][0])
     assert imported.input_bounds[1][0] == pytest.approx(0.61)
 
