@@ -70,7 +70,7 @@ def answer(folder: Path, effects: Mapping[str, float], seed: int, reference: Seq
     found = discover(logs(read), CAR, "nonlinear", logs(reference), settings, sensor_estimates=sensor_estimates(read))
     out = folder / "out"
     out.mkdir()
-    question = Request("nonlinear", CAR, str(LEAF), LEAF.read_text(), settings, drives=read, healthy=reference)
+    question = Request("nonlinear", CAR, str(LEAF), LEAF.read_text(), settings, drives=read, reference_drives=reference)
     write_results(found, question, update_vehicle(found, question), out, None, {})
     return json.loads((out / "discovery.json").read_text())
 

@@ -1,4 +1,4 @@
-"""Report pages: one template for all of them. A page loads no other file; every name is escaped."""
+"""Renders the report pages, which load no other file and escape every name."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from st_core.palette import MODEL_COLOUR
 
 from .checking import check_report
 
-# The colours of the models suit white paper; these are lighter ones for a dark page.
+# The colours of the models suit white paper; a dark page needs lighter ones.
 DARK = {"kinematic": "#6cb4ee", "linear": "#ffa657", "nonlinear": "#d08be0", "augmented": "#3fd0a4"}
 MAX_UNWRAPPED = 30  # characters; a column with a longer text wraps
 
@@ -28,7 +28,7 @@ class Table:
 
 
 def columns(head: Sequence[str], rows: Iterable[Sequence[Any]], names: int) -> list[tuple[str, str, tuple[Any, ...]]]:
-    """(title, class, cells) of every column that is not empty. names: number of leading text columns."""
+    """(title, CSS class, cells) of each column that is not empty. names: number of leading text columns."""
     result = []
     for k, (title, cells) in enumerate(zip(head, zip(*rows, strict=True), strict=True)):
         texts = [str(cell) for cell in cells]
@@ -40,7 +40,7 @@ def columns(head: Sequence[str], rows: Iterable[Sequence[Any]], names: int) -> l
 
 
 def template(name: str, **filters: Callable) -> jinja2.Template:
-    """A template by its path in this package; it extends page.jinja and imports macros.jinja.
+    """Load a template, by its path in this package.
 
     filters: in addition to `drawing`, an SVG unescaped, and `cells`, the values of a row.
     """

@@ -1,4 +1,4 @@
-"""Terminal output shared by the commands: progress, tables, single lines, lists of written files."""
+"""Prints terminal output shared by the commands: progress, tables, single lines, lists of written files."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -25,7 +25,7 @@ from st_offline.checking.check_report import (
     print_run,
     print_runs,
 )
-from st_offline.checking.gate import Refused
+from st_offline.checking.gate import RefusedRunError
 from st_offline.checking.run_corrections import append_corrections, run_yaml
 from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunSource
@@ -137,7 +137,8 @@ def test_an_opposite_steering_sign_comes_first_with_what_to_type():
     first = console.file.getvalue().splitlines()[0]
     assert "opposite sign" in first and "--steering-sign -1" in first and "CAN" not in first
     assert "`st check logs/drive.csv --propose-correction run.yaml`" in first
-    assert "opposite sign" in str(Refused("a.csv", [sign])) and "opposite" not in str(Refused("a.csv", [DEGREES]))
+    assert "opposite sign" in str(RefusedRunError("a.csv", [sign]))
+    assert "opposite" not in str(RefusedRunError("a.csv", [DEGREES]))
     assert page_summary([run("drive", (sign,))])[1].startswith("The steering angle has the opposite sign")
 
 

@@ -1,1 +1,1 @@
-"""One file per verb of the st command. A verb imports its libraries when it runs, so that `st --help` is fast."""
+"""The commands of `st`, which import their libraries only when they run, because `st --help` must be fast."""

@@ -24,7 +24,7 @@ RUN_ERRORS = (RunError, StCoreError, MemoryError, OSError)
 ADVICE = "follow the advice of `st check`, or use it anyway with --force"
 
 
-class Refused(RunError):
+class RefusedRunError(RunError):
     """A recording has errors that make an evaluation meaningless. findings: all findings of the run."""
 
     def __init__(self, where: Path | str, findings: Sequence[Finding]):
@@ -35,7 +35,7 @@ class Refused(RunError):
         super().__init__(where, f"{sign}; {errors}" if sign else errors, ADVICE)
 
     def __reduce__(self):  # by default, exceptions are pickled with the arguments of their base class
-        return Refused, (self.path, self.findings)
+        return RefusedRunError, (self.path, self.findings)
 
 
 def check_log(log: DriveLog, vehicle: VehicleParameters, auxiliary: AuxiliaryData | None,
@@ -49,14 +49,14 @@ def check_log(log: DriveLog, vehicle: VehicleParameters, auxiliary: AuxiliaryDat
 
 
 def refuse_errors(where: Path | str, findings: Sequence[Finding], force: bool) -> None:
-    """Raise Refused if a finding is an error, unless forced."""
+    """Raise RefusedRunError if a finding is an error, unless forced."""
     if not force and any(finding.severity is Severity.ERROR for finding in findings):
-        raise Refused(where, findings)
+        raise RefusedRunError(where, findings)
 
 
 def make_run_check(where: Path | str, vehicle: VehicleParameters,
                    force: bool) -> Callable[[LoadedRun], tuple[Finding, ...]]:
-    """Function for `import_run` that returns the findings of a drive, or raises Refused."""
+    """Function for `import_run` that returns the findings of a drive, or raises RefusedRunError."""
     def check_run(run: LoadedRun) -> tuple[Finding, ...]:
         findings = check_log(run.log, vehicle, run.auxiliary).findings
         refuse_errors(where, findings, force)
@@ -68,7 +68,7 @@ def make_run_check(where: Path | str, vehicle: VehicleParameters,
 def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings | None = None) -> list[Finding]:
     """Check a bag with the vehicle, models and step that are stored in it, if any.
 
-    Raises Refused, and RunError for a bag that cannot be read.
+    Raises RefusedRunError, and RunError for a bag that cannot be read.
     """
     run = read(RunSource(bag.stem, "bag", (bag,)), settings=settings)
     car, recorded, _ = find_configuration(run.provenance["recorded"], vehicle)
@@ -84,7 +84,7 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
 
 def check_for_use(where: Path | str, run: LoadedRun, vehicle: VehicleParameters, force: bool,
                   models: Sequence[str | Model] = (), step: float = STEP) -> list[dict[str, Any]]:
-    """Check a drive; returns its findings as JSON values. Raises Refused for a drive with errors, unless forced."""
+    """Check a drive; returns its findings as JSON values. Raises RefusedRunError for errors, unless forced."""
     findings = check_log(run.log, vehicle, run.auxiliary, models, step).findings
     refuse_errors(where, findings, force)
     return findings_as_json(findings)

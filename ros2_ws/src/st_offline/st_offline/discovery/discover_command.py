@@ -45,8 +45,8 @@ def run_command(request: Request, console: Console) -> int:
     folder = new_folder(request.output, "discover")
     marks = [time.perf_counter()]
     with progress_bars(console) as progress:
-        drives, healthy = _read_runs(request, progress)
-        request = replace(request, drives=drives, healthy=healthy, own_effects=own)
+        drives, reference = _read_runs(request, progress)
+        request = replace(request, drives=drives, reference_drives=reference, own_effects=own)
         marks.append(time.perf_counter())
         found, from_cache = _find_result(request, base, progress)
         request = replace(request, drives=[
@@ -71,7 +71,7 @@ def run_command(request: Request, console: Console) -> int:
         update = update_vehicle(found, request)
         report = relation_report(relations, found, request.vehicle, str(folder)) if relations else None
         files = write_results(found, request, update, folder, drawn, seconds, relations, report)
-    recordings = (*drives, *healthy)
+    recordings = (*drives, *reference)
     print_result(found, update, recordings, files, from_cache, console, report)
     return 1 if any(d.problem for d in recordings) else 0
 
@@ -106,16 +106,16 @@ def load_base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) ->
 def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive]]:
     """(suspect, reference) drives. Raises ConfigurationError if no suspect drive or no given reference can be used."""
     sources = find_runs(request.runs)
-    healthy = find_runs(request.reference) if request.reference else []
+    reference_sources = find_runs(request.reference) if request.reference else []
     if not sources:
         raise ConfigurationError("no recording found")
-    bar = progress.add_task("reading the runs", total=len(sources) + len(healthy))
-    drives = read_drives([*sources, *healthy], request.vehicle, request.read, request.jobs,
+    bar = progress.add_task("reading the runs", total=len(sources) + len(reference_sources))
+    drives = read_drives([*sources, *reference_sources], request.vehicle, request.read, request.jobs,
                          lambda: progress.advance(bar), request.force)
     suspect, reference = drives[:len(sources)], drives[len(sources):]
     if not _logs(suspect):
         raise ConfigurationError("no run can be used: " + join_problems(d.problem for d in suspect))
-    if healthy and not _logs(reference):
+    if reference_sources and not _logs(reference):
         raise ConfigurationError("no --reference run can be used: " + join_problems(d.problem for d in reference))
     _check_reference(suspect, reference)
     return suspect, _rename_duplicates(suspect, reference)
@@ -156,8 +156,8 @@ def _find_result(request: Request, base: Model, progress: Progress) -> tuple[Dis
     def stage(name: str, done: int, total: int) -> None:
         progress.update(bar, description=escape(name), completed=done, total=total)
 
-    logs, reference, sensors = _logs(request.drives), _logs(request.healthy), sensor_estimates(request.drives)
-    clocks = clock_deviations((*request.drives, *request.healthy))
+    logs, reference, sensors = _logs(request.drives), _logs(request.reference_drives), sensor_estimates(request.drives)
+    clocks = clock_deviations((*request.drives, *request.reference_drives))
     name = result_key(logs, reference, request.vehicle, base, request.settings, request.own_effects, sensors, clocks)
     folder = cache_folder() if request.cached else None
     file = folder / f"{name}.json" if folder else None

@@ -55,10 +55,10 @@ def provenance(found: Discovery, request: Request, seconds: Mapping[str, float])
             if any(p.fit and found.base.values[e.name][p.name] != p.null for p in e.parameters)}},
         "settings": plain_data(request.settings),
         "runs": {d.name: d.about for d in request.drives if d.log is not None},
-        "reference": {d.name: d.about for d in request.healthy if d.log is not None},
-        "refused": {d.name: d.about["findings"] for d in (*request.drives, *request.healthy)
+        "reference": {d.name: d.about for d in request.reference_drives if d.log is not None},
+        "refused": {d.name: d.about["findings"] for d in (*request.drives, *request.reference_drives)
                     if d.problem and d.about},
-        "not_used": {d.name: d.problem for d in (*request.drives, *request.healthy) if d.problem},
+        "not_used": {d.name: d.problem for d in (*request.drives, *request.reference_drives) if d.problem},
         "effects_of_the_user": dict(request.own_effects),
         "versions": collect_versions(),
         "seconds": dict(seconds),
@@ -77,14 +77,14 @@ def build_model_file(found: Discovery, request: Request, update: VehicleUpdate) 
             total = found.named.values[one.name][name]
             low, high = (total + edge - p.value for edge in p.interval)
             intervals[one.name, name] = (min(low, total), max(high, total))
-    files = {f"{d.name}: {Path(name).name}": digest for d in (*request.drives, *request.healthy) if d.log is not None
-             for name, digest in d.about["files"].items()}
+    files = {f"{d.name}: {Path(name).name}": digest for d in (*request.drives, *request.reference_drives)
+             if d.log is not None for name, digest in d.about["files"].items()}
     companion = f", for the vehicle.yaml that contains {', '.join(update.folded)}" if update.folded else ""
     note = f"st discover, outcome {found.outcome}, from {request.base}{companion}"
     about = ModelProvenance(f"{datetime.now(UTC):%Y-%m-%d}", data=files, note=note)
     named = {e.name: e.parameters for e in found.effects}
     complete = ModelFile.of(update.model, update.vehicle, about, intervals, "st discover: found in the runs")
-    base_source = ("st discover: value of the healthy car, from the reference drives" if request.healthy
+    base_source = ("st discover: value of the healthy car, from the reference drives" if request.reference_drives
                    else "part of the base model")
     minor = {r.subject: r.text for r in found.reasons if r.rule == MINOR}
     effects = {}

@@ -26,7 +26,7 @@ from st_recordings.runs import ReadSettings, RunSource, read
 from st_recordings.runs.load import hash_files
 
 from ..checking.check_report import findings_as_json
-from ..checking.gate import RUN_ERRORS, Refused, check_log, describe_problem, refuse_errors
+from ..checking.gate import RUN_ERRORS, RefusedRunError, check_log, describe_problem, refuse_errors
 
 RESULT_FORMAT = 3  # version of the format of cached results; other versions are not used
 
@@ -50,8 +50,8 @@ class Request:
     """Options of `st discover`, and the drives and effects read with them.
 
     base: name of a model, or a model file. vehicle_text: content of vehicle_file. settings: of the search.
-    runs, reference: paths of recordings. drives, healthy: suspect and reference drives read from them. read: reading
-    options. effects: folder of user-defined effects; own_effects: sha256 of each file in it.
+    runs, reference: paths of recordings; drives, reference_drives: read from them. read: options for reading. effects:
+    folder of user-defined effects; own_effects: sha256 of each file in it.
     output: folder, None for runs/discover-<time>. jobs: number of processes. formats: of figure files. report: whether
     to write a page. cached: whether to use a cached result. force: whether to use runs with errors. propose: whether to
     search for a relation beyond the library; None: only if the residual is large.
@@ -74,7 +74,7 @@ class Request:
     force: bool = False
     propose: bool | None = None
     drives: Sequence[Drive] = ()
-    healthy: Sequence[Drive] = ()
+    reference_drives: Sequence[Drive] = ()
     own_effects: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -113,7 +113,7 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
                  "estimates": json_ready(checked.estimates), "vehicle": car}
         refuse_errors(source.where, checked.findings, force)
         return Drive(source.name, run.log, about)
-    except Refused as error:
+    except RefusedRunError as error:
         return Drive(source.name, None, {"findings": findings_as_json(error.findings)}, str(error))
     except RUN_ERRORS as error:
         return Drive(source.name, None, {}, describe_problem(error, source))

@@ -33,7 +33,7 @@ from st_recordings.runs.raw import summarise_alignment
 from ..bands.bands_report import collect_intervals, sum_shares
 from ..bands.scoring import AdaptiveScorer, Scorer
 from ..checking.check_report import findings_as_json
-from ..checking.gate import RUN_ERRORS, Refused, check_for_use, describe_problem
+from ..checking.gate import RUN_ERRORS, RefusedRunError, check_for_use, describe_problem
 from . import tables
 from .background import in_background
 from .drawing import FigureOutput, PageFigure
@@ -94,7 +94,7 @@ def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None
             # The checks already report a step that is too long as a finding.
             warnings.simplefilter("ignore", StepTooLongWarning)
             return _evaluate(source, task, progress)
-    except Refused as error:
+    except RefusedRunError as error:
         return RunReport(source.name, problem=str(error), about={"findings": findings_as_json(error.findings)})
     except RUN_ERRORS as error:
         return RunReport(source.name, problem=describe_problem(error, source))
@@ -122,7 +122,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
                                       on_block=score, future_inputs=ahead)
         finally:  # a finding of the checks explains more than the exception that the same fault causes here
             findings, parts = checked()
-            if isinstance(findings, Refused):
+            if isinstance(findings, RefusedRunError):
                 raise findings
     marks.append(time.perf_counter())
     _require_scores(source, run, evaluation)
@@ -168,11 +168,11 @@ def _require_scores(source: RunSource, run: LoadedRun, evaluation: LogEvaluation
 
 
 def _check_run(source: RunSource, run: LoadedRun, task: Task,
-               models: Sequence[Model]) -> list[dict[str, Any]] | Refused:
+               models: Sequence[Model]) -> list[dict[str, Any]] | RefusedRunError:
     """Findings of the checks, or the error for a refused run."""
     try:
         return check_for_use(source.where, run, task.vehicle, task.force, models, task.settings.prediction.step)
-    except Refused as error:
+    except RefusedRunError as error:
         return error
 
 
