@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from st_core.checks.agreement import agreement
+from st_core.checks.agreement import compare_series
 from st_core.checks.finding import SYSTEMATIC
 from st_core.checks.regression import Estimate, Regression, with_systematic
 
@@ -51,7 +51,7 @@ def test_of_lag_scale_and_bias(late, correlation):
     found = []
     for seed in range(FEW_RUNS):
         noise = 0.03 * slow_noise(np.random.default_rng(seed), len(time), 0.02, correlation)
-        found.append(agreement(time, turning(time), time, 1.1 * turning(time - late) + 0.01 + noise, 4.0))
+        found.append(compare_series(time, turning(time), time, 1.1 * turning(time - late) + 0.01 + noise, 4.0))
     for kind, truth in (("lag", late), ("scale", 1.1), ("bias", 0.01)):
         judge([getattr(one, kind) for one in found], truth, 0.8, FEW_RUNS)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from exact_drive import Noise, Sines, exact_drive, late
 from st_core.checks import Severity, check, compare_runs
-from st_core.checks.agreement import agreement
+from st_core.checks.agreement import compare_series
 from st_core.sideslip import with_steady_sideslip
 
 SLALOM = {  # cornering brakes the car twice in each weave of 2 s: 0.06 m/s^2
@@ -44,7 +44,7 @@ def test_what_repeats_but_once_in_a_while_differs_keeps_its_one_lag():
     def varied(t):
         return np.sin(2.0 * np.pi * t) * (1.0 + 0.5 * np.sin(t / 3.0)) + 0.5 * np.sin(t / 1.3)
     measured = varied(time - 0.9) + 0.1 * np.random.default_rng(0).standard_normal(len(time))
-    found = agreement(time, varied(time), time, measured, 1.5)
+    found = compare_series(time, varied(time), time, measured, 1.5)
     assert found.lag.value == pytest.approx(0.9, abs=0.01) and found.other_lags == ()
 
 
@@ -53,8 +53,8 @@ def test_a_period_beside_the_grid_of_the_search_decides_nothing(period):
     time = np.arange(0.0, 60.0, 0.02)
     for seed in SEEDS:
         noise = 0.02 * np.random.default_rng(seed).standard_normal(len(time))
-        found = agreement(time, np.sin(2.0 * np.pi * time / period), time,
-                          np.sin(2.0 * np.pi * (time - 0.023) / period) + noise, 1.5)
+        found = compare_series(time, np.sin(2.0 * np.pi * time / period), time,
+                               np.sin(2.0 * np.pi * (time - 0.023) / period) + noise, 1.5)
         assert found.lag.value == pytest.approx(0.023, abs=0.005)
         periods = (np.array(found.other_lags) - 0.023) / period
         assert len(periods) and np.abs(periods - np.round(periods)).max() < 0.01 and np.abs(periods).min() > 0.5

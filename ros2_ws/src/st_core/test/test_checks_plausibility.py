@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from exact_drive import exact_drive
 from st_core.checks import AuxiliaryData, Severity, check
-from st_core.checks.plausibility import CHANNELS, without_implausible
+from st_core.checks.plausibility import CHANNELS, drop_implausible
 
 NAMES = ("sample_spikes", "sentinel_values", "out_of_range", "channel_wraps")
 MIDDLE = 2000
@@ -71,7 +71,7 @@ def test_named_left_out_and_nothing_else_is_blamed(clean, leaf, kind, channel):
     named = [one for one in findings if one.name in NAMES]
     assert named and {one for f in named for one in f.channels} == {channel}
     assert {one.name for one in findings} - before <= {*NAMES}
-    usable, _ = without_implausible(broken)
+    usable, _ = drop_implausible(broken)
     values = getattr(usable, channel)
     truth = getattr(log, channel)
     time = log.steering_time_ns if "wheel" in channel else log.ins_time_ns
@@ -109,7 +109,7 @@ def test_wraps_are_named_first(clean, leaf, channel, share):
     broken, _ = spoiled(log, leaf, channel, wrap)
     found = check(broken, leaf)
     assert [(one.name, one.channels) for one in found.findings].count(("channel_wraps", (channel,))) == 1
-    _, implausible = without_implausible(broken)
+    _, implausible = drop_implausible(broken)
     again = check(broken, leaf, AuxiliaryData(implausible=tuple(implausible))).findings
     assert [one.name for one in again].count("channel_wraps") == 1
     assert not [one for one in found.of(Severity.ERROR) if one.name != "channel_wraps"]
@@ -125,11 +125,11 @@ def test_a_channel_that_jumps_is_compared_with_nothing(clean, leaf):
 def test_more_than_half_is_an_error_and_stays(clean, leaf):
     log, _ = clean
     broken, _ = spoiled(log, leaf, "yaw_rate", _fixed(-9999.0, 1000, 3500))
-    usable, (finding,) = without_implausible(broken)
+    usable, (finding,) = drop_implausible(broken)
     assert finding.severity is Severity.ERROR and len(usable.x) == len(log.x)
 
 
 def test_a_code_is_reported_in_degrees_too(clean, leaf):
     log, _ = clean
     broken, _ = spoiled(log, leaf, "steering_wheel_angle", _fixed(np.deg2rad(-9999.0), MIDDLE, 120))
-    assert "(-9999 deg)" in without_implausible(broken)[1][0].text
+    assert "(-9999 deg)" in drop_implausible(broken)[1][0].text

@@ -159,8 +159,8 @@ class AdaptiveBands:
 
 
 ALTERNATIVE_RATIO = 5.0 / 9.0
-"""Ratio q / p: 50 % coverage of a 90 % band. Coverage above 73 %, which occurs between runs, reduces S."""
-HORIZONS = 7200.0  # mean number of horizons to a false warning: ten hours with horizons of 5 s
+"""Ratio q / p: 50 % coverage of a 90 % band. Coverage above 73 %, within the variation between runs, reduces S."""
+HORIZONS = 7200.0  # minimum mean number of horizons to a false warning: ten hours with horizons of 5 s
 END_SHARE = 0.5  # fraction of its limit below which S ends a warning
 
 
@@ -222,7 +222,7 @@ class Coverages:
         coverage = self.by_pair.setdefault((score.model, score.mode), Coverage())
         coverage.add(score.start_ns, float(score.horizon[-1]), inside)
 
-    def warning(self) -> str:
+    def describe_warnings(self) -> str:
         """One line on bands with coverage significantly below the nominal level; empty if there are none."""
         found = [f"{mode} of {model} ({coverage.share(level):.0%} so far, nominal level {level:.0%})"
                  for (model, mode), coverage in self.by_pair.items() if coverage.warns

@@ -12,7 +12,7 @@ from . import inertial, position, sampling, vehicle_relations
 from .agreement import Agreement
 from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Checked, Comparison, Finding, Severity
 from .motion import MOVING, Motion, is_driven
-from .plausibility import broken_channels, without_implausible
+from .plausibility import drop_implausible, find_broken_channels
 from .regression import Estimate, with_systematic
 from .steps import check_position_steps
 from .trial import try_corrections
@@ -40,7 +40,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     start_ns = auxiliary.start_ns
     if start_ns is None:
         start_ns = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
-    log, implausible = without_implausible(log, start_ns)
+    log, implausible = drop_implausible(log, start_ns)
     known = {(finding.name, finding.channels) for finding in auxiliary.implausible}
     # The reader has already reported the samples that it left out or kept.
     implausible = [*auxiliary.implausible,
@@ -56,7 +56,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     if not driven:
         findings += vehicle_relations.check_standstill(motion) if long_enough else []
         return Checked(_sort(findings), channels, ())
-    broken = broken_channels(implausible)
+    broken = find_broken_channels(implausible)
     if broken & {*INS_SIGNALS}:  # every further check needs all of these channels
         return Checked(_sort([*findings, *sampling.find_stuck_channels(motion, channels)]), channels, ())
     motion = replace(motion, acceleration_x=None if "acceleration_x" in broken else motion.acceleration_x,
@@ -82,7 +82,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         frozen = {channel for finding in stuck if finding.name == "channel_frozen" for channel in finding.channels}
         unusable = coarse | frozen if sideslip_measured else {*coarse, *frozen, "velocity_y"}
         for more, values, panel in _compare_with_vehicle(
-                motion, vehicle, wheel_measured, broken | broken_channels(stuck), unusable):
+                motion, vehicle, wheel_measured, broken | find_broken_channels(stuck), unusable):
             findings += more
             estimates |= values
             panels += [panel] if panel else []
@@ -174,7 +174,7 @@ def _check_sensors(motion: Motion, removed: dict[str, float]) -> SensorResult:
     if found and found.scale.value:  # a constant yaw rate has no scale
         scale = found.scale.inverse().scaled(removed.get("yaw_scale", 1.0))
         estimates["yaw_scale"] = with_systematic("yaw_scale", scale)
-    panel = inertial.agreement_panel(found, tolerances, "yaw rate: sensor against change of yaw",
+    panel = inertial.agreement_panel(found, tolerances, "yaw rate: sensor versus change of yaw",
                                      removed.get("yaw_rate_scale", 1.0),
                                      removed.get("yaw_scale", removed.get("yaw_convention", 1.0)))
     panels += [panel] if panel else []

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .agreement import Agreement, agreement
+from .agreement import Agreement, compare_series
 from .finding import HORIZON, LIMITS, WHEEL_SCALE, Advice, Comparison, Finding, Severity
 from .motion import MOVING, Motion, moves_sideways
 from .regression import Estimate, with_systematic
@@ -20,7 +20,7 @@ from .regression import Estimate, with_systematic
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Errors of a channel below which it agrees with a reference, named `against`.
+    """Errors of a channel below which it agrees with a reference.
 
     lag [s], bias [unit], scale: smallest reported lag, bias, and deviation of the scale from 1. severe: (lag, scale,
     bias) from which the finding is at least a warning, even without an effect on predictions, since identification and
@@ -30,7 +30,7 @@ class Tolerances:
     """
 
     channel: str
-    against: str
+    reference: str
     unit: str
     lag: float
     scale: float
@@ -66,7 +66,7 @@ def judge_agreement(found: Agreement | None, tolerances: Tolerances, removed_sca
     if factor is not None:
         findings.append(_unit_finding(scale, factor, tolerances))
     elif (abs(scale.value - 1.0) >= tolerances.scale and scale.shifted(-1.0).significant and not explained_by_noise):
-        text = f"{name} is {format_estimate(scale)} times its value from {tolerances.against}"
+        text = f"{name} is {format_estimate(scale)} times its value from {tolerances.reference}"
         findings.append(_make_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, tolerances,
                                       {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= tolerances.severe[1]))
     # The user's correction divides by the reported scale before it subtracts the bias.
@@ -74,9 +74,9 @@ def judge_agreement(found: Agreement | None, tolerances: Tolerances, removed_sca
     findings += late
     error = abs(bias.value) / max(abs(scale.value), 1e-300)
     if bias.significant and error >= tolerances.bias and factor is None:
-        side = "high" if bias.value > 0.0 else "low"
-        unit = tolerances.unit.replace("^2", "²")
-        text = f"{name} is {format_magnitude(bias)} {unit} too {side} against {tolerances.against}{tolerances.causes}"
+        side, unit = "high" if bias.value > 0.0 else "low", tolerances.unit.replace("^2", "²")
+        text = (f"{name} is {format_magnitude(bias)} {unit} too {side} compared with {tolerances.reference}"
+                f"{tolerances.causes}")
         findings.append(_make_finding("bias", text, bias, tolerances.unit, error, tolerances,
                                       {"add": -bias.value / divisor}, error >= tolerances.severe[2]))
     return findings, estimates
@@ -84,7 +84,7 @@ def judge_agreement(found: Agreement | None, tolerances: Tolerances, removed_sca
 
 def _lag_finding(found: Agreement, lag: Estimate, tolerances: Tolerances) -> Finding:
     rate = float(np.std(np.gradient(found.derived, found.time)))
-    text = (f"{tolerances.channel} {'lags' if lag.value > 0.0 else 'leads'} {tolerances.against} by "
+    text = (f"{tolerances.channel} {'lags' if lag.value > 0.0 else 'leads'} {tolerances.reference} by "
             f"{format_magnitude(lag)} s{format_alternative_lags(found)}")
     if abs(found.correlation) < tolerances.correlation:
         text += f"; their correlation is only {abs(found.correlation):.2f}, so scale and bias are not judged"
@@ -122,10 +122,10 @@ def _unit_factor(scale: float, tolerances: Tolerances) -> float | None:
 def _unit_finding(scale: Estimate, factor: float, tolerances: Tolerances) -> Finding:
     opposite = "does it have the opposite sign" if factor < 0.0 else ""
     reason = " and ".join(filter(None, (tolerances.factors.get(abs(factor), ""), opposite)))
-    text = (f"{tolerances.channel} is {format_estimate(scale)} times its value from {tolerances.against}"
+    text = (f"{tolerances.channel} is {format_estimate(scale)} times its value from {tolerances.reference}"
             + (f": {reason}?" if reason else ""))
     return Finding(f"{tolerances.channel}_scale", Severity.WARNING, (tolerances.channel,), text, scale.value, "1",
-                   scale.interval, advice=_advice(tolerances.channel, "scale", float(f"{1.0 / factor:.6g}")))
+                   scale.interval, advice=_make_advice(tolerances.channel, "scale", float(f"{1.0 / factor:.6g}")))
 
 
 def _make_finding(kind: str, text: str, estimate: Estimate, unit: str, error: float, tolerances: Tolerances,
@@ -135,10 +135,10 @@ def _make_finding(kind: str, text: str, estimate: Estimate, unit: str, error: fl
     (key, value), = correct.items()
     return Finding(f"{tolerances.channel}_{kind}", LIMITS.severity(effect, severe), (tolerances.channel,), text,
                    estimate.value, unit, estimate.interval, (), effect if tolerances.position_effect else None,
-                   _advice(tolerances.channel, key, float(f"{value:.5g}")))
+                   _make_advice(tolerances.channel, key, float(f"{value:.5g}")))
 
 
-def _advice(channel: str, key: str, value: float) -> Advice:
+def _make_advice(channel: str, key: str, value: float) -> Advice:
     """Correction of a channel in run.yaml."""
     if channel in ("wheel_speed", "ins_speed"):  # run.yaml cannot correct these
         return Advice("look", "check its source: unit, wheel radius, clock")
@@ -149,7 +149,7 @@ def agreement_panel(found: Agreement | None, tolerances: Tolerances, title: str,
                     derived: float = 1.0) -> Comparison | None:
     """Both series in the recorded units, for a figure. measured, derived: factors that were divided out before."""
     return None if found is None else Comparison(
-        tolerances.channel, title, tolerances.unit, tolerances.channel, f"from {tolerances.against}", found.time,
+        tolerances.channel, title, tolerances.unit, tolerances.channel, f"from {tolerances.reference}", found.time,
         measured * found.measured, derived * found.derived,
         tuple(f"{tolerances.channel}_{kind}" for kind in ("scale", "bias", "lag")))
 
@@ -173,16 +173,16 @@ CheckResult = tuple[list[Finding], dict[str, Estimate], Comparison | None]
 
 
 def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
-    """Compare yaw rate and change of yaw. The effect on predictions is small, as initial yaw rate errors decay."""
+    """Compare yaw rate and change of yaw. An error of the initial yaw rate decays within LIMITS.settling."""
     position_effect = LIMITS.settling * float(np.median(np.abs(motion.velocity_x))) * HORIZON
-    found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, True)
+    found = compare_series(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, True)
     return found, Tolerances("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, GYRO_BIAS,
                              (LIMITS.severe_lag, 0.03, 0.01), position_effect, correlation=GYRO_CORRELATION)
 
 
 def yaw_rate_lag(motion: Motion) -> float:
     """Lag of the yaw rate behind yaw [s]; 0 if it is small, or if the two agree well without a correction."""
-    found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF, True)
+    found = compare_series(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF, True)
     if found is None or not (found.is_late and found.lag.significant) or abs(found.lag.value) < LIMITS.severe_lag:
         return 0.0
     # A yaw rate of the opposite sign also correlates, half a period later.
@@ -212,7 +212,7 @@ def check_accelerations(motion: Motion) -> list[CheckResult]:
     measured = {name: values for name in derived if (values := getattr(motion, name)) is not None}
 
     def compare(name: str, values: np.ndarray) -> Agreement | None:
-        return agreement(time, derived[name], time, values, ACCELERATION_CUTOFF)
+        return compare_series(time, derived[name], time, values, ACCELERATION_CUTOFF)
 
     def correlates(found: Agreement | None) -> bool:
         return found is not None and abs(found.correlation) >= LIMITS.correlation
@@ -232,7 +232,7 @@ def check_accelerations(motion: Motion) -> list[CheckResult]:
                                 ACCELERATION_SCALE, LIMITS.bias_acceleration, (0.0, 0.0, SEVERE_ACCELERATION),
                                 factors=ACCELERATION_FACTORS,
                                 causes=": is it mounted at an angle, or is the road not level?")
-        title = f"{'lateral' if lateral else 'forward'} acceleration: sensor against velocity"
+        title = f"{'lateral' if lateral else 'forward'} acceleration: sensor versus velocity"
         comparisons.append((*judge_agreement(found, tolerances), agreement_panel(found, tolerances, title)))
     return comparisons
 
@@ -245,11 +245,11 @@ def check_speeds(motion: Motion) -> list[CheckResult]:
         scale, lag = (WHEEL_SCALE, WHEEL_LAG) if name == "wheel_speed" else (0.005, 0.03)
         tolerances = Tolerances(name, "velocity_x", "m/s", lag, scale, np.inf, (0.0, 0.0, np.inf),
                                 min_spread=SPEED_SPREAD, factors=SPEED_FACTORS)
-        title = f"forward speed: {name.replace('_', ' ')} against velocity_x"
+        title = f"forward speed: {name.replace('_', ' ')} versus velocity_x"
         comparisons.append((*judge_agreement(found, tolerances), agreement_panel(found, tolerances, title)))
     return comparisons
 
 
 def compare_speed(motion: Motion, name: str) -> Agreement | None:
     """Agreement of another source of the speed, by its name in `motion.speeds`, with the forward speed of the INS."""
-    return agreement(motion.time, motion.velocity_x, *motion.speeds[name], SPEED_CUTOFF, biased=False)
+    return compare_series(motion.time, motion.velocity_x, *motion.speeds[name], SPEED_CUTOFF, biased=False)

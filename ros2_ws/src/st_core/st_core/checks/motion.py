@@ -136,8 +136,7 @@ class Windows:
 def windows(time: np.ndarray, length: float, longest_gap: float = MAX_GAP) -> Windows:
     """Windows of `length` [s] in the stretches without a gap."""
     if len(time) < 2:
-        empty = np.zeros(0, np.int64)
-        return Windows(empty, empty, np.zeros(0))
+        return Windows(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
     # The edges are found among the samples, not by counting windows, since a gap may last years.
     edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / length), prepend=-1.0))
     first, last = edges[:-1], edges[1:]
@@ -192,7 +191,8 @@ def ratios(motion: Motion, length: float = 1.0) -> Ratios:
     measured = np.hypot(over.change(motion.x), over.change(motion.y))
     integrated = over.change(integral(motion.time, motion.speed))
     turn, rate = over.change(motion.yaw), over.change(integral(motion.time, motion.yaw_rate))
-    return Ratios(_distance_ratio(measured, integrated), _slope(turn, rate), *_course_ratios(motion, over, measured))
+    return Ratios(_distance_ratio(measured, integrated), _fit_slope(turn, rate),
+                  *_course_ratios(motion, over, measured))
 
 
 def _distance_ratio(measured: np.ndarray, integrated: np.ndarray) -> float:
@@ -209,7 +209,7 @@ def _unless_constant(ratio: float) -> float:
     return ratio if MIN_RATIO < abs(ratio) < 1.0 / MIN_RATIO else float("nan")
 
 
-def _slope(top: np.ndarray, bottom: np.ndarray) -> float:
+def _fit_slope(top: np.ndarray, bottom: np.ndarray) -> float:
     """Robust slope of `top` versus `bottom`, with a small intercept that absorbs a bias of the yaw rate."""
     if len(top) < MIN_WINDOWS or max(np.percentile(np.abs(c), 95) for c in (top, bottom)) < MIN_TURN:
         return float("nan")
@@ -238,4 +238,4 @@ def _course_ratios(motion: Motion, over: Windows, distance: np.ndarray) -> tuple
     usable = (over.last[:-1] == over.first[1:]) & moving & (np.abs(turn) < 1.5)
     yaw = np.diff(over.mean(motion.time, motion.yaw))
     rate = np.diff(over.mean(motion.time, integral(motion.time, motion.yaw_rate)))
-    return _slope(yaw[usable], turn[usable]), _slope(rate[usable], turn[usable])
+    return _fit_slope(yaw[usable], turn[usable]), _fit_slope(rate[usable], turn[usable])

@@ -89,7 +89,7 @@ class _Channel:
         return max(physical, STEP_MEDIAN_RATIO * self.median_step)
 
 
-def without_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveLog, list[Finding]]:
+def drop_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveLog, list[Finding]]:
     """(the drive without implausible samples, one finding for each kind and channel).
 
     An INS row with an implausible sample of INS_SIGNALS is left out, an optional signal becomes NaN, and a steering
@@ -113,7 +113,7 @@ def without_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[Dri
             time_ns = log.steering_time_ns
             if len(moving):
                 is_moving = np.interp(time_ns - start_ns, log.ins_time_ns - start_ns, moving) > 0.5
-        bad, found = implausible_samples(name, (time_ns - start_ns) * 1e-9, values, is_moving)
+        bad, found = find_implausible_samples(name, (time_ns - start_ns) * 1e-9, values, is_moving)
         findings += found
         if name == steering:
             bad_steering |= bad
@@ -124,8 +124,8 @@ def without_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[Dri
     return _leave_out(log, bad_rows, bad_steering, blanked), merge_findings(findings)
 
 
-def implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
-                        moving: np.ndarray) -> tuple[np.ndarray, list[Finding]]:
+def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
+                             moving: np.ndarray) -> tuple[np.ndarray, list[Finding]]:
     """(mask (n,) of the samples of one channel to leave out, the findings).
 
     name: a key of CHANNELS. time: (n,) ascending [s], with the zero of the times in the findings. values: (n,), NaN
@@ -133,7 +133,7 @@ def implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
     are implausible.
     """
     bad = np.zeros(len(values), bool)
-    channel = _channel(name, time, values)
+    channel = _make_channel(name, time, values)
     if channel is None:
         return bad, []
     findings = []
@@ -156,13 +156,13 @@ def implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
     return (bad if bad.mean() <= MAX_BAD_SHARE else np.zeros_like(bad)), findings
 
 
-def broken_channels(findings: Iterable[Finding]) -> set[str]:
+def find_broken_channels(findings: Iterable[Finding]) -> set[str]:
     """Channels that cannot be compared with others, because they keep faulty samples."""
     return {channel for finding in findings for channel in finding.channels
             if finding.name == "channel_jumps" or finding.severity is Severity.ERROR}
 
 
-def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel | None:
+def _make_channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel | None:
     """The channel without NaN; None if it is too short or constant."""
     rows = np.flatnonzero(np.isfinite(values))
     if len(rows) < MIN_SAMPLES:

@@ -250,7 +250,7 @@ def _make_finding(name: str, cause: Estimate, problem: Regression) -> Finding:
         grows="grows" if positive else "shrinks", high="high" if positive else "low")
     severity = LIMITS.severity(effect, UNIT.get(name) == "s" and abs(cause.value) >= LIMITS.severe_lag)
     return Finding(name, severity, CHANNELS[name], text, reported.value, UNIT.get(name, "1"),
-                   reported.interval, (), effect, _advice(name, reported.value))
+                   reported.interval, (), effect, _make_advice(name, reported.value))
 
 
 def _as_reported(name: str, cause: Estimate) -> Estimate:
@@ -260,7 +260,7 @@ def _as_reported(name: str, cause: Estimate) -> Estimate:
     return with_systematic(name, cause.shifted(1.0) if name.endswith("_scale") else cause)
 
 
-def _advice(name: str, value: float) -> Advice:
+def _make_advice(name: str, value: float) -> Advice:
     if name == "map_shear":
         return Advice("look", "project latitude and longitude with an origin near the drive")
     channel, entry = {
@@ -293,7 +293,7 @@ def distance_panel(motion: Motion, removed: Mapping[str, float]) -> Comparison:
     east, north = motion.velocity_map
     derived = np.hypot(*(over.change(integral(motion.time, v)) for v in (east, north)))
     measured = np.hypot(over.change(motion.x), over.change(motion.y))
-    return Comparison("position", "distance per second: positions against velocity", "m", "from x, y",
+    return Comparison("position", "distance per second: positions versus velocity", "m", "from x, y",
                       "from velocity and yaw", over.time, measured * removed.get("position_scale", 1.0),
                       derived * abs(removed.get("velocity_scale", removed.get("velocity_x_scale", 1.0))),
                       (*TEXT, "position_scale", "velocity_x_scale", "velocity_y_scale"))

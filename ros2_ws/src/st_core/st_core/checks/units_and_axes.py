@@ -81,7 +81,7 @@ def _correct_channels(correct: Mapping[str, Mapping[str, float]]) -> Advice:
     return Advice("run.yaml", f"correct: {{{fields}}}", {"correct": correct})
 
 
-def _error(name: str, channels: tuple[str, ...], text: str, value: float | None, advice: Advice) -> Finding:
+def _make_error(name: str, channels: tuple[str, ...], text: str, value: float | None, advice: Advice) -> Finding:
     return Finding(name, Severity.ERROR, channels, text, value, advice=advice)
 
 
@@ -106,7 +106,7 @@ def check_time_unit(motion: Motion) -> Corrected:
         reason = f": is its unit {name}?"
         advice = Advice("run.yaml", f"units: {{t: {symbol}}}", {"units": {"t": symbol}})
     text = f"time runs {factor:g} times too fast for positions and yaw{reason}"
-    return motion.with_time_divided(factor), _error("time_unit", ("time",), text, factor, advice)
+    return motion.with_time_divided(factor), _make_error("time_unit", ("time",), text, factor, advice)
 
 
 def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> Finding | None:
@@ -176,7 +176,7 @@ def _correct_north_east(motion: Motion) -> Corrected:
             "compass heading? Expected: x east, y north, yaw from east, counter-clockwise")
     entry = {"columns": {"x": "y", "y": "x"}, "correct": {"yaw": {"scale": -1.0, "add": np.pi / 2}}}
     line = f"columns: {{x: y, y: x}}  # and correct: {{yaw: {{scale: -1, add: {np.pi / 2:g}}}}}"
-    return replace(motion, x=motion.y, y=motion.x, yaw=np.pi / 2 - motion.yaw), _error(
+    return replace(motion, x=motion.y, y=motion.x, yaw=np.pi / 2 - motion.yaw), _make_error(
         "position_axes", ("x", "y", "yaw"), text, None, Advice("run.yaml", line, entry))
 
 
@@ -208,7 +208,7 @@ def _scale_yaw_rate(motion: Motion, factor: float, against: str = "yaw", size: f
               ": it has the opposite sign (left is positive)" if exact == -1.0 else "")
     text = f"yaw_rate is {factor:.3g} times the rate of change of {against}{reason}"
     return (replace(motion, yaw_rate=motion.yaw_rate / exact),
-            _error("yaw_rate_scale", ("yaw_rate",), text, factor, Advice.correct("yaw_rate", scale=1.0 / exact)))
+            _make_error("yaw_rate_scale", ("yaw_rate",), text, factor, Advice.correct("yaw_rate", scale=1.0 / exact)))
 
 
 def _scale_yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
@@ -217,13 +217,13 @@ def _scale_yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
         text = (f"yaw is {factor:.3g} times the angle from yaw rate and course"
                 + (f": is its unit {ANGLES[size]}?" if size in ANGLES else ""))
         corrected = replace(motion, yaw=_without_wraps(motion, motion.yaw / size))
-        return corrected, _error("yaw_scale", ("yaw",), text, factor, Advice.correct("yaw", scale=1.0 / size))
+        return corrected, _make_error("yaw_scale", ("yaw",), text, factor, Advice.correct("yaw", scale=1.0 / size))
     unit = f" in {ANGLES[size]}" if size in ANGLES else ""
     text = f"yaw counts clockwise{unit}: is it a compass heading? Expected: from east, counter-clockwise"
     scale = -1.0 / size
     corrected = replace(motion, yaw=_without_wraps(motion, scale * motion.yaw + np.pi / 2))
     advice = Advice.correct("yaw", scale=scale, add=np.pi / 2)
-    return corrected, _error("yaw_convention", ("yaw",), text, factor, advice)
+    return corrected, _make_error("yaw_convention", ("yaw",), text, factor, advice)
 
 
 def _angle_unit(factor: float, within: float = 1.06) -> float:
@@ -251,7 +251,7 @@ def _correct_position_axes(motion: Motion) -> Corrected:
         text = ("yaw and yaw_rate count clockwise: is yaw a compass heading from north, and does the gyroscope's axis "
                 "point down? Expected: left positive, yaw from east")
         advice = _correct_channels({"yaw": {"scale": -1.0, "add": np.pi / 2}, "yaw_rate": {"scale": -1.0}})
-        return replace(motion, yaw=np.pi / 2 - motion.yaw, yaw_rate=-motion.yaw_rate), _error(
+        return replace(motion, yaw=np.pi / 2 - motion.yaw, yaw_rate=-motion.yaw_rate), _make_error(
             "yaw_convention", ("yaw", "yaw_rate"), text, r.yaw_course, advice)
     _, measured, derived = _displacements(motion, *motion.velocity_map)
     angle = np.angle(np.sum(measured * derived))
@@ -265,7 +265,7 @@ def _correct_position_axes(motion: Motion) -> Corrected:
     }
     text, x, y, entry = axes[quarter]
     line = "  # and ".join(f"{name}: {value}" for name, value in entry.items()).replace("'", "")
-    return replace(motion, x=x, y=y), _error(
+    return replace(motion, x=x, y=y), _make_error(
         "position_axes", ("x", "y"), f"positions turn in the opposite direction to the car: {text}", None,
         Advice("run.yaml", line, entry))
 
@@ -278,13 +278,13 @@ def _correct_distance(motion: Motion) -> Corrected:
     speed, length = match_unit(1.0 / r.distance, SPEEDS), match_unit(r.distance, LENGTHS)
     if length and not speed:
         text = f"x and y are {r.distance:.4g} times the integrated velocity: is their unit {LENGTHS[length]}?"
-        return replace(motion, x=motion.x / length, y=motion.y / length), _error(
+        return replace(motion, x=motion.x / length, y=motion.y / length), _make_error(
             "position_scale", ("x", "y"), text, r.distance, Advice.correct("position", scale=1.0 / length))
     if not speed and r.distance < MAX_DEGREE_RATIO:
         text = (f"x and y are {r.distance:.3g} times the integrated velocity: are they latitude and longitude? Metres "
                 "are expected")
         advice = Advice("look", "project latitude and longitude to east and north")
-        return replace(motion, x=motion.x / r.distance, y=motion.y / r.distance), _error(
+        return replace(motion, x=motion.x / r.distance, y=motion.y / r.distance), _make_error(
             "position_scale", ("x", "y"), text, r.distance, advice)
     factor = speed or 1.0 / r.distance
     unit = f": is the unit {SPEEDS[speed]}?" if speed else ""
@@ -295,8 +295,8 @@ def _correct_distance(motion: Motion) -> Corrected:
     channels = ("velocity_x",) if forward_only else ("velocity_x", "velocity_y")
     text = (f"{' and '.join(channels)} {'is' if forward_only else 'are'} {1.0 / r.distance:.3g} times the rate of "
             f"change of positions{unit}")
-    return (forward if forward_only else both), _error(name, channels, text, 1.0 / r.distance,
-                                                       Advice.correct(channel, scale=1.0 / factor))
+    return (forward if forward_only else both), _make_error(name, channels, text, 1.0 / r.distance,
+                                                            Advice.correct(channel, scale=1.0 / factor))
 
 
 def _displacements(motion: Motion, east: np.ndarray, north: np.ndarray) -> tuple[Windows, np.ndarray, np.ndarray]:
@@ -341,7 +341,7 @@ def _correct_velocity_axes(motion: Motion) -> Corrected:
         motion = swapped
     else:
         return motion, None
-    return motion, _error("velocity_axes", ("velocity_x", "velocity_y"), text, None, advice)
+    return motion, _make_error("velocity_axes", ("velocity_x", "velocity_y"), text, None, advice)
 
 
 def _correct_yaw_offset(motion: Motion) -> Corrected:
@@ -353,14 +353,14 @@ def _correct_yaw_offset(motion: Motion) -> Corrected:
     angle = float(np.angle(total))
     quarter = np.round(angle / (np.pi / 2)) * np.pi / 2
     if abs(quarter) == np.pi and np.median(motion.velocity_x) < 0.0:  # a whole drive in reverse is less likely
-        return replace(motion, velocity_x=-motion.velocity_x), _error(
+        return replace(motion, velocity_x=-motion.velocity_x), _make_error(
             "velocity_x_scale", ("velocity_x",), "velocity_x has the opposite sign (forward is positive)", -1.0,
             Advice.correct("velocity_x", scale=-1.0))
-    exact = quarter if abs(angle - quarter) < 0.1 else angle
+    exact = float(quarter if abs(angle - quarter) < 0.1 else angle)
     reasons: dict[float, str] = {  # by quarter turns
         1.0: ": is it counted from north?", -1.0: ": is it counted from north or south?",
         2.0: ": does it point backwards?", -2.0: ": does it point backwards?"}
     reason = reasons.get(round(exact / (np.pi / 2), 3), "")
     text = f"yaw differs by {angle:+.2f} rad ({angle * DEGREE:+.0f} deg) from the direction of travel{reason}"
-    finding = replace(_error("yaw_offset", ("yaw",), text, angle, Advice.correct("yaw", add=-float(exact))), unit="rad")
+    finding = replace(_make_error("yaw_offset", ("yaw",), text, angle, Advice.correct("yaw", add=-exact)), unit="rad")
     return replace(motion, yaw=motion.yaw - exact), finding

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..handling import linear_system, rear_slip_coefficient, stability_factor
 from ..vehicle import VehicleParameters
-from .agreement import ZERO, Agreement, agreement
+from .agreement import ZERO, Agreement, compare_series
 from .finding import HORIZON, LIMITS, Advice, Comparison, Finding, Severity
 from .inertial import CheckResult, format_alternative_lags, format_magnitude
 from .motion import MOVING, Motion, has_varying_speed, windows
@@ -44,9 +44,9 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     derived = np.arctan(vehicle.wheelbase * curvature)
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
     response = response_time(vehicle, speed)
-    found = agreement(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, expected_lag=-response)
+    found = compare_series(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, expected_lag=-response)
     gain = _estimate_steering_gain(motion, derived)
-    understeer = _understeer_factor(motion.velocity_x, derived, vehicle)
+    understeer = _compute_understeer_factor(motion.velocity_x, derived, vehicle)
     if found is None or abs(found.correlation) < LIMITS.correlation:
         if found is not None and min(found.spread, float(np.std(found.measured))) > MIN_UNRELATED_SPREAD:
             return [_unrelated_finding(found)], {}, None
@@ -66,7 +66,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
         findings.insert(1, _lag_finding(late, found, speed, vehicle, format_alternative_lags(found, response)))
         estimates |= {"steering_lag": late} if found.determines_lag else {}
     estimates["steering_offset"] = with_systematic("steering_offset", found.bias)
-    panel = Comparison("steering", "road wheel angle: steering sensor against curvature", "rad", "road_wheel_angle",
+    panel = Comparison("steering", "road wheel angle: steering sensor versus curvature", "rad", "road_wheel_angle",
                        "from yaw rate and speed", found.time, found.measured, found.derived,
                        ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
     return [finding for finding in findings if finding], estimates, panel
@@ -94,7 +94,7 @@ def _estimate_steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | N
     return problem.estimates(("scale",))["scale"]
 
 
-def _understeer_factor(speed: np.ndarray, derived: np.ndarray, vehicle: VehicleParameters) -> float:
+def _compute_understeer_factor(speed: np.ndarray, derived: np.ndarray, vehicle: VehicleParameters) -> float:
     """Factor 1 + K v^2 by which the vehicle file's understeer K increases the steering of this drive, averaged with the
     square of the angle as weight; 1 for a car that oversteers."""
     known = np.isfinite(derived)
@@ -114,7 +114,7 @@ def response_time(vehicle: VehicleParameters, speed: float) -> float:
     return float(np.linalg.solve(a, once).ravel()[1] / -once.ravel()[1])
 
 
-def _lateral_shift(error: float, speed: float, vehicle: VehicleParameters) -> float:
+def _compute_lateral_shift(error: float, speed: float, vehicle: VehicleParameters) -> float:
     """Lateral shift [m] of the predicted position due to a constant error [rad] of the road wheel angle."""
     a, b = linear_system(max(speed, MOVING), vehicle)
     yaw_gain = -float(np.linalg.solve(a, b).ravel()[1])
@@ -159,7 +159,7 @@ def _lag_finding(late: Estimate, found: Agreement, speed: float, vehicle: Vehicl
         return None
     # The path turns by the steering angle that is missed during the lag.
     missed = abs(late.value) * float(np.std(found.derived)) * np.sqrt(2.0)
-    effect = _lateral_shift(missed / HORIZON * 2.0, speed, vehicle)
+    effect = _compute_lateral_shift(missed / HORIZON * 2.0, speed, vehicle)
     text = (f"the steering {'lags' if late.value > 0.0 else 'leads'} the car's motion by {format_magnitude(late)} s"
             f"{alternatives}, beyond the car's own response")
     advice = Advice.correct("road_wheel_angle", earlier=float(f"{late.value:.3g}"))
@@ -175,7 +175,7 @@ def _offset_finding(found: Agreement, speed: float, vehicle: VehicleParameters, 
         return None
     text = (f"the road wheels read {format_magnitude(offset)} rad ({abs(offset.value) * DEGREE:.1f} deg) too far "
             f"{_left_or_right(offset)} when driving straight: the steering offset is wrong")
-    effect = _lateral_shift(offset.value, speed, vehicle)
+    effect = _compute_lateral_shift(offset.value, speed, vehicle)
     offset_left = offset.value * float(np.sign(found.scale.value))  # after correction of a wrong sign
     if wheel_measured:
         wheel = vehicle.steering_wheel_offset + offset_left * vehicle.steering_ratio
@@ -221,8 +221,8 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     point_or_sign = lateral_sign_finding() if is_mirrored else _point_finding(point, motion, vehicle)
     findings = [finding for finding in (_heading_finding(heading, forward), point_or_sign) if finding]
     motion_of_axle = sum(found[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
-    panel = Comparison("velocity_y", "lateral velocity: measured against that derived from the rear axle", "m/s",
-                       "velocity_y", "rear axle at the declared distance", over.time[use], lateral,
+    panel = Comparison("velocity_y", "lateral velocity: measured versus derived from the rear axle", "m/s",
+                       "velocity_y", "rear axle at the distance of the vehicle file", over.time[use], lateral,
                        declared * rate + motion_of_axle,
                        ("heading_misaligned", "measuring_point"))
     return findings, {"heading_misaligned": heading, "measuring_point": point}, panel
@@ -266,7 +266,7 @@ def _point_finding(point: Estimate, motion: Motion, vehicle: VehicleParameters) 
     turn = 2.0 * np.abs(np.sin(0.5 * over.change(motion.yaw))) if len(over) else np.zeros(1)
     effect = abs(point.value) * float(np.sqrt(np.square(turn).mean()))
     text = (f"the measuring point lies {format_magnitude(point)} m {'ahead of' if point.value > 0 else 'behind'} the "
-            f"declared one (cg_to_ins_x {vehicle.cg_to_ins_x:.2f} m)")
+            f"INS point of the vehicle file (cg_to_ins_x {vehicle.cg_to_ins_x:.2f} m)")
     low, high = (vehicle.cg_to_ins_x + vehicle.cg_to_rear_axle + end for end in point.interval)
     if low < 0.0 < high:
         text += ": at the rear axle?"

@@ -49,7 +49,7 @@ def load_folder(path: str) -> tuple[str, ...]:
     if package not in sys.modules:
         names = _list_modules(finder)
         if not names:
-            raise ConfigurationError(f"{finder.path}: contains no effect, that is no file *.py")
+            raise ConfigurationError(f"{finder.path}: contains no effect (no file *.py)")
         _load(finder, package, names)
     return tuple(sorted(name for name, effect in EFFECTS.items() if effect.__module__.startswith(package + ".")))
 

@@ -52,7 +52,7 @@ def axle_forces(model: str | Model, vehicle: VehicleParameters, slip: np.ndarray
     if isinstance(model, AugmentedModel):
         model = model.only(e for e in model.effects if e.slot != "steering")
     slip = np.asarray(slip, float)
-    front, rear = (force.reshape(2, -1) for force in _steady_forces(model, vehicle, np.concatenate((-slip, slip))))
+    front, rear = (force.reshape(2, -1) for force in _find_steady_forces(model, vehicle, np.concatenate((-slip, slip))))
     return 0.5 * (front[0] - front[1]), 0.5 * (rear[0] - rear[1])
 
 
@@ -61,7 +61,7 @@ def axle_force(model: str | Model, vehicle: VehicleParameters, axle: str, slip: 
     return axle_forces(model, vehicle, slip)[axle == "rear"]
 
 
-def _steady_forces(model: Model, vehicle: VehicleParameters, slip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _find_steady_forces(model: Model, vehicle: VehicleParameters, slip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Forces (front, rear) [N], left +, in the steady turn in which both axles have these slip angles [rad].
 
         v_y = l_r r + v tan(slip),   delta = atan((v_y + l_f r) / v) - slip,   r = a_y / v
@@ -124,8 +124,8 @@ def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleP
                 count: int) -> list[AugmentedModel]:
     """Models with values drawn from a normal distribution about those of `model`, within the bounds of each parameter.
 
-    covariance: (p, p) of `model.vector` [SI]; rows of zeros for constants. vehicle: car that the values must suit
-    within the limits of a vehicle file. Raises StCoreError if fewer than MIN_DRAWS draws are valid.
+    covariance: (p, p) of `model.vector` [SI]; rows of zeros for constants. vehicle: draws that change it beyond the
+    limits of a vehicle file are dropped. Raises StCoreError if fewer than MIN_DRAWS draws are left.
     """
     low, high = np.array([p.bounds for _, p in model.free]).T.reshape(2, -1)
     values = np.random.default_rng(0).multivariate_normal(model.vector, covariance, count, method="eigh")

@@ -79,18 +79,18 @@ def fit_curve(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Se
 def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.ndarray, high: np.ndarray,
            tolerance: float, max_evaluations: int) -> OptimizeResult:
     inside = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
-    return least_squares(residuals, inside, _jacobian(residuals, high), (low, high), x_scale="jac",
+    return least_squares(residuals, inside, _make_jacobian(residuals, high), (low, high), x_scale="jac",
                          xtol=0.1 * tolerance, ftol=tolerance, gtol=1e-12, max_nfev=max_evaluations)
 
 
 def profile_interval(residuals: Residuals, fit: CurveFit, index: int) -> Interval:
     """Profile-likelihood interval of a parameter, by the secant method for the square root of the increase of S."""
-    low, low_open = _interval_end(residuals, fit, index, -1.0)
-    high, high_open = _interval_end(residuals, fit, index, 1.0)
+    low, low_open = _find_interval_end(residuals, fit, index, -1.0)
+    high, high_open = _find_interval_end(residuals, fit, index, 1.0)
     return Interval(low, high, low_open, high_open)
 
 
-def _interval_end(residuals: Residuals, fit: CurveFit, index: int, side: float) -> tuple[float, bool]:
+def _find_interval_end(residuals: Residuals, fit: CurveFit, index: int, side: float) -> tuple[float, bool]:
     threshold = fit.residual_deviation**2 * float(fisher.ppf(0.95, 1, fit.degrees_of_freedom))
     bound = float((fit.upper if side > 0.0 else fit.lower)[index])
     value, error = float(fit.values[index]), float(fit.standard_errors[index])
@@ -118,7 +118,7 @@ def _interval_end(residuals: Residuals, fit: CurveFit, index: int, side: float) 
     return value + side * distance, False
 
 
-def _jacobian(residuals: Residuals, upper: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+def _make_jacobian(residuals: Residuals, upper: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     """Jacobian by forward differences in one call of `residuals`; backward where a step would cross the upper bound."""
     def jacobian(values: np.ndarray) -> np.ndarray:
         steps = 1e-7 * np.maximum(np.abs(values), 1e-3)
@@ -135,9 +135,9 @@ def _fit_with_fixed(residuals: Residuals, fit: CurveFit, index: int, value: floa
     others = np.arange(len(fit.values)) != index
     low, high = fit.lower[others], fit.upper[others]
 
-    def of_others(free: np.ndarray) -> np.ndarray:
+    def residuals_with_fixed(free: np.ndarray) -> np.ndarray:
         return residuals(np.insert(free, index, value, axis=-1))
 
     # At an end of the interval, S is larger by about 5 %, so a tolerance of 0.01 % is sufficient.
-    found = _solve(of_others, start, low, high, 1e-4, 60)
+    found = _solve(residuals_with_fixed, start, low, high, 1e-4, 60)
     return found.x, 2.0 * found.cost

@@ -92,14 +92,14 @@ def identify_cg_height(data: Lift, car: LiftedCar) -> Identification:
         raise IdentificationError(f"the rear load changes by {line.slope * math.tan(math.radians(10.0)):+.1f} kg for "
                                   "10 deg of pitch, but must rise when the front axle is lifted: was the rear axle "
                                   "lifted, or are columns exchanged?")
-    radius, deflection = _radii(data, car, level)
+    radius, deflection = _compute_radii(data, car, level)
     arm = car.wheelbase * line.slope / car.mass
     height = radius + arm
     share = car.cg_to_front_axle / car.wheelbase
     uncertainty = math.hypot(
         car.wheelbase / car.mass * line.uncertainty, arm * car.mass_uncertainty / car.mass,
         arm * car.wheelbase_uncertainty / car.wheelbase, RADIUS_UNCERTAINTY * math.hypot(1.0 - share, share))
-    single, usable = _single_heights(data, car, level, radius, line)
+    single, usable = _compute_single_heights(data, car, level, radius, line)
     average = float(single[usable].mean())
     # Only the uncertainty of the slope was estimated from a few rows; the other uncertainties are known.
     degrees_of_freedom = effective_degrees_of_freedom((car.wheelbase / car.mass * line.uncertainty) ** 2,
@@ -118,7 +118,7 @@ def identify_cg_height(data: Lift, car: LiftedCar) -> Identification:
     edges = np.arange(0.0, data.pitch.max() + BIN, BIN)
     counts = np.histogram(data.pitch, edges)[0]
     coverage = Coverage("pitch", "deg", np.degrees(edges), counts, 1, 2)
-    warnings = [*_order_warnings(data), *_load_warnings(data, car, level)]
+    warnings = [*_check_order(data), *_check_load(data, car, level)]
     if abs(average - height) > 2.0 * uncertainty:
         warnings.append(f"The average over the pitch angles, {average:.3f} m, differs from the fit, {height:.3f} m, by "
                         "more than twice its uncertainty: it gives small pitch angles the same weight as large ones.")
@@ -151,7 +151,7 @@ def _check_rows(data: Lift) -> np.ndarray:
     return level
 
 
-def _radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float, float | None]:
+def _compute_radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float, float | None]:
     """(height of the line of wheel centres below the CG, further deflection of the lifted car's rear tyres) [m]."""
     front, rear = (radius[level & np.isfinite(radius)] for radius in (data.front_radius, data.rear_radius))
     if not len(front) or not len(rear):
@@ -168,8 +168,8 @@ def _radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float, float 
     return height, float(rear.mean() - lifted) if math.isfinite(lifted) and not level[steepest] else None
 
 
-def _single_heights(data: Lift, car: LiftedCar, level: np.ndarray, radius: float,
-                    line: Line) -> tuple[np.ndarray, np.ndarray]:
+def _compute_single_heights(data: Lift, car: LiftedCar, level: np.ndarray, radius: float,
+                            line: Line) -> tuple[np.ndarray, np.ndarray]:
     """(height from each single row (n,), mask of the rows that determine one). The level load of a lift is the mean of
     its level rows."""
     groups = np.asarray(data.lifts)
@@ -183,7 +183,7 @@ def _single_heights(data: Lift, car: LiftedCar, level: np.ndarray, radius: float
     return single, usable
 
 
-def _order_warnings(data: Lift) -> list[str]:
+def _check_order(data: Lift) -> list[str]:
     sentences, groups = [], np.asarray(data.lifts)
     for name in dict.fromkeys(data.lifts):
         pitch = np.degrees(data.pitch[groups == name])
@@ -196,7 +196,7 @@ def _order_warnings(data: Lift) -> list[str]:
     return sentences
 
 
-def _load_warnings(data: Lift, car: LiftedCar, level: np.ndarray) -> list[str]:
+def _check_load(data: Lift, car: LiftedCar, level: np.ndarray) -> list[str]:
     measured = float(data.rear_load[level].mean())
     expected = car.mass * car.cg_to_front_axle / car.wheelbase
     if abs(measured - expected) <= MAX_LOAD_DIFFERENCE * car.mass:

@@ -167,13 +167,13 @@ def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tupl
                         [run.lateral_acceleration[m] for run, m in zip(runs, masks, strict=True)], times, 1.0, 3))
     insufficient = "; ".join(c.describe() for c in covered if not c.sufficient)
     samples = [_axle_samples(runs, masks, vehicle, index) for index in range(2)]
-    slopes = [_slope(axle) if axle.used.sum() >= 10 else None for axle in samples]
+    slopes = [_fit_slope(axle) if axle.used.sum() >= 10 else None for axle in samples]
     front, rear = (_make_regression(*pair, covered, [f"too little excitation: {insufficient}"] if insufficient else [])
                    for pair in zip(samples, slopes, strict=True))
-    return (front, rear), _correlation(*slopes), tuple(r for rows in rejected for r in rows)
+    return (front, rear), _correlate(*slopes), tuple(r for rows in rejected for r in rows)
 
 
-def _slope(samples: AxleSamples) -> Slope:
+def _fit_slope(samples: AxleSamples) -> Slope:
     """Slope C of F = -C alpha + intercept, fitted to the used samples."""
     slip = samples.slip[samples.used]
     group = make_blocks(samples.run_of[samples.used], samples.time[samples.used])
@@ -182,7 +182,7 @@ def _slope(samples: AxleSamples) -> Slope:
     return float(found[0]), spread, (group.run.astype(np.int64) << 32) + group.block, influence[:, 0]
 
 
-def _model_error(samples: AxleSamples, slope: Slope) -> float:
+def _estimate_model_error(samples: AxleSamples, slope: Slope) -> float:
     """Standard uncertainty of the secant as an estimate of the stiffness at zero slip [N/rad]; NaN if unknown."""
     size = np.abs(samples.slip - samples.zero_force_slip())
     low = replace(samples, used=samples.used & (size <= 0.5 * np.quantile(size[samples.used], DRIVEN_QUANTILE)))
@@ -190,12 +190,12 @@ def _model_error(samples: AxleSamples, slope: Slope) -> float:
                       for used in (size[samples.used], size[low.used]))
     if low.used.sum() < MIN_AXLE_SAMPLES or mean_low > MAX_RANGE_RATIO * mean:
         return float("nan")
-    value, spread, *_ = _slope(low)
+    value, spread, *_ = _fit_slope(low)
     return extrapolation_uncertainty((slope[0], float(slope[1].covariance[0, 0]), mean),
                                      (value, float(spread.covariance[0, 0]), mean_low))
 
 
-def _correlation(front: Slope | None, rear: Slope | None) -> np.ndarray:
+def _correlate(front: Slope | None, rear: Slope | None) -> np.ndarray:
     """Correlation (2, 2) of the stiffnesses, from the influence of common blocks; identity if one is missing."""
     if front is None or rear is None:
         return np.eye(2)
@@ -223,7 +223,7 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[C
                   "arm of the INS may be wrong, or the drive has too little sideslip")
         return AxleRegression(*failed, (*reasons, reason), basis)
     return AxleRegression(samples.axle, value, error, interval, samples, covered, tuple(reasons), basis,
-                          _model_error(samples, slope))
+                          _estimate_model_error(samples, slope))
 
 
 def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:

@@ -64,22 +64,22 @@ class FreeParameter:
     max_uncertainty: float = 0.0
 
 
-def _scaled(effect: str, key: str, unit: str) -> FreeParameter:
+def _make_scaled_parameter(effect: str, key: str, unit: str) -> FreeParameter:
     return FreeParameter(effect, unit, lambda car, values: values[f"{effect}.factor"] * float(getattr(car, key)), True)
 
 
-def _offset(car: VehicleParameters, values: Values) -> float:
+def _compute_offset(car: VehicleParameters, values: Values) -> float:
     """delta = (delta_h - o_file) / (factor i_file) + angle, so o = o_file - angle factor i_file."""
     factor = values.get(f"{SteeringRatio.name}.factor", 1.0)
     return car.steering_wheel_offset - values[f"{SteeringOffset.name}.angle"] * factor * car.steering_ratio
 
 
 FREE_PARAMETERS: Mapping[str, FreeParameter] = {
-    "cornering_stiffness_front": _scaled(FrontStiffness.name, "cornering_stiffness_front", "N/rad"),
-    "cornering_stiffness_rear": _scaled(RearStiffness.name, "cornering_stiffness_rear", "N/rad"),
-    "yaw_inertia": _scaled(YawInertia.name, "yaw_inertia", "kg m^2"),
-    "steering_ratio": _scaled(SteeringRatio.name, "steering_ratio", "1"),
-    "steering_wheel_offset": FreeParameter(SteeringOffset.name, "rad", _offset, max_uncertainty=0.02),
+    "cornering_stiffness_front": _make_scaled_parameter(FrontStiffness.name, "cornering_stiffness_front", "N/rad"),
+    "cornering_stiffness_rear": _make_scaled_parameter(RearStiffness.name, "cornering_stiffness_rear", "N/rad"),
+    "yaw_inertia": _make_scaled_parameter(YawInertia.name, "yaw_inertia", "kg m^2"),
+    "steering_ratio": _make_scaled_parameter(SteeringRatio.name, "steering_ratio", "1"),
+    "steering_wheel_offset": FreeParameter(SteeringOffset.name, "rad", _compute_offset, max_uncertainty=0.02),
     "cg_to_ins_x": FreeParameter(SensorLeverArm.name, "m", max_uncertainty=0.1, value=lambda car, values: (
         car.cg_to_ins_x + values[f"{SensorLeverArm.name}.x"])),
     # Angle by which the reported heading points too far to the left.

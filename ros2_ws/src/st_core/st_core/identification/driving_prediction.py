@@ -64,7 +64,7 @@ UNCERTAINTY_GRADES: tuple[tuple[float, str, Status], ...] = (
     (MAX_RELATIVE_UNCERTAINTY, "Determined", "identified"),
     (5.0 * MAX_RELATIVE_UNCERTAINTY, "Poorly determined", "doubtful"),
     (np.inf, "Not identifiable: determined only", "unidentifiable"))
-"""(largest relative standard uncertainty of a stiffness, ratio or inertia; begin of the verdict; status)."""
+"""(largest relative standard uncertainty of a stiffness, ratio or inertia; beginning of the verdict; status)."""
 INERTIA_NAMES = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE)
 YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, left +
 TRANSIENT_SETTINGS = DrivingFitSettings(interval=0.3)

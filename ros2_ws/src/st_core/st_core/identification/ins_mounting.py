@@ -58,10 +58,10 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
 
     regressors = np.stack([speed, rate, speed**2 * rate, speed * rate_dot], axis=1)
     theta, spread, _ = group.regression(regressors, lateral)
-    estimates = [_estimate("cg_to_ins_x", theta[1] - vehicle.cg_to_rear_axle, spread, 1, 1.0, "m", used,
-                           f"{theta[1]:.3f} m ahead of the rear axle", 0.1),
-                 _estimate(MISALIGNMENT, -theta[0], spread, 0, 1.0, "rad", used,
-                           f"{np.rad2deg(-theta[0]):+.2f} deg, reported heading relative to the car's axis", 0.005)]
+    estimates = [_make_estimate("cg_to_ins_x", theta[1] - vehicle.cg_to_rear_axle, spread, 1, 1.0, "m", used,
+                                f"{theta[1]:.3f} m ahead of the rear axle", 0.1),
+                 _make_estimate(MISALIGNMENT, -theta[0], spread, 0, 1.0, "rad", used,
+                                f"{np.rad2deg(-theta[0]):+.2f} deg, reported heading minus the car's heading", 0.005)]
     correlation = correlation_matrix(spread.covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
     with_slip = correlation_matrix(spread.covariance)[1:3, 1:3]
     warnings = [*notes, *describe_correlations(["lever arm", "rear slip"], with_slip),
@@ -112,19 +112,19 @@ def _estimate_lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.nd
         regressors = np.stack([kinematic, slope, speed * rate, np.ones_like(speed), kinematic**3], axis=1)
         theta, spread, _ = group.regression(regressors, angle)
         d_y += float(theta[1] / theta[0])
-    return _estimate("cg_to_ins_y", d_y, spread, 1, float(1.0 / theta[0]), "m", used,
-                     "left of the CG, from bends to both sides", 0.1)
+    return _make_estimate("cg_to_ins_y", d_y, spread, 1, float(1.0 / theta[0]), "m", used,
+                          "left of the CG, from bends to both sides", 0.1)
 
 
-def _estimate(name: str, value: float, spread: Spread, index: int, factor: float, unit: str,
-              used: tuple[str, ...], description: str, max_uncertainty: float) -> Estimate:
+def _make_estimate(name: str, value: float, spread: Spread, index: int, factor: float, unit: str,
+                   used: tuple[str, ...], description: str, max_uncertainty: float) -> Estimate:
     uncertainty = float(abs(factor) * spread.deviations[index])
     status: Status = "identified" if uncertainty < max_uncertainty else (
         "doubtful" if uncertainty < 5.0 * max_uncertainty else "unidentifiable")
     prefix = {"identified": "", "doubtful": "Poorly determined: ", "unidentifiable": "Not identifiable: "}[status]
     return Estimate(name, float(value), unit, uncertainty,
                     spread.interval(index, value, uncertainty), "lateral velocity of slow driving"
-                    if name != "cg_to_ins_y" else "steering against curvature in tight bends", used,
+                    if name != "cg_to_ins_y" else "steering versus curvature in tight bends", used,
                     f"{prefix}{description}, +/- {uncertainty:.2g} {unit}, from {spread.basis[index]}.", status)
 
 

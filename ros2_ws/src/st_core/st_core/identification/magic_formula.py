@@ -188,7 +188,7 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
     fit, tyre = found.fit, found.tyre
     levels, level = found.levels, found.level
     data = replace(data, slip=-data.slip) if found.flipped else data
-    function = _residuals(data, found.staged, found.names)
+    function = _make_residuals(data, found.staged, found.names)
     peak = float(np.abs(data.force).max())
     method = (f"flat plank, {len(data.load)} points at {', '.join(f'{x:.0f}' for x in levels)} N, nominal load first, "
               f"then all loads simultaneously, profile likelihood; residual {100 * fit.residual_deviation / peak:.2f} "
@@ -221,7 +221,7 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
               "level": level, "residuals": fit.residuals, "grid": grid, "names": found.names[:-1],
               "curves": np.stack([tyre_force(grid + fit.values[-1], load, tyre) for load in levels]),
               "stiffness": np.array([found.stiffness(load) for load in levels])}
-    warnings = [*_warnings(data, found, peak),
+    warnings = [*_make_warnings(data, found, peak),
                 *describe_correlations([e.parameter for e in estimates], correlation, 0.98)]
     return Identification("tyre", tuple(estimates), (data.name,), (), correlation, slip_coverage(data, levels, level),
                           tuple(warnings), figure)
@@ -249,7 +249,7 @@ def _fit_load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[st
         unscaled = magic_formula_stiffness(first.nominal_load, changed._replace(p_ky1=-1.0))
         return changed._replace(p_ky1=-stiffness / unscaled)
 
-    low, high = _bounds(free)
+    low, high = _get_bounds(free)
     start = {"p_dy2": -0.1, "p_ey2": 0.0, "p_ky2": 2.0, "p_ky4": 2.0}
 
     def residuals(values: np.ndarray) -> np.ndarray:
@@ -259,12 +259,12 @@ def _fit_load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[st
 
 
 def _fit(data: FlatPlank, starts: Sequence[MagicFormula], names: Sequence[str]) -> CurveFit:
-    low, high = _bounds(names)
+    low, high = _get_bounds(names)
     first = [[0.0 if name == SHIFT else getattr(start, name) for name in names] for start in starts]
-    return fit_curve(_residuals(data, starts[0], names), first, low, high)
+    return fit_curve(_make_residuals(data, starts[0], names), first, low, high)
 
 
-def _residuals(data: FlatPlank, start: MagicFormula, names: Sequence[str]) -> Residuals:
+def _make_residuals(data: FlatPlank, start: MagicFormula, names: Sequence[str]) -> Residuals:
     def residuals(values: np.ndarray) -> np.ndarray:
         columns = np.moveaxis(values, -1, 0)[..., None]
         return tyre_force(data.slip + columns[-1], data.load, _with_values(start, names, columns)) - data.force
@@ -277,13 +277,13 @@ def _with_values(tyre: MagicFormula, names: Sequence[str], values: Any) -> Magic
     return tyre._replace(**{name: value for name, value in zip(names, values, strict=True) if name != SHIFT})
 
 
-def _bounds(names: Sequence[str]) -> tuple[list[float], list[float]]:
+def _get_bounds(names: Sequence[str]) -> tuple[list[float], list[float]]:
     """Lower and upper bounds: those of FIT_BOUNDS, or else of the vehicle file."""
     limits = [FIT_BOUNDS.get(name) or (TYRE_QUANTITIES[name].minimum, TYRE_QUANTITIES[name].maximum) for name in names]
     return [low for low, _ in limits], [high for _, high in limits]
 
 
-def _warnings(data: FlatPlank, found: TyreFit, peak: float) -> list[str]:
+def _make_warnings(data: FlatPlank, found: TyreFit, peak: float) -> list[str]:
     sentences = []
     if found.flipped:
         sentences.append("In the table the force has the same sign as the slip angle (the other convention): the sign "

@@ -39,27 +39,27 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     """
     logs, notes = prepare_drives(logs, vehicle)
     runs = [run_samples(log, vehicle) for log in logs]
-    windows = [_straight_windows(run, vehicle) for run in runs]
+    windows = [_find_straight_windows(run, vehicle) for run in runs]
     values = np.concatenate([w[:, 1] for w in windows])
     if len(values) < MIN_WINDOWS:
         raise IdentificationError(
             f"too little straight driving: {len(values)} windows of {WINDOW:g} s are straighter than "
             f"R = {MIN_RADIUS:g} m and faster than {SETTINGS.minimum_speed:g} m/s, with constant steering; "
             f"{MIN_WINDOWS} are needed")
-    # Unsmoothed samples at the points of the horizon would cause an error of 0.02 deg after four minutes by road noise.
+    # Without smoothing, road noise would cause an error of 0.02 deg at the steering wheel after four minutes.
     smooth = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, 0.1, "zero_phase")[0])
               for log in logs]
     fit = fit_driving(smooth, vehicle, (PAPER,), "linear", SETTINGS)
     predicted = {name: count for name, (count, _) in fit.windows.items()}
-    paper = _estimate(PAPER, fit.values[0], fit.spread, "predicted versus measured yaw rate (paper)", predicted,
-                      f"{fit.prediction_count} predictions on straights")
+    paper = _to_estimate(PAPER, fit.values[0], fit.spread, "predicted versus measured yaw rate (paper)", predicted,
+                         f"{fit.prediction_count} predictions on straights")
 
     run_of = np.concatenate([np.full(len(w), i) for i, w in enumerate(windows)])
     times = np.concatenate([w[:, 0] for w in windows])
     _, spread, _ = make_blocks(run_of, times).regression(np.ones((len(values), 1)), values)
     used = {run.name: len(w) for run, w in zip(runs, windows, strict=True)}
-    direct = _estimate(DIRECT, float(values.mean()), spread, "mean reading on steady straights", used,
-                       f"{len(values)} windows of {WINDOW:g} s")
+    direct = _to_estimate(DIRECT, float(values.mean()), spread, "mean reading on steady straights", used,
+                          f"{len(values)} windows of {WINDOW:g} s")
     conflict = describe_contradiction(paper, direct.value, direct.standard_uncertainty,
                                       "the mean reading on steady straights")
     if conflict:
@@ -71,7 +71,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
                           rejected, None, (), (*notes, *([conflict] if conflict else [])), figure)
 
 
-def _straight_windows(run: RunSamples, vehicle: VehicleParameters) -> np.ndarray:
+def _find_straight_windows(run: RunSamples, vehicle: VehicleParameters) -> np.ndarray:
     """(time, offset [rad]) of the steady straight windows of a run, (n, 2)."""
     understeer = stability_factor(vehicle)
     rows = []
@@ -89,7 +89,7 @@ def _straight_windows(run: RunSamples, vehicle: VehicleParameters) -> np.ndarray
     return np.array(rows).reshape(-1, 2)
 
 
-def _estimate(name: str, value: float, spread: Spread, method: str, used: Mapping[str, int], basis: str) -> Estimate:
+def _to_estimate(name: str, value: float, spread: Spread, method: str, used: Mapping[str, int], basis: str) -> Estimate:
     uncertainty = float(spread.deviations[0])
     degrees, deviation = np.rad2deg(value), np.rad2deg(uncertainty)
     return Estimate(name, float(value), "rad", uncertainty, spread.interval(0, value), method,

@@ -132,7 +132,7 @@ def identify_steering_ratio(data: Turntable) -> Identification:
     figure = {"steering": data.steering, "left": data.left, "right": data.right, "mean": mean, "sweeps": data.sweeps,
               "slope": line.slope, "intercepts": line.intercepts, "residuals": line.residuals, "cubic": cubic,
               "significant": significant}
-    return Identification("steering-ratio", (estimate,), used, (), None, (coverage,), tuple(_warnings(data, line)),
+    return Identification("steering-ratio", (estimate,), used, (), None, (coverage,), tuple(_make_warnings(data, line)),
                           figure)
 
 
@@ -156,7 +156,7 @@ def _check_rows(data: Turntable) -> None:
                                   "least 90 deg are needed; if the column is in radians, name it steering_wheel_rad")
 
 
-def _warnings(data: Turntable, line: Line) -> list[str]:
+def _make_warnings(data: Turntable, line: Line) -> list[str]:
     sentences = []
     left_turn, right_turn = data.steering > MIN_RANGE, data.steering < -MIN_RANGE
     split = data.left - data.right - np.median(data.left - data.right)

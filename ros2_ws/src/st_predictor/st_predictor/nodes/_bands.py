@@ -146,7 +146,7 @@ def coverage_check(coverages: Coverages) -> Check:
     """Diagnostic check of the evaluator: observed coverage of the bands."""
     values = {f"{model} {mode} {100 * level:g} %": f"{coverage.share(level):.3f} of {coverage.n}"
               for (model, mode), coverage in coverages.by_pair.items() for level in sorted(coverage.inside)}
-    if warning := coverages.warning():
+    if warning := coverages.describe_warnings():
         return Check("bands", diagnostics.WARN, warning, values)
     return Check("bands", diagnostics.OK, "coverage as expected" if values else "no prediction with a band yet", values)
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from st_core.checks.plausibility import implausible_samples
+from st_core.checks.plausibility import find_implausible_samples
 from st_core.clock_alignment import align, align_by_time_frame, manual_alignment, mask_standstill
 from st_core.clock_types import Alignment, SharedSignal, Verdict, refused_alignment
 
@@ -129,7 +129,7 @@ def mask_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, 
         if len(values) < 2:
             return values
         unwrapped = np.unwrap(np.nan_to_num(values)) if channel == "yaw" else values
-        bad, found = implausible_samples(channel, (time_ns - time_ns[0]) * 1e-9, unwrapped, moving)
+        bad, found = find_implausible_samples(channel, (time_ns - time_ns[0]) * 1e-9, unwrapped, moving)
         if bad.any():
             largest = float(values[bad][np.argmax(np.abs(values[bad]))])
             notes.append(f"{bad.sum()} of {len(bad)} samples of {label} are implausible (up to {largest:.4g} "

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-from st_core.checks.plausibility import without_implausible
+from st_core.checks.plausibility import drop_implausible
 from st_core.corrections import Correction, apply_corrections, describe_corrections
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
@@ -37,7 +37,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
         digests = pool.submit(hash_files, (*source.files, *source.can))
         loaded = _read(source, vehicle, settings)
     start_ns = int(loaded.log.ins_time_ns[0]) if len(loaded.log.ins_time_ns) else 0
-    log, implausible = without_implausible(loaded.log, start_ns)
+    log, implausible = drop_implausible(loaded.log, start_ns)
     if vehicle is not None and log.steering_wheel_angle is not None:
         log = log.with_steering(vehicle)
     extras = replace(loaded.auxiliary, implausible=(*loaded.auxiliary.implausible, *implausible), start_ns=start_ns)
