@@ -1,4 +1,4 @@
-"""Ratio of the true friction to the tyre data's: wet or cold road, other tyres."""
+"""Error of the friction in the tyre data: wet or cold road, other tyres."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ class Friction(Effect):
     parameters = (
         Parameter("factor", "1", null=1.0, initial=0.8, bounds=(0.1, 1.6),
                   meaning="ratio of true friction to the tyre data's",
-                  source="ice 0.1, wet 0.6-0.8, dry asphalt against a drum 1.0-1.3"),
+                  source="ice 0.1, wet 0.6-0.8, dry asphalt relative to a test drum 1.0-1.3"),
     )
 
     @staticmethod
