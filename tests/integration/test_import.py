@@ -263,7 +263,7 @@ def test_logs_of_different_drives_are_refused(raw: Path, tmp_path: Path, leaf: V
     lines = (other / "run.log").read_text().splitlines(keepends=True)
     (mixed / "run.log").write_text("".join(line for line in lines if " 600#" not in line and " 630#" not in line))
     (source,) = find_runs([mixed])
-    with pytest.raises(RunError, match=r"cannot be aligned .* not of the same drive.*; inspect it with `st align`"):
+    with pytest.raises(RunError, match=r"cannot be aligned .* not of the same drive.*; inspect the alignment"):
         read(source, leaf)
     run = CliRunner().invoke(app, ["import", str(mixed), "--output", str(tmp_path / "bag")])
     assert run.exit_code == 2

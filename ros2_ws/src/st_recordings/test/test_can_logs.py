@@ -73,7 +73,7 @@ def test_a_file_cut_inside_its_index_says_so(tmp_path: Path) -> None:
     for content in ((KEPT / REAL).read_bytes()[:5000], drive.read_bytes()[:-5000]):
         file = tmp_path / "cut.MF4"
         file.write_bytes(content)
-        with pytest.raises(RunError, match=r"cut\.MF4: the file is truncated or damaged: .* copy it from the logger"):
+        with pytest.raises(RunError, match=r"cut\.MF4: the file is truncated or damaged: .* copy it again from the"):
             read_mf4(file)
 
 
@@ -102,10 +102,10 @@ def test_splits_of_a_session_are_joined_in_time(tmp_path: Path) -> None:
     assert not log.warnings
     with_a_gap = read_can_logs([files[0], files[2]])
     assert len(with_a_gap.frames) == 600
-    assert "split 2 of the session is missing" in with_a_gap.warnings[0]
+    assert "files of the session are missing: 2" in with_a_gap.warnings[0]
     again = read_can_logs([*files, write_layout_2(session / "00000003-60AA0000.MF4", START_NS, frames[600:])])
     assert len(again.frames) == 900
-    assert "300 frames are in the log twice" in again.warnings[0]
+    assert "300 frames are in the logs more than once" in again.warnings[0]
 
 
 def test_names_of_sessions() -> None:
@@ -153,7 +153,7 @@ def test_a_clock_set_back_on_the_way_goes_on(tmp_path: Path) -> None:
 def test_the_makers_container_is_refused_with_the_name_of_its_converter(tmp_path: Path, extension: str) -> None:
     file = tmp_path / f"00000001{extension}"
     file.write_bytes(b"Generic File" + bytes(100))
-    with pytest.raises(RunError, match=r"CSS Electronics' own container, .*; convert it with their mdf2finalized"):
+    with pytest.raises(RunError, match=r"container format of CSS Electronics, .*; convert it with their mdf2finalized"):
         read_can_logs([file])
 
 
@@ -216,7 +216,7 @@ def test_a_date_of_a_code_page_far_behind_the_head(tmp_path: Path) -> None:
 
 def test_candump_without_times_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("  can0  002   [3]  01 02 03\n" * 3)
-    with pytest.raises(RunError, match=r"this output of candump has no time stamps; record with candump -l"):
+    with pytest.raises(RunError, match=r"this output of candump has no time stamps; record again with candump -l"):
         read_can_logs([tmp_path / "a.log"])
 
 
@@ -238,7 +238,7 @@ def test_a_log_under_the_wrong_extension_is_read_as_what_it_is(tmp_path: Path) -
         ("text.MF4", b"time,value\n1,2\n", "this is not an MF4 file"),
         ("noise.log", bytes(range(256)) * 10, "this is not a CAN log of a known format"),
         ("packets.asc", b"\xe7" + bytes(71), "this is not a CAN log of a known format"),
-        ("nothing.log", b"(1.0) can0 002#nonsense\n", "it contains no usable frame"),
+        ("nothing.log", b"(1.0) can0 002#nonsense\n", "it contains no usable frames"),
     ],
 )
 def test_files_that_are_no_log(tmp_path: Path, name: str, content: bytes, message: str) -> None:
@@ -253,7 +253,7 @@ def test_a_cut_text_log_is_read_up_to_there(tmp_path: Path) -> None:
     file.write_text("(1700000000.000000) can0 002#1D000007B0\n(1700000000.010000) can0 002#1D0000\n(17000000")
     log = read_can_logs([file])
     assert len(log.frames) == 2
-    assert "1 of 3 lines (33 %) cannot be read, the first is line 3" in log.warnings[0]
+    assert "1 of 3 lines (33 %) cannot be read and were skipped; the first is line 3" in log.warnings[0]
 
 
 def test_an_mf4_without_can_frames(tmp_path: Path) -> None:
@@ -292,4 +292,4 @@ def test_a_frame_with_an_impossible_time_is_skipped_and_counted(tmp_path: Path, 
     (tmp_path / "log.log").write_text("\n".join(lines) + "\n")
     log = read_can_logs([tmp_path / "log.log"])
     np.testing.assert_array_equal(log.frames.payload[:, 0], np.delete(np.arange(100), at))
-    assert log.warnings == (f"{tmp_path / 'log.log'}: frames with an impossible time: 1; they were skipped",)
+    assert log.warnings == (f"{tmp_path / 'log.log'}: frames with an impossible time were skipped: 1",)

@@ -1,4 +1,4 @@
-"""CAN logs in text and binary formats, read with python-can; an unreadable line is skipped."""
+"""Reads CAN logs in text and binary formats with python-can; unreadable lines are skipped."""
 
 import codecs
 import re
@@ -16,7 +16,7 @@ MF4_EXTENSIONS = (".mf4", ".mdf")
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", length of the head, version, length of the object, kind
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
-# First letters of month names, which Vector's tools write in the language of the computer.
+# First letters of month names -> number; Vector's tools write month names in the language of the computer.
 _MONTHS = {"jan": 1, "gen": 1, "feb": 2, "fév": 2, "fev": 2, "mar": 3, "mär": 3, "mrz": 3, "apr": 4, "avr": 4, "abr": 4,
            "may": 5, "mai": 5, "mag": 5, "maj": 5, "jun": 6, "giu": 6, "jul": 7, "lug": 7, "aug": 8, "aoû": 8, "ago": 8,
            "sep": 9, "set": 9, "oct": 10, "okt": 10, "ott": 10, "out": 10, "nov": 11, "dec": 12, "dez": 12, "déc": 12,
@@ -29,16 +29,16 @@ _SCREEN_LINE = re.compile(
 UNSTAMPED_LINE = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
 """A line of candump without -l and without -t."""
 _ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)(?=\s)")
-# Error handler for Windows-1252 bytes in a text that is otherwise UTF-8
+# Name of an error handler that decodes Windows-1252 bytes in a text that is otherwise UTF-8
 _CP1252_FALLBACK = "single_track_cp1252"
 codecs.register_error(_CP1252_FALLBACK, lambda error: (
     error.object[error.start:error.end].decode("cp1252", "replace"), error.end))  # type: ignore[attr-defined]
 
 
 class Lines:
-    """The lines of a text log in any encoding, for use as the file object of python-can.
+    """Iterates over the lines of a text log in any encoding; python-can uses it as a file.
 
-    position: number of the last line read. last: its text. `unread`: makes a line the next one.
+    position: number of the last line that was read. last: its text.
     """
 
     def __init__(self, file: Path, convert: Callable[[str], str] = str):
@@ -63,6 +63,7 @@ class Lines:
         return self.last
 
     def unread(self, line: str) -> None:
+        """Makes a line the next one to be read."""
         self._unread.append(line)
 
     def close(self) -> None:
@@ -71,21 +72,24 @@ class Lines:
 
 @dataclass(frozen=True)
 class Format:
-    """A log format. extensions: lower case. matches: whether the first bytes of a file have this format.
-    messages: yields python-can messages in the order of the file and appends notes, without the file's name."""
+    """A log format.
+
+    messages: yields python-can messages in the order of the file, and appends notes, which do not name the file.
+    """
 
     name: str
-    extensions: tuple[str, ...]
-    matches: Callable[[bytes], bool]
+    extensions: tuple[str, ...]  # lower case
+    matches: Callable[[bytes], bool]  # whether the first bytes of a file have this format
     messages: Callable[[Path, list[str]], Iterator[Any]]
 
 
 def _make_text_reader(make: Callable[[Lines, list[str]], Any],
                       converter: Callable[[], Callable[[str], str]] = lambda: str,
                       restart: str = "") -> Callable[[Path, list[str]], Iterator[Any]]:
-    """A reader of text that continues after a line it cannot read.
+    """Makes a reader of a text format that skips lines which python-can cannot read.
 
-    converter: makes the function that converts the lines of a file. restart: line that the header parser may consume.
+    make: makes the python-can reader. converter: makes a function that converts each line before it is parsed. restart:
+    line to insert after an unreadable line, because python-can parses a header when it starts again.
     """
     def messages(file: Path, notes: list[str]) -> Iterator[Any]:
         lines, bad = Lines(file, converter()), list[int]()
@@ -97,16 +101,16 @@ def _make_text_reader(make: Callable[[Lines, list[str]], Any],
                     yield next(remaining)
                 except StopIteration:
                     break
-                except Exception:  # python-can passes on exceptions of int() and indexing
+                except Exception:  # any, from int() or indexing in python-can
                     if bad and bad[-1] == lines.position:
-                        break  # no progress: the end of a file with an incomplete header
+                        break  # no progress: the file ends within its header
                     bad.append(lines.position)
                     if restart:
                         lines.unread(restart)
                     remaining = iter(reader)
             if bad:
-                notes.insert(0, f"{format_share(len(bad), lines.position, 'lines')} cannot be read, the first is line "
-                             f"{bad[0]}; they were skipped")
+                notes.insert(0, f"{format_share(len(bad), lines.position, 'lines')} cannot be read and were skipped; "
+                             f"the first is line {bad[0]}")
         finally:
             lines.close()
 
@@ -114,13 +118,13 @@ def _make_text_reader(make: Callable[[Lines, list[str]], Any],
 
 
 def month_number(name: str) -> int | None:
-    """Number of a month by its name in a European language."""
+    """Number of the month (1 to 12) with a name in a European language; None for an unknown name."""
     name = name.lower().rstrip(".")
     return _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
 
 
 def _convert_candump_line(line: str) -> str:
-    """Converts a line printed by candump to the format of its log (-l)."""
+    """Converts a line that candump prints to the format in which it logs (-l); other lines are not changed."""
     match = _SCREEN_LINE.match(line)
     if match is None:
         return line
@@ -138,14 +142,14 @@ def _read_asc(lines: Lines, notes: list[str]) -> Any:
     class Reader(base):
         def _extract_header(self) -> None:
             super()._extract_header()
-            if _ASC_STAMP.match(lines.last):  # the header has no end line: the first frame was consumed
+            if _ASC_STAMP.match(lines.last):  # the header has no last line, so the first frame was consumed
                 lines.unread(lines.last)
 
         def _datetime_to_timestamp(self, text: str) -> float:
             try:
                 return super()._datetime_to_timestamp(text)
             except ValueError:
-                note = f"its date {text[:40]!r} cannot be read; times count from the start of the log"
+                note = f"its date {text[:40]!r} cannot be read, so its times count from the start of the log"
                 if note not in notes:
                     notes.append(note)
                 return 0.0
@@ -154,7 +158,8 @@ def _read_asc(lines: Lines, notes: list[str]) -> Any:
 
 
 class _AscLines:
-    """Converts lines to the form python-can reads: times since the start, English months, a 24-hour clock."""
+    """Converts the lines of an ASC log to what python-can can read: times since the start, English months, and hours of
+    0 to 23 without a.m. or p.m."""
 
     def __init__(self) -> None:
         self._relative, self._seconds = False, 0.0
@@ -188,7 +193,7 @@ def _read_trc(lines: Lines, notes: list[str]) -> Any:
 
         def _parse_msg_v1_0(self, columns: tuple[str, ...]) -> Any:
             message = super()._parse_msg_v1_0(columns)
-            if message is not None:  # version 1.0 may write all identifiers with eight digits
+            if message is not None:  # version 1.0 may write every identifier with eight digits
                 message.is_extended_id = message.arbitration_id > 0x7FF
             return message
 
@@ -199,14 +204,14 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
     from can.io import blf
 
     class Reader(blf.BLFReader):
-        """Rejects objects of length 0, for which python-can's reader would loop forever."""
+        """Rejects objects of length 0, which the reader of python-can would read forever."""
 
         def _parse_data(self, data: bytes) -> Iterator[Any]:
             at = data.find(b"LOBJ", 0, 8)
             while 0 <= at <= len(data) - _BLF_HEAD_LENGTH:
                 length = int.from_bytes(data[at + 8:at + 12], "little")
                 if length < _BLF_HEAD_LENGTH:
-                    raise blf.BLFParseError(f"an object of {length} bytes")
+                    raise blf.BLFParseError(f"an object has a length of {length} bytes")
                 at = data.find(b"LOBJ", at + length, at + length + 8)
             return super()._parse_data(data)
 
@@ -254,7 +259,7 @@ EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSI
 
 
 def is_can_log(file: Path) -> bool:
-    """Whether a file in a folder is a CAN log, since other programs also write .log files. True if undecided."""
+    """Whether a file is a CAN log, because other programs also write .log files; True if undecided."""
     if file.suffix.lower() != ".log":
         return True
     try:

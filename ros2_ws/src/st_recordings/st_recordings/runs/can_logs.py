@@ -1,4 +1,4 @@
-"""CAN logs of every kind as one column set: MF4 of a CANedge2, candump, and the files of Vector and PEAK."""
+"""Reads CAN logs of every format (MF4 of a CANedge2, candump, Vector, PEAK) and merges the logs of a run."""
 
 import itertools
 from collections.abc import Sequence
@@ -32,16 +32,16 @@ from .ins_log import LATEST_TIME
 from .mf4 import parse_session, read_mf4, reject_vendor_container
 
 BLOCK_SIZE = 65536  # messages converted to columns at a time
-MAX_TIME_JUMP_NS = 86400 * 10**9  # a frame further from both of its neighbours has a damaged time
+MAX_TIME_JUMP_NS = 86400 * 10**9  # a frame that is further from both of its neighbours has a damaged time
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times count from the start of the log
 MIN_FALLING_SHARE = 0.2
-"""Fraction of decreasing times in a candump that begins at 0, above which times are relative to the previous frame."""
+"""Times in a candump that begins at 0 are relative to the previous frame if a larger fraction of them decreases."""
 
 
 def read_can_logs(files: Sequence[Path]) -> CanLog:
-    """All frames of the files of one run, merged by time: the splits of a session, and several buses.
+    """Reads the files of one run (splits of a session, or several buses) and merges their frames by time.
 
-    Raises RunError if none of the files can be used. One bad file among several only causes a warning.
+    Raises RunError if no file can be used. A file that cannot be used among others only causes a warning.
     """
     logs: list[CanLog] = []
     errors: list[RunError] = []
@@ -54,19 +54,19 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
         raise errors[0] if errors else RunError("CAN log", "no file given")
     used = tuple(log.files[0] for log in logs)
     if len({log.absolute for log in logs}) > 1:
-        raise RunError(used[0], "some logs of the run have UTC times, others count from their own start",
-                       "read them in separate commands")
+        raise RunError(used[0], "some logs of the run have UTC times, but in others the times count from the start",
+                       "read them with separate commands")
     warnings = [f"{log.files[0]}: {note}" for log in logs for note in log.warnings]
     frames, repeated = remove_duplicates(merge_by_time([log.frames for log in logs]))
     if repeated:
-        warnings.append(f"{used[0]}: {repeated} frames are in the log twice; one of each was kept")
+        warnings.append(f"{used[0]}: {repeated} frames are in the logs more than once; each is used once")
     warnings += [str(error) for error in errors] + _describe_missing_splits(used)
     return CanLog(frames, used, min(log.start_ns for log in logs), logs[0].absolute, tuple(warnings),
                   tuple(step for log in logs for step in log.steps))
 
 
 def _read_log(file: Path) -> CanLog:
-    """The log in one file. Its warnings do not name the file."""
+    """Reads the log in one file. Its warnings do not name the file."""
     check_readable(file)
     reject_vendor_container(file)
     with file.open("rb") as stream:
@@ -78,7 +78,7 @@ def _read_log(file: Path) -> CanLog:
         if file.suffix.lower() in MF4_EXTENSIONS:
             read_mf4(file)  # raises the reason why it is not a valid MF4
         if UNSTAMPED_LINE.search(head):
-            raise RunError(file, "this output of candump has no time stamps", "record with candump -l")
+            raise RunError(file, "this output of candump has no time stamps", "record again with candump -l")
         known = ", ".join(["MF4", *(f.name for f in FORMATS)])
         raise RunError(file, f"this is not a CAN log of a known format ({known})",
                        "remove it from the command, or convert it")
@@ -101,7 +101,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[F
             too_long += len(timed) - len(usable)
             if usable:
                 parts.append(_build_frames(usable))
-    except Exception as error:  # the readers pass on any exception of their parsing, and a missing file
+    except Exception as error:  # any, from the parsers
         what = f"cannot be read as a {kind.name} log ({shorten(error)})"
         raise RunError(file, what, "copy or export it again") from None
     frames = concatenate(parts) if parts else empty_frames()
@@ -109,13 +109,13 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[F
         is_outlier = np.abs(frames.time_ns - median_filter(frames.time_ns, 3, mode="mirror")) > MAX_TIME_JUMP_NS
         frames, impossible = frames.select(~is_outlier), impossible + int(is_outlier.sum())
     if impossible:
-        format_notes.append(f"frames with an impossible time: {impossible}; they were skipped")
+        format_notes.append(f"frames with an impossible time were skipped: {impossible}")
     if too_long:
-        format_notes.append(f"frames with more than {MAX_DATA_LENGTH} bytes: {too_long}; they were skipped")
+        format_notes.append(f"frames with more than {MAX_DATA_LENGTH} bytes were skipped: {too_long}")
     if not len(frames):
-        what = f"it contains no usable frame ({'; '.join(format_notes)})" if format_notes else "it contains no frames"
+        what = f"it contains no usable frames ({'; '.join(format_notes)})" if format_notes else "it contains no frames"
         raise RunError(file, what, "copy or export it again")
-    steps = np.diff(frames.time_ns[1:])  # a coarse clock repeats times; times relative to the previous frame also fall
+    steps = np.diff(frames.time_ns[1:])
     if kind.name == "candump" and frames.time_ns[0] == 0 and len(steps) and (
             (steps < 0).mean() > MIN_FALLING_SHARE or not steps.any()):
         frames = replace(frames, time_ns=np.cumsum(frames.time_ns))
@@ -142,7 +142,7 @@ def _build_frames(messages: Sequence[can.Message]) -> Frames:
 
 
 def _find_bus_number(channel: Any) -> int:
-    """Number of a bus as in MF4, from 1: can0 -> 1, channel 0 -> 1; 0 if unknown."""
+    """Number of a bus from 1, as in MF4: can0 -> 1, channel 0 -> 1; 0 if it is unknown."""
     if isinstance(channel, int):
         return (channel + 1) % 256
     digits = "".join(itertools.takewhile(str.isdigit, reversed(str(channel or ""))))[::-1]
@@ -158,5 +158,5 @@ def _describe_missing_splits(files: Sequence[Path]) -> list[str]:
     for session, splits in sessions.items():
         if missing := sorted(set(range(min(splits), max(splits) + 1)) - splits):
             numbers = ", ".join(map(str, missing))
-            warnings.append(f"{session}: split {numbers} of the session is missing: a gap in the log")
+            warnings.append(f"{session}: the log has a gap because files of the session are missing: {numbers}")
     return warnings

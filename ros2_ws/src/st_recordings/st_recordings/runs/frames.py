@@ -1,4 +1,4 @@
-"""CAN frames of a log or of st_msgs/CanFrames messages, stored as six columns."""
+"""CAN frames as columns: type, merging, removal of duplicates and clock steps, and reading of st_msgs/CanFrames."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -7,33 +7,28 @@ from struct import Struct
 
 import numpy as np
 
-EXTENDED = 0x8000_0000  # flag in an id, as in canedge_bridge.extraction and in Linux
+EXTENDED = 0x8000_0000  # flag of a 29-bit id, as in canedge_bridge.extraction and in Linux
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
-MIN_CLOCK_STEP = 0.005  # s; a smaller step back is jitter of the time stamps, not a clock being set
+MIN_CLOCK_STEP = 0.005  # s; a smaller step back is jitter of the time stamps
 MAX_EARLY_FRAMES = 5
-"""Up to this many frames before an earlier one are only out of order; more mean that the clock was set."""
-# Layout of st_msgs/CanFrames in CDR.
-FRAME_HEAD_LENGTH = 20  # bytes of a frame before its data: stamp, id, four flags, length of the data
+"""If more than this many frames precede a frame with an earlier time, the clock was set; otherwise they are out of
+order."""
+FRAME_HEAD_LENGTH = 20  # bytes in st_msgs/CanFrames before the data of a frame: stamp, id, four flags, length
 MAX_DATA_LENGTH = 64
-_FRAME_ID_AT = 12  # where the length of the header's frame_id is
+_FRAME_ID_AT = 12  # byte in st_msgs/CanFrames at which the length of header.frame_id is
 _LENGTH = Struct("<I")
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames in order of time, one row per frame.
+    """Frames in order of time, one row per frame."""
 
-    time_ns: int64, UTC on the logger's clock. id: uint32, plus EXTENDED for 29-bit ones. payload: (n, 8) uint8, (n, 64)
-    if there are longer ones; 0 after the end of the frame. length: uint8, bytes. bus: uint8, 0 if not known.
-    flags: uint8, SENT by the logger | REMOTE | ERROR | FD.
-    """
-
-    time_ns: np.ndarray
-    id: np.ndarray
-    payload: np.ndarray
-    length: np.ndarray
-    bus: np.ndarray
-    flags: np.ndarray
+    time_ns: np.ndarray  # int64, on the logger's clock
+    id: np.ndarray  # uint32, with the flag EXTENDED for a 29-bit id
+    payload: np.ndarray  # uint8, (n, 8), or (n, 64) if a frame is longer; 0 after the end of the frame
+    length: np.ndarray  # uint8, bytes
+    bus: np.ndarray  # uint8, 0 if unknown
+    flags: np.ndarray  # uint8, SENT by the logger | REMOTE | ERROR | FD
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -44,19 +39,14 @@ class Frames:
 
 @dataclass(frozen=True)
 class CanLog:
-    """One recording of one logger, in any number of files.
-
-    start_ns: start of the first session from its header, or else time of the first frame. absolute: whether times are
-    UTC on the logger's clock; otherwise they count from the start of the log. warnings: complete sentences.
-    steps: clock steps as returned by `remove_clock_steps`.
-    """
+    """One recording of one logger, in any number of files."""
 
     frames: Frames
     files: tuple[Path, ...]
-    start_ns: int
-    absolute: bool = True
+    start_ns: int  # start of the first session from its header, or else time of the first frame
+    absolute: bool = True  # whether times are UTC on the logger's clock; otherwise they count from the start of the log
     warnings: tuple[str, ...] = ()
-    steps: tuple[tuple[int, float], ...] = ()
+    steps: tuple[tuple[int, float], ...] = ()  # clock steps as returned by `remove_clock_steps`
 
 
 def empty_frames() -> Frames:
@@ -65,17 +55,17 @@ def empty_frames() -> Frames:
 
 
 def concatenate(parts: Sequence[Frames], order: np.ndarray | slice = slice(None)) -> Frames:
-    """The frames of all parts, concatenated and then in the given order; their times are not compared."""
+    """Concatenates the frames of all parts and then applies `order`; times are not compared."""
     if len(parts) == 1 and isinstance(order, slice):
         return parts[0]
     width = max(p.payload.shape[1] for p in parts)
     parts = [replace(p, payload=np.pad(p.payload, ((0, 0), (0, width - p.payload.shape[1])))) for p in parts]
-    # Column by column, so that only one padded or sorted copy of a column is in memory.
+    # Column by column, to have only one sorted copy of a column in memory at a time.
     return Frames(**{f.name: np.concatenate([getattr(p, f.name) for p in parts])[order] for f in fields(Frames)})
 
 
 def merge_by_time(parts: Sequence[Frames]) -> Frames:
-    """The frames of all parts in order of time; frames of equal time stay in the order of the parts."""
+    """Merges the frames of all parts in order of time; frames of equal time stay in the order of the parts."""
     parts = [p for p in parts if len(p)]
     if not parts:
         return empty_frames()
@@ -86,8 +76,6 @@ def merge_by_time(parts: Sequence[Frames]) -> Frames:
 
 def remove_duplicates(frames: Frames) -> tuple[Frames, int]:
     """(frames that differ from the previous one in time or content, number of duplicates)."""
-    if len(frames) < 2:
-        return frames, 0
     same = (frames.time_ns[1:] == frames.time_ns[:-1]) & (frames.id[1:] == frames.id[:-1])
     same &= (frames.bus[1:] == frames.bus[:-1]) & (frames.length[1:] == frames.length[:-1])
     rows = np.nonzero(same)[0]
@@ -98,11 +86,14 @@ def remove_duplicates(frames: Frames) -> tuple[Frames, int]:
 
 
 def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]]:
-    """Frames in the order they were written, with the time after each step back of the clock moved forward.
+    """Moves the times after each step back of the logger's clock forward.
 
-    A logger writes frames as they arrive, so a step back in time means that its clock was set. The frames after it
-    continue where those before it ended; the true gap between the two frames, a millisecond on a busy bus, is lost.
-    Returns the frames and the steps: (time of the frame after the step [ns], size [s], negative).
+    A logger writes frames as they arrive, so a step back in time means that its clock was set. The times after it
+    continue where the previous ones end; the true gap between the two frames (a millisecond on a busy bus) is lost.
+
+    Returns:
+        (frames in the order in which they were written, clock steps). A clock step is (time of the frame after the step
+        [ns], negative size of the step [s]).
     """
     time_ns = frames.time_ns
     steps = np.diff(time_ns)
@@ -120,7 +111,7 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]]
 
 
 def describe_clock_steps(steps: Sequence[tuple[int, float]]) -> list[str]:
-    """A sentence on the steps of `remove_clock_steps`; none without steps."""
+    """A warning about the steps that `remove_clock_steps` found; empty if there are none."""
     if not steps:
         return []
     times = f"{len(steps)} times, first " if len(steps) > 1 else ""
@@ -128,10 +119,10 @@ def describe_clock_steps(steps: Sequence[tuple[int, float]]) -> list[str]:
 
 
 def read_frames(messages: Iterable[bytes]) -> Frames:
-    """Frames of serialised st_msgs/CanFrames messages in order of arrival. Raises ValueError for a damaged message.
+    """Reads the frames of serialised st_msgs/CanFrames messages. Raises ValueError for a damaged message.
 
-    Reads the k-th frames of all messages at once: the offset of a frame in its message follows from the length of the
-    one before.
+    The k-th frames of all messages are read at once, because the offset of a frame in its message follows from the
+    length of the previous frame.
     """
     parts = list(messages)
     firsts, counts = zip(*map(_locate_first_frame, parts), strict=True) if parts else ((), ())
@@ -153,7 +144,7 @@ def read_frames(messages: Iterable[bytes]) -> Frames:
         at, remaining = at + FRAME_HEAD_LENGTH + (length + 3) // 4 * 4, remaining - 1
     if not offsets:
         return empty_frames()
-    # From order by k to order by message; the stable sort keeps the frames of a message in order.
+    # The frames are ordered by k; the stable sort orders them by message and keeps the order within a message.
     sequence = np.argsort(np.concatenate(message_numbers), kind="stable")
     return _build_frames(buffer, np.concatenate(offsets)[sequence])
 
@@ -161,14 +152,14 @@ def read_frames(messages: Iterable[bytes]) -> Frames:
 def _locate_first_frame(message: bytes) -> tuple[int, int]:
     """(byte at which the first frame of a message begins, number of frames)."""
     if len(message) < _FRAME_ID_AT + 4:
-        raise ValueError("a message is too short")
+        raise ValueError("a message ends within its header")
     text_end = _FRAME_ID_AT + 4 + _LENGTH.unpack_from(message, _FRAME_ID_AT)[0]
     count_at = -(-text_end // 4) * 4
     if len(message) < count_at + 4:
-        raise ValueError("a message is too short")
+        raise ValueError("a message ends within its header")
     count = _LENGTH.unpack_from(message, count_at)[0]
     if count and len(message) < count_at + 4 + count * FRAME_HEAD_LENGTH:
-        raise ValueError("a message is too short for its frames")
+        raise ValueError("a message is too short for the number of its frames")
     return count_at + 4, count
 
 

@@ -1,7 +1,8 @@
-"""Reads CANedge2 logs (MDF 4.11) with asammdf: both record layouts, finalised or not, complete or truncated.
+"""Reads CANedge2 logs (MDF 4.11) with asammdf, finalised or not, complete or truncated.
 
-Layout 1 (found with firmware 01.04): one group for all buses, the bus in each record, payloads in a hidden group
-(VLSD). Layout 2 (from firmware 01.07): one group per bus and kind of frame, classic payloads in the records.
+There are two layouts. In layout 1 (seen with firmware 01.04), one group contains all buses, each record contains its
+bus, and payloads are in a hidden group (VLSD). In layout 2 (from firmware 01.07), each bus and kind of frame has a
+group, and the records contain the payloads of classic frames.
 """
 
 import io
@@ -20,20 +21,20 @@ from .errors import RunError, check_readable, format_share, shorten
 from .mdf_blocks import VARIABLE_LENGTH, VIRTUAL, DamageError
 
 RECORDS_AT_ONCE = 1 << 20
-LATEST_START, LONGEST_SESSION = 4 * 10**9, 1e9  # s; their sum in ns fits into 64 bits
-MDF_OPTIONS: dict[str, Any] = {"process_bus_logging": False}  # frames as they are, not decoded
+LATEST_START, LONGEST_SESSION = 4 * 10**9, 1e9  # s; their sum in ns fits into int64
+MDF_OPTIONS: dict[str, Any] = {"process_bus_logging": False}  # do not decode the frames
 VENDOR_SUFFIXES = (".mfc", ".mfe", ".mfm")
 _FLAGS_OF_KIND = {"CAN_DataFrame": 0, "CAN_RemoteFrame": frames.REMOTE, "CAN_ErrorFrame": frames.ERROR}
 _TIME_CHANNELS = (2, 3)  # channel types of time: master, virtual master
-FD_LENGTHS = np.array([*range(9), 12, 16, 20, 24, 32, 48, 64], np.uint8)  # bytes by data length code, ISO 11898-1
+FD_LENGTHS = np.array([*range(9), 12, 16, 20, 24, 32, 48, 64], np.uint8)  # data length code -> bytes, ISO 11898-1
 _BUS = re.compile(r"CAN[ _]?(\d+)")
 _SPLIT = re.compile(r"^(\d{8})(-[0-9A-Fa-f]{8})?$")
 
 
 def parse_session(path: Path) -> tuple[str, int]:
-    """(session, split) of a file; the files of a session are consecutive parts of one recording.
+    """(session, number of the split) of a file; the splits of a session are consecutive parts of one recording.
 
-    Both follow from the logger's folders LOG/<device>/<8-digit session>/<8-digit split>[-hex].MF4, or from a copy named
+    The logger names files LOG/<device>/<8-digit session>/<8-digit split>[-hex].MF4; a copy may be named
     <anything>_<8-digit session>_<8-digit split>. Any other file is a separate session.
     """
     match = _SPLIT.match(path.stem)
@@ -50,15 +51,16 @@ def reject_vendor_container(path: Path) -> None:
     if path.suffix.lower() in VENDOR_SUFFIXES or _read_head(path).startswith(b"Generic File"):
         kinds = {".mfc": "compressed", ".mfe": "encrypted", ".mfm": "compressed and encrypted"}
         kind = kinds.get(path.suffix.lower(), "compressed or encrypted")
-        raise RunError(path, f"this is a {kind} log in CSS Electronics' own container, which cannot be read",
-                       "convert it with their mdf2finalized / CANedge MF4 converter first, then give the .MF4")
+        raise RunError(path, f"this is a {kind} log in the container format of CSS Electronics, which cannot be read",
+                       "convert it with their mdf2finalized or CANedge MF4 converter, and give the resulting .MF4")
 
 
 def read_mf4(path: Path) -> frames.CanLog:
-    """All CAN frames of one file, in order of time. The warnings do not name the file.
+    """Reads all CAN frames of one file in order of time. The warnings do not name the file.
 
-    A file that ends in the middle of a record, as is usual when the ignition is switched off, is read up to there,
-    with a warning. Raises RunError for a file that is not MF4, has no CAN frames, or has a truncated block structure.
+    A file that ends in the middle of a record, as is usual when the ignition is switched off, is read up to that
+    record, with a warning. Raises RunError for a file that is not MF4, contains no CAN frames, or has a truncated block
+    structure.
     """
     check_readable(path)
     reject_vendor_container(path)
@@ -93,7 +95,7 @@ def read_mf4(path: Path) -> frames.CanLog:
                        f"{', '.join(decoded_signals)[:200]}",
                        "give the log with the raw frames, or export the signals as CSV (asammdf) and give that")
     if not parts:
-        raise RunError(path, "the log contains no CAN frames", "check that the logger was on the right bus")
+        raise RunError(path, "the log contains no CAN frames", "check that the logger was connected to the right bus")
     warnings += frames.describe_clock_steps(clock_steps)
     return frames.CanLog(frames.merge_by_time(parts), (path,), start_ns, warnings=tuple(warnings),
                          steps=tuple(clock_steps))
@@ -106,7 +108,7 @@ def _read_head(path: Path) -> bytes:
 
 @contextmanager
 def _open_quietly(path: Path, warnings: list[str]) -> Iterator[Any]:
-    """The file as an asammdf MDF. asammdf also prints the errors it raises, so its output is suppressed."""
+    """Opens the file with asammdf, whose output is suppressed because it also prints the errors that it raises."""
     logger = logging.getLogger("asammdf")
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)
@@ -119,10 +121,10 @@ def _open_quietly(path: Path, warnings: list[str]) -> Iterator[Any]:
         raise
     except DamageError as error:
         raise RunError(path, f"the file is truncated or damaged: {error}",
-                       "copy it from the logger's card again") from None
+                       "copy it again from the card of the logger") from None
     except Exception as error:
-        raise RunError(path, f"asammdf cannot read it ({shorten(error)})",
-                       "copy it from the logger's card again") from None
+        raise RunError(path, f"asammdf cannot read the file ({shorten(error)})",
+                       "copy it again from the card of the logger") from None
     finally:
         if log is not None:
             log.close()
@@ -141,7 +143,7 @@ def _open_readable_part(path: Path, warnings: list[str]) -> Any:
         log = MDF(path, **MDF_OPTIONS)
         if all(_has_payloads(log, group) for group in range(len(log.groups))):
             return log
-    except Exception:  # asammdf passes on every exception of its parsing; all mean "truncated or damaged"
+    except Exception:  # any, from asammdf: the file is truncated or damaged
         pass
     if log is not None:
         log.close()
@@ -150,7 +152,7 @@ def _open_readable_part(path: Path, warnings: list[str]) -> Any:
     if end is None:
         raise DamageError("it contains no complete frame")
     mdf_blocks.check_blocks(content[:end])
-    warnings.append(f"the file ends in the middle of a frame ({len(content) - end} bytes dropped)")
+    warnings.append(f"the file ends in the middle of a frame; its last {len(content) - end} bytes are not used")
     log = MDF(io.BytesIO(content[:end]), **MDF_OPTIONS)
     if not all(_has_payloads(log, group) for group in range(len(log.groups))):
         log.close()
@@ -166,8 +168,8 @@ def _find_frame_channel(log: Any, group: int) -> str | None:
 def _has_payloads(log: Any, group: int) -> bool:
     """Whether every frame of a group has its payload, which layout 1 stores separately from the frame.
 
-    asammdf follows the offsets in the frames and allocates the longest payload it finds, terabytes for one wrong byte.
-    So offsets and lengths are checked first, with private functions of asammdf.
+    asammdf follows the offsets in the frames and allocates the longest payload that it finds, which can be terabytes
+    for one wrong byte. Therefore offsets and lengths are checked first, with private functions of asammdf.
     """
     if _find_frame_channel(log, group) is None or not log.groups[group].channel_group.cycles_nr:
         return True
@@ -202,7 +204,7 @@ def _read_group_frames(log: Any, group: int, start_ns: int) -> Iterator[frames.F
         raise DamageError("its records have no time channel")
     count = content.channel_group.cycles_nr
     for first in range(0, count, RECORDS_AT_ONCE):
-        # asammdf allocates the requested number of records, so no more than exist. _frames rejects times out of range.
+        # asammdf allocates as many records as are requested. Invalid times only warn here; _build_frames rejects them.
         with np.errstate(all="ignore"):
             signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=False, record_offset=first,
                              record_count=min(RECORDS_AT_ONCE, count - first))
@@ -210,33 +212,33 @@ def _read_group_frames(log: Any, group: int, start_ns: int) -> Iterator[frames.F
 
 
 def _build_frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[str, Any]) -> frames.Frames:
-    """Columns of some frames of a group. Every column is checked, because a file can describe any layout.
+    """Builds the columns of some frames of a group; checks every column, because a file can describe any layout.
 
-    channels: by short name. A virtual channel takes no bytes of the record; its conversion gives a constant. Firmware
-    01.07 and later stores bus, IDE and direction in this way. The length code of a CAN FD frame gives its length.
+    channels: short name -> channel. A virtual channel uses no bytes of the record, and its conversion gives a constant.
+    Firmware 01.07 and later stores bus, IDE and direction in virtual channels.
     """
     rows, n = signal.samples, len(signal.samples)
     members = {m.rsplit(".", 1)[-1]: m for m in rows.dtype.names or ()}
     required = {"CAN_DataFrame": ("ID", "DataBytes"), "CAN_RemoteFrame": ("ID",)}.get(name, ())
-    if missing := [short for short in required if short not in members]:
+    if missing := [member for member in required if member not in members]:
         raise DamageError(f"its frames have no {missing[0]}")
 
-    def member(short: str, default: int = 0) -> np.ndarray:
-        channel = channels.get(short)
+    def column_of(short_name: str, default: int = 0) -> np.ndarray:
+        channel = channels.get(short_name)
         if channel is not None and channel.channel_type in VIRTUAL:  # its conversion is 0 * row + constant
             slope, value = getattr(channel.conversion, "a", 1.0), getattr(channel.conversion, "b", 0.0)
             if slope or not 0 <= value <= 255 or value != int(value):
                 raise DamageError(f"{channel.name} is a virtual channel but not constant")
             return np.full(n, int(value), np.uint8)
-        if short not in members:
+        if short_name not in members:
             return np.full(n, default, np.uint8)
-        column = rows[members[short]]
+        column = rows[members[short_name]]
         if column.ndim != 1 or column.dtype.kind not in "bui":
-            raise DamageError(f"the {short} of its frames is not an integer")
+            raise DamageError(f"the {short_name} of its frames is not an integer")
         return column
 
     seconds = signal.timestamps
-    if seconds.shape != (n,) or not (np.abs(seconds) < LONGEST_SESSION).all():  # NaN is not below either
+    if seconds.shape != (n,) or not (np.abs(seconds) < LONGEST_SESSION).all():  # also rejects NaN
         raise DamageError("the times of its frames are invalid")
     payload = rows[members["DataBytes"]] if "DataBytes" in members else np.zeros((n, 8), np.uint8)
     if payload.ndim != 2 or payload.dtype != np.uint8:
@@ -244,23 +246,23 @@ def _build_frames(name: str, signal: Any, bus: int, start_ns: int, channels: Map
     if payload.shape[1] not in (8, 64):
         width = 8 if payload.shape[1] < 8 else 64
         payload = np.pad(payload[:, :width], ((0, 0), (0, max(width - payload.shape[1], 0))))
-    identifier = member("ID").astype(np.uint32)
-    extended = member("IDE").astype(bool) | (identifier > 0x7FF)
-    length = _convert_lengths(member("DataLength"), channels["DataLength"]) if "DataLength" in members else \
-        FD_LENGTHS[member("DLC", 8) & 15]
+    identifier = column_of("ID").astype(np.uint32)
+    extended = column_of("IDE").astype(bool) | (identifier > 0x7FF)
+    length = _convert_lengths(column_of("DataLength"), channels["DataLength"]) if "DataLength" in members else \
+        FD_LENGTHS[column_of("DLC", 8) & 15]
     flags = np.full(n, _FLAGS_OF_KIND[name], np.uint8)
-    flags[member("Dir").astype(bool)] |= frames.SENT
-    flags[member("EDL").astype(bool)] |= frames.FD
+    flags[column_of("Dir").astype(bool)] |= frames.SENT
+    flags[column_of("EDL").astype(bool)] |= frames.FD
     return frames.Frames(
         time_ns=start_ns + np.round(seconds * 1e9).astype(np.int64),
         id=identifier & 0x1FFF_FFFF | np.where(extended, np.uint32(frames.EXTENDED), np.uint32(0)),
-        payload=np.ascontiguousarray(payload), bus=member("BusChannel", bus).astype(np.uint8), flags=flags,
+        payload=np.ascontiguousarray(payload), bus=column_of("BusChannel", bus).astype(np.uint8), flags=flags,
         length=np.minimum(length, payload.shape[1]).astype(np.uint8),  # codes 9 to 15 of a classic frame also mean 8
     )
 
 
 def _convert_lengths(stored: np.ndarray, channel: Any) -> np.ndarray:
-    """Bytes of each frame: the stored number, or its entry in the channel's table of CAN FD length codes."""
+    """Converts stored lengths to bytes; the stored number is one of bytes, or a code for a CAN FD length."""
     if channel.conversion is None or not len(stored):
         return FD_LENGTHS[stored & 15] if channel.bit_count <= 4 else stored
     length = np.asarray(channel.conversion.convert(stored.astype(np.int64)))
@@ -270,7 +272,7 @@ def _convert_lengths(stored: np.ndarray, channel: Any) -> np.ndarray:
 
 
 def _find_bus(log: Any, group: int) -> int:
-    """Bus of a group whose records do not contain it (layout 2), from the name of the group, such as CAN1_Rx."""
+    """Finds the bus of a group in the name of the group, such as CAN1_Rx (layout 2); 0 if it is unknown."""
     channel_group = log.groups[group].channel_group
     source = channel_group.acq_source
     for text in (channel_group.acq_name, getattr(source, "name", None), getattr(source, "path", None)):

@@ -28,28 +28,24 @@ from .run_types import LoadedRun, ReadSettings, RunSource, find_signal_files, ma
 from .sources import find_runs
 
 MAX_LOG_GAP = 10.0
-"""Gap [s] between frames after which a log may continue with another drive."""
+"""Gap [s] between frames at which a log is split into parts, since another drive may follow."""
 MAX_PARTS = 20
 """Maximum number of parts of a log for which alignment is tried, the longest first."""
 
 
 @dataclass(frozen=True)
 class RawRun:
-    """Complete content of aligned INS and CAN files, as `st import` writes it.
-
-    dbc: file that describes the CAN frames. steering: None for `st align`. shared: signals in both recordings, for the
-    alignment and its check. latency: description of the delay of INS frames.
-    """
+    """An INS recording and the CAN logs of the same drive, decoded and aligned."""
 
     name: str
     dbc: Path
     ins: InsLog
     can: CanLog
     signals: CanSignals
-    steering: Signal | None
+    steering: Signal | None  # None for `st align`
     alignment: Alignment
-    shared: list[SharedSignal]
-    latency: str
+    shared: list[SharedSignal]  # signals that both contain, for the alignment and its check
+    latency: str  # description of the delay of INS frames on CAN
     warnings: tuple[str, ...]
 
 
@@ -60,12 +56,12 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
              needs_steering: bool = True) -> RawRun:
     """Reads and aligns the INS recording and CAN logs of a run.
 
-    keep_frames: False discards the raw frames after decoding, since they take most of the memory.
-    Raises RunError; a refused alignment is returned as such.
+    keep_frames: False discards the raw frames after decoding, because they use most of the memory. Raises RunError; a
+    refused alignment does not raise but is part of the result.
     """
     if source.problem is not None:
         raise source.problem
-    if not source.where.is_dir():  # a folder is a bag, which its reader checks
+    if not source.where.is_dir():  # a folder is a bag, and its reader checks it
         check_readable(source.where)
     can = read_can_logs(source.can)
     dbc, file = find_signal_files(source, settings)
@@ -84,8 +80,8 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
         can = replace(can, frames=can.frames.select(slice(*np.searchsorted(can.frames.time_ns, span).tolist())))
         steering = find_steering(signals, can.files[0], table) if needs_steering else None
         used, total = (1e-9 * sum(end - start for start, end in spans) for spans in ([span], parts))
-        notes.append(f"{can.files[0]}: its clock was set, or it contains several drives: {used:.1f} of {total:.1f} s "
-                     f"({100.0 * used / total:.0f} %) fit the INS recording and are used")
+        notes.append(f"{can.files[0]}: its clock was set, or it contains several drives; the {used:.1f} of "
+                     f"{total:.1f} s ({100.0 * used / total:.0f} %) that fit the INS recording are used")
     origin = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
     latency = "{:g} ± {:g} ms, ".format(*(1e3 * value for value in options["latency"])) + origin
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
@@ -94,7 +90,7 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
 
 
 def _split_log(can: CanLog) -> list[tuple[int, int]]:
-    """(start, end) [ns] of the parts of a log without a step of its clock or a gap of MAX_LOG_GAP between frames, the
+    """Splits a log at steps of its clock and at gaps longer than MAX_LOG_GAP: (start, end) [ns] of the parts, the
     longest first."""
     time_ns = can.frames.time_ns
     starts = np.flatnonzero(np.isin(time_ns, [at for at, _ in can.steps])
@@ -106,8 +102,8 @@ def _split_log(can: CanLog) -> list[tuple[int, int]]:
 
 def _find_alignable_part(ins: InsLog, signals: CanSignals, parts: Sequence[tuple[int, int]], options: Mapping[str, Any]
                          ) -> tuple[tuple[int, int], Alignment, list[SharedSignal]] | None:
-    """((start, end), alignment, shared signals) of the longest part of a log that can be aligned, for a log of several
-    drives or with a clock that was set."""
+    """((start, end) [ns], alignment, shared signals) of the longest part of a log that can be aligned; None if there is
+    only one part, or none can be aligned."""
     for part in parts[:MAX_PARTS] if len(parts) > 1 else ():
         alignment, shared = align_clocks(ins, signals.between(*part), **options)
         if alignment.verdict is not Verdict.REFUSED:
@@ -117,21 +113,21 @@ def _find_alignable_part(ins: InsLog, signals: CanSignals, parts: Sequence[tuple
 
 def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings,
                  read_ins: ReadIns) -> LoadedRun:
-    """The drive in an INS recording and CAN logs. Raises RunError."""
+    """Reads the drive in an INS recording and CAN logs. Raises RunError."""
     if vehicle is None:
-        raise RunError(source.where, "the steering of a CAN log needs the steering ratio and offset of the car",
-                       "give its vehicle file")
+        raise RunError(source.where, "the road wheel angle of a CAN log needs the steering ratio and offset of the car",
+                       "give the vehicle file of the car")
     return build_drive(source, vehicle, settings, read_raw(source, settings, read_ins, keep_frames=False))
 
 
 def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> LoadedRun:
-    """The decoded run as a drive on the INS clock. Raises RunError, also for a refused alignment."""
+    """Builds the drive of a decoded run, on the INS clock. Raises RunError, also for a refused alignment."""
     warnings, verdict, reasons = list(run.warnings), run.alignment.verdict, "; ".join(run.alignment.reasons)
     if verdict is Verdict.REFUSED or (verdict is Verdict.DOUBTFUL and not settings.accept_doubtful):
-        raise RunError(source.where, f"its clock cannot be aligned with that of the CAN log: {reasons}",
-                       "inspect it with `st align`, and give the offset by hand if you know it (--offset)")
+        raise RunError(source.where, f"its clock cannot be aligned with the clock of the CAN log: {reasons}",
+                       "inspect the alignment with `st align`, and give the offset if you know it (--offset)")
     if reasons:
-        warnings.append(f"{source.where}: alignment of the clocks is {verdict}: {reasons}")
+        warnings.append(f"{source.where}: the alignment of the clocks is {verdict}: {reasons}")
     ins, steering = run.ins, run.steering
     assert steering is not None
     steering_ns = steering_times(run, settings)
@@ -139,7 +135,7 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
     wheel = settings.steering_sign * steering.values[good]
     accelerations = dict(zip(OPTIONAL_INS_SIGNALS, ins.acceleration, strict=False))
     missing = {name: int(np.isnan(values).sum()) for name, values in accelerations.items()}
-    missing = {name: count for name, count in missing.items() if count < len(ins.time_ns)}  # all missing: not recorded
+    missing = {name: count for name, count in missing.items() if count < len(ins.time_ns)}  # others are not recorded
     warnings += [f"{source.where}: {name}: {format_share(count, len(ins.time_ns), 'samples')} have no value; "
                  f"it is {'unknown there' if is_mostly_known(accelerations[name]) else 'not used'}"
                  for name, count in missing.items() if count]
@@ -162,7 +158,7 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
 
 
 def _describe_rejected_steering(run: RawRun, settings: ReadSettings) -> tuple[Finding, ...]:
-    """A finding on steering frames that the decoder rejected; empty if there are none."""
+    """A finding about steering frames that the decoder rejected; empty if there are none."""
     assert run.steering is not None
     message = run.steering.message
     if message not in run.signals.rejected or not len(run.ins.time_ns):
@@ -183,7 +179,7 @@ def _steering_to_ins_clock(run: RawRun, settings: ReadSettings, time_ns: np.ndar
 
 
 def summarise_alignment(alignment: Alignment) -> dict[str, Any]:
-    """The alignment in Python types for reports and metadata; the keys contain the units."""
+    """The alignment as JSON values for reports and metadata; the keys contain the units."""
     return {
         "method": alignment.method, "verdict": str(alignment.verdict), "reasons": list(alignment.reasons),
         "at_ns": alignment.at_ns, "offset_s": alignment.offset_ns * 1e-9, "drift_ppm": alignment.drift_ppm,
@@ -195,27 +191,27 @@ def summarise_alignment(alignment: Alignment) -> dict[str, Any]:
 def choose_clock_settings(source: RunSource, settings: ReadSettings) -> dict[str, Any]:
     """Arguments of `align_clocks`, from the settings or else from the run.yaml. Raises RunError."""
     if settings.search and settings.search[0] >= settings.search[1]:
-        raise RunError("--search", "{:g} is not below {:g}".format(*settings.search))
+        raise RunError("--search", "the lower bound {:g} is not below the upper bound {:g}".format(*settings.search))
     offset = settings.offset if settings.offset is not None else source.settings.get("offset")
     latency = settings.ins_can_latency or source.settings.get("ins_can_latency") or INS_ON_CAN
     return {"offset": offset, "search": settings.search, "latency": latency, "steering_sign": settings.steering_sign}
 
 
 def read_pair(files: Sequence[Path], settings: ReadSettings) -> RawRun:
-    """Reads and aligns an INS recording and CAN logs; no steering is needed. Raises RunError.
+    """Reads and aligns an INS recording and CAN logs, which need not contain the steering angle. Raises RunError.
 
     files: recording (NCOM, VBO, or CSV with speed and yaw rate) and logs, or a folder or run.yaml that names them.
     """
     source = _find_pair(files)
     read_ins = csv.read_motion if source.kind == "csv" else READERS[source.kind].read_ins
-    assert read_ins is not None  # every kind with CAN logs has it
+    assert read_ins is not None  # every kind of recording that CAN logs can belong to has one
     return read_raw(source, settings, read_ins, keep_frames=False, needs_steering=False)
 
 
 def _find_pair(files: Sequence[Path]) -> RunSource:
     tables = [f for f in files if f.suffix.lower()[1:] in TABLE_KEYS]
     logs = [f for f in files if f.suffix.lower() in EXTENSIONS]
-    if len(tables) == 1 and len(logs) == len(files) - 1 and logs:  # other commands read a table as a complete drive
+    if len(tables) == 1 and len(logs) == len(files) - 1 and logs:  # find_runs would read the table as a complete drive
         return RunSource(tables[0].stem, tables[0].suffix.lower()[1:], (tables[0],), tuple(logs))
     runs = find_runs(files)
     for run in runs:
@@ -223,7 +219,7 @@ def _find_pair(files: Sequence[Path]) -> RunSource:
             raise run.problem
     raw = [run for run in runs if run.can]
     if len(raw) != 1:
-        what = "no pair" if not raw else f"more than one pair ({', '.join(run.name for run in raw)})"
-        raise RunError(", ".join(map(str, files)), f"{what} of an INS recording and CAN logs in these files",
-                       "give one .ncom (or CSV, VBO) and its CAN logs")
+        count = "no pair" if not raw else f"more than one pair ({', '.join(run.name for run in raw)})"
+        raise RunError(", ".join(map(str, files)), f"{count} of INS recording and CAN logs is among these files",
+                       "give one INS recording (.ncom, .csv or .vbo) and its CAN logs")
     return raw[0]
