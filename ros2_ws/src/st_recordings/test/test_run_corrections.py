@@ -94,21 +94,21 @@ def test_labels_stay_with_what_they_name(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("text", "message"), [
     ("columns: [yaw]", "columns: expected a mapping; known keys are t, x, y, latitude"),
-    ("columns: {speed: v}", "columns: speed is not known; known are t, x, y, latitude"),
+    ("columns: {speed: v}", "columns: unknown key speed; known keys are t, x, y, latitude"),
     ("columns: {yaw: 3}", "columns: yaw: 3 is not the name of a column"),
-    ("columns: {yaw: course}", r"columns: yaw: drive\.csv has no column 'course'; it has t, x, y"),
-    ("units: {speed: km/h}", "units: speed is not known"),
-    ("units: {yaw: m}", "units: yaw: 'm' is not a unit of angle; known are rad, deg, mrad"),
+    ("columns: {yaw: course}", r"columns: yaw: drive\.csv has no column 'course'; its columns are t, x, y"),
+    ("units: {speed: km/h}", "units: unknown key speed"),
+    ("units: {yaw: m}", "units: yaw: 'm' is not a unit of angle; known units are rad, deg, mrad"),
     ("units: {yaw: 57.3}", "units: yaw: '57.3' is not a unit of angle"),
-    ("correct: {speed: {scale: 2}}", "correct: speed is not known; known are x, y, position"),
+    ("correct: {speed: {scale: 2}}", "correct: unknown key speed; known keys are x, y, position"),
     ("correct: {yaw: 2}", "correct: yaw: expected a mapping; known keys are scale, add, earlier"),
-    ("correct: {yaw: {factor: 2}}", "correct: yaw: factor is not known; known are scale, add, earlier"),
+    ("correct: {yaw: {factor: 2}}", "correct: yaw: unknown key factor; known keys are scale, add, earlier"),
     ("correct: {yaw: {scale: much}}", "correct: yaw: scale: 'much' is not a number"),
     ("correct: {yaw: {scale: true}}", "correct: yaw: scale: 'True' is not a number"),
     ("correct: {yaw: {scale: .inf}}", "correct: yaw: scale: 'inf' is not a number"),
     ("correct: {yaw: {earlier: 1.0e+20}}", r"correct: yaw: earlier: 1e\+20 is not within .-60"),
     ("correct: {yaw: {scale: 0}}", "correct: yaw: scale: must not be 0"),
-    ("correct: {heading: {scale: 2}}", "correct: heading: scale is not known; known are add"),
+    ("correct: {heading: {scale: 2}}", "correct: heading: unknown key scale; known keys are add"),
     ("correct: {steering: {add: 1}, road_wheel_angle: {add: 1}}", "correct: .* are the same channel"),
     ("leave_out: [3, 4]", r"leave_out: expected a list of \[start, end\]"),
     ("leave_out: [[4, 3]]", r"leave_out: expected a list of \[start, end\]"),
@@ -123,7 +123,7 @@ def test_columns_and_units_are_of_csv_only(tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     for key in ("columns", "units"):
         (tmp_path / "run.yaml").write_text(f"bag: bag\n{key}: {{yaw: deg}}\n")
-        with pytest.raises(RunError, match=rf"run\.yaml: {key}: only a csv or vbo has columns; .* use `correct:`"):
+        with pytest.raises(RunError, match=rf"{key}: only csv and vbo files have columns, .* with `correct:`"):
             read(find_runs([tmp_path / "run.yaml"])[0])
 
 

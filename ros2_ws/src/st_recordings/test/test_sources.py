@@ -62,7 +62,7 @@ def test_what_has_no_partner_says_so(tmp_path: Path) -> None:
     assert len(runs) == 2
     assert all("give them the same name, or list the files of each run" in str(run.problem) for run in runs)
     alone = find_runs(touch(tmp_path / "alone", "d.log"))
-    assert "no INS recording (.ncom, CSV, VBO, bag) belongs to this CAN log" in str(alone[0].problem)
+    assert "no INS recording (.ncom, .csv, .vbo, bag) belongs to this CAN log" in str(alone[0].problem)
     lonely = find_runs(touch(tmp_path / "lonely", "e.ncom"))
     assert "no CAN log has the same stem" in str(lonely[0].problem)
 
@@ -101,14 +101,14 @@ def test_a_folder_of_everything(tmp_path: Path) -> None:
     [
         ("nowhere.ncom", "the file or folder does not exist; looked for in /"),
         ("note.txt", r"the file or folder does not exist; looked for in .*, did you mean notes\.txt\?"),
-        ("notes.doc", r"the extension \.doc is not that of a recording; known are .*\.ncom"),
-        ("table.lvm", r"the extension \.lvm is not that of a recording; rename it to \.csv if it is a text table"),
+        ("notes.doc", r"no kind of recording has the extension \.doc; give files with .*\.ncom"),
+        ("table.lvm", r"no kind of recording has the extension \.lvm; rename it to \.csv if it is a text table"),
         ("capture.pcap", "no CAN log has the same stem"),
-        ("unit.bin", r"the extension \.bin is not that of a recording; rename it to \.ncom if"),
-        ("unit.rd", r"the extension \.rd is not that of a recording; .* convert it to NCOM"),
-        ("logger.vbb", r"the extension \.vbb is not that of a recording; export it as \.vbo"),
-        ("car.dbc", r"the extension \.dbc is not that of a recording; give a DBC with --dbc"),
-        ("folder", "no recording is in this folder"),
+        ("unit.bin", r"no kind of recording has the extension \.bin; rename it to \.ncom if"),
+        ("unit.rd", r"no kind of recording has the extension \.rd; .* convert it to NCOM"),
+        ("logger.vbb", r"no kind of recording has the extension \.vbb; export it as \.vbo"),
+        ("car.dbc", r"no kind of recording has the extension \.dbc; give a DBC with --dbc"),
+        ("folder", "this folder contains no recording"),
     ],
 )
 def test_paths_that_are_no_run(tmp_path: Path, path: str, message: str) -> None:
@@ -133,7 +133,7 @@ def test_a_table_with_foreign_columns_and_its_can_log_are_a_run(tmp_path: Path) 
             read(run, leaf)
     touch(tmp_path, "b.log", content=FRAMES)
     alone = find_runs([tmp_path / "b.log"])
-    assert "name unrecognised columns of a.csv, as columns:" in str(alone[0].problem)
+    assert "name unknown columns of a.csv, as columns:" in str(alone[0].problem)
 
 
 def test_one_run_yaml_for_each_drive_of_a_folder(tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def test_one_run_yaml_for_each_drive_of_a_folder(tmp_path: Path) -> None:
     for given in ([tmp_path], [file]):
         runs = by_name(find_runs(given))
         assert {*runs} == {"a", "second", "c.run.yaml", "d", "e"} and runs["second"].run_file == own
-        assert "yaw_rte is not known" in str(runs["c.run.yaml"].problem)
+        assert "unknown key yaw_rte" in str(runs["c.run.yaml"].problem)
         assert [name for name, run in runs.items() if run.can] == ["a", "d"]
         assert all(runs[name].settings["layout"].columns["x"] == "Rechts" for name in "ade")
         with pytest.raises(RunError, match="no column is known as road_wheel_angle"):
@@ -179,18 +179,18 @@ def test_a_drive_named_alone_is_read_by_the_each_of_its_folder(tmp_path: Path) -
     assert (pair.can, pair.run_file) == ((tmp_path / "mine.log",), None)
     assert find_runs([tmp_path / "c.csv"])[0].run_file is None
     file.write_text("each: '*.csv'\noffste: 1\n")
-    assert "offste is not known" in str(find_runs([a])[0].problem)
+    assert "unknown key offste" in str(find_runs([a])[0].problem)
 
 
 def test_frames_in_a_table_are_no_can_log(tmp_path: Path) -> None:
     touch(tmp_path, "run.ncom", "run.csv", content="Time Stamp,ID,Extended,Dir,Bus,LEN,D1\n")
     (run,) = find_runs([tmp_path])
-    assert "no CAN log has the same stem; " in str(run.problem) and "if run.csv is one, convert it" in str(run.problem)
+    assert "no CAN log has the same stem; " in str(run.problem) and "if run.csv is a CAN log, " in str(run.problem)
 
 
 @pytest.mark.parametrize(("name", "error"), [
     ("a.bag", "convert the ROS 1 bag with rosbags-convert"), ("a.zip", "unpack it first"),
-    ("notes.txt", "no recording is in this folder")])
+    ("notes.txt", "this folder contains no recording")])
 def test_a_folder_without_a_run_names_its_recordings(tmp_path: Path, name: str, error: str) -> None:
     touch(tmp_path, "README.md", f"sub/{name}")
     (run,) = find_runs([tmp_path])
@@ -198,11 +198,11 @@ def test_a_folder_without_a_run_names_its_recordings(tmp_path: Path, name: str, 
 
 
 @pytest.mark.parametrize(("text", "error"), [
-    ("each: '*.csv'\nname: x\n", "name belongs to one run, and `each` describes several"),
-    ("each: '*.csv'\nleave_out: [[1, 2]]\n", "leave_out belongs to one run"),
-    ("each: '*.tdms'\n", r"no file in its folder matches '\*.tdms'"),
+    ("each: '*.csv'\nname: x\n", "key name describes one run, but `each` describes several"),
+    ("each: '*.csv'\nleave_out: [[1, 2]]\n", "key leave_out describes one run"),
+    ("each: '*.tdms'\n", r"no file matches '\*.tdms'"),
     ("each: '*.doc'\n", "a.doc is not a recording"),
-    ("each: '*.ncom'\ncolumns: {x: East}\n", "no CAN log has the stem of a.ncom"),
+    ("each: '*.ncom'\ncolumns: {x: East}\n", "no CAN log in the folder is named a, as a.ncom is"),
 ])
 def test_each_is_of_recordings_that_are_read_alike(tmp_path: Path, text: str, error: str) -> None:
     touch(tmp_path, "a.csv", "a.ncom", "a.doc")
@@ -252,17 +252,17 @@ def test_run_yaml(tmp_path: Path) -> None:
     ("content", "message"),
     [
         ("[", "invalid YAML"),
-        ("- a", "is not a YAML mapping"),
-        ("ins: x.ncom\ncan: 1.log\nspeed: 3", "key speed is not known; known keys are name, ins"),
+        ("- a", "the file is not a YAML mapping"),
+        ("ins: x.ncom\ncan: 1.log\nspeed: 3", "unknown key speed; known keys are name, ins"),
         ("can: 1.log", "exactly one of the keys ins, bag, csv and vbo"),
-        ("ins: y.ncom\ncan: 1.log", "ins: there is no 'y.ncom' in its folder"),
-        ("csv: e*.csv", r"csv: no file in its folder matches 'e\*\.csv'"),
+        ("ins: y.ncom\ncan: 1.log", "ins: 'y.ncom' does not exist"),
+        ("csv: e*.csv", r"csv: no file matches 'e\*\.csv'"),
         ("csv: [d.csv, 3]", "csv: expected a file or a list of files"),
-        ("ins: x.ncom", "no CAN log under the key can"),
-        ("ins: x.ncom\ncan: /logs/*.mf4", "can: '/logs/\\*.mf4' is not a pattern"),
-        ("ins: x.ncom\ncan: g**", r"can: 'g\*\*' is not a pattern"),
+        ("ins: x.ncom", "the key can names no CAN log"),
+        ("ins: x.ncom\ncan: /logs/*.mf4", "can: '/logs/\\*.mf4' is not a valid pattern"),
+        ("ins: x.ncom\ncan: g**", r"can: 'g\*\*' is not a valid pattern"),
         ("ins: x.ncom\ncan: 1.log\noffset: soon", "offset: 'soon' is not a number"),
-        ("ins: x.ncom\ncan: 1.log\ndbc:", "dbc: there is no 'None' in its folder"),
+        ("ins: x.ncom\ncan: 1.log\ndbc:", "dbc: 'None' does not exist"),
         ("ins: x.ncom\ncan: 1.log\nins_can_latency: 0.002", r"ins_can_latency: 0\.002 is not \[latency"),
         ("csv: d.csv\nlabels: [{name: a}]", "labels: expected a list of"),
         ("csv: d.csv\nlabels: [{name: a, start: 5, end: 2}]", "labels: a ends"),

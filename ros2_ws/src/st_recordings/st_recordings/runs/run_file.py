@@ -1,4 +1,4 @@
-"""Reads a run.yaml, which lists the files of a run and how to read, correct and label them."""
+"""Reads a run.yaml, which lists the files of a run and describes how to read, correct and label them."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +19,7 @@ from .run_types import Label, RunSource
 
 RUN_FILE = "run.yaml"
 RUN_SUFFIX = ".run.yaml"
-TABLE_KEYS = ("csv", "vbo")  # recordings with columns; several files may be one recording
+TABLE_KEYS = ("csv", "vbo")  # keys of recordings that have columns and may consist of several files
 _FILE_KEYS = tuple(dict.fromkeys(reader.key for reader in sorted(READERS.values(), key=lambda r: not r.needs_can)))
 _KEYS = ("name", *_FILE_KEYS, "each", "can", "offset", "ins_can_latency", "labels", "dbc", "signals", "columns",
          "units", "correct", "leave_out")
@@ -31,13 +31,14 @@ def is_run_file(path: Path) -> bool:
 
 
 def read_run_file(path: Path) -> list[RunSource]:
-    """The run that a run.yaml describes, or the runs under its key `each`. Raises RunError."""
+    """Reads the run that a run.yaml describes, or the runs under its key `each`. Raises RunError."""
     content = _read_content(path)
     return _parse_each(path, content) if "each" in content else [_parse_single_run(path, content)]
 
 
 def find_run_of_each(file: Path) -> RunSource | None:
-    """The run of a single recording, described by a run.yaml with `each` in its folder. Raises RunError."""
+    """Finds the run of a recording that a run.yaml with `each` in the same folder describes; None if there is none.
+    Raises RunError."""
     paths = [path for path in sorted(file.parent.glob(f"*{RUN_FILE}")) if is_run_file(path) and path.is_file()
              and re.search(r"^each\s*:", path.read_text("utf-8", "replace"), re.MULTILINE)]
     return next((run for path in paths for run in read_run_file(path) if file in run.files), None)
@@ -49,10 +50,10 @@ def _read_content(path: Path) -> dict[str, Any]:
     except (OSError, ConfigurationError, UnicodeDecodeError) as error:
         raise RunError(path, f"invalid YAML: {shorten(error)}") from None
     if not isinstance(content, dict):
-        raise RunError(path, "is not a YAML mapping", f"known keys are {', '.join(_KEYS)}")
+        raise RunError(path, "the file is not a YAML mapping", f"known keys are {', '.join(_KEYS)}")
     unknown = [key for key in content if key not in _KEYS]
     if unknown:
-        raise RunError(path, f"key {unknown[0]} is not known", f"known keys are {', '.join(_KEYS)}")
+        raise RunError(path, f"unknown key {unknown[0]}", f"known keys are {', '.join(_KEYS)}")
     return content
 
 
@@ -60,29 +61,34 @@ def _parse_single_run(path: Path, content: Mapping[str, Any]) -> RunSource:
     file_keys = [key for key in _FILE_KEYS if key in content]
     if len(file_keys) != 1:
         known = f"{', '.join(_FILE_KEYS[:-1])} and {_FILE_KEYS[-1]}"
-        raise RunError(path, f"exactly one of the keys {known} must name the file of the INS measurements",
-                       "or use `each` to read several recordings in the same way")
+        raise RunError(path, f"exactly one of the keys {known} must name the file with the INS measurements",
+                       "use `each` instead to read several recordings in the same way")
     files = _find_parts(path, file_keys[0], content[file_keys[0]])
     default = path.parent.name if path.name == RUN_FILE else path.name.removesuffix(RUN_SUFFIX)
     name = str(content.get("name", default))  # results are stored under it
     if not name.isprintable() or name in ("", ".", "..") or "/" in name or "\\" in name:
-        raise RunError(path, f"name: {name[:100]!r} cannot be the name of a folder", "leave out slashes")
+        raise RunError(path, f"name: {name[:100]!r} cannot be the name of a folder",
+                       "choose a name without slashes and control characters")
     return _build_run(path, content, name, file_keys[0], files, _find_can_logs(path, content.get("can", [])))
 
 
 def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
     """One run per file, with the CAN logs of its stem. NAME.run.yaml has priority for a file NAME.csv."""
     if keys := [key for key in content if key in _KEYS_OF_ONE_RUN]:
-        raise RunError(path, f"{keys[0]} belongs to one run, and `each` describes several",
-                       "write a NAME.run.yaml for that run")
+        raise RunError(path, f"key {keys[0]} describes one run, but `each` describes several",
+                       "write a NAME.run.yaml for this run")
     files = dict.fromkeys(_find_matching_files(path, "each", content["each"]))
     if not files:
-        raise RunError(path, f"each: no file in its folder matches {content['each']!r}")
+        raise RunError(path, f"each: no file matches {content['each']!r}",
+                       "patterns are relative to the folder of the run.yaml")
     return [_read_own_run_file(path, file) or _parse_run_of_each(path, content, file) for file in files]
 
 
 def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
-    """The run of a recording with its own run.yaml (same stem or folder). path: the run.yaml with `each`."""
+    """Reads the run.yaml of a single recording (same stem, or same folder); None if there is none.
+
+    path: the run.yaml with `each`.
+    """
     for own in (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE)):
         try:
             content = _read_content(own) if own.exists() and own != path else {"each": ""}
@@ -100,22 +106,21 @@ def _parse_run_of_each(path: Path, content: Mapping[str, Any], file: Path) -> Ru
     is_complete = reader.kind == "csv" and reader.has_drive(file)
     logs = [] if is_complete else [log for log in find_logs(file, sorted(file.parent.iterdir())) if is_can_log(log)]
     if reader.needs_can and not logs:
-        raise RunError(path, f"each: no CAN log has the stem of {file.name}",
+        raise RunError(path, f"each: no CAN log in the folder is named {file.stem}, as {file.name} is",
                        "list the files of each run in a run.yaml")
     return _build_run(path, content, file.name if file.is_dir() else file.stem, reader.key, (file,), logs)
 
 
 def _build_run(path: Path, content: Mapping[str, Any], name: str, key: str, files: tuple[Path, ...],
                logs: Sequence[Path]) -> RunSource:
-    """key: key of the files, one of _FILE_KEYS."""
     reader = find_reader(files[0], key)
-    assert reader is not None  # every key belongs to one
+    assert reader is not None  # _FILE_KEYS are the keys of the readers
     if reader.needs_can and not logs:
-        raise RunError(path, "no CAN log under the key can", "list the logs, a folder of them, or a pattern")
+        raise RunError(path, "the key can names no CAN log", "list the logs, a folder that contains them, or a pattern")
     for setting in ("columns", "units"):
         if setting in content and key not in TABLE_KEYS:
-            raise RunError(path, f"{setting}: only a csv or vbo has columns; the units of others are fixed",
-                           "use `correct:` to change values of other recordings")
+            raise RunError(path, f"{setting}: only csv and vbo files have columns, and other files have fixed units",
+                           "change values of other recordings with `correct:`")
     settings = {setting: read(path, content[setting]) for setting, read in _SETTINGS.items()
                 if setting in content and (setting != "offset" or content[setting] is not None)}
     if "columns" in content or "units" in content:
@@ -126,17 +131,17 @@ def _build_run(path: Path, content: Mapping[str, Any], name: str, key: str, file
 
 
 def find_logs(file: Path, files: Sequence[Path]) -> list[Path]:
-    """The CAN logs among the files with the stem and folder of a recording."""
+    """Finds the CAN logs among files that have the same folder and stem as a recording."""
     return [f for f in files if f.stem == file.stem and f.parent == file.parent and f.suffix.lower() in CAN_EXTENSIONS]
 
 
 def _find_parts(path: Path, key: str, value: Any) -> tuple[Path, ...]:
-    """The files of the INS measurements; several (a list or pattern) only for parts of one csv or vbo recording."""
+    """Finds the files with the INS measurements. Only csv and vbo recordings may consist of several files."""
     if key not in TABLE_KEYS:
         return (_find_file(path, key, value),)
     found = tuple(dict.fromkeys(_find_matching_files(path, key, value)))
     if not found:
-        raise RunError(path, f"{key}: no file in its folder matches {value!r}")
+        raise RunError(path, f"{key}: no file matches {value!r}", "patterns are relative to the folder of the run.yaml")
     return found
 
 
@@ -147,7 +152,7 @@ def _find_can_logs(path: Path, value: Any) -> list[Path]:
 
 
 def _find_matching_files(path: Path, key: str, value: Any) -> list[Path]:
-    """Files and folders that match a name or pattern, or a list of them."""
+    """Finds the files and folders that match a name or pattern, or a list of these. Raises RunError."""
     entries = [value] if isinstance(value, str) else value
     if not isinstance(entries, list) or not all(isinstance(e, str) for e in entries):
         raise RunError(path, f"{key}: expected a file or a list of files")
@@ -159,8 +164,8 @@ def _find_matching_files(path: Path, key: str, value: Any) -> list[Path]:
         except RunError:
             raise
         except (ValueError, NotImplementedError, OSError) as error:
-            raise RunError(path, f"{key}: {text[:100]!r} is not a pattern ({error})",
-                           "patterns are relative to the run file; * is a part of a name, **/ are folders") from None
+            raise RunError(path, f"{key}: {text[:100]!r} is not a valid pattern ({error})", "patterns are relative to "
+                           "the folder of the run.yaml; * matches a part of a name, **/ matches folders") from None
     return found
 
 
@@ -183,7 +188,8 @@ def _parse_number(path: Path, key: str, value: Any) -> float:
 def _find_file(path: Path, key: str, text: Any) -> Path:
     if isinstance(text, str) and _exists(path, text):
         return path.parent / text
-    raise RunError(path, f"{key}: there is no {str(text)[:200]!r} in its folder")
+    raise RunError(path, f"{key}: {str(text)[:200]!r} does not exist",
+                   "paths are relative to the folder of the run.yaml")
 
 
 def _exists(path: Path, text: str) -> bool:
@@ -207,7 +213,7 @@ def _parse_labels(path: Path, value: Any) -> tuple[Label, ...]:
 def _parse_columns(path: Path, value: Any) -> dict[str, str]:
     for channel, name in _check_mapping(path, "columns", value, COLUMNS).items():
         if not isinstance(name, str) or not name:
-            raise RunError(path, f"columns: {channel}: {name!r} is not the name of a column", "put it in quotes")
+            raise RunError(path, f"columns: {channel}: {name!r} is not the name of a column", "put the name in quotes")
     return dict(value)
 
 
@@ -218,7 +224,7 @@ def _parse_units(path: Path, value: Any) -> dict[str, str]:
         unit = find_unit(kind, text) if isinstance(text, str) else None
         if unit is None:
             raise RunError(path, f"units: {channel}: {str(text)[:40]!r} is not a unit of {kind}",
-                           f"known are {', '.join(UNITS[kind])}")
+                           f"known units are {', '.join(UNITS[kind])}")
         units[channel] = unit
     return units
 
@@ -238,14 +244,13 @@ def _parse_corrections(path: Path, value: Any) -> dict[str, Correction]:
 
 def _parse_intervals(path: Path, value: Any) -> tuple[tuple[float, float], ...]:
     try:
-        stretches = tuple((float(start), float(end)) for start, end in value)
+        intervals = tuple((float(start), float(end)) for start, end in value)
     except (TypeError, ValueError):
-        stretches = ((np.nan, np.nan),)
-    for start, end in stretches:
-        if not start < end:
-            raise RunError(path, "leave_out: expected a list of [start, end] in seconds after the first INS "
-                           "measurement, start before end")
-    return stretches
+        intervals = ((np.nan, np.nan),)
+    if not all(start < end for start, end in intervals):
+        raise RunError(path, "leave_out: expected a list of [start, end] in seconds after the first INS measurement, "
+                       "start before end")
+    return intervals
 
 
 def _check_mapping(path: Path, key: str, value: Any, known: Any) -> dict[str, Any]:
@@ -253,7 +258,7 @@ def _check_mapping(path: Path, key: str, value: Any, known: Any) -> dict[str, An
         raise RunError(path, f"{key}: expected a mapping", f"known keys are {', '.join(known)}")
     unknown = [name for name in value if name not in known]
     if unknown:
-        raise RunError(path, f"{key}: {unknown[0]} is not known", f"known are {', '.join(known)}")
+        raise RunError(path, f"{key}: unknown key {unknown[0]}", f"known keys are {', '.join(known)}")
     return value
 
 

@@ -1,4 +1,4 @@
-"""Groups files into runs, by stem, folder, list of files, parts of a split bag, or run.yaml."""
+"""Groups files into runs: by their names, by their folders, by the time of split bags, or by a run.yaml."""
 
 import glob
 from collections.abc import Iterator, Sequence
@@ -19,16 +19,16 @@ from .run_file import RUN_FILE, RUN_SUFFIX, find_logs, find_run_of_each, is_run_
 from .run_types import RunSource
 
 GENERIC_NAMES = ("run", "bag")
-"""Generic file names (run.ncom with run.mf4, bag/ of st live), for which the run is named after the folder."""
+"""Generic names (run.ncom with run.mf4, bag/ of st live); such a run is named after its folder."""
 DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
-"""Extensions that no recording has, such as those of README and LICENSE; ignored among recordings."""
+"""Extensions of documents such as README and LICENSE, which are ignored among recordings."""
 MAX_SPLIT_GAP = 5.0
 """Longest gap [s] between the end of one file of a split bag and the start of the next."""
 TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".mat", ".parquet", ".feather", ".h5",
                     ".hdf5", ".tdms", ".json", ".erg", ".ld")
-"""Extensions of tables of other programs; a text table can be read after renaming it to .csv."""
+"""Extensions of tables of other programs. Some of these files are text, which can be read with the extension .csv."""
 TEXT_EXPORTS = (".txt", ".tsv", ".dat")
-"""Tables that a program often exports along with its own file."""
+"""Extensions of text tables that programs often export in addition to their own files."""
 UNKNOWN_ADVICE = {
     ".bag": "convert the ROS 1 bag with rosbags-convert",
     ".dbc": "give a DBC with --dbc, or put it into the folder of --car",
@@ -36,16 +36,16 @@ UNKNOWN_ADVICE = {
     ".vbb": "export it as .vbo with the software of the logger",
     ".bin": "rename it to .ncom if it contains NCOM packets",
     **dict.fromkeys((".gz", ".zip", ".7z", ".bz2", ".xz", ".zst", ".zstd"), "unpack it first"),
-    **dict.fromkeys(TABLE_EXTENSIONS, "rename it to .csv if it is a text table with a header line; else export one"),
+    **dict.fromkeys(TABLE_EXTENSIONS, "rename it to .csv if it is a text table with a header line, or export one"),
 }
 """Extension -> advice, for files that no reader supports."""
 
 
 def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
-    """The runs in files and folders, in order of name; an entry that cannot be a run has a `problem`.
+    """Finds the runs in files and folders, in order of name. A source that cannot be a run has a `problem`.
 
     Individual files that belong together (one INS recording and CAN logs, or the parts of a split bag) form one run.
-    Folders are searched recursively; files that are not recordings and bags without odometry are ignored there.
+    Folders are searched recursively; other files, and bags without odometry, are ignored in folders.
     """
     runs: list[RunSource] = []
     loose: list[Path] = []
@@ -66,7 +66,7 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
         loose = [f for f in loose if not _is_document(f)] or loose
     described = [run for path in loose if (run := _find_described_run(path)) is not None]
     rest = [f for f in loose if not any(f in (*run.files, *run.can) for run in described)]
-    if any(f.suffix.lower() in CAN_EXTENSIONS for f in rest):  # the user names other CAN logs than `each`
+    if any(f.suffix.lower() in CAN_EXTENSIONS for f in rest):  # the user names CAN logs that `each` does not describe
         described, rest = [], loose
     return _assign_distinct_names([*runs, *described, *_group_files(rest, given=True)])
 
@@ -79,13 +79,13 @@ def _find_described_run(path: Path) -> RunSource | None:
 
 
 def _explain_no_run(folder: Path) -> list[RunSource]:
-    """Problems of recordings in a folder that form no run; if there are none, a problem of the folder."""
+    """Problems of the files in a folder without runs; if there are none, a problem of the folder."""
     bag = READERS["bag"]
     files = sorted(folder.rglob("*"))
     bags = [f for f in files if bag.accepts(f) and not any(bag.accepts(parent) for parent in f.parents)]
     others = [f for f in files if f.suffix.lower() in UNKNOWN_ADVICE.keys() - {*DOCUMENT_EXTENSIONS}]
     return [*(_make_single_run(f, bag) for f in bags), *map(_reject_unknown_file, others)] or [_make_unusable(
-        folder, "no recording is in this folder", "give a folder with .ncom and CAN logs, bags, CSV or VBO files")]
+        folder, "this folder contains no recording", "give a folder with .ncom and CAN logs, bags, CSV or VBO files")]
 
 
 def _search_folder(folder: Path) -> list[RunSource]:
@@ -112,32 +112,33 @@ def _search_folder(folder: Path) -> list[RunSource]:
                             if f.is_file() and (path.name == RUN_FILE or f.stem == stem))
         else:
             files.append(path)
-    runs = [run for run in runs if not any({*run.files} < {*other.files} for other in runs)]  # `each` lists its parts
+    # A run of `each` may be a part of a recording that another run.yaml describes.
+    runs = [run for run in runs if not any({*run.files} < {*other.files} for other in runs)]
     loose = [path for path in files if path not in used or path.is_dir()]
     return runs + _group_files([path for path in loose if _may_be_in_a_run(path, files)], given=False)
 
 
 def _may_be_in_a_run(path: Path, files: Sequence[Path]) -> bool:
-    """Whether a file in a folder may be a recording or CAN log; False for tables and bags without a drive."""
+    """Whether a file that was found in a folder may belong to a run; False for tables and bags without a drive."""
     reader = find_reader(path)
     if reader is None or reader.needs_can:
         return True
     if path.suffix.lower() in TEXT_EXPORTS and not reader.has_drive(path) and any(
             other.stem == path.stem and other != path and find_reader(other) for other in files):
-        return False  # an export of the same drive
+        return False  # probably exported from the other file
     return (reader.has_drive(path) or reader.is_ins_only(path) or reader.is_incomplete(path)
             or (path.suffix.lower() == ".csv" and any(map(is_can_log, find_logs(path, files)))))
 
 
 def _is_document(file: Path) -> bool:
-    """Whether a file is a document by its extension, and not a text table with a recording."""
+    """Whether a file has the extension of a document and is not a table with a recording."""
     reader = find_reader(file)
     return file.suffix.lower() in DOCUMENT_EXTENSIONS and not (
         reader and (reader.has_drive(file) or reader.is_ins_only(file) or reader.is_incomplete(file)))
 
 
 def _group_files(files: Sequence[Path], given: bool) -> list[RunSource]:
-    """Runs of single files. given: named by the user, so that an unknown file type is a problem."""
+    """Groups single files into runs. given: whether the user named the files, so that an unknown type is a problem."""
     readers = {f: reader for f in files if (reader := find_reader(f)) is not None}
     logs = [f for f in files if f not in readers and f.suffix.lower() in CAN_EXTENSIONS and (given or is_can_log(f))]
     runs = [_reject_unknown_file(f) for f in files if given and f not in readers and f not in logs]
@@ -147,7 +148,7 @@ def _group_files(files: Sequence[Path], given: bool) -> list[RunSource]:
     without_logs = []
     for file, reader in readers.items():
         own_logs = find_logs(file, logs)
-        # A table with unknown columns and a CAN log of the same stem is also an INS recording.
+        # A table that has a CAN log of the same stem is an INS recording, even if its columns are unknown.
         if not reader.needs_can and not (logs and reader.is_ins_only(file)) and (
                 reader.kind != "csv" or not own_logs or reader.has_drive(file)):
             runs.append(_make_single_run(file, reader))
@@ -167,13 +168,13 @@ def _group_files(files: Sequence[Path], given: bool) -> list[RunSource]:
 
 def _reject_unknown_file(file: Path) -> RunSource:
     known = sorted({*CAN_EXTENSIONS, *(e for reader in READERS.values() for e in reader.extensions)})
-    advice = UNKNOWN_ADVICE.get(file.suffix.lower(), f"known are {', '.join(known)}, folders of bags, and run.yaml")
-    return _make_unusable(file, f"the extension {file.suffix or '(none)'} is not that of a recording", advice)
+    advice = UNKNOWN_ADVICE.get(file.suffix.lower(), f"give files with {', '.join(known)}, bag folders, or run.yaml")
+    return _make_unusable(file, f"no kind of recording has the extension {file.suffix or '(none)'}", advice)
 
 
 def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
                       logs: Sequence[Path]) -> Iterator[RunSource]:
-    """Yields entries for INS recordings without CAN logs and CAN logs without an INS recording."""
+    """Yields a source with a problem for each INS recording without CAN logs, or each CAN log without INS recording."""
     for file in recordings:
         if not readers[file].needs_can:
             yield _make_single_run(file, readers[file])  # its reader reports what is missing
@@ -182,7 +183,7 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
         advice = "give them the same name, or list the files of each run in a run.yaml"
         others = [f.name for f in sorted(file.parent.glob(f"{glob.escape(file.stem)}.*")) if f not in recordings]
         if others and not logs:
-            advice += f"; if {others[0]} is one, convert it to .asc, .blf, .log (candump), .trc or .mf4"
+            advice += f"; if {others[0]} is a CAN log, convert it to .asc, .blf, .log (candump), .trc or .mf4"
         yield _make_unusable(file, f"no CAN log belongs to it: {why}", advice)
     for session in dict.fromkeys(parse_session(f)[0] for f in logs) if not recordings else ():
         file = next(f for f in logs if parse_session(f)[0] == session)
@@ -191,12 +192,12 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
                   if csv.accepts(f) and not _is_document(f) and not (csv.has_drive(f) or csv.is_ins_only(f))]
         advice = "give both, or list the files of the run in a run.yaml"
         if tables:
-            advice += f"; it can also name unrecognised columns of {tables[0]}, as columns: {{x: NAME, ...}}"
-        yield _make_unusable(file, "no INS recording (.ncom, CSV, VBO, bag) belongs to this CAN log", advice)
+            advice += f"; the run.yaml can also name unknown columns of {tables[0]}, as columns: {{x: NAME, ...}}"
+        yield _make_unusable(file, "no INS recording (.ncom, .csv, .vbo, bag) belongs to this CAN log", advice)
 
 
 def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
-    """Groups of bag files drive_0, drive_1, ... in which each file begins where the previous one ends."""
+    """Groups bag files drive_0, drive_1, ... of which each begins where the previous one ends."""
     groups: list[list[Path]] = []
     for file in sorted(files, key=lambda f: (f.parent, natural_sort_key(f))):
         if groups and _is_continuation(groups[-1][-1], file):
@@ -231,7 +232,7 @@ def _make_unusable(path: Path, what: str, advice: str) -> RunSource:
 
 
 def _assign_distinct_names(runs: Sequence[RunSource]) -> list[RunSource]:
-    """The runs with distinct names, prefixed by their folder if necessary: results are stored by name."""
+    """Gives runs distinct names, because results are stored by name; adds the folder to a name that is already used."""
     used: set[str] = set()
     named = []
     for run in sorted(runs, key=lambda r: (r.name, str(r.where))):
