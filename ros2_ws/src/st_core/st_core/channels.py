@@ -1,4 +1,4 @@
-"""The channels of a discovery: the measured quantities with which predictions are compared. CHANNELS defines them."""
+"""The measured quantities (channels) with which discovery and identification compare predictions."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ from .regression import robust_deviation, white_noise
 from .timeseries import moving_average_noise_ratio
 from .types import body_to_map, map_to_body, wrap_angle
 
-SMOOTHING_NS = 100_000_000  # width of the centred mean of the smoothed channels
-STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster does not move
+SMOOTHING_NS = 100_000_000  # width of the moving average of the smoothed channels
+STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster counts as standing
 
 
 @dataclass(frozen=True)
@@ -21,11 +21,11 @@ class Channel:
     label: name in reports. unit: SI. resolution [unit]: accuracy of an INS; smaller errors are not distinguished.
     signals: fields of DriveLog that measure it. columns: components of its error. Both default to `name`.
     errors(measured, readings): measured minus predicted `effects.Measured`, by column; None: difference of the field
-    `name`. smoothed: measured and predicted are averaged over SMOOTHING_NS. accumulates: its errors grow over the
-    horizon. zero_means_missing: all zeros in a recording mean that it was not measured.
+    `name`. smoothed: measured and predicted values are averaged over SMOOTHING_NS. accumulates: its errors grow over
+    the horizon. zero_means_missing: only zeros in a recording mean that it was not measured.
     noise(log, step, x, y, yaw, v_x, v_y, r): standard deviation, by column, of the errors at the end of windows due to
-    noise alone, by comparison of redundant measurements; arrays (windows, instants `step` [s] apart). None for white
-    noise by third differences, to which the motion of a car does not contribute.
+    noise alone, from redundant measurements; arrays (windows, instants `step` [s] apart). None: white noise from third
+    differences, to which the motion of a car does not contribute.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Channel:
             object.__setattr__(self, field, getattr(self, field) or (self.name,))
 
     def is_measured_in(self, log: Any) -> bool:
-        """Whether a DriveLog contains the channel. At standstill throughout, 0 is a valid lateral velocity."""
+        """Whether a DriveLog contains measurements of the channel. Zeros are valid if the car never moves."""
         if self.name == "velocity_y" and not log.sideslip_measured:
             return False
         values = [getattr(log, name) for name in self.signals]
@@ -59,7 +59,7 @@ class Channel:
         return (measured[self.name] - getattr(readings, self.name),)
 
     def noise_errors(self, log: Any, *motion: Any) -> tuple[float, ...]:
-        """Errors due to noise alone [unit], by column."""
+        """Standard deviation of the errors due to noise [unit], by column."""
         if self.noise:
             return self.noise(log, *motion)
         values = getattr(log, self.name)
@@ -74,9 +74,8 @@ def _position_residuals(measured: Mapping[str, np.ndarray], readings: Any) -> tu
 
 
 def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: Any, rate: Any) -> tuple[float, ...]:
-    """Difference of measured displacement and dead reckoning, plus the effect of white noise of initial heading and
-    speed."""
-    east, north = (_integral(values, step) for values in body_to_map(u, v, yaw))
+    """Spread of measured displacement minus dead reckoning, plus the effect of white noise in initial yaw and speed."""
+    east, north = (_integrate(values, step) for values in body_to_map(u, v, yaw))
     ahead, left = map_to_body(x[:, -1] - x[:, 0] - east, y[:, -1] - y[:, 0] - north, yaw[:, -1])
     horizon = step * (x.shape[1] - 1)
     at_start = white_noise(log.yaw) * horizon * float(np.nanmean(u)), white_noise(log.velocity_x) * horizon
@@ -84,16 +83,17 @@ def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: 
 
 
 def _heading_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: Any, rate: Any) -> tuple[float, ...]:
-    """Difference of the measured change of heading and the integral of the measured yaw rate."""
-    return (_spread(wrap_angle(yaw[:, -1] - yaw[:, 0] - _integral(rate, step))),)
+    """Spread of the measured change of yaw minus the integral of the measured yaw rate."""
+    return (_spread(wrap_angle(yaw[:, -1] - yaw[:, 0] - _integrate(rate, step))),)
 
 
 def _spread(errors: np.ndarray) -> float:
+    """Robust standard deviation of the finite errors."""
     errors = errors[np.isfinite(errors)]
     return robust_deviation(errors) if len(errors) else 0.0
 
 
-def _integral(values: np.ndarray, step: float) -> np.ndarray:
+def _integrate(values: np.ndarray, step: float) -> np.ndarray:
     return (0.5 * (values[:, :-1] + values[:, 1:])).sum(axis=1) * step
 
 
@@ -106,10 +106,10 @@ CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
     Channel("position", "position", "m", 1e-3, ("x", "y"), ("position_lateral", "position_longitudinal"),
             errors=_position_residuals, accumulates=True, noise=_position_noise),
 )}
-"""Channels by name; the most informative one about the car first."""
+"""Channels by name, the most informative about the car first."""
 
 CHANNEL_OF_COLUMN = {column: channel for channel in CHANNELS.values() for column in channel.columns}
 POSITION_5S = "position_5s"
-"""Mean position error at the end of the horizon, which is reported first."""
+"""Mean position error at the end of the horizon; the first quantity in reports."""
 UNITS = {POSITION_5S: "m"} | {name: channel.unit for name, channel in CHANNELS.items()}
 LABELS = {POSITION_5S: "position after 5 s"} | {name: channel.label for name, channel in CHANNELS.items()}

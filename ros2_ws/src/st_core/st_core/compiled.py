@@ -1,7 +1,7 @@
-"""Single predictions by compiled code: the result of `prediction.predict`, six times faster.
+"""Single predictions by compiled code: the same result as `prediction.predict`, six times faster.
 
-Three models over 5 s take 0.2 ms instead of 1.3 ms; with a discovered model of three effects 0.6 instead of
-4.1 ms. The compiled code advances several predictions (lanes) in parallel; only the first is used here.
+Three models over 5 s take 0.2 ms instead of 1.3 ms; with an additional model of three effects 0.6 ms instead of 4.1 ms.
+The compiled code advances several predictions (lanes) in parallel; only the first is used here.
 Checked by: test_compiled.py, and at every start by `compile_model`.
 """
 
@@ -39,7 +39,7 @@ class CompiledModel:
         w = model.inputs(0.0, 0.0, self._parameters)
         start = model.start_state((0.0,) * len(STATE_NAMES), w, self._parameters)
         if not self._lanes.compiles(model, self._parameters, len(w), len(start)):
-            raise ConfigurationError("numba cannot compile it")
+            raise ConfigurationError("numba cannot compile the model")
 
     def __call__(self, state: VehicleState, inputs: ControlInput | InputSequence) -> Trajectory:
         """The trajectory from a state, as `prediction.predict` with one step at a time.
@@ -88,7 +88,7 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
 
 def compile_models(models: Sequence[Model], vehicle: VehicleParameters,
                    settings: PredictionSettings) -> tuple[dict[str, CompiledModel], str]:
-    """(compiled models by name, one line on which models are compiled and why others are not)."""
+    """(compiled models by name, one line that names them and the reason why the others are not compiled)."""
     compiled: dict[str, CompiledModel] = {}
     reasons: dict[str, str] = {}
     for model in models:

@@ -1,8 +1,8 @@
 """Corrections of known faults of a recording: scale, bias, delay, reference point, misalignment of the INS.
 
-    corrected value = scale * recorded value + add,   at   recorded stamp - earlier
+    corrected value = scale * recorded value + add,   corrected stamp = recorded stamp - earlier
 
-The files of a recording are not changed; its run.yaml contains the corrections. Checked by: test_corrections.py.
+The corrections are in the run.yaml of a recording; its files are not changed. Checked by: test_corrections.py.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ MAXIMUM_GAP = 0.25
 """Longest gap across which a signal shifted in time is interpolated [s]."""
 
 MAX_VALUES = {"scale": 1e12, "add": 1e12, "earlier": 60.0, "ahead": 100.0}
-"""Largest magnitude of each field; a channel with a delay of a minute belongs to another recording."""
+"""Largest magnitude of each field; a channel that is late by more than a minute belongs to another recording."""
 
 STEERING = ("road_wheel_angle", "steering")
 _COMPONENTS = {"position": ("x", "y"), "velocity": ("velocity_x", "velocity_y")}
@@ -31,7 +31,7 @@ CHANNELS: Mapping[str, tuple[str, ...]] = {
     "velocity_x": _FIELDS, "velocity_y": _FIELDS, "velocity": ("scale", "earlier"),
     **dict.fromkeys(("yaw_rate", *OPTIONAL_INS_SIGNALS, *STEERING), _FIELDS),
 }
-"""Channels that can be corrected, with the applicable fields of Correction."""
+"""Channels that can be corrected, each with the applicable fields of Correction."""
 
 UNITS: Mapping[str, str] = {
     **dict.fromkeys(("x", "y", "position"), "m"), **dict.fromkeys(("velocity_x", "velocity_y", "velocity"), "m/s"),
@@ -42,8 +42,8 @@ UNITS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Correction:
-    """Correction of one channel: scale [1]; add [unit of the channel]; earlier: delay of its stamps [s]; ahead: forward
-    shift of the reference point of positions along the car [m]."""
+    """Correction of one channel. scale [1]. add [unit of the channel]. earlier: delay of its stamps, to be removed [s].
+    ahead: forward shift of the reference point of positions, in body axes [m]."""
 
     scale: float = 1.0
     add: float = 0.0
@@ -58,17 +58,17 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
     Each channel is scaled, then offset, then shifted in time; "position" and "velocity" apply to both components, after
     corrections of a single component. Then
 
-        heading.add = a:    yaw -> yaw + a,  (v, acceleration)_body -> R(-a) (v, acceleration)_body,  so that R(yaw) v,
-                            the velocity over ground, does not change
+        heading.add = a:    yaw -> yaw + a,  (v, acceleration)_body -> R(-a) (v, acceleration)_body: the velocity over
+                            ground, R(yaw) v, does not change
         position.ahead = d: (x, y) -> (x, y) + d (cos yaw, sin yaw)
 
-    An INS channel shifted in time is interpolated at the stamps of the others; samples without a value there (the ends,
-    gaps longer than MAXIMUM_GAP) are removed, for an acceleration set to NaN. Steering has its own stamps, which are
-    shifted. A steering wheel angle is corrected so that ratio and offset of `vehicle` give the corrected road wheel
-    angle; without a vehicle it is removed.
+    An INS channel that is shifted in time is interpolated at the stamps of the other channels. Samples without a value
+    there (at the ends, in gaps longer than MAXIMUM_GAP) are removed; an acceleration is NaN instead. Steering has its
+    own stamps, which are shifted. A steering wheel angle is corrected such that ratio and offset of `vehicle` give the
+    corrected road wheel angle; without a vehicle it is removed.
 
-    leave_out: intervals of INS samples to remove, (start, end) [s] after the first recorded one, both included.
-    Raises StCoreError for a channel not in CHANNELS, a value beyond MAX_VALUES, and where no sample remains.
+    leave_out: intervals of INS samples to remove, (start, end) [s] after the first recorded sample, both included.
+    Raises StCoreError for invalid corrections (`check_corrections`), and if no sample remains.
     """
     check_corrections(corrections)
     since_ns = log.ins_time_ns - log.ins_time_ns[:1]
@@ -91,7 +91,7 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
 
 
 def check_corrections(corrections: Mapping[str, Correction]) -> None:
-    """Raises StCoreError for an unknown channel, a field not applicable to it, and a value beyond MAX_VALUES."""
+    """Raises StCoreError for an unknown channel, a field that does not apply to it, and a value outside its limits."""
     for channel, correction in corrections.items():
         if channel not in CHANNELS:
             raise StCoreError(f"{channel}: unknown channel; known are {', '.join(CHANNELS)}")
@@ -104,11 +104,11 @@ def check_corrections(corrections: Mapping[str, Correction]) -> None:
         if correction.scale == 0.0:
             raise StCoreError(f"{channel}: scale: must not be 0")
     if all(name in corrections for name in STEERING):
-        raise StCoreError(f"{' and '.join(STEERING)} are the same channel; correct one of them")
+        raise StCoreError(f"{' and '.join(STEERING)} are the same channel; correct only one of them")
 
 
 def describe_corrections(corrections: Mapping[str, Correction]) -> tuple[str, ...]:
-    """A phrase for each channel, such as "yaw_rate x 0.01745 - 0.004 rad/s, 0.31 s earlier"."""
+    """One phrase per channel, such as "yaw_rate x 0.01745 - 0.004 rad/s, 0.31 s earlier"."""
     phrases = []
     for channel, correction in corrections.items():
         phrase = channel

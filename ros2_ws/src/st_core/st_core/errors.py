@@ -1,4 +1,4 @@
-"""Exceptions of st_core; all errors that it raises deliberately."""
+"""Exceptions that st_core raises for the user."""
 
 
 class StCoreError(ValueError):
@@ -6,4 +6,4 @@ class StCoreError(ValueError):
 
 
 class ConfigurationError(StCoreError):
-    """An unusable file or setting. The text is one line for the user."""
+    """A file or setting that cannot be used. The text is one line for the user."""

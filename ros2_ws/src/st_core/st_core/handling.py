@@ -20,7 +20,7 @@ def stability_factor(car: VehicleParameters) -> float:
 
 
 def rear_slip_coefficient(car: VehicleParameters) -> float:
-    """Slip angle of the rear axle per lateral acceleration in steady cornering, m l_f / (l C_r) [s^2/m]."""
+    """Rear slip angle per lateral acceleration in steady cornering, m l_f / (l C_r) [rad s^2/m]."""
     return car.mass * car.cg_to_front_axle / (car.wheelbase * car.cornering_stiffness_rear)
 
 
@@ -41,9 +41,9 @@ def linear_system(speed: float, car: VehicleParameters) -> tuple[np.ndarray, np.
 
 @dataclass(frozen=True)
 class Range:
-    """Plausible range of a quantity among road cars, wider than the range published in `source`.
+    """Plausible range of a quantity of road cars, wider than the range published in `source`.
 
-    key: entry of the vehicle file that mainly determines the quantity. value: the quantity of a car, in `unit`.
+    key: entry of the vehicle file that mainly determines the quantity. value: function of a car, result in `unit`.
     """
 
     key: str
@@ -55,7 +55,7 @@ class Range:
     source: str
 
     def objection(self, car: VehicleParameters) -> str:
-        """Value, range and source in a sentence if the car is outside the range, else ""."""
+        """A sentence with value, range and source if the car is outside the range, else ""."""
         value = self.value(car)
         if self.low <= value <= self.high:
             return ""
@@ -88,10 +88,10 @@ PLAUSIBLE = (
 
 
 def objections(car: VehicleParameters, file: VehicleParameters | None = None) -> tuple[str, ...]:
-    """A sentence for each quantity of the car outside its range.
+    """A sentence for each quantity of the car that is outside its range.
 
-    file: the original car; quantities that are outside their range there too are left out. An unusual car may be
-    correct, so no vehicle file is refused for an objection; an identified or discovered value is reported as doubtful.
+    file: original car; quantities that are outside their range there as well are left out. An unusual car may be
+    correct, so no vehicle file is refused; an identified or discovered value is reported as doubtful.
     """
     known = {quantity.name for quantity in PLAUSIBLE if file is not None and quantity.objection(file)}
     texts = (quantity.objection(car) for quantity in PLAUSIBLE if quantity.name not in known)

@@ -1,7 +1,7 @@
 """Leap seconds between GPS time and UTC.
 
-GPS time counts from 1980-01-06T00:00:00 without leap seconds: UTC = GPS - leap seconds. Both bridges read their table
-here. Source: IERS Bulletin C, complete. Checked by: test_packet_time.py and test_ins_time.py of the bridges.
+GPS time counts from 1980-01-06T00:00:00 without leap seconds: UTC = GPS - leap seconds. Both bridges use this table.
+Source: IERS Bulletin C. Checked by: test_packet_time.py and test_ins_time.py of the bridges.
 """
 
 from bisect import bisect_right
@@ -22,7 +22,7 @@ GPS_STARTS = tuple(start - GPS_EPOCH_UNIX + leap for start, leap in zip(UNIX_STA
 
 
 def at_unix(unix_time: float) -> int:
-    """GPS - UTC [s] at a UTC instant [s since 1970]; the newest entry is valid until a newer one."""
+    """GPS - UTC [s] at a UTC time [s since 1970]; the last entry of the table applies from its date on."""
     return LEAP_SECONDS[max(bisect_right(UNIX_STARTS, unix_time) - 1, 0)]
 
 

@@ -1,4 +1,4 @@
-"""One recorded drive, ready for evaluation and identification: INS and steering on one clock, SI, no gaps filled."""
+"""One recorded drive, ready for evaluation and identification: INS and steering on one clock, in SI, with gaps."""
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -12,7 +12,8 @@ from .vehicle import VehicleParameters
 INS_SIGNALS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate")
 OPTIONAL_INS_SIGNALS = ("acceleration_x", "acceleration_y")
 STEERING = ("road_wheel_angle", "steering_wheel_angle")
-SLOPE_HALF_WIDTH = 0.025  # s before and after a sample; more would attenuate 2.5 Hz by over 3 %, less amplify noise
+# s before and after a sample; a longer time would attenuate 2.5 Hz by over 3 %, a shorter one amplify noise
+SLOPE_HALF_WIDTH = 0.025
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,19 +21,19 @@ class DriveLog:
     """Measurements of one drive, each on its own time base. Arrays are read-only.
 
     ins_time_ns, steering_time_ns: int64 UTC nanoseconds since the Unix epoch, on the INS clock, strictly increasing.
-    A gap in the measurement is a step in time; nothing is interpolated, and only OPTIONAL_INS_SIGNALS may be NaN.
+    Gaps are not filled: they are steps in time. Only OPTIONAL_INS_SIGNALS may be NaN.
 
     x, y: INS point in the map frame, east and north [m]. yaw: from east counter-clockwise, unwrapped [rad].
     velocity_x, velocity_y: body axes, forward and left, at the INS point [m/s]. yaw_rate: left turn + [rad/s].
-    acceleration_x, acceleration_y: body axes, forward and left, as the source defines them [m/s^2]. None
-    if not recorded, NaN at samples for which the source has no value.
+    acceleration_x, acceleration_y: body axes, forward and left, as the source defines them [m/s^2]. None if not
+    recorded, NaN at samples without a value.
 
-    road_wheel_angle: mean of the front axle, left + [rad]. steering_wheel_angle: as measured, left +, offset not
-    removed [rad]; None where the source has only the road wheel angle.
+    road_wheel_angle: mean of the front axle, left + [rad]. steering_wheel_angle: as measured, with its offset, left +
+    [rad]; None if only the road wheel angle was recorded.
 
-    sideslip_measured: False where velocity_y and the heading follow from the vehicle file (`st_core.sideslip`).
+    sideslip_measured: False if velocity_y and yaw were computed with the vehicle file (`st_core.sideslip`).
 
-    Raises StCoreError, naming the log and the signal, if an array breaks these rules.
+    Raises StCoreError, naming the log and the signal, if an array violates these rules.
     """
 
     name: str
@@ -102,7 +103,7 @@ class DriveLog:
 
     @property
     def overlap(self) -> float:
-        """Duration for which both INS and steering were measured [s]; 0 without a common time."""
+        """Duration of the common time of INS and steering [s]; 0 if there is none."""
         if not len(self.ins_time_ns) or not len(self.steering_time_ns):
             return 0.0
         start = max(int(self.ins_time_ns[0]), int(self.steering_time_ns[0]))
@@ -110,7 +111,7 @@ class DriveLog:
         return max(end - start, 0) * 1e-9
 
     def with_ins(self, rows: np.ndarray) -> "DriveLog":
-        """The log with only these INS samples (a mask or indices), and all of the steering."""
+        """The log with a selection of the INS samples (mask or indices) and all steering samples."""
         names = ("ins_time_ns", *INS_SIGNALS, *OPTIONAL_INS_SIGNALS)
         return replace(self, **{name: getattr(self, name)[rows] for name in names if getattr(self, name) is not None})
 
@@ -133,5 +134,5 @@ class DriveLog:
         Raises StCoreError for a log without steering_wheel_angle.
         """
         if self.steering_wheel_angle is None:
-            raise StCoreError(f"{self.name}: no steering wheel angle to recompute the road wheel angle from")
+            raise StCoreError(f"{self.name}: without a steering wheel angle the road wheel angle cannot be computed")
         return replace(self, road_wheel_angle=vehicle.road_wheel_angle(self.steering_wheel_angle))

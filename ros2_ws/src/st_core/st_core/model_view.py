@@ -1,7 +1,7 @@
-"""Measurements as one model uses them: its start state, its inputs, and the INS readings along its path.
+"""Measurements from the view of one model: its start state, its inputs, and the INS readings along its path.
 
-A model without effects uses the measurements unchanged. Effects may correct the sensors, move the measured point or
-delay the steering; start state and inputs then depend on the model.
+A model without effects uses the measurements unchanged. Effects may correct the sensors, move the INS point or delay
+the steering; start state and inputs then depend on the model.
 """
 
 from collections.abc import Sequence
@@ -31,11 +31,11 @@ from .vehicle import VehicleParameters
 
 
 class ModelView:
-    """A MeasurementHistory, shared between models, as one model uses it.
+    """One model's view of a MeasurementHistory that is shared between models.
 
     A model that corrects the samples has a separate history, filled by `add_ins` and `add_steering` in parallel with
     the shared one; other views need no samples. vehicle: as in its file. Raises ConfigurationError if the model needs a
-    quantity not measured live.
+    quantity that is not measured live.
     """
 
     def __init__(self, model: Model, vehicle: VehicleParameters, shared: MeasurementHistory):
@@ -54,7 +54,7 @@ class ModelView:
 
     @staticmethod
     def span(models: Sequence[Model], span: float) -> float:
-        """Length of the history [s] that effects with memory need for a time span [s]."""
+        """Length of the history [s] for a time span [s]; models with steering memory need a longer one."""
         return span + MEMORY if any(has_steering_memory(model) for model in models) else span
 
     def add_ins(self, sample: InsSample) -> None:
@@ -66,10 +66,10 @@ class ModelView:
         self._history.add_steering(time_ns, road_wheel_angle)
 
     def start(self, time_ns: int, steps: int, step: float) -> tuple[VehicleState, ControlInput | InputSequence]:
-        """State at the model's CG and inputs of a forecast with constant steering wheel angle and acceleration.
+        """State at the CG of the model, and inputs of a forecast with constant steering wheel angle and acceleration.
 
-        With memory the road wheels still follow the previous steering: the inputs are a sequence on the half-step grid.
-        Raises StCoreError if state or inputs are not known at the time.
+        With steering memory the wheels still follow earlier steering, so the inputs are a sequence on the half-step
+        grid. Raises StCoreError if state or inputs are unknown at this time.
         """
         sample, now = self._history.ins_at(time_ns), self._history.inputs_at(time_ns)
         if sample is None or now is None:
@@ -95,6 +95,6 @@ class ModelView:
         return InputSequence(interpolate(*wheels, times_ns, gap_ns), acceleration)
 
     def readings_along(self, trajectory: Trajectory) -> Measured:
-        """INS readings along a trajectory of the model, without accelerations."""
+        """INS readings along a trajectory of the model; accelerations are NaN."""
         t = trajectory
         return predict_readings(self.model, self._vehicle, (t.x, t.y, t.velocity_x, t.velocity_y, t.yaw, t.yaw_rate))

@@ -1,8 +1,7 @@
 """Elementary functions for the equations, for every kind of number.
 
-Python floats use `math`, numpy arrays and scalars numpy. Other types (symbolic, compiled) are registered by the module
-that defines them, with `register`. On floats no function raises: outside the domain the result is NaN, as in numpy, and
-NaN stays NaN.
+They use `math` for Python floats and numpy for its arrays and scalars. Other types (symbolic, compiled) are added with
+`register`. On floats no function raises: outside its domain the result is NaN, as in numpy, and NaN stays NaN.
 """
 
 import math
@@ -14,8 +13,9 @@ import numpy as np
 
 _sin, _cos, _tan, _atan, _sqrt = math.sin, math.cos, math.tan, math.atan, math.sqrt
 _NAN = math.nan
-# numpy computes sine and cosine one by one in the C library, 12 ns each, but the tangent in vectors on newer x86, 1 ns.
-# With t = tan(x / 2) the absolute error is 2.3e-16 for any x. Below this array size the additional calls cost more.
+# numpy computes sines and cosines singly in the C library, 12 ns each, but tangents in vectors on newer x86, 1 ns each.
+# Sine and cosine from t = tan(x / 2) have an absolute error of 2.3e-16 for any x. For arrays smaller than this, the
+# additional calls take longer than they save.
 _VECTOR_SIZE = 256
 
 
@@ -54,14 +54,14 @@ _registered: dict[type, Mapping[str, Callable]] = {}
 def register(kind: type, functions: Mapping[str, Callable]) -> None:
     """Register the functions of a further kind of number, one for each of NAMES.
 
-    Raises KeyError naming the first missing operation.
+    Raises KeyError with the name of the first missing function.
     """
     for name in NAMES:
         functions[name]
     _registered[kind] = functions
 
 
-def _other(name: str, *arguments: Any):
+def _call_registered(name: str, *arguments: Any):
     for argument in arguments:
         functions = _registered.get(type(argument))
         if functions is not None:
@@ -76,7 +76,7 @@ def sin(x):
             return _sin(x)
         except ValueError:  # infinite
             return _NAN
-    return _other("sin", x)
+    return _call_registered("sin", x)
 
 
 def cos(x):
@@ -86,7 +86,7 @@ def cos(x):
             return _cos(x)
         except ValueError:
             return _NAN
-    return _other("cos", x)
+    return _call_registered("cos", x)
 
 
 def tan(x):
@@ -96,46 +96,46 @@ def tan(x):
             return _tan(x)
         except ValueError:
             return _NAN
-    return _other("tan", x)
+    return _call_registered("tan", x)
 
 
 def atan(x):
     """Arc tangent [rad]."""
     if type(x) is float:
         return _atan(x)
-    return _other("atan", x)
+    return _call_registered("atan", x)
 
 
 def sqrt(x):
     """Square root; NaN below 0."""
     if type(x) is float:
         return _sqrt(x) if x >= 0.0 else _NAN
-    return _other("sqrt", x)
+    return _call_registered("sqrt", x)
 
 
 def sign(x):
     """-1, 0 or 1."""
     if type(x) is float:
         return 1.0 if x > 0.0 else -1.0 if x < 0.0 else x
-    return _other("sign", x)
+    return _call_registered("sign", x)
 
 
 def absolute(x):
     """Magnitude."""
     if type(x) is float:
         return -x if x < 0.0 else x
-    return _other("absolute", x)
+    return _call_registered("absolute", x)
 
 
 def maximum(x, limit):
     """The larger of x and a number `limit`; NaN if x is NaN, except for CasADi: then the limit."""
     if type(x) is float:
         return limit if x < limit else x
-    return _other("maximum", x, limit)
+    return _call_registered("maximum", x, limit)
 
 
 def minimum(x, limit):
     """The smaller of x and a number `limit`; NaN if x is NaN, except for CasADi: then the limit."""
     if type(x) is float:
         return limit if x > limit else x
-    return _other("minimum", x, limit)
+    return _call_registered("minimum", x, limit)

@@ -10,6 +10,7 @@ OTHER_COLOUR = "#d55e00"  # of all other models
 LABEL_AT = {"kinematic": 5.0, "linear": 4.3, "nonlinear": 3.6, "augmented": 2.9}
 OTHER_LABEL_AT = 2.2
 
+# Settings of matplotlib (rcParams) for all figures.
 RC: dict[Any, Any] = {
     "figure.dpi": 100,
     "savefig.dpi": 160,
@@ -38,5 +39,5 @@ def rgb(colour: str, strength: float = 1.0) -> tuple[int, int, int]:
 
 
 def label_index(model: str, step: float, points: int) -> int:
-    """The point of a path with `points` points, `step` s apart, at which the model is labelled."""
+    """Index of the point at which a path of a model is labelled. points: number of points, `step` [s] apart."""
     return min(round(LABEL_AT.get(model, OTHER_LABEL_AT) / step), points - 1)

@@ -1,5 +1,6 @@
-"""Measurements as a model needs them: logs and samples corrected by its sensor and input effects, and readings of an
-INS predicted from states. For a model without such effects everything passes unchanged.
+"""Correction of logs and samples by the sensor and steering effects of a model, and INS readings predicted from states.
+
+For a model without these effects, logs and samples do not change.
 """
 
 from collections.abc import Sequence
@@ -18,12 +19,12 @@ from .types import InsSample, cg_to_ins_position, pose_errors
 from .vehicle import VehicleParameters
 
 MEMORY = 5.0
-"""Past steering that live predictions need for effects with memory [s]; a lag of 0.5 s decays to e^-10."""
+"""Length of the past steering that effects with memory need [s]; a lag of 0.5 s decays to e^-10."""
 MEMORY_NS = round(MEMORY / NANOSECOND)
 
 
 def correct_sample(model: Model, sample: InsSample) -> InsSample:
-    """The sample of a faultless INS; NaN where that needs an acceleration, see `missing_reading`."""
+    """The sample of a faultless INS; NaN where the correction needs an acceleration, see `missing_reading`."""
     if not isinstance(model, AugmentedModel) or not model.has_sensor_effects:
         return sample
     true = model.correct(Measured(*sample[1:], acceleration_x=np.nan, acceleration_y=np.nan))
@@ -31,8 +32,8 @@ def correct_sample(model: Model, sample: InsSample) -> InsSample:
 
 
 def missing_reading(model: Model, unknown: Sequence[str]) -> tuple[str, str] | None:
-    """(effect, reading) of the first sensor effect that cannot correct pose, velocity or yaw rate where these
-    accelerations are not known; None without such an effect."""
+    """(effect, reading) of the first sensor effect that corrects pose, velocity or yaw rate by one of these unknown
+    accelerations; None without such an effect."""
     if not isinstance(model, AugmentedModel):
         return None
     for effect in model.active:
@@ -46,9 +47,9 @@ def missing_reading(model: Model, unknown: Sequence[str]) -> tuple[str, str] | N
 
 def correct_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
                      maximum_gap: float) -> tuple[np.ndarray, np.ndarray]:
-    """(time [ns], road wheel angle [rad]) at the wheels: delay, play and lag applied to a recorded angle.
+    """(time [ns], angle of the wheels [rad]): delay, play and lag applied to a recorded road wheel angle.
 
-    maximum_gap [s]: after a longer one memory is reset.
+    maximum_gap [s]: after a longer gap the effects restart.
     """
     if not isinstance(model, AugmentedModel) or not model.has_steering_memory or not len(time_ns):
         return time_ns, angle
@@ -56,7 +57,7 @@ def correct_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
     begins = np.diff(time_ns, prepend=time_ns[0]) > round(maximum_gap / NANOSECOND)
     begins[0] = True
     later, angle = model.steering(seconds, angle, begins)
-    # Only the shift is rounded, so that times without one do not change.
+    # Only the shift is rounded, so that the times do not change without a delay.
     return time_ns + np.round((later - seconds) / NANOSECOND).astype(np.int64), angle
 
 
@@ -67,16 +68,16 @@ def has_steering_memory(model: Model) -> bool:
 
 def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, ahead: np.ndarray,
                        maximum_gap: float) -> np.ndarray:
-    """Angle of the wheels [rad] at increasing instants (m,) [ns] with the steering `ahead` (m,) [rad] at these.
+    """Angle of the wheels [rad] at increasing instants grid_ns (m,) [ns] for the future steering `ahead` (m,) [rad].
 
-    time_ns [ns], angle [rad]: as recorded; later samples are not used. With delay, play or lag the wheels follow the
-    steering of the previous MEMORY seconds, too. After the end the last angle is kept. maximum_gap [s].
+    time_ns [ns], angle [rad]: recorded steering. Its last MEMORY seconds before the first instant are used, since the
+    wheels still follow it with delay, play or lag. After the last instant the last angle is held. maximum_gap [s].
     """
     if not has_steering_memory(model):
         return ahead
     before = slice(*np.searchsorted(time_ns, (grid_ns[0] - MEMORY_NS, grid_ns[0])).tolist())
     gap_ns, spacing = round(maximum_gap / NANOSECOND), int(grid_ns[1] - grid_ns[0])
-    # Samples no further apart than half of a gap, at which memory would be reset.
+    # Samples at most half of maximum_gap apart, since the effects restart after a longer gap.
     parts = max(1, -(-2 * spacing // gap_ns))
     finer, whole = np.arange(parts * (len(ahead) - 1) + 1) / parts, np.arange(len(ahead))
     after = grid_ns[0] + np.round(np.interp(finer, whole, grid_ns - grid_ns[0])).astype(np.int64)
@@ -87,7 +88,7 @@ def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, gri
 
 
 def required_lookahead_ns(model: Model) -> int:
-    """Time ahead for which the steering must be known to give the angle of the wheels [ns]; > 0 for late stamps."""
+    """How long after an instant steering must be known to give the angle of the wheels [ns]; > 0 for late stamps."""
     if not isinstance(model, AugmentedModel) or not model.has_steering_memory:
         return 0
     time, _ = model.steering(np.zeros(1), np.zeros(1), np.ones(1, bool))
@@ -95,10 +96,10 @@ def required_lookahead_ns(model: Model) -> int:
 
 
 def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:
-    """The drive as recorded by faultless sensors, with the road wheel angle at the wheels: the input of a prediction.
+    """The drive as input of a prediction: as recorded by faultless sensors, with the angle of the wheels.
 
-    Input effects without memory (ratio, offset) are not applied: they are in the model's `inputs`. maximum_gap: [s].
-    Raises StCoreError where a sensor effect needs an acceleration that the drive does not contain.
+    Input effects without memory (ratio, offset) are not applied, since the `inputs` of the model apply them.
+    maximum_gap [s]. Raises StCoreError if a sensor effect needs an acceleration that was not recorded.
     """
     if not isinstance(model, AugmentedModel):
         return log
@@ -107,7 +108,7 @@ def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveL
         names = Measured._fields[:-1]
         missing = missing_reading(model, [name for name in names if getattr(log, name) is None])
         if missing:
-            raise StCoreError("{}: effect {} needs {}, which is not in it".format(log.name, *missing))
+            raise StCoreError("{}: effect {} needs {}, which was not recorded".format(log.name, *missing))
         zeros = np.zeros(len(log.ins_time_ns))
         true = model.correct(Measured(*(zeros if getattr(log, n) is None else getattr(log, n)
                                         for n in Measured._fields)))
@@ -120,7 +121,7 @@ def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveL
 
 def predict_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
              p: Any = None) -> Measured:
-    """Readings of the INS in the given states: `predict_faultless_readings` with the sensor effects."""
+    """Readings of the INS in the given states: `predict_faultless_readings` with the sensor effects applied."""
     true = predict_faultless_readings(model, vehicle, states, w, p)
     return model.observe(true) if isinstance(model, AugmentedModel) else true
 
@@ -130,12 +131,12 @@ def predict_faultless_readings(model: Model, vehicle: VehicleParameters, states:
     """Readings of a faultless INS in the given states, at the INS point.
 
     states: (x, y, velocity_x, velocity_y, yaw, yaw_rate, extra states ...) at the CG, floats or arrays of equal shape.
-    w, p: the model's inputs there and its parameters, for the accelerations; without them these are NaN, and the yaw
-    acceleration is 0, so that a delay of the yaw rate is not corrected.
+    w, p: inputs of the model there and its parameters. Without them the accelerations are NaN and the yaw acceleration
+    is 0, so a delay of the yaw rate has no effect.
 
         a_ins = a_cg + r_dot x d - r^2 d,   d: the INS seen from the CG,   a_cg = `Model.specific_force`
 
-    vehicle: as in its file; the effects on it are applied here.
+    vehicle: as in its file, without effects.
     """
     car = model.effective_vehicle(vehicle)
     dx, dy = car.cg_to_ins_x, car.cg_to_ins_y
@@ -154,10 +155,12 @@ def predict_faultless_readings(model: Model, vehicle: VehicleParameters, states:
 
 def reading_errors(model: Model, vehicle: VehicleParameters, states: np.ndarray, x: np.ndarray, y: np.ndarray,
                    yaw: np.ndarray) -> np.ndarray:
-    """Errors (n, k, 3) of states (n, k, 6): longitudinal, lateral [m] and yaw [rad], predicted minus measured INS
-    readings. x, y [m], yaw [rad]: as measured, (n, k) each. Axes and signs as `types.pose_errors`."""
+    """Errors (n, k, 3) of states (n, k, 6): longitudinal, lateral [m], yaw [rad]; predicted minus measured readings.
+
+    x, y [m], yaw [rad]: measured, (n, k) each. Axes and signs as `types.pose_errors`.
+    """
     with np.errstate(all="ignore"):
         predicted = predict_readings(model, vehicle, tuple(np.moveaxis(states, -1, 0)))
-        # Stacked as the backends lay trajectories out, point after point: twice as fast as start after start.
+        # Stacked in the memory order of the trajectories, point after point: twice as fast as start after start.
         errors = pose_errors(predicted.x, predicted.y, predicted.yaw, x, y, yaw)
         return np.stack([e.T for e in errors]).transpose(2, 1, 0)

@@ -1,12 +1,12 @@
-"""Drives without measured sideslip: a GNSS receiver with one antenna gives the course over ground as yaw.
+"""Steady-state sideslip for drives without measured sideslip, whose yaw is the course over ground of a GNSS receiver.
 
-The car's heading differs from its course by the sideslip angle at the antenna. Taken as heading, the course turns each
-prediction by that angle. Instead, the sideslip of steady cornering is used, which the vehicle file gives:
+The heading of a car differs from its course by the sideslip angle at the antenna. With the course as heading, each
+prediction would be rotated by this angle. Therefore the sideslip of steady cornering is computed with the vehicle file:
 
     v_y = r (l_r - m l_f v_x^2 / (l C_r) + d_x),    beta = atan(v_y / v_x),    heading = course - beta
 
-r: yaw rate, d_x: from the CG forward to the antenna. The sideslip is then not measured but follows from the file, so
-stiffnesses, lever arm and misalignment cannot be identified from it: `DriveLog.sideslip_measured`.
+r: yaw rate, d_x: distance of the antenna ahead of the CG. This sideslip contains no information on stiffnesses, lever
+arm and misalignment, so they cannot be identified from it; `DriveLog.sideslip_measured` is then False.
 Checked by: test_sideslip.py.
 """
 
@@ -21,18 +21,18 @@ from .types import wrap_angle
 from .vehicle import VehicleParameters
 
 MIN_SPEED = 2.0  # m/s; the course of a slower car is mostly noise
-COURSE_TIME = 0.2  # s, length of the displacement whose direction is the course
+COURSE_TIME = 0.2  # s, duration of the displacement whose direction is the course
 RATE_WIDTH_NS = 200_000_000
 """ns, averaging time of the yaw rate, which is noisy if derived from the course."""
-MAX_DERIVATIVE_ERROR = 1e-6  # rad/s; a gyroscope differs by its noise
+MAX_DERIVATIVE_ERROR = 1e-6  # rad/s; the rate of a gyroscope differs more, by its noise
 MAX_COURSE_ERROR = 0.0015
-"""rad, RMS of the part of (direction of the displacement - yaw) that depends on the yaw rate; a larger value is
-sideslip. Genesis drives with the heading of the INS: 0.003 (INS above the rear axle) to 0.03; courses of a GNSS: up to
-0.0004."""
+"""rad, RMS of the part of (direction of the displacement - yaw) that depends on the yaw rate; a larger value means that
+yaw is a heading. Genesis drives with the heading of the INS have 0.003 (INS above the rear axle) to 0.03, courses of a
+GNSS receiver up to 0.0004."""
 
 
 def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
-    """v_y at the INS point in steady cornering [m/s], see the module."""
+    """v_y [m/s] at the INS point in steady cornering, see the module."""
     slip = rear_slip_coefficient(vehicle)
     return log.yaw_rate * (vehicle.cg_to_rear_axle - slip * log.velocity_x**2 + vehicle.cg_to_ins_x)
 
@@ -56,13 +56,12 @@ def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
 
 
 def derived_yaw_rate(time_ns: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    """Derivative of unwrapped yaw [rad/s], averaged over RATE_WIDTH_NS: differences between samples are mostly noise.
-    """
+    """Derivative of unwrapped yaw [rad/s], averaged over RATE_WIDTH_NS to reduce its noise."""
     return moving_average(time_ns, np.gradient(yaw, (time_ns - time_ns[0]) * NANOSECOND), RATE_WIDTH_NS)
 
 
 def has_derived_yaw_rate(log: DriveLog) -> bool:
-    """Whether the yaw rate of the driving car is the derivative of yaw, except at gaps: no gyroscope was recorded."""
+    """Whether the yaw rate of the moving car is the derivative of yaw, so that no gyroscope was recorded."""
     fast = log.velocity_x > MIN_SPEED
     error = np.abs(derived_yaw_rate(log.ins_time_ns, log.yaw) - log.yaw_rate)[fast]
     return bool(fast.any() and np.median(error) < MAX_DERIVATIVE_ERROR)

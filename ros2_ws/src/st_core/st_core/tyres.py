@@ -11,8 +11,8 @@ from .ops import absolute, atan, maximum, minimum, sign, sin
 
 GRAVITY = 9.81  # m/s^2, as in the paper
 
-# The load is a divisor. A jump of the measured speed can imply a lifted axle, far outside the range of the model; a
-# lower limit of 1 N keeps the force finite and close to zero.
+# A jump of the measured speed can imply a lifted axle, far outside the range of the model. Since the load is a divisor,
+# a lower limit keeps the force finite, and close to zero.
 MINIMUM_LOAD = 1.0  # N, of one tyre
 
 
@@ -58,7 +58,7 @@ def magic_formula_stiffness(load, tyre: MagicFormula):
 
 
 def magic_formula_peak(load, tyre: MagicFormula):
-    """D = (p_dy1 + p_dy2 df) lambda_muy F_z [N] of one tyre at load [N]; df as below, F_z >= 1 N."""
+    """D = (p_dy1 + p_dy2 df) lambda_muy F_z [N] of one tyre at load [N], df = (F_z - F_z0) / F_z0; F_z >= 1 N."""
     load = maximum(load, MINIMUM_LOAD)
     return (tyre.p_dy1 + tyre.p_dy2 * (load / tyre.nominal_load - 1.0)) * tyre.lambda_muy * load
 
@@ -68,8 +68,8 @@ def magic_formula_coefficients(load, tyre: MagicFormula):
 
         D = (p_dy1 + p_dy2 df) lambda_muy F_z,  B = K / (C D),  E = p_ey1 + p_ey2 df,  df = (F_z - F_z0) / F_z0
 
-    Limited to F_z >= 1 N and to E <= 1; with a larger E the curve folds back (Pacejka, Tire and Vehicle Dynamics, eq.
-    4.E24); the Leaf reaches neither limit below 8 m/s^2 of braking.
+    Limited to F_z >= 1 N and E <= 1; with a larger E the curve folds back (Pacejka, Tire and Vehicle Dynamics, eq.
+    4.E24). The Leaf reaches neither limit up to a braking deceleration of 8 m/s^2.
     """
     load = maximum(load, MINIMUM_LOAD)
     increment = load / tyre.nominal_load - 1.0

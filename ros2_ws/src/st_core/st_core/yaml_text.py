@@ -1,7 +1,7 @@
 """Reading and writing of configuration in a safe subset of YAML: mappings with text keys, lists and plain values.
 
-Files come from other people, so other features of YAML are refused: references (a few hundred bytes can expand to
-billions of values), tags, duplicate keys (YAML silently keeps the last), several documents, deep nesting.
+Files may come from other people, so other features of YAML are refused: references (a few hundred bytes can expand to
+billions of values), tags, duplicate keys (YAML silently uses the last one), several documents, deep nesting.
 """
 
 import difflib
@@ -47,22 +47,22 @@ class _Loader(yaml.SafeLoader):
             if not isinstance(key, str):
                 split = node.flow_style and type(key) is int and not value_node.value  # {x: 1,5}
                 comma = "; write decimal points, not commas" if split else ""
-                raise ConfigurationError(f"{_shortened(key)}: a key must be a string (line {line}){comma}")
+                raise ConfigurationError(f"{_shorten(key)}: a key must be a string (line {line}){comma}")
             if not key.isprintable():
-                raise ConfigurationError(f"{_shortened(key)}: a key must be printable (line {line})")
+                raise ConfigurationError(f"{_shorten(key)}: a key must be printable (line {line})")
             if key in seen:
                 raise ConfigurationError(f"{key}: given twice (line {line}); remove one")
             seen.add(key)
         return super().construct_mapping(node, deep)
 
     def construct_scalar_checked(self, node: yaml.ScalarNode) -> Any:
-        """A number or date; PyYAML passes on whatever the conversion of a malformed one raises."""
+        """A number or date. For a malformed one PyYAML raises the exception of the conversion."""
         try:
             value = yaml.SafeLoader.yaml_constructors[node.tag](self, node)
         except (ValueError, OverflowError) as error:
-            raise ConfigurationError(f"{_shortened(node.value)}: {error} (line {node.start_mark.line + 1})") from None
+            raise ConfigurationError(f"{_shorten(node.value)}: {error} (line {node.start_mark.line + 1})") from None
         if isinstance(value, int) and abs(value) > LARGEST_INTEGER:
-            raise ConfigurationError(f"{_shortened(node.value)}: too large a number (line {node.start_mark.line + 1})")
+            raise ConfigurationError(f"{_shorten(node.value)}: too large a number (line {node.start_mark.line + 1})")
         return value
 
 
@@ -71,9 +71,9 @@ for _kind in ("int", "float", "timestamp"):
 
 
 def load(text: str) -> Any:
-    """The document; None for an empty one.
+    """The document in a text; None if it is empty.
 
-    Raises ConfigurationError, in one line that names the line of the file, for invalid YAML or a refused feature.
+    Raises ConfigurationError, one line with the line number, for invalid YAML or a refused feature.
     """
     if len(text) > MAX_CHARACTERS:
         raise ConfigurationError(f"{len(text)} characters are too many for a configuration (limit {MAX_CHARACTERS})")
@@ -88,13 +88,13 @@ def load(text: str) -> Any:
         raise ConfigurationError(f"not valid YAML: more than {MAX_NESTING} levels of nesting") from None
 
 
-def _shortened(value: Any) -> str:
+def _shorten(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
 
 
 def check_keys(prefix: str, section: Mapping[Any, Any], known: list[str], required: Iterable[str] = ()) -> None:
-    """Raises ConfigurationError naming, after `prefix`, an unknown key and the nearest known one, or a missing key."""
+    """Raises ConfigurationError for an unknown or a missing key. prefix: of the keys in the message."""
     for key in section:
         if key not in known:
             raise ConfigurationError(
@@ -105,7 +105,7 @@ def check_keys(prefix: str, section: Mapping[Any, Any], known: list[str], requir
 
 
 def suggest_key(key: str, known: Iterable[str]) -> str:
-    """", did you mean ...?" with the most similar known key, "" if none is similar."""
+    """The text ", did you mean ...?" with the most similar known key; "" if none is similar."""
     matches = difflib.get_close_matches(key, known, n=1)
     return f", did you mean {matches[0]}?" if matches else ""
 

@@ -156,7 +156,7 @@ def test_a_correction_that_needs_an_acceleration_is_made_of_the_measured_one_or_
     log = DriveLog("short", time_ns, *columns, time_ns, np.zeros(5))
     measured = replace(log, acceleration_y=np.full(5, 2.0))
     np.testing.assert_allclose(correct_log(leaning, measured).yaw, log.yaw - 0.02, rtol=1e-14)
-    with pytest.raises(StCoreError, match="short: effect leaning needs acceleration_y, which is not in it"):
+    with pytest.raises(StCoreError, match="short: effect leaning needs acceleration_y, which was not recorded"):
         correct_log(leaning, log)
     with pytest.raises(ConfigurationError, match="effect leaning needs acceleration_y, which is not measured live"):
         Predictor(leaf, [leaning])

@@ -1,4 +1,4 @@
-"""Backends: batches of predictions from the unchanged functions of a Model.
+"""Backends, which compute batches of predictions from the unchanged functions of a Model.
 
 A backend is a module with
 
@@ -10,7 +10,7 @@ A backend is a module with
     out: (len(points), 6, n), states at these steps. NaN in a column makes only that column NaN.
 
 numpy_batch needs only numpy; numba_lanes needs numba and is five to twenty times faster. numba and casadi are imported
-only on use.
+only when used.
 """
 
 import importlib.util
@@ -24,7 +24,7 @@ NAMES = ("lanes", "numpy")
 
 
 def get_backend(name: str | None = None) -> ModuleType:
-    """The backend module `name`; None: lanes if numba is installed, else numpy with one warning.
+    """The backend module `name`; None: lanes if numba is installed, else numpy, with a single warning.
 
     Raises ConfigurationError for an unknown name, and for lanes without numba.
     """

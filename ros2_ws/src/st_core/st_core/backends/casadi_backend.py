@@ -1,9 +1,8 @@
-"""CasADi: symbolic functions of a Model for optimisation, linearisation and export. Needs casadi.
+"""Symbolic functions of a Model for optimisation, linearisation and export. Needs casadi.
 
-The equations are those of the model: `model.inputs` and `model.rhs` are called with symbols, and the step is
-`integrate.rk4_step`. Importing this module registers the numbers of CasADi in `st_core.ops`. Unlike on floats,
-`maximum` and `minimum` do not propagate NaN, which saves four of five instructions.
-Checked by: test_casadi_backend.py.
+`model.inputs`, `model.rhs` and `integrate.rk4_step` are called with symbols. Importing this module registers the number
+types of CasADi in `st_core.ops`. Unlike on floats, `maximum` and `minimum` do not propagate NaN, which saves four of
+five instructions. Checked by: test_casadi_backend.py.
 """
 
 import math
@@ -34,7 +33,7 @@ for _kind in (casadi.SX, casadi.MX, casadi.DM):
 class Variable:
     """One entry of x, u or p. lower, upper: range of validity of the model [unit], infinite if unlimited.
 
-    value: of a parameter, from vehicle and model; NaN if the caller must supply one.
+    value: of a parameter, from vehicle and model; NaN if the caller must supply it.
     """
 
     name: str
@@ -44,8 +43,7 @@ class Variable:
     value: float = math.nan
 
 
-# Wide enough for driving on a road, narrow enough for the start of a solver: 35 deg of steering, 1 g of braking and
-# acceleration, and speeds above walking pace.
+# Wide enough for driving on a road, narrow enough to help a solver: 35 deg of steering, 1 g of braking or acceleration.
 _BOUNDS = {"velocity_x": (0.5, 70.0), "velocity_y": (-10.0, 10.0), "yaw_rate": (-3.0, 3.0)}
 INPUTS = (Variable("road_wheel_angle", "rad", -0.61, 0.61), Variable("velocity_x_dot", "m/s^2", -9.81, 9.81))
 
@@ -61,8 +59,8 @@ class SymbolicModel:
         start(x_six, u) -> x                initial state: the six states and the extra ones
 
     If `parameters` is not empty, each function has p as last argument: the free parameters, then the signals of the
-    model. left_out: effects of the model that are not in its equations, because they act on a recorded steering series
-    or on the sensors.
+    model. left_out: effects of the model that are not in these functions, because they act on recorded steering or on
+    the sensors.
     """
 
     name: str
@@ -86,9 +84,10 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1,
           free: Iterable[str] = ()) -> SymbolicModel:
     """The functions of a model with the parameters of a car.
 
-    substeps: RK4 steps within h. free: parameters that remain an argument, e.g. "road_bank.angle", of effects that act
-    in the equations; effects on vehicle parameters (mass, friction, stiffness) are constants here. Functions are named
-    <model>_dynamics and so on. Raises ConfigurationError for an unknown model or parameter.
+    substeps: RK4 steps within h. free: parameters that remain an argument, such as "road_bank.angle"; only effects that
+    act in the equations have them, effects on vehicle parameters (mass, friction, stiffness) are constant. The names of
+    the functions begin with that of the model: <model>_dynamics. Raises ConfigurationError for an unknown model or
+    parameter.
     """
     model = get_model(model)
     if substeps < 1:
@@ -118,20 +117,22 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1,
     six = casadi.SX.sym("x_six", len(STATE_NAMES))
     begin = casadi.vertcat(*model.start_state(tuple(casadi.vertsplit(six)), w, symbolic_p))
 
-    def function(kind: str, arguments: dict[str, Any], results: dict[str, Any]) -> casadi.Function:
+    def make_function(kind: str, arguments: dict[str, Any], results: dict[str, Any]) -> casadi.Function:
         return casadi.Function(f"{model.name}_{kind}", [*arguments.values(), *tail], [*results.values()],
                                [*arguments, *tail_name], [*results])
 
-    def jacobian(of: casadi.SX) -> dict[str, casadi.SX]:
-        return {"A": casadi.jacobian(of, x), "B": casadi.jacobian(of, u)}
+    def differentiate(expression: casadi.SX) -> dict[str, casadi.SX]:
+        return {"A": casadi.jacobian(expression, x), "B": casadi.jacobian(expression, u)}
 
-    of_state, of_step = {"x": x, "u": u}, {"x": x, "u": u, "h": h}
+    state_arguments, step_arguments = {"x": x, "u": u}, {"x": x, "u": u, "h": h}
     return SymbolicModel(
         model.name, states, INPUTS, parameters, substeps,
         tuple(e.name for e in getattr(model, "effects", ()) if e.steering or e.observe),
-        function("dynamics", of_state, {"x_dot": rates}), function("step", of_step, {"x_next": after}),
-        function("dynamics_jacobian", of_state, jacobian(rates)), function("step_jacobian", of_step, jacobian(after)),
-        function("start", {"x_six": six, "u": u}, {"x": begin}))
+        make_function("dynamics", state_arguments, {"x_dot": rates}),
+        make_function("step", step_arguments, {"x_next": after}),
+        make_function("dynamics_jacobian", state_arguments, differentiate(rates)),
+        make_function("step_jacobian", step_arguments, differentiate(after)),
+        make_function("start", {"x_six": six, "u": u}, {"x": begin}))
 
 
 def free_parameters(model: str | Model) -> dict[str, Variable]:
@@ -144,7 +145,7 @@ def free_parameters(model: str | Model) -> dict[str, Variable]:
 
 
 def _acting(model: Model) -> tuple[type[Effect], ...]:
-    """The effects with a theta in p, in their order there."""
+    """The effects with a theta in p, in the order of p."""
     return compose(model.base, model.effects).active if isinstance(model, AugmentedModel) else ()
 
 

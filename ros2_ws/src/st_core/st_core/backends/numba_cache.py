@@ -1,8 +1,8 @@
 """Cache of compiled kernels between processes.
 
-One folder per kernel, named by a hash of all its dependencies: sources and values of all equations and plug-ins, these
-backend modules, numba, numpy, Python and the CPU. numba's own cache checks only the file of the kernel and would return
-outdated code after a change of a helper.
+Each kernel has a folder, named by a hash of all its dependencies: sources and values of all equations and plug-ins,
+these backend modules, numba, numpy, Python and the CPU. The cache of numba checks only the file of the kernel, so it
+would return outdated code after a change in another file.
 """
 
 import contextlib
@@ -24,9 +24,7 @@ KERNEL_LIFETIME = 30 * 86400.0
 
 
 def enable(kernel, fingerprint: str) -> Path | None:
-    """Cache a jitted function that is not compiled yet. Returns its folder; None, and compilation in every process, if
-    no folder is writable.
-    """
+    """Cache a jitted function that is not compiled yet. Returns its folder; None if no folder is writable."""
     key = hashlib.sha256("\n".join((fingerprint, *_environment())).encode()).hexdigest()[:32]
     for base in _candidates():
         try:
@@ -42,14 +40,14 @@ def enable(kernel, fingerprint: str) -> Path | None:
 
 
 def compile_or_load(kernel, signature) -> None:
-    """Compile a kernel or load it from the cache; a damaged or unwritable folder only costs time."""
+    """Compile a kernel or load it from the cache; compile it without cache if the folder is damaged or unwritable."""
     try:
         kernel.compile(signature)
     except NumbaError:
         raise
     except Exception:  # unpickling a truncated file raises many kinds of errors
         if kernel.signatures:
-            return  # compiled, not cached
+            return  # compiled, but not saved
         with contextlib.suppress(OSError):
             kernel._cache.flush()
         kernel._cache.disable()

@@ -1,10 +1,10 @@
 """The functions of `st_core.ops` for numba, without branches, so that a loop over lanes can be vectorised.
 
-Sine, cosine: x = n pi/2 + r, |r| <= pi/4, pi/2 in two parts of which the first has 33 bits: exact to |n| = 2^20, that
-is 1.6e6 rad. Arc tangent: four ranges, in each atan x = base + atan t with |t| <= tan(pi/12), one division. The
-polynomials interpolate at Chebyshev nodes in r^2 or t^2; their relative error is below 6e-17. Estrin's form, because
-the length of the chain of operations limits the speed. The arc tangent of an infinite number is NaN here.
-Checked by: test_backends.py.
+Sine, cosine: x = n pi/2 + r with |r| <= pi/4. pi/2 is split into two parts, the first with 33 bits, so that r is exact
+up to |n| = 2^20 or 1.6e6 rad. Arc tangent: in each of four ranges atan x = base + atan t with |t| <= tan(pi/12) and one
+division. The polynomials interpolate at Chebyshev nodes in r^2 or t^2, with a relative error below 6e-17. They are
+evaluated by Estrin's scheme, since the longest chain of operations limits the speed. The arc tangent of an infinite
+number is NaN here. Checked by: test_backends.py.
 """
 
 import math
@@ -16,15 +16,15 @@ from numba.extending import intrinsic, overload
 
 from .. import ops
 
-# Without nnan and ninf, because NaN in a log must give NaN. Flags do not apply to callees: every helper has them.
+# LLVM fast-math flags, without nnan and ninf, because NaN in a log must give NaN. Callees do not inherit them.
 FLAGS = ("contract", "nsz", "arcp")
 OPTIONS: Any = {"fastmath": set(FLAGS), "error_model": "numpy", "forceinline": True}
 
-SIGN = np.int64(-(2**63))
-MAGNITUDE = np.int64(2**63 - 1)
+SIGN = np.int64(-(2**63))  # mask of the sign bit
+MAGNITUDE = np.int64(2**63 - 1)  # mask of the other bits
 ONE = np.int64(0x3FF0000000000000)  # bits of 1.0
 
-ROUND = 1.5 * 2.0**52  # adding it leaves the nearest integer in the low bits
+ROUND = 1.5 * 2.0**52  # after adding it, the low bits are the nearest integer
 TWO_OVER_PI = 0.6366197723675814
 HALF_PI_HIGH, HALF_PI_LOW = 1.5707963267341256, 6.077100506506192e-11
 
@@ -64,7 +64,7 @@ def _number(_, x):
 
 @inline
 def _sine_cosine(x):
-    """Sine and cosine of r, and n in the low bits of an integer. Called twice for one x it is computed once."""
+    """Sine and cosine of r, and an integer with n in its low bits. Two calls with the same x are computed once."""
     shifted = x * TWO_OVER_PI + ROUND
     n = shifted - ROUND
     r = (x - n * HALF_PI_HIGH) - n * HALF_PI_LOW
@@ -91,7 +91,7 @@ def _tan(x):
 
 
 def _atan(x):
-    # The sign u = +-1 is included from the start, which does not lengthen the chain of operations.
+    # The sign u = +-1 is applied from the start, since this does not lengthen the chain of operations.
     a = _number(_bits(x) & MAGNITUDE)
     u = _number((_bits(x) & SIGN) | ONE)
     below_one = a < 1.0

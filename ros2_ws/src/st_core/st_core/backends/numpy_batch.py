@@ -1,4 +1,4 @@
-"""Backend on numpy arrays, without further dependencies."""
+"""Backend that computes batches with numpy arrays, without further dependencies."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Static analysis of a function: all plain functions it can call and the values they refer to."""
+"""Static analysis of a function: all plain functions that it can call, and the values to which they refer."""
 
 import hashlib
 from collections.abc import Iterator
@@ -9,9 +9,9 @@ from typing import Any
 
 
 def reachable(function: FunctionType, stop: frozenset[str] = frozenset()) -> list[FunctionType]:
-    """The function and all plain functions it can reach, each once, callees first.
+    """The function and all plain functions that it can call, directly or indirectly; each once, callees first.
 
-    Functions are found by name in its code or closure, also as attributes of a module. stop: modules to exclude.
+    They are found by the names in its code and closure, attributes of modules included. stop: modules to exclude.
     """
     found: dict[FunctionType, None] = {}
     _collect(function, stop, found, set())
@@ -29,7 +29,7 @@ def _collect(function: FunctionType, stop: frozenset[str], found: dict, seen: se
 
 
 def references(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """(name, value) of all objects outside its body that the code of a function refers to."""
+    """(name, value) of all objects outside a function to which its code refers."""
     cells = function.__closure__ or ()
     yield from zip(function.__code__.co_freevars, (cell.cell_contents for cell in cells), strict=True)
     names = _names(function.__code__)
@@ -48,14 +48,14 @@ def _names(code: CodeType) -> list[str]:
 
 
 class UnhashableError(Exception):
-    """A value without a content that is the same in every process."""
+    """A value that has no representation that is the same in every process."""
 
 
 def fingerprint(function: FunctionType, stop: frozenset[str] = frozenset()) -> str:
-    """sha256 (hex) of a function, of all functions it can reach, of their values and source files.
+    """sha256 (hex) of a function, of all functions that it can reach, and of their values and source files.
 
-    The same in every process for the same sources. Raises UnhashableError for an object in a closure that is neither a
-    number, text, tuple, class, module nor plain function.
+    It is the same in every process for the same sources. Raises UnhashableError for a value that is not a number, text,
+    tuple, class, module or plain function.
     """
     digest = hashlib.sha256()
     functions = reachable(function, stop)

@@ -11,7 +11,7 @@ from ..vehicle import VehicleParameters
 
 @dataclass(frozen=True)
 class Axles:
-    """The rhs of a dynamic model in three parts: slip angles, tyre forces, motion; composed they equal the rhs exactly.
+    """The rhs of a dynamic model in three parts: slip angles, axle forces, motion. Together they equal it exactly.
 
     slip_angles(state, w, p) -> (front, rear) [rad], forces(slip_front, slip_rear, w, p) -> (front, rear) [N],
     motion(state, force_front, force_rear, w, p) -> time derivative of the state.
@@ -27,15 +27,15 @@ class Model:
     """One vehicle model. State (x, y, velocity_x, velocity_y, yaw, yaw_rate) at the CG, as types.VehicleState.
 
     parameters(vehicle) -> p: a NamedTuple of the numbers the equations need, possibly nested.
-    inputs(road_wheel_angle, velocity_x_dot, p, *signals) -> w: a tuple of all quantities that depend on the inputs
-        only; computed once per instant, or once per prediction with constant inputs. One argument per signal.
-    rhs(state, w, p) -> time derivative of the state, a tuple of six and one for each of `extra_states`.
+    inputs(road_wheel_angle, velocity_x_dot, p, *signals) -> w: a tuple of all quantities that depend only on the
+        inputs; computed once per instant, or once per prediction with constant inputs. One argument per signal.
+    rhs(state, w, p) -> time derivative of the state: a tuple of six values and one for each of `extra_states`.
     extra_states: names of the states that follow the six. start(state, w, p) -> their values at the start of a
         prediction, from the six states and w there; None: zeros.
     signals: names of further measured quantities that the model needs.
-    axles: for a dynamic model, None for the kinematic one.
+    axles: parts of a dynamic model; None for the kinematic model.
 
-    The functions are written with `st_core.ops` and take floats, or arrays of equal shape for a batch.
+    The functions use `st_core.ops` and accept floats, or arrays of equal shape for a batch.
     """
 
     name: str
@@ -48,22 +48,19 @@ class Model:
     axles: Axles | None = None
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
-        """The vehicle with the parameters of the model, for the lever arm between INS and CG.
-
-        vehicle: as in its file, also for `parameters`.
-        """
+        """The vehicle parameters that the model uses. vehicle: as in its file, as for `parameters`."""
         return vehicle
 
     def specific_force(self, state: tuple, w: tuple, p: Any) -> tuple:
         """Specific force at the CG (a_x, a_y) [m/s^2], body axes: a_x = v_x_dot - v_y r, a_y = v_y_dot + v_x r.
 
-        r is the derivative of yaw, so that it is valid for the kinematic model as well.
+        r is the derivative of yaw, which is valid for the kinematic model as well.
         """
         derivative = self.rhs(state, w, p)
         return derivative[2] - state[3] * derivative[4], derivative[3] + state[2] * derivative[4]
 
     def start_state(self, state: tuple, w: tuple, p: Any) -> tuple:
-        """Initial state of a prediction: the six given states and the extra ones."""
+        """Initial state of a prediction: the six given states and the extra states."""
         if self.start is None:
             return (*state, *(0.0 * state[0] for _ in self.extra_states))
         return (*state, *self.start(state, w, p))
@@ -75,7 +72,7 @@ def axle_slip_angles(velocity_x, velocity_y, yaw_rate, sine, cosine, p):
         v_x0 = v_x cos d + (v_y + l_f r) sin d,   v_sy0 = (v_y + l_f r) cos d - v_x sin d
         v_x1 = v_x,                               v_sy1 = v_y - l_r r
 
-    Needs of p: cg_to_front_axle, cg_to_rear_axle [m], minimum_slip_speed [m/s]. Source: paper, wheel velocities.
+    p: with cg_to_front_axle, cg_to_rear_axle [m], minimum_slip_speed [m/s]. Source: paper, wheel velocities.
     """
     lateral = velocity_y + p.cg_to_front_axle * yaw_rate
     front = slip_angle(lateral * cosine - velocity_x * sine, velocity_x * cosine + lateral * sine, p.minimum_slip_speed)
@@ -84,12 +81,12 @@ def axle_slip_angles(velocity_x, velocity_y, yaw_rate, sine, cosine, p):
 
 
 def motion(state, force_front, force_rear, cosine, velocity_x_dot, p):
-    """Time derivative of the state under the axle forces [N], each in its wheel's lateral axis, left +.
+    """Time derivative of the state for axle forces [N], each along the lateral axis of its wheel, left +.
 
         x_dot = v_x cos psi - v_y sin psi,  y_dot = v_x sin psi + v_y cos psi,  v_x_dot: input
         v_y_dot = (F_f cos d + F_r) / m - v_x r,  psi_dot = r,  r_dot = (l_f F_f cos d - l_r F_r) / I_z
 
-    cosine: of the road wheel angle. Needs of p: mass, yaw_inertia and the two lengths. Source: paper, dynamic model.
+    cosine: of the road wheel angle. p: with mass, yaw_inertia and both CG distances. Source: paper, dynamic model.
     """
     _, _, velocity_x, velocity_y, yaw, yaw_rate = state
     cosine_yaw, sine_yaw = cos(yaw), sin(yaw)

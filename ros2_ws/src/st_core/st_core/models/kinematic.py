@@ -3,8 +3,8 @@
     x_dot = v_x cos(psi + beta),  y_dot = v_x sin(psi + beta),  v_x_dot: input,  psi_dot = v_x / l cos(beta) tan(delta)
     beta = atan(l_r / l tan(delta))
 
-v_x is the speed at the CG along its path. v_y and yaw_rate are not states of this model: their derivatives are zero, so
-that a trajectory keeps the initial values. Source: paper, kinematic model.
+v_x is the speed of the CG along its path. v_y and yaw_rate do not occur in the equations; their derivatives are zero,
+so a trajectory contains their initial values. Source: paper, kinematic model.
 """
 
 from typing import NamedTuple

@@ -34,20 +34,20 @@ def inputs(road_wheel_angle, velocity_x_dot, p: Parameters):
 
 
 def slip_angles(state, w, p: Parameters):
-    """(front, rear) [rad], see `_base.axle_slip_angles`."""
+    """Slip angles (front, rear) [rad], see `_base.axle_slip_angles`."""
     _, _, velocity_x, velocity_y, _, yaw_rate = state
     sine, cosine, _ = w
     return axle_slip_angles(velocity_x, velocity_y, yaw_rate, sine, cosine, p)
 
 
 def forces(slip_front, slip_rear, w, p: Parameters):
-    """(front, rear) of the axles [N], left +."""
+    """Lateral forces (front, rear) of the axles [N], left +."""
     return (linear_force(slip_front, p.cornering_stiffness_front),
             linear_force(slip_rear, p.cornering_stiffness_rear))
 
 
 def motion_of(state, force_front, force_rear, w, p: Parameters):
-    """Time derivative of the state under the axle forces [N], see `_base.motion`."""
+    """Time derivative of the state for axle forces [N], see `_base.motion`."""
     _, cosine, velocity_x_dot = w
     return motion(state, force_front, force_rear, cosine, velocity_x_dot, p)
 

@@ -2,7 +2,7 @@
 
     F_z,f = m / l (g l_r - a_x h),  F_z,r = m / l (g l_f + a_x h),  a_x = v_x_dot (the input)
 
-The formula is evaluated for one tyre at half the axle load and the force doubled. Source: paper, dynamic model and
+The formula is evaluated for one tyre at half the axle load, and the force is doubled. Source: paper, dynamic model and
 appendix.
 """
 
@@ -15,7 +15,7 @@ from ._base import Axles, Model, axle_slip_angles, motion
 
 
 class Parameters(NamedTuple):
-    """mass [kg], yaw_inertia [kg m^2], lengths [m], minimum_slip_speed [m/s]; tyres: of one wheel, with lambda_ky."""
+    """mass [kg], yaw_inertia [kg m^2], lengths [m], minimum_slip_speed [m/s]; one tyre per axle."""
 
     mass: float
     yaw_inertia: float
@@ -48,20 +48,20 @@ def inputs(road_wheel_angle, velocity_x_dot, p: Parameters):
 
 
 def slip_angles(state, w, p: Parameters):
-    """(front, rear) [rad], see `_base.axle_slip_angles`."""
+    """Slip angles (front, rear) [rad], see `_base.axle_slip_angles`."""
     _, _, velocity_x, velocity_y, _, yaw_rate = state
     return axle_slip_angles(velocity_x, velocity_y, yaw_rate, w[0], w[1], p)
 
 
 def forces(slip_front, slip_rear, w, p: Parameters):
-    """(front, rear) of the axles [N], left +."""
+    """Lateral forces (front, rear) of the axles [N], left +."""
     _, _, _, b_front, d_front, e_front, b_rear, d_rear, e_rear = w
     return (magic_formula_force(slip_front, b_front, d_front, e_front, p.tyre_front),
             magic_formula_force(slip_rear, b_rear, d_rear, e_rear, p.tyre_rear))
 
 
 def motion_of(state, force_front, force_rear, w, p: Parameters):
-    """Time derivative of the state under the axle forces [N], see `_base.motion`."""
+    """Time derivative of the state for axle forces [N], see `_base.motion`."""
     return motion(state, force_front, force_rear, w[1], w[2], p)
 
 
