@@ -178,7 +178,7 @@ class Scene:
                 ghosts.append(project(ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
                 ghost_colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
             # A line from the car to the position that was predicted for now one horizon ago.
-            if point := history.expected(model, now_ns):
+            if point := history.predicted_position(model, now_ns):
                 errors.append(project(np.array([pose[0], point[0]]), np.array([pose[1], point[1]])))
                 error_colours.append(rgb(colour_of(model)))
         self._log_lines(f"{root}/ghosts", ghosts, ghost_colours, THIN, order=1.0)

@@ -99,7 +99,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
         return None
     drive = read_bag(bag, steering=read.steering, odometry=read.odometry) if read else read_bag(bag)
     car, recorded, source = find_configuration(drive.records, vehicle)
-    settings = _settings(recorded)
+    settings = _read_settings(recorded)
     scores = read_scores(score_bags, progress)
     planned_by_mode = {mode: read_planned(bag, mode, progress) for mode in PLANNED_MODES}
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
@@ -120,7 +120,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     return Verification(comparisons, f"{car.name}, from {source}", same, tuple(warnings))
 
 
-def _settings(recorded: RecordedConfiguration) -> PredictionSettings:
+def _read_settings(recorded: RecordedConfiguration) -> PredictionSettings:
     given = {**recorded.nodes.get("evaluator", {}), **recorded.nodes.get("predictor", {})}
     names = PredictionSettings.__dataclass_fields__.keys() & given.keys()
     return PredictionSettings(**{name: float(given[name]) for name in names})
@@ -276,5 +276,5 @@ def _print_conclusion(result: Verification, tolerance: float, console: Console) 
                   f"complete on one side only, {n_cut} incomplete because the nodes stopped{where}",
                   highlight=False, soft_wrap=True)
     console.print(f"[dim]{n_settling} predictions not compared: the filter of the forward acceleration had not settled "
-                  "since each node received its first sample[/dim]", highlight=False, soft_wrap=True)
+                  "after the first sample that each node received[/dim]", highlight=False, soft_wrap=True)
     return 0 if passed else 1

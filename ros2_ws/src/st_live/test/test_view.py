@@ -25,7 +25,7 @@ from st_live.recorded_view import format_errors, grid, heading_up, north_up
 from st_live.rerun_server import POLICY
 from st_live.suite import SuiteError
 from st_msgs.msg import Band, ErrorStatistics, InsStatus, PlannedPrediction, Prediction, PredictionError, Steering
-from st_predictor.map_drawing import GHOST_AGES, GHOST_TOLERANCE, History, car_outline, ribbon
+from st_predictor.map_drawing import GHOST_AGES, GHOST_TOLERANCE, History, car_outline, make_ribbon
 from st_predictor.map_drawing import Path as PredictedPath
 from st_ros.polling import from_nanoseconds
 from support import ROOT
@@ -87,8 +87,9 @@ def test_ghosts_are_the_predictions_of_one_to_five_seconds_ago() -> None:
         assert path.at(now_ns) == pytest.approx((79.0, 0.0))  # a car that did what was predicted is on all of them
     assert history.newest("linear", now_ns).start_ns == now_ns
     assert history.newest("linear", now_ns + 2 * 10**9) is None  # stale
-    assert history.expected("linear", now_ns) == pytest.approx((79.0, 0.0))
-    assert history.expected("linear", 20_000_000_000) is None and history.expected("kinematic", now_ns) is None
+    assert history.predicted_position("linear", now_ns) == pytest.approx((79.0, 0.0))
+    assert history.predicted_position("linear", 20_000_000_000) is None
+    assert history.predicted_position("kinematic", now_ns) is None
     assert straight(0).at(5_100_000_000) is None and straight(10**9).at(0) is None
 
 
@@ -106,14 +107,14 @@ def test_a_gap_in_the_predictions_has_no_ghosts_and_a_step_back_in_time_clears_a
 
 def test_a_ribbon_is_as_wide_as_its_band_and_reaches_beyond_the_path() -> None:
     x, zero = np.linspace(0.0, 10.0, 11), np.zeros(11)
-    east = ribbon(0.9, (x, zero, zero), 0.2 * x, 0.1 * x)
+    east = make_ribbon(0.9, (x, zero, zero), 0.2 * x, 0.1 * x)
     assert east.left[:-1] == pytest.approx(np.stack([x, 0.1 * x], axis=1))
     assert east.right[-1] == pytest.approx([12.0, -1.0])
     for stride in (1, 4):  # a triangle to the end of the path, a rectangle beyond it
-        a, b, c = np.moveaxis(east.triangles(stride), 1, 0)
+        a, b, c = np.moveaxis(east.make_triangles(stride), 1, 0)
         area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum()
         assert area == pytest.approx(0.5 * 10.0 * 2.0 + 2.0 * 2.0)
-    north = ribbon(0.5, (zero, x, zero + np.pi / 2), 0.2 * x, 0.1 * x)
+    north = make_ribbon(0.5, (zero, x, zero + np.pi / 2), 0.2 * x, 0.1 * x)
     assert north.left[5] == pytest.approx([-0.5, 5.0]) and north.right[-1] == pytest.approx([1.0, 12.0])
 
 

@@ -20,7 +20,7 @@ from st_msgs.msg import ErrorStatistics, InputPlan, PlannedPrediction, Predictio
 from st_recordings.bag_metadata import INFINITE_NS, Qos
 from st_ros.polling import from_nanoseconds, to_nanoseconds
 
-from .map_drawing import BAND_MODE, Path, ribbon
+from .map_drawing import BAND_MODE, Path, make_ribbon
 
 QUATERNION_TOLERANCE = 0.01  # of the squared length; float32 rounding causes 1e-7, an unset orientation has length 0
 _NEVER_NS = 9_223_372_036 * 1_000_000_000  # rmw's value for "never"; rclpy returns this or more
@@ -136,7 +136,7 @@ def ins_path(message: Prediction) -> Path:
     x, y, yaw = map(np.asarray, (message.x, message.y, message.yaw))
     x, y = cg_to_ins_position(x, y, yaw, message.cg_to_ins_x, message.cg_to_ins_y)
     bands = sorted((b for b in message.bands if b.mode == BAND_MODE), key=lambda b: -b.level)
-    ribbons = tuple(ribbon(b.level, (x, y, yaw), np.asarray(b.along), np.asarray(b.across)) for b in bands
+    ribbons = tuple(make_ribbon(b.level, (x, y, yaw), np.asarray(b.along), np.asarray(b.across)) for b in bands
                     if len(b.along) == len(b.across) == len(x))
     return Path(to_nanoseconds(message.header.stamp), message.step, x, y, ribbons)
 

@@ -1,4 +1,4 @@
-"""Content of map views: the measured track, predicted paths with their bands, and the outline of the car."""
+"""Provides the content of map views: measured track, predicted paths with their bands, and the outline of the car."""
 
 from bisect import bisect_left
 from collections import deque
@@ -9,17 +9,17 @@ from st_core.types import body_to_map
 from st_core.vehicle import VehicleParameters
 
 TRACK_SPAN = 90.0  # s of measured track kept
-STALE_PATH = 1.0  # s; an older path is not drawn
+MAX_PATH_AGE = 1.0  # s; an older path is not drawn as the newest one
 GHOST_AGES = (1.0, 2.0, 3.0, 4.0, 5.0)  # s, of the earlier predictions drawn in addition to the newest one
-GHOST_TOLERANCE = 0.15  # s; a prediction whose age differs by more is not drawn
-BAND_MODE = "forecast"  # the bands drawn: inputs held, as for the path itself
+GHOST_TOLERANCE = 0.15  # s; a prediction whose age differs by more from a ghost age is not drawn
+BAND_MODE = "forecast"  # mode of the bands drawn, the same as of the paths
 
 
 def car_outline(pose: tuple[float, float, float], car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
     """Map x, y [m] of the closed outline of the car, with a nose that points ahead.
 
-    pose: x, y [m] and yaw [rad] of the INS point. Front and rear overhang are assumed equal: the vehicle file gives
-    the length only.
+    pose: x, y [m] and yaw [rad] of the INS point. Front and rear overhang are assumed equal, because the vehicle file
+    contains the length only.
     """
     overhang = 0.5 * (car.length - car.wheelbase)
     front, rear, half = car.cg_to_front_axle + overhang, -car.cg_to_rear_axle - overhang, 0.5 * car.width
@@ -31,14 +31,14 @@ def car_outline(pose: tuple[float, float, float], car: VehicleParameters) -> tup
 
 @dataclass(frozen=True, eq=False)
 class Ribbon:
-    """Edges left, right (n, 2) of a band in m, map frame, start first. level: probability, 0 to 1."""
+    """Left and right edge of a band in the map frame, (n, 2) each [m], start first. level: probability, 0 to 1."""
 
     level: float
     left: np.ndarray
     right: np.ndarray
 
-    def triangles(self, stride: int) -> np.ndarray:
-        """(k, 3, 2): the area as triangles between every `stride`-th point, the last point of the path and the end."""
+    def make_triangles(self, stride: int) -> np.ndarray:
+        """The area as triangles between every `stride`-th point, the last point and the end of the band, (k, 3, 2)."""
         last = len(self.left) - 1
         rows = np.unique(np.append(np.arange(0, last, stride), (last - 1, last)))
         left, right = self.left[rows], self.right[rows]
@@ -46,11 +46,11 @@ class Ribbon:
                                np.stack([right[:-1], right[1:], left[1:]], axis=1)])
 
 
-def ribbon(level: float, pose: tuple[np.ndarray, np.ndarray, np.ndarray], along: np.ndarray,
+def make_ribbon(level: float, pose: tuple[np.ndarray, np.ndarray, np.ndarray], along: np.ndarray,
            across: np.ndarray) -> Ribbon:
-    """The band of half-widths (n,) [m] around a path of poses x, y [m], yaw [rad], (n,) each.
+    """The band around a path of poses x, y [m], yaw [rad] with half-widths along and across [m], all (n,).
 
-    Its end is `along[-1]` beyond the end of the path.
+    It ends `along[-1]` beyond the end of the path.
     """
     x, y, yaw = pose
     ahead = np.append(np.zeros(len(x)), along[-1])
@@ -62,7 +62,7 @@ def ribbon(level: float, pose: tuple[np.ndarray, np.ndarray, np.ndarray], along:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A predicted path of the INS point: x, y (n,) in m, map frame, a point every `step` s from start_ns (UTC) on.
+    """A predicted path of the INS point in the map frame: x, y (n,) [m], with a point every `step` [s] from start_ns.
 
     ribbons: the bands around it, the widest first; empty without bands.
     """
@@ -83,9 +83,9 @@ class Path:
 
 
 class History:
-    """Measured track and newest predictions.
+    """Measured track and newest predictions; times are UTC.
 
-    Times in ns UTC. Late and repeated samples are dropped; a step back in time of more than 1 s (a replay) clears all.
+    Late and repeated samples are ignored; a step back in time of more than 1 s, as in a replay, clears the history.
     """
 
     def __init__(self) -> None:
@@ -115,25 +115,25 @@ class History:
         return tuple(self._paths)
 
     def newest(self, model: str, now_ns: int) -> Path | None:
-        """The newest path of one of `models`; None where it is stale."""
+        """The newest path of one of `models`; None if it is older than MAX_PATH_AGE."""
         path = self._paths[model][-1]
-        return path if now_ns - path.start_ns < STALE_PATH * 1e9 else None
+        return path if now_ns - path.start_ns < MAX_PATH_AGE * 1e9 else None
 
     def ghosts(self, model: str, now_ns: int) -> list[tuple[float, Path]]:
-        """(age in s, path) of the predictions nearest to each of GHOST_AGES, youngest first."""
+        """Age [s] and path of the prediction closest to each of GHOST_AGES, youngest first."""
         paths = list(self._paths.get(model, ()))
         starts = [p.start_ns for p in paths]
-        found = []
+        ghosts = []
         for age in GHOST_AGES:
             due_ns = now_ns - round(age * 1e9)
             index = bisect_left(starts, due_ns)
             best = min(paths[max(index - 1, 0):index + 1], key=lambda p: abs(p.start_ns - due_ns), default=None)
             if best is not None and abs(best.start_ns - due_ns) <= GHOST_TOLERANCE * 1e9:
-                found.append((age, best))
-        return found
+                ghosts.append((age, best))
+        return ghosts
 
-    def expected(self, model: str, now_ns: int) -> tuple[float, float] | None:
-        """x, y [m] now by the oldest prediction with a horizon that covers now; None without one."""
+    def predicted_position(self, model: str, now_ns: int) -> tuple[float, float] | None:
+        """Position x, y [m] predicted for now by the oldest prediction whose horizon covers now; None without one."""
         for path in self._paths.get(model, ()):
             if (point := path.at(now_ns)) is not None and path.start_ns < now_ns:
                 return point

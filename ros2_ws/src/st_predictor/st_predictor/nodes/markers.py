@@ -83,7 +83,7 @@ class MarkersNode(Node):
             markers += [self._make_line("ghosts", 10 * number + round(age), now_ns, ghost.x, ghost.y, colour_of(model),
                                    GHOST_WIDTH, GHOST_ALPHA, z=-0.1)
                         for age, ghost in self._history.ghosts(model, now_ns)]
-            if point := self._history.expected(model, now_ns):
+            if point := self._history.predicted_position(model, now_ns):
                 markers.append(self._make_line("errors", number, now_ns, [sample.x, point[0]], [sample.y, point[1]],
                                           colour_of(model), ERROR_WIDTH, z=0.1))
             if path := self._history.newest(model, now_ns):
@@ -103,7 +103,7 @@ class MarkersNode(Node):
                 # Below the paths, at different heights.
                 z = -0.3 - 0.02 * number - 0.1 * ribbon.level
                 marker.points = [Point(x=px, y=py, z=z)
-                                 for px, py in ribbon.triangles(RIBBON_STRIDE).reshape(-1, 2).tolist()]
+                                 for px, py in ribbon.make_triangles(RIBBON_STRIDE).reshape(-1, 2).tolist()]
                 markers.append(marker)
         return markers
 
