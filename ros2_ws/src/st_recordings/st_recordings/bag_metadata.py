@@ -1,4 +1,4 @@
-"""metadata.yaml of a rosbag2 directory (version 9, as ROS 2 Jazzy writes it), and the definitions of message types."""
+"""Reads and writes metadata.yaml of rosbag2 (version 9, as in ROS 2 Jazzy), and finds definitions of message types."""
 
 import json
 import os
@@ -14,7 +14,7 @@ import yaml
 from .paths import replace_file
 
 FILE_NAME = "metadata.yaml"
-INFINITE_NS = 2**63 - 1  # a duration that is not set; also the start of an empty bag
+INFINITE_NS = 2**63 - 1  # value of a duration that is not set, and of the start of an empty bag
 MAX_CUSTOM_DATA_LENGTH = 200  # characters; longer texts stay in the MCAP metadata records only
 TYPE_SEPARATOR = "=" * 80  # between the types of a `ros2msg` definition
 PRIMITIVE_TYPES = frozenset((
@@ -30,7 +30,7 @@ class UnknownTypeError(LookupError):
 
 @dataclass(frozen=True)
 class Qos:
-    """Quality of service that a publisher offers, in the terms of rosbag2. Durations in ns; INFINITE_NS: not set."""
+    """Quality of service that a publisher offers, in the terms of rosbag2. A duration of INFINITE_NS is not set."""
 
     reliability: str = "reliable"  # or best_effort
     durability: str = "volatile"  # or transient_local
@@ -55,7 +55,7 @@ def _format_duration(nanoseconds: int) -> dict[str, int]:
 
 
 def format_qos(qos: Sequence[Qos]) -> str:
-    """The QoS entries as the YAML text in the metadata of an MCAP channel (rosbag2)."""
+    """Formats QoS entries as the YAML text that rosbag2 stores in the metadata of an MCAP channel."""
     return yaml.safe_dump([q.to_entry() for q in qos], sort_keys=False).strip() if qos else ""
 
 
@@ -72,7 +72,7 @@ class Topic:
 
 @dataclass
 class BagFile:
-    """One storage file. start_ns, end_ns: first and last log time [ns since the epoch], both 0 while count is 0."""
+    """One storage file. start_ns, end_ns: first and last log time [ns since 1970], both 0 if count is 0."""
 
     name: str
     count: int = 0
@@ -131,7 +131,7 @@ def read_information(directory: Path) -> dict[str, Any]:
 
 
 def collect_custom_data(records: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """`custom_data` of metadata.yaml: the short one-line texts of a bag's metadata records, under "record.key"."""
+    """Collects the entry `custom_data` of metadata.yaml: "record.key" -> text, for short one-line texts in records."""
     return {f"{name}.{key}": text for name, entries in records.items() if name != "rosbag2"
             for key, text in entries.items() if len(text) <= MAX_CUSTOM_DATA_LENGTH and "\n" not in text}
 
@@ -148,7 +148,7 @@ def _find_interface_file(type_name: str, suffix: str) -> Path:
 
 @cache
 def read_definition(type_name: str) -> str:
-    """The .msg text of a type ("pkg/msg/Type") and of all types it uses, in the `ros2msg` layout.
+    """Reads the .msg text of a type ("pkg/msg/Type") and of all types that it uses, in the `ros2msg` layout.
 
     Raises UnknownTypeError.
     """
@@ -167,7 +167,7 @@ def read_definition(type_name: str) -> str:
 
 
 def _list_types_used(owner: str, text: str) -> list[str]:
-    """The types (pkg/Type) of the fields in a definition, in order of appearance."""
+    """Lists the types (pkg/Type) of the fields in a definition, in order of appearance."""
     used = []
     for line in text.splitlines():
         match = _FIELD.match(line.split("#", 1)[0])
@@ -181,7 +181,7 @@ def _list_types_used(owner: str, text: str) -> list[str]:
 
 @cache
 def read_type_hash(type_name: str) -> str:
-    """Hash (RIHS01_...) of the installed interface. Raises UnknownTypeError."""
+    """Reads the hash (RIHS01_...) of an installed message type. Raises UnknownTypeError."""
     document = json.loads(_find_interface_file(type_name, ".json").read_text())
     for entry in document["type_hashes"]:
         if entry["type_name"] == type_name:

@@ -1,4 +1,4 @@
-"""A car described in one folder: its vehicle file, its CAN bus, and how its steering is measured."""
+"""Loads the description of a car from its folder: vehicle file, CAN bus, and measurement of the steering angle."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +15,10 @@ STEERING_DEFAULTS = {"steering_sign": 1, "steering_latency": 0.0}
 
 @dataclass(frozen=True)
 class Car:
-    """Paths and steering of one car.
+    """The folder of a car, and the measurement of its steering angle.
 
-    vehicle, dbc, signals: files of the folder; dbc and signals do not exist for a car without a described bus.
-    steering_sign: +1 where the decoded sensor is left positive. steering_latency: delay from the motion of the steering
-    wheel to the time stamp of its CAN frame [s].
+    steering_sign: +1 if the decoded sensor is positive to the left, else -1. steering_latency: delay from the motion of
+    the steering wheel to the stamp of its CAN frame [s]. The files dbc and signals are optional.
     """
 
     folder: Path
@@ -40,7 +39,7 @@ class Car:
 
 
 def load_car(text: str) -> Car:
-    """A car by the name of its folder in config/car, or by any folder.
+    """Loads a car by the name of its folder in config/car, or by the path of any folder.
 
     Raises RunError for a folder that does not exist or has no vehicle file, and for a car.yaml with anything but
     steering_sign (1 or -1) and steering_latency (0 to 1 s).
@@ -72,7 +71,7 @@ def car_names() -> list[str]:
 
 
 def read_vehicle(file: Path) -> VehicleParameters:
-    """The parameters in a vehicle file. Raises RunError if it cannot be read, ConfigurationError for its values."""
+    """Reads a vehicle file. Raises RunError if it cannot be read, ConfigurationError for invalid values."""
     try:
         return VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
     except (OSError, UnicodeDecodeError) as error:
@@ -80,7 +79,7 @@ def read_vehicle(file: Path) -> VehicleParameters:
 
 
 def read_yaml_mapping(file: Path) -> dict:
-    """The mapping in a YAML file, {} for an empty one. Raises RunError."""
+    """Reads the mapping in a YAML file; {} for an empty file. Raises RunError."""
     check_readable(file)
     try:
         table = yaml.safe_load(file.read_text(encoding="utf-8"))

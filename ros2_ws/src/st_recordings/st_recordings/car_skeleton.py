@@ -1,4 +1,4 @@
-"""Writes the folder of a new car, with placeholders to fill in, and finds faults in the folder of a car."""
+"""Writes the folder of a new car with placeholders to fill in, and finds problems in the folder of a car."""
 
 import re
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ from .runs.errors import RunError
 from .runs.ins_log import SPEEDS
 
 FILL_IN = "FILL_IN"
-"""Placeholder for values that only the owner of the car knows; readers of these files reject it."""
+"""Placeholder for values that only the owner of the car knows; commands reject files that contain it."""
 MEASUREMENT_HINTS = {
     "mass": "four wheel scales, with driver and equipment",
     "yaw_inertia": "at first from a comparable car, later identified",
@@ -39,11 +39,11 @@ MEASUREMENT_HINTS = {
     "cornering_stiffness_front": "at first from a comparable car, later identified",
     "cornering_stiffness_rear": "at first from a comparable car, later identified",
 }
-"""Quantities that cannot be taken from another car, and how each is measured."""
+"""Quantity that cannot be taken from another car -> how it is measured."""
 ASSUMED_UNCERTAINTIES = {"cg_height": 0.1}
-"""One standard deviation [SI] of a value taken from another car; the CG height of passenger cars is 0.45 to 0.65 m."""
+"""Quantity -> standard deviation [SI] of a value from another car; CG heights of passenger cars are 0.45 to 0.65 m."""
 STABILITY_SPEEDS = tuple(0.5 * k for k in range(1, 81))
-"""Speeds [m/s] at which the models must be stable with the integration step."""
+"""Speeds [m/s] at which the numerical integration of the models must be stable."""
 ASSUMED_ZERO = ("cg_to_ins_y", "steering_wheel_offset")
 NOT_FITTED = ("minimum_slip_speed", "length", "width", *OPTIONAL_QUANTITIES)
 _VEHICLE_ROW = re.compile(r'^(?P<indent> *)(?P<key>\w+): \{value: (?P<value>\S+), unit: (?P<unit>.+?), source: ".*"\}$')
@@ -123,7 +123,7 @@ def write_skeleton(folder: Path) -> list[Path]:
 
 
 def find_problems(folder: str) -> list[str]:
-    """Faults in the folder of a car, one line each with file and key; empty for a valid car.
+    """Finds the problems in the folder of a car: one line each with file and key; empty for a valid car.
 
     Raises RunError for a folder without a car.
     """
@@ -141,7 +141,7 @@ def find_problems(folder: str) -> list[str]:
 
 
 def list_remarks(folder: str) -> list[str]:
-    """Lines about a valid car: values unusual for a road car, and the uncertainties used."""
+    """Lists remarks on a valid car: values that are unusual for a road car, and the uncertainties in use."""
     car = load_car(folder)
     file = car.vehicle
     vehicle = read_vehicle(file)
@@ -152,7 +152,7 @@ def list_remarks(folder: str) -> list[str]:
 
 
 def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
-    """One line per quantity with a given or default uncertainty; the last line lists the free quantities."""
+    """Lists each quantity that has a given or default uncertainty; the last line names the free quantities."""
     quantities = {**VEHICLE_QUANTITIES,
                   **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
     lines, without = [], []
@@ -203,7 +203,7 @@ def _describe_missing_value(key: str) -> str:
 
 def _find_bus_problems(car: Car) -> list[str]:
     existing = [file for file in (car.dbc, car.signals) if file.exists()]
-    if not existing:  # Such a car can only be used with CSV files and bags.
+    if not existing:  # the car is only used with CSV files and bags
         return []
     if len(existing) == 1:
         missing = car.signals if car.dbc.exists() else car.dbc
@@ -254,7 +254,7 @@ def _find_unfilled_keys(document: Any, top_key: str = "") -> Iterator[str]:
 
 
 def _make_template_row(line: str) -> str:
-    """A line for the vehicle file of a new car, made from the same line of the Leaf's file."""
+    """Makes a line of the vehicle file of a new car from the same line in the file of the Leaf."""
     row = _VEHICLE_ROW.match(line)
     if row is None:
         return line

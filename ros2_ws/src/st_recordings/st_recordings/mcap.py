@@ -1,7 +1,7 @@
-"""Writes a bag: a directory NAME/ with NAME_0.mcap and metadata.yaml, like `ros2 bag record` of ROS 2 Jazzy.
+"""Writes a bag as `ros2 bag record` of ROS 2 Jazzy does: a directory NAME/ with NAME_0.mcap and metadata.yaml.
 
-Imports no ROS; message definitions come from the installed interface packages (bag_metadata.py) or from the caller.
-`recover` (recovery.py) repairs a bag whose writer was killed.
+This module does not import ROS; message definitions come from the installed interface packages (bag_metadata.py) or
+from the caller. `recover` (recovery.py) repairs a bag whose writer was killed.
 """
 
 import contextlib
@@ -28,9 +28,9 @@ from .syncing import Syncer
 __all__ = ["BagWriter", "Qos", "RecoveryError", "RecoveryReport", "recover"]
 
 CHUNK_SIZE = 1024 * 1024
-"""Bytes compressed together; at high data rates a chunk is full before FLUSH_PERIOD has passed."""
+"""Bytes that are compressed together; at high data rates a chunk is full before FLUSH_PERIOD has passed."""
 FLUSH_PERIOD = 0.5
-"""s. A killed process loses at most one second: half of it due to this period, half due to delays of the caller."""
+"""Period [s] of writes. A killed process loses at most one second of data, half of it due to delays of the caller."""
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Errors after which the newest chunks are dropped until the index fits; other errors keep all written data."""
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
@@ -40,9 +40,9 @@ _MESSAGE_HEAD_LENGTH = 22  # bytes of the head after opcode and length
 class BagWriter:
     """Writes one bag.
 
-    A full or failing disk does not raise: the bag is closed at its last whole chunk, `error` gives the reason, and
-    later messages are counted in `lost`. A file that was renamed or deleted is closed with its index; `error`
-    reports it and `moved` is set. syncer: state of the synchronisation with the disk; None without one.
+    A full or failing disk does not raise an error: the bag is closed at its last whole chunk, `error` gives the reason,
+    and later messages are counted in `lost`. If the directory is renamed or deleted, the file is closed with its index,
+    `error` reports this, and `moved` is set. syncer: synchronises the file with the disk; None without synchronisation.
     """
 
     def __init__(self, directory: Path | str, records: Mapping[str, Mapping[str, str]] | None = None,
@@ -50,14 +50,14 @@ class BagWriter:
         """Creates the directory, the file and a first metadata.yaml.
 
         Args:
-            directory: must not exist, or be empty; nothing is ever overwritten.
+            directory: must be empty or not exist; nothing is ever overwritten.
             records: MCAP metadata records, name -> {key: text}; short one-line texts also go to `custom_data` of
                 metadata.yaml as "name.key".
             synced: a separate thread synchronises each chunk with the disk at once, so that a power failure costs
                 only the last second. For live recordings.
 
         Raises:
-            OSError: cannot be created, or (FileExistsError) is not empty.
+            OSError: the directory cannot be created, or is not empty (FileExistsError).
         """
         self.directory = Path(directory).absolute()
         self.error = ""
@@ -97,7 +97,7 @@ class BagWriter:
                   type_hash: str = "") -> int:
         """Adds a topic of type "pkg/msg/Type" and returns its id for `write`.
 
-        definition, type_hash: default: from the installed package; raises UnknownTypeError if there is none.
+        definition, type_hash: by default from the installed package; raises UnknownTypeError if it is not installed.
         """
         definition = definition or bag_metadata.read_definition(type_name)
         type_hash = type_hash or bag_metadata.read_type_hash(type_name)
@@ -117,7 +117,7 @@ class BagWriter:
         return len(self._topics)
 
     def write(self, topic: int, data: bytes, log_time_ns: int, publish_time_ns: int | None = None) -> None:
-        """Adds a serialised (CDR) message. log_time_ns: reception. publish_time_ns: sending, default log_time_ns."""
+        """Adds a serialised (CDR) message. log_time_ns: time of reception. publish_time_ns: by default log_time_ns."""
         if self.closed or self.error:
             self.lost += 1
             return
@@ -214,7 +214,7 @@ class BagWriter:
         self._close_file()
 
     def _stop(self, error: OSError) -> None:
-        """Closes the bag at its last whole chunk, dropping further chunks until index and metadata.yaml fit."""
+        """Closes the bag at its last whole chunk, and drops more chunks until index and metadata.yaml fit."""
         self.error = f"recording stopped: {error.strerror or error} ({self.path})"
         written = self.message_count
         length = max(self._header_length, self._contents.end_offset())

@@ -1,7 +1,7 @@
-"""Inventory of an MCAP file, record by record, and the index section that closes a file.
+"""Keeps an inventory of the records in an MCAP file, and writes the index section that closes the file.
 
-The layout is specified at https://mcap.dev/spec. A file cut by a crash or a full disk has all its chunks but no index,
-and the writer of the mcap library cannot add one.
+The layout is specified at https://mcap.dev/spec. A file that a crash or a full disk cut off has all its chunks but no
+index, and the writer of the mcap library cannot add one.
 """
 
 import struct
@@ -34,16 +34,16 @@ from mcap.stream_reader import get_chunk_data_stream
 DROPPABLE_CHUNKS = 100
 """Number of most recent chunks that can be dropped when the disk is full."""
 MAGIC = b"\x89MCAP0\r\n"
-_HEAD = struct.Struct("<BQ")  # opcode, length of what follows
+_HEAD = struct.Struct("<BQ")  # opcode, length of the content
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 
 
 class Record(NamedTuple):
-    """One record of a file. offset: where it starts. content: without the 9 bytes of opcode and length."""
+    """One record of a file."""
 
     opcode: int
-    offset: int
-    content: bytes
+    offset: int  # position in the file
+    content: bytes  # without the 9 bytes of opcode and length
 
     @property
     def raw(self) -> bytes:
@@ -92,17 +92,17 @@ class _ChunkEntry:
 
 
 class Contents:
-    """The inventory of one file, kept up to date: the content of its index section. Times are log times [ns]."""
+    """Inventory of one file, from which its index section is written. Times are log times [ns]."""
 
     def __init__(self) -> None:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self._chunks: deque[_ChunkEntry] = deque()  # the newest DROPPABLE_CHUNKS
-        # Index entries of older chunks, serialised to save memory: a long recording has tens of thousands.
+        # Index entries of older chunks, serialised to save memory because a long recording has tens of thousands.
         self._older_indexes = bytearray()
         self._older_count = 0
-        # Messages in older chunks or outside of chunks: count by channel id, first and last time.
+        # Messages in older chunks or outside of chunks: number by channel id, first and last time.
         self._older_messages: Counter[int] = Counter()
         self._older_times: list[int] = []
         self._metadata_indexes: list[MetadataIndex] = []
@@ -110,7 +110,7 @@ class Contents:
         self._definitions_end = 0
 
     def counts(self) -> Counter[int]:
-        """Messages by channel id."""
+        """Number of messages by channel id."""
         total = Counter(self._older_messages)
         for entry in self._chunks:
             total.update(entry.counts)
@@ -122,15 +122,15 @@ class Contents:
         return (min(times), max(times)) if times else (0, 0)
 
     def add(self, record: Record, offset: int) -> None:
-        """Adds one record of the data section. offset: its position in the file to be indexed.
+        """Adds one record of the data section. offset: position of the record in the file whose index will be written.
 
-        Raises DamagedError for invalid content, and does not add it.
+        Raises DamagedError for invalid content, which is not added.
         """
         try:
             self._add(record, offset)
         except DamagedError:
             raise
-        except Exception as error:  # decoders raise any exception for arbitrary bytes
+        except Exception as error:  # any, because decoders do not check the bytes
             raise DamagedError(f"{type(error).__name__}: {error}") from error
 
     def _add(self, record: Record, offset: int) -> None:
@@ -211,7 +211,7 @@ class Contents:
         self._older_times = [min(times), max(times)] if times else []
 
     def append_chunk(self, stream: WritableStream, chunk: Chunk, messages: dict[int, MessageIndex]) -> None:
-        """Writes a new chunk with its message indexes; an OSError adds nothing to the inventory."""
+        """Writes a new chunk with its message indexes; after an OSError the inventory is unchanged."""
         parts = [_serialise(record) for record in (chunk, *messages.values())]
         offset = stream.tell()
         stream.write(b"".join(parts))
@@ -235,7 +235,8 @@ class Contents:
         self._metadata_indexes.append(MetadataIndex(offset=offset, length=len(data), name=name))
 
     def drop_after(self, length: int) -> None:
-        """Drops the content after the first `length` bytes of the file, at most DROPPABLE_CHUNKS chunks."""
+        """Removes the content after the first `length` bytes of the file from the inventory, at most DROPPABLE_CHUNKS
+        chunks."""
         while self._chunks and self._chunks[-1].index.chunk_start_offset >= length:
             self._chunks.pop()
         self._definitions_end = min(self._definitions_end, length)
@@ -254,7 +255,7 @@ class Contents:
         return self._chunks[-1].index.chunk_start_offset if self._chunks else None
 
     def finish(self, stream: WritableStream) -> None:
-        """Appends the missing end of the file: message indexes of the last chunk, end of data, summary, footer."""
+        """Appends the end of the file: missing message indexes of the last chunk, end of data, summary and footer."""
         if self._chunks:
             newest = self._chunks[-1]
             for channel_id in newest.messages.keys() - newest.index.message_index_offsets.keys():

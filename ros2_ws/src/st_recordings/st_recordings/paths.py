@@ -1,4 +1,4 @@
-"""Paths of the project (configuration, message definitions), its version, output folders, and JSON."""
+"""Finds paths and the version of the project, creates output folders, and writes files and JSON."""
 
 import json
 import math
@@ -14,11 +14,11 @@ from typing import Any
 
 DISTRIBUTION = "single-track-predictor"
 INSTALLED_FILES = Path(__file__).parent / "share"  # exists in the wheel only
-MIN_FREE_SPACE = 10_000_000  # bytes; the shortest run needs as much
+MIN_FREE_SPACE = 10_000_000  # bytes, as the shortest run needs
 
 
 def project_root() -> Path:
-    """The checkout set by ./st, else the files of the installed wheel, else the checkout around the current folder."""
+    """The checkout set by ./st, or else the installed wheel, or else the checkout that contains the current folder."""
     if "ST_ENVIRONMENT" in os.environ:
         return Path(os.environ["ST_ENVIRONMENT"])
     for folder in (INSTALLED_FILES, Path.cwd(), *Path.cwd().parents):
@@ -45,11 +45,14 @@ def source_version() -> str:
 
 
 class OutputError(OSError):
-    """An output folder cannot be used, in one line."""
+    """An output folder cannot be used. The text is one line for the user."""
 
 
 def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
-    """The given folder, or runs/<name>-<time>. Raises OutputError for one that is not empty or cannot be written."""
+    """Creates the given folder, or runs/<name>-<time>. Raises OutputError if it is not empty or cannot be written.
+
+    create: False only checks the folder.
+    """
     folder = given or Path("runs") / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
     try:
         if folder.exists() and (folder.is_file() or any(folder.iterdir())):
@@ -82,13 +85,13 @@ def replace_file(path: Path, text: str) -> None:
 
 
 def natural_sort_key(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
-    """Sort key of a file name by its numbers: drive_9 comes before drive_10."""
+    """Sort key for file names with numbers: drive_9 comes before drive_10."""
     parts = re.split(r"(\d+)", path.stem)
     return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts], path.suffix
 
 
 def json_ready(value: Any) -> Any:
-    """The value in Python types for JSON; NaN and infinity become None."""
+    """Converts a value to the Python types of JSON; NaN and infinity become None."""
     if isinstance(value, Mapping):
         return {str(k): json_ready(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

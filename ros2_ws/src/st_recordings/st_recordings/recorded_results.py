@@ -1,4 +1,4 @@
-"""Predictions and scores in recordings as arrays, and the configuration that the live nodes recorded."""
+"""Reads predictions, scores and the configuration of the live nodes from recordings."""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,25 +28,23 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """Predictions of one model: start times (n,) ascending, states (n, points, 6) at the CG [SI] in the order of
-    STATE_FIELDS, step [s], hashes of the configurations."""
+    """Predictions of one model."""
 
-    starts_ns: np.ndarray
-    states: np.ndarray
-    step: float
-    hashes: frozenset[str]
+    starts_ns: np.ndarray  # (n,) ascending
+    states: np.ndarray  # (n, points, 6) at the CG [SI], in the order of STATE_FIELDS
+    step: float  # [s]
+    hashes: frozenset[str]  # of the configurations
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedPredictions(Predictions):
-    """Predictions with the inputs of a plan or course, (n, 2 * points - 1) on the half-step grid: road wheel angle
-    [rad] and velocity_x_dot [m/s^2]."""
+    """Predictions with the inputs of a plan or course, (n, 2 * points - 1) at half steps."""
 
-    road_wheel_angle: np.ndarray
-    velocity_x_dot: np.ndarray
+    road_wheel_angle: np.ndarray  # [rad]
+    velocity_x_dot: np.ndarray  # [m/s^2]
 
     def inputs_at(self, starts_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The two inputs for given start times (n,) [ns]; NaN for a start without a prediction."""
+        """The two inputs at given start times (n,) [ns]; NaN for a start time without a prediction."""
         index = np.searchsorted(self.starts_ns, starts_ns).clip(max=len(self.starts_ns) - 1)
         found = (self.starts_ns[index] == starts_ns)[:, None]
         return (np.where(found, self.road_wheel_angle[index], np.nan),
@@ -55,18 +53,13 @@ class PlannedPredictions(Predictions):
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Scores of one model and mode: start times (n,), complete (n,), errors (n, points, 3): longitudinal, lateral [m],
-    yaw [rad].
+    """Scores of one model and mode."""
 
-    cut: (n,) incomplete because the evaluator stopped within the horizon. jumped: (n,) incomplete because the position
-    jumps within it.
-    """
-
-    starts_ns: np.ndarray
-    errors: np.ndarray
-    complete: np.ndarray
-    cut: np.ndarray
-    jumped: np.ndarray
+    starts_ns: np.ndarray  # (n,)
+    errors: np.ndarray  # (n, points, 3) longitudinal, lateral [m], yaw [rad]
+    complete: np.ndarray  # (n,)
+    cut: np.ndarray  # (n,) whether it is incomplete because the evaluator stopped within the horizon
+    jumped: np.ndarray  # (n,) whether it is incomplete because the position jumps within the horizon
 
     def at(self, starts_ns: np.ndarray) -> "Scores":
         """The scores of the given start times [ns]."""
@@ -76,10 +69,10 @@ class Scores:
 
 @dataclass(frozen=True)
 class RecordedConfiguration:
-    """Configuration in a recording. vehicle: text of the vehicle file, None without one. nodes: parameters by node."""
+    """Configuration in a recording."""
 
-    vehicle: str | None
-    nodes: Mapping[str, Mapping[str, Any]]
+    vehicle: str | None  # text of the vehicle file
+    nodes: Mapping[str, Mapping[str, Any]]  # node -> parameters
 
 
 def recorded_configuration(records: Mapping[str, Mapping[str, str]]) -> RecordedConfiguration:
@@ -91,8 +84,8 @@ def recorded_configuration(records: Mapping[str, Mapping[str, str]]) -> Recorded
 
 def find_configuration(records: Mapping[str, Mapping[str, str]],
                        vehicle: Path | None) -> tuple[VehicleParameters, RecordedConfiguration, str]:
-    """(vehicle, recorded configuration, where the vehicle comes from): the file given, else the recording, else
-    config/car/leaf/vehicle.yaml. Raises RunError, ConfigurationError.
+    """(vehicle, recorded configuration, source of the vehicle). The vehicle is from the given file, or else from the
+    recording, or else from config/car/leaf/vehicle.yaml. Raises RunError, ConfigurationError.
     """
     recorded = recorded_configuration(records)
     if vehicle is None and recorded.vehicle is not None:
@@ -102,12 +95,12 @@ def find_configuration(records: Mapping[str, Mapping[str, str]],
 
 
 def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, Predictions]:
-    """Predictions by model; empty for a recording without any. Raises RunError for predictions of unequal length."""
+    """Reads predictions by model. Raises RunError if the predictions of a model have different horizons or steps."""
     return {model: Predictions(*columns) for model, columns in _read_by_model(bag, PREDICTION, (), progress).items()}
 
 
 def read_planned(bag: Path, mode: str, progress: Progress | None = None) -> dict[str, PlannedPredictions]:
-    """Predictions of mode plan or course by model, as `read_predictions`."""
+    """Reads predictions of mode plan or course by model, as `read_predictions` does."""
     inputs = ("road_wheel_angle", "velocity_x_dot")
     return {model: PlannedPredictions(*columns)
             for model, columns in _read_by_model(bag, PLANNED, inputs, progress, f"/{mode}").items()}
@@ -135,7 +128,7 @@ def _read_by_model(bag: Path, type_name: str, input_fields: Sequence[str], progr
 
 
 def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[tuple[str, str], Scores]:
-    """Scores by model and mode, of all bags together; a start scored twice is kept once."""
+    """Reads the scores in all bags, by model and mode; of several scores for one start, the last is used."""
     rows = defaultdict[tuple[str, str], dict[int, tuple[np.ndarray, bool, bool, bool]]](dict)
     for message in read_messages(bags, ERROR, progress):
         errors = np.stack([message.longitudinal, message.lateral, message.yaw], axis=-1)

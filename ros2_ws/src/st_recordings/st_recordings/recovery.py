@@ -1,4 +1,4 @@
-"""Repairs a bag or an MCAP file that was cut by a crash, a kill or a full disk.
+"""Repairs a bag or an MCAP file that a crash, a kill or a full disk cut off.
 
 Every complete chunk is kept byte for byte. Missing indexes, summary, footer and metadata.yaml are rebuilt.
 The original is kept as NAME.mcap.cut. A bag that needs no repair is not changed.
@@ -36,26 +36,26 @@ class RecoveryError(ValueError):
 
 @dataclass
 class FileReport:
-    """Result for one file. messages, kept_bytes: amounts kept. lost_bytes: truncated or damaged bytes."""
+    """Result for one file."""
 
     path: Path
-    intact: bool = False  # closed and without damage, therefore left unchanged
-    messages: int = 0
+    intact: bool = False  # closed and without damage, and therefore not changed
+    messages: int = 0  # number of messages kept
     kept_bytes: int = 0
-    lost_bytes: int = 0
+    lost_bytes: int = 0  # truncated or damaged
     damaged_records: int = 0
     start_ns: int = 0
     end_ns: int = 0
-    original: Path | None = None  # new path of the cut file
+    original: Path | None = None  # new path of the damaged file
 
 
 @dataclass
 class RecoveryReport:
-    """Result of a recovery. path: the repaired bag directory or file. topics: messages kept by topic."""
+    """Result of a recovery."""
 
-    path: Path
+    path: Path  # of the repaired bag directory or file
     files: list[FileReport] = field(default_factory=list)
-    topics: dict[str, int] = field(default_factory=dict)
+    topics: dict[str, int] = field(default_factory=dict)  # topic -> number of messages kept
     metadata_rebuilt: bool = False
 
     @property
@@ -84,14 +84,15 @@ class RecoveryReport:
 
 
 def recover(path: Path | str, output: Path | str | None = None) -> RecoveryReport:
-    """Makes a cut bag directory or .mcap file readable.
+    """Makes a damaged bag directory or .mcap file readable.
 
     Args:
         path: bag directory, or one .mcap file (then metadata.yaml is not changed).
-        output: new directory or file to write instead of repairing in place; must not exist. The original is untouched.
+        output: new directory or file for the repaired bag; it must not exist. By default the bag is repaired in place.
 
     Raises:
-        RecoveryError: no MCAP file, still being recorded, output exists, or disk full; the original is unchanged.
+        RecoveryError: there is no MCAP file, it is still being recorded, the output exists, or the disk is full. The
+            original is unchanged.
     """
     path = Path(path)
     target = Path(output) if output is not None else path

@@ -1,4 +1,4 @@
-"""Results of a run folder, read without ROS: measured track, scores, tick counts, band coverage; and summary.json."""
+"""Reads the results in a run folder (measured track, scores, tick counts, band coverage), and writes summary.json."""
 
 import importlib.metadata
 import json
@@ -23,12 +23,12 @@ MODES = ("forecast", "hindsight")
 DRAWN_STARTS = 6  # number of starts whose predictions are drawn on the map
 ODOMETRY_TOPIC, STATUS_TOPIC, SUMMARY_TOPIC = "/ins/odometry", "/predictor/status", "/evaluator/summary"
 BAND_LABELS = {"forecast": "forecast", "hindsight": "model", "course": "course", "plan": "plan"}
-"""Mode of a score -> its name for the user, in the order of the report."""
+"""Mode of a score -> its label, in the order of the report."""
 
 
 @dataclass(frozen=True)
 class Track:
-    """Measured INS point in the map frame. time_ns: UTC; x, y in m, yaw in rad (not wrapped)."""
+    """Measured positions of the INS point in the map frame [m], and unwrapped yaw [rad]. time_ns: UTC."""
 
     time_ns: np.ndarray
     x: np.ndarray
@@ -38,9 +38,9 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class MeanErrors:
-    """Scores of one model and mode, in order of their start.
+    """Scores (n,) of one model and mode, in order of their start times.
 
-    start_ns, complete: (n,). longitudinal, lateral [m], yaw [rad]: (n,) horizon means, NaN where not complete.
+    longitudinal, lateral [m], yaw [rad]: means over the horizon, NaN where the score is not complete.
     """
 
     start_ns: np.ndarray
@@ -52,7 +52,7 @@ class MeanErrors:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """One hindsight prediction to be drawn: time (n,) in ns UTC, errors (n,) in m along the measured heading."""
+    """One hindsight prediction to be drawn: times (n,) [ns, UTC], and errors (n,) [m] along the measured heading."""
 
     time_ns: np.ndarray
     longitudinal: np.ndarray
@@ -61,18 +61,14 @@ class Segment:
 
 @dataclass(frozen=True)
 class Results:
-    """Content of a run folder.
-
-    scores: by model and mode. segments: by model and start [ns UTC], of DRAWN_STARTS evenly spaced starts.
-    bands: statistics of st_msgs/ErrorSummary in which predictions with bands were counted.
-    """
+    """Content of a run folder."""
 
     track: Track
-    scores: dict[tuple[str, str], MeanErrors]
-    segments: dict[tuple[str, int], Segment]
+    scores: dict[tuple[str, str], MeanErrors]  # by model and mode
+    segments: dict[tuple[str, int], Segment]  # by model and start time [ns, UTC]; DRAWN_STARTS evenly spaced starts
     ticks: dict[str, Any]
     configuration_hash: str
-    bands: list[Any] = field(default_factory=list)
+    bands: list[Any] = field(default_factory=list)  # statistics of st_msgs/ErrorSummary with coverage of bands
 
     def models(self) -> list[str]:
         return list(dict.fromkeys(model for model, _ in self.scores))
@@ -135,7 +131,7 @@ def _read_scores(errors: Path) -> tuple[dict[tuple[str, str], MeanErrors], str]:
 
 
 def _read_segments(errors: Path, scores: dict[tuple[str, str], MeanErrors]) -> dict[tuple[str, int], Segment]:
-    """Segments of evenly spread starts that every model completed in hindsight."""
+    """Reads the segments of evenly spaced starts at which the hindsight scores of all models are complete."""
     complete = [set(s.start_ns[s.complete].tolist()) for (_, mode), s in scores.items() if mode == "hindsight"]
     common = sorted(set.intersection(*complete)) if complete else []
     if not common:
@@ -151,7 +147,7 @@ def _read_segments(errors: Path, scores: dict[tuple[str, str], MeanErrors]) -> d
 
 
 def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
-    """The content of summary.json: statistics of the horizon-mean errors of complete scores, in m."""
+    """The content of summary.json: statistics of the horizon means of complete scores [m, rad]."""
     models: dict[str, Any] = {}
     for model in results.models():
         modes = [*MODES, *(mode for name, mode in results.scores if name == model and mode not in MODES)]
@@ -180,7 +176,7 @@ def write_summary(path: Path, summary: dict[str, Any]) -> None:
 
 
 def collect_versions() -> dict[str, str]:
-    """Versions of the suite, of Python and of the installed libraries that results depend on."""
+    """Versions of the suite, of Python and of the installed libraries on which results depend."""
     found = {"source": source_version(), "python": platform.python_version()}
     for name in ("numpy", "scipy", "mcap", "rosbags", "cantools", "python-can", "ros-jazzy-rclpy"):
         try:
@@ -191,7 +187,7 @@ def collect_versions() -> dict[str, str]:
 
 
 def format_band_lines(rows: Sequence[Any]) -> list[str]:
-    """Coverage of the published bands as the evaluator counted it, one line for each mode with bands.
+    """Formats the coverage of the published bands, one line for each mode with bands.
 
     rows: statistics of st_msgs/ErrorSummary.
     """

@@ -1,4 +1,4 @@
-"""Writes a growing file to the disk in a separate thread, so that a power failure loses only its last data."""
+"""Synchronises a growing file with the disk in a separate thread, so that a power failure loses only its last data."""
 
 import os
 import threading
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 SHORTEST_PERIOD = 0.25
-"""s between two synchronisations, so that frequent writes do not occupy the disk."""
+"""Minimum time [s] between two synchronisations, so that frequent writes do not occupy the disk."""
 
 
 class Syncer:
@@ -18,8 +18,8 @@ class Syncer:
     """
 
     def __init__(self, descriptor: int, folders: Sequence[Path]):
-        """folders: synchronised once, with the first data: a file without directory entry is lost."""
-        # A duplicate: the writer may close its descriptor at any moment, and the number is then given to another file.
+        """folders: directories to synchronise once, because a file without a directory entry is lost."""
+        # A duplicate, because the writer may close its descriptor, whose number is then given to another file.
         self._descriptor = os.dup(descriptor)
         self._folders = tuple(folders)
         self._condition = threading.Condition()
