@@ -1,5 +1,5 @@
 """Delay of the evaluator's coverage warning after a change of the virtual car during a drive, and false warnings
-without a change. Coverage is counted by `st_core.bands.Coverages`, as in the node."""
+without a change. Coverage is counted by `st_core.bands.CoverageMonitor`, as in the node."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from st_core.bands import Band, CalibrationDomain, Coverages, ErrorSamples, calibrate, conditions_at, error_samples
+from st_core.bands import Band, CalibrationDomain, ErrorSamples, calibrate, conditions_at, error_samples
+from st_core.bands.live import CoverageMonitor
 from st_core.evaluation import make_score
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings, evaluate_blocks, regular_starts, usable_starts
@@ -49,7 +50,7 @@ class Watched:
 
 def watch(log: DriveLog, vehicle: VehicleParameters, bands: Bands, domain: CalibrationDomain) -> Watched:
     """A drive through the evaluator's counts. A score is known a horizon after its start."""
-    signals, counts = SETTINGS.signals(log), Coverages()
+    signals, counts = SETTINGS.signals(log), CoverageMonitor()
     models = [get_model(model) for model in {model: None for model, _ in bands}]
     starts, _ = usable_starts(signals, vehicle, regular_starts(log, SETTINGS.interval),
                               SETTINGS.prediction.minimum_speed)

@@ -8,7 +8,7 @@ import pytest
 from st_core.bands import (
     Bands,
     CalibrationDomain,
-    Coverages,
+    CoverageMonitor,
     LiveBands,
     activity_instants,
     calibrate,
@@ -18,7 +18,7 @@ from st_core.bands import (
     steering_activity,
 )
 from st_core.bands.file import configuration_of
-from st_core.bands.live import ALTERNATIVE_RATIO, HORIZONS, Coverage
+from st_core.bands.live import ALTERNATIVE_RATIO, HORIZONS, BandCoverage
 from st_core.evaluation import make_score
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
@@ -118,7 +118,7 @@ def test_a_path_is_inside_when_all_points_and_axes_are_in_the_predicted_frame():
     widths = np.array([[0, 0, 0], [1, 0.1, 0.3], [2, 0.2, 0.3]], float)
     # 1 m ahead along a measured heading 0.2 rad to the right of the predicted one: 0.2 m to the side of that.
     cases = (([0.9, 0.0, 0.0], True), ([0.9, 0.0, 0.2], False), ([1.1, 0.0, 0.0], False), ([0.0, 0.0, 0.4], False))
-    coverages = Coverages()
+    coverages = CoverageMonitor()
     for k, (point, _) in enumerate(cases):
         coverages.expect("linear", k * SECOND, {("forecast", 0.9): widths, ("forecast", 0.5): 0.01 * widths})
         coverages.add(a_score(k * SECOND, np.array([[0, 0, 0], point, [0, 0, 0]], float)))
@@ -145,10 +145,10 @@ def test_a_band_that_holds_is_not_warned_of_and_one_that_does_not_is_within_a_mi
     generator = np.random.default_rng(4)
     false = 0
     for _ in range(15):
-        false += driven(generator, 0.9, 3600.0, Coverage(), count(0, SECOND // 10)) is not None
+        false += driven(generator, 0.9, 3600.0, BandCoverage(), count(0, SECOND // 10)) is not None
     assert false <= 2  # 15 hours, at most one in ten hours on average
     for _ in range(20):
-        one, times = Coverage(), count(0, SECOND // 10)
+        one, times = BandCoverage(), count(0, SECOND // 10)
         assert driven(generator, 0.95, 600.0, one, times) is None
         # The score is there a horizon after the start: 55 s leave a minute.
         assert driven(generator, 0.0, 55.0, one, times) < 55.0
@@ -162,7 +162,7 @@ def test_a_band_that_holds_is_not_warned_of_and_one_that_does_not_is_within_a_mi
 def test_the_evidence_is_a_likelihood_ratio_that_is_one_on_average():
     p, q = 0.9, 0.9 * ALTERNATIVE_RATIO
     assert p * (q / p) + (1 - p) * ((1 - q) / (1 - p)) == pytest.approx(1.0)
-    one = Coverage()
+    one = BandCoverage()
     one.add(0, 5.0, {0.9: False})
     assert one.evidence == 0.0  # nothing is known of how much of a horizon it stands for
     one.add(5 * SECOND, 5.0, {0.9: False})

@@ -9,10 +9,10 @@ from .adaptive import AdaptiveBand
 from .calibration import LEVELS, RELIABILITY, Band, calibrate, conformal_factors, highest_level, runs_needed
 from .conditions import CONDITIONS, CalibrationDomain, activity_instants, conditions, conditions_at, steering_activity
 from .file import Bands
-from .live import AdaptiveBands, Coverage, Coverages, LiveBands, conditions_now
+from .live import AdaptiveBands, BandCoverage, CoverageMonitor, LiveBands, conditions_now
 from .samples import ErrorSamples, NotFiniteError, error_samples, join_runs, to_predicted_frame
 
-__all__ = ["CONDITIONS", "LEVELS", "RELIABILITY", "AdaptiveBand", "AdaptiveBands", "Band", "Bands", "CalibrationDomain",
-           "Coverage", "Coverages", "ErrorSamples", "LiveBands", "NotFiniteError", "activity_instants", "calibrate",
-           "conditions", "conditions_at", "conditions_now", "conformal_factors", "error_samples", "highest_level",
-           "join_runs", "runs_needed", "steering_activity", "to_predicted_frame"]
+__all__ = ["CONDITIONS", "LEVELS", "RELIABILITY", "AdaptiveBand", "AdaptiveBands", "Band", "BandCoverage", "Bands",
+           "CalibrationDomain", "CoverageMonitor", "ErrorSamples", "LiveBands", "NotFiniteError", "activity_instants",
+           "calibrate", "conditions", "conditions_at", "conditions_now", "conformal_factors", "error_samples",
+           "highest_level", "join_runs", "runs_needed", "steering_activity", "to_predicted_frame"]

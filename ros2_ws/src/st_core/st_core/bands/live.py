@@ -165,7 +165,7 @@ END_SHARE = 0.5  # fraction of its limit below which S ends a warning
 
 
 @dataclass
-class Coverage:
+class BandCoverage:
     """Observed coverage of one model and mode. n: number of scored windows with a band. inside: number of these with
     the whole path inside, by level. warns: whether the coverage is significantly too low. evidence: S, see the module.
     """
@@ -195,13 +195,13 @@ class Coverage:
         self.warns = self.evidence >= (END_SHARE * limit if self.warns else limit)
 
 
-class Coverages:
+class CoverageMonitor:
     """Counts coverage. Stores at most MAXIMUM_WAITING published bands until the score of their prediction arrives."""
 
     MAXIMUM_WAITING = 10_000
 
     def __init__(self) -> None:
-        self.by_pair: dict[ModelMode, Coverage] = {}
+        self.by_pair: dict[ModelMode, BandCoverage] = {}
         self._waiting: dict[tuple[str, str, int], dict[float, np.ndarray]] = {}
 
     def expect(self, model: str, start_ns: int, half_widths: HalfWidths) -> None:
@@ -219,7 +219,7 @@ class Coverages:
         errors = np.abs(to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1)))
         # The start is left out, because it is the measurement itself.
         inside = {level: bool((errors[1:] <= widths[1:]).all()) for level, widths in by_level.items()}
-        coverage = self.by_pair.setdefault((score.model, score.mode), Coverage())
+        coverage = self.by_pair.setdefault((score.model, score.mode), BandCoverage())
         coverage.add(score.start_ns, float(score.horizon[-1]), inside)
 
     def describe_warnings(self) -> str:

@@ -25,7 +25,7 @@ from ..vehicle import VehicleParameters
 from .driving_fit import DELAY, MISALIGNMENT, RELAXATION, DrivingFitSettings, fit_driving
 from .run_samples import prepare_drives
 
-Status = Literal["unestimated", "estimated", "invalid"]
+OnlineStatus = Literal["unestimated", "estimated", "invalid"]
 NAMES = ("steering_wheel_offset", "steering_ratio", "stiffness_scale")
 UNITS = ("rad", "1", "1")
 STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
@@ -57,7 +57,7 @@ class OnlineEstimate:
     value: float
     unit: str
     deviation: float
-    status: Status
+    status: OnlineStatus
     reason: str
 
 
@@ -185,7 +185,7 @@ class OnlineIdentifier:
             reason = missing[name] or self._fit.problem
             if not reason and not deviation / (value if k else 1.0) <= MAX_DEVIATIONS[k]:
                 reason = "its uncertainty is still too large"
-            status: Status = "unestimated" if reason else "estimated"
+            status: OnlineStatus = "unestimated" if reason else "estimated"
             if not missing[name] and implausible.get(name):
                 status, reason = "invalid", implausible[name]
             estimates.append(OnlineEstimate(name, value, UNITS[k], deviation, status, reason))

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 
 import numpy as np
-from st_core.bands import AdaptiveBands, Coverages, LiveBands, conditions_now
+from st_core.bands import AdaptiveBands, CoverageMonitor, LiveBands, conditions_now
 from st_core.bands.live import HalfWidths
 from st_core.evaluation import Evaluator, Mode
 from st_core.log_evaluation import MODES, PLANNED_MODES, EvaluationSettings
@@ -142,7 +142,7 @@ def read_bands(message: Prediction) -> HalfWidths:
             if all(len(column) == points for column in widths)}
 
 
-def coverage_check(coverages: Coverages) -> Check:
+def coverage_check(coverages: CoverageMonitor) -> Check:
     """Diagnostic check of the evaluator: observed coverage of the bands."""
     values = {f"{model} {mode} {100 * level:g} %": f"{coverage.share(level):.3f} of {coverage.n}"
               for (model, mode), coverage in coverages.by_pair.items() for level in sorted(coverage.inside)}
@@ -151,7 +151,7 @@ def coverage_check(coverages: Coverages) -> Check:
     return Check("bands", diagnostics.OK, "coverage as expected" if values else "no prediction with a band yet", values)
 
 
-def add_coverage(message: ErrorStatistics, coverages: Coverages) -> ErrorStatistics:
+def add_coverage(message: ErrorStatistics, coverages: CoverageMonitor) -> ErrorStatistics:
     """The message with the observed coverage of the bands of its model and mode."""
     coverage = coverages.by_pair.get((message.model, message.mode))
     message.n_bands = coverage.n if coverage else 0

@@ -8,7 +8,7 @@ import numpy as np
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
-from st_core.bands import Coverages
+from st_core.bands import CoverageMonitor
 from st_core.evaluation import ErrorStatistics, Evaluator, Mode, Score
 from st_core.log_evaluation import PLANNED_MODES
 from st_core.models import get_model
@@ -54,7 +54,7 @@ class EvaluatorNode(Node):
         self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering,
                               self._diagnostics.publish)
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
-        self._coverages = Coverages()
+        self._coverages = CoverageMonitor()
         self._hashes: dict[tuple[str, str, int], str] = {}  # of pending predictions, by model, mode and start
         self._configuration_mismatch: dict[tuple[str, str], bool] = {}  # by hash and model
         self._rejection = ""
