@@ -37,7 +37,7 @@ def bench(
         raise typer.Exit(importlib.import_module(f"bench.{name}").main(context.args))
     if name not in files:
         names = ", ".join(sorted({**files, **packages}))
-        typer.echo(f"st bench: no benchmark {name!r}; there are {names}", err=True)
+        typer.echo(f"st bench: unknown benchmark {name!r}; use {names}", err=True)
         raise typer.Exit(2)
     if context.args:
         typer.echo(f"st bench {name}: unexpected argument {context.args[0]}", err=True)

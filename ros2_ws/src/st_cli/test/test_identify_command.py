@@ -141,7 +141,7 @@ BAD = {
     "a word": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n450,450,heavy,350\n",
                "row 1: rear_left_kg is 'heavy', not a number"),
     "infinite": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n450,450,inf,350\n",
-                 "every number must be finite"),
+                 "give a finite number"),
     "header only": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n", "has a header but no rows"),
     "short row": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n450,450\n",
                   "row 1 has 2 cells, the header 4"),
@@ -171,7 +171,7 @@ def test_tables_that_cannot_be_used_are_refused_in_one_line(tmp_path, name):
 
 def test_other_wrong_arguments(tmp_path):
     result = st("identify", "weight", tmp_path)
-    assert result.exit_code == 2 and "no experiment 'weight'; there are scales" in result.output
+    assert result.exit_code == 2 and "unknown experiment 'weight'; use scales" in result.output
     result = st("identify", "scales", tmp_path / "none.csv", "--output", tmp_path / "out")
     assert result.exit_code == 2 and "the file does not exist" in result.output
     result = st("identify", "scales", "--output", tmp_path / "out")

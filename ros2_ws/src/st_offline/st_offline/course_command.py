@@ -23,7 +23,7 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
     Raises ConfigurationError or OutputError if no course can be built or written.
     """
     if output.exists():
-        raise OutputError(f"{output} exists: name another --output (existing files are not overwritten)")
+        raise OutputError(f"{output} exists: choose another --output (existing files are not overwritten)")
     passes: list[Pass] = []  # in the map frame of the first run with a known origin
     origin: tuple[float, float] | None = None
     failed = 0
@@ -45,7 +45,7 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
         plural = "s" * (len(new) != 1)
         print_line(f"{escape(source.name)}: {length / 1000.0:.2f} km in {len(new)} part{plural}", console)
     if not passes:
-        raise ConfigurationError("no run can be used for a course")
+        raise ConfigurationError("no run can be used for a course, for the reasons above")
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         output.write_text(Course(tuple(passes), origin).to_yaml(), encoding="utf-8")

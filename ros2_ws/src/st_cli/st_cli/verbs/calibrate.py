@@ -36,12 +36,12 @@ def calibrate(
     `st evaluate --bands`. Exit status: 0 all runs used, 1 some not, 2 no bands could be calibrated.
     """
     from rich.console import Console
-    from st_offline.bands.calibration_command import Job, run_command
+    from st_offline.bands.calibration_command import CalibrationJob, run_command
 
     with shared.report_errors("calibrate"):
         task, vehicle, vehicle_origin = make_task(
             read_options, model, effects, acceleration, inputs, (horizon, step, minimum_speed, 0.1), force=force)
-        status = run_command(Job(runs, task, output, tuple(sorted(set(level))), together), Console())
+        status = run_command(CalibrationJob(runs, task, output, tuple(sorted(set(level))), together), Console())
     if vehicle is None:
         shared.report_default_car("calibrate", vehicle_origin)
     raise typer.Exit(status)

@@ -24,11 +24,11 @@ def check(
     run could not be read, 2 nothing could be read.
     """
     from rich.console import Console
-    from st_offline.checking.check_command import Job, run_command
+    from st_offline.checking.check_command import CheckJob, run_command
 
     with shared.report_errors("check"):
         vehicle, read = read_options.resolve()
         parameters, file = shared.load_vehicle_or_default(vehicle)
-        job = Job(runs, parameters, str(file), vehicle is not None, read, output, json, propose_correction)
+        job = CheckJob(runs, parameters, str(file), vehicle is not None, read, output, json, propose_correction)
         status = run_command(job, Console(), lambda used: shared.report_default_car("check", used))
     raise typer.Exit(status)

@@ -32,7 +32,7 @@ def export(
     from st_recordings.paths import new_folder
 
     if importlib.util.find_spec("casadi") is None:
-        typer.echo("st export: CasADi is not installed: pip install '.[mpc]', or casadi", err=True)
+        typer.echo("st export: CasADi is not installed: run pip install '.[mpc]' or pip install casadi", err=True)
         raise typer.Exit(2)
     from st_offline.model_export import export_model as write_model
     from st_offline.model_export import load_model

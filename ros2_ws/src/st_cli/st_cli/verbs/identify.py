@@ -29,7 +29,7 @@ def identify(
     from st_live.configuration import load_model
     from st_live.suite import SuiteError
     from st_offline.identification.experiment import Setup
-    from st_offline.identification.identify_command import EXPERIMENTS, Job, run_command
+    from st_offline.identification.identify_command import EXPERIMENTS, IdentificationJob, run_command
     from st_recordings.paths import new_folder
 
     console = Console()
@@ -40,14 +40,15 @@ def identify(
         console.print(table)
         return
     if what not in EXPERIMENTS:
-        typer.echo(f"st identify: no experiment {what!r}; there are {', '.join(EXPERIMENTS)}", err=True)
+        typer.echo(f"st identify: unknown experiment {what!r}; use {', '.join(EXPERIMENTS)}", err=True)
         raise typer.Exit(2)
     with shared.report_errors(f"identify {what}", SuiteError):
         vehicle, read = read_options.resolve()
         parameters, file = shared.load_vehicle_or_default(vehicle)
         folder = new_folder(output, f"identify-{what}", create=False)
         base = load_model(model, effects, parameters, str(file))
-        job = Job(EXPERIMENTS[what], tuple(files or ()), Setup(parameters, read, force, base), str(file), folder)
+        setup = Setup(parameters, read, force, base)
+        job = IdentificationJob(EXPERIMENTS[what], tuple(files or ()), setup, str(file), folder)
         status = run_command(job, console)
     if vehicle is None:
         shared.report_default_car("identify", file)

@@ -33,7 +33,7 @@ from ..terminal import print_line
 
 
 @dataclass(frozen=True)
-class Job:
+class CalibrationJob:
     """Options of `st calibrate`. task: car, models and settings of the predictions. levels: probabilities. together:
     whether the similar recordings of one entry of `runs` count as one run."""
 
@@ -44,13 +44,13 @@ class Job:
     together: bool = False
 
 
-def run_command(job: Job, console: Console) -> int:
+def run_command(job: CalibrationJob, console: Console) -> int:
     """Run the command; returns the exit status: 0 if every run was used, else 1.
 
     Raises StCoreError or OutputError if no bands can be calibrated or written.
     """
     if job.output.exists():
-        raise OutputError(f"{job.output} exists: name another --output (existing files are not overwritten)")
+        raise OutputError(f"{job.output} exists: choose another --output (existing files are not overwritten)")
     models = load_models(job.task)
     recordings: dict[str, str] = {}
     problems: list[str] = []

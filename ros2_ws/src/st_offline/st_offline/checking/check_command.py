@@ -26,7 +26,7 @@ MODELS = ("linear", "nonlinear")  # checked for stable integration
 
 
 @dataclass(frozen=True)
-class Job:
+class CheckJob:
     """Options of `st check`.
 
     vehicle: read from vehicle_file; vehicle_is_given: whether the user named that file. output: folder, None for
@@ -43,7 +43,7 @@ class Job:
     correction_file: Path | None = None
 
 
-def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None] | None = None) -> int:
+def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str], None] | None = None) -> int:
     """Run the command; returns the exit status: 1 if a run has an error or could not be read, else 0.
 
     report_vehicle: called with each vehicle file in use, if none was given. Raises ConfigurationError, OutputError.
@@ -80,7 +80,7 @@ def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None
     return int(bool(failed) or any(run.checked.of(Severity.ERROR) for run in good))
 
 
-def check_run(source: RunSource, job: Job) -> CheckedRun:
+def check_run(source: RunSource, job: CheckJob) -> CheckedRun:
     """Read and check one run. Raises one of gate.RUN_ERRORS for a run that cannot be read."""
     car, car_from = job.vehicle, job.vehicle_file
     if source.kind == "bag" and not job.vehicle_is_given:

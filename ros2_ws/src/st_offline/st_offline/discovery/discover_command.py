@@ -108,7 +108,7 @@ def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[
     sources = find_runs(request.runs)
     reference_sources = find_runs(request.reference) if request.reference else []
     if not sources:
-        raise ConfigurationError("no recording found")
+        raise ConfigurationError("no recording found: give bags, .ncom with CAN logs, CSV, run.yaml, or their folders")
     bar = progress.add_task("reading the runs", total=len(sources) + len(reference_sources))
     drives = read_drives([*sources, *reference_sources], request.vehicle, request.read, request.jobs,
                          lambda: progress.advance(bar), request.force)

@@ -167,5 +167,5 @@ def _parse_number(file: Path, title: str, row: int, cell: str) -> float:
         raise RunError(file, f"row {row}: {title} is {cell[:40]!r}, not a number",
                        "write a number with a decimal point and without a unit") from None
     if not math.isfinite(value):
-        raise RunError(file, f"row {row}: {title} is {cell}", "every number must be finite")
+        raise RunError(file, f"row {row}: {title} is {cell}", "give a finite number")
     return value

@@ -44,7 +44,7 @@ STATUS_STYLE = {"identified": "green", "doubtful": "yellow", "unidentifiable": "
 
 
 @dataclass(frozen=True)
-class Job:
+class IdentificationJob:
     """Options of `st identify`. vehicle_file: file of `setup.vehicle`. folder: of the results."""
 
     experiment: Experiment
@@ -54,7 +54,7 @@ class Job:
     folder: Path
 
 
-def run_command(job: Job, console: Console) -> int:
+def run_command(job: IdentificationJob, console: Console) -> int:
     """Run the command; returns the exit status: 0 if something was identified, else 1.
 
     Raises StCoreError, RunError, OutputError.
@@ -76,7 +76,7 @@ def run_command(job: Job, console: Console) -> int:
     return 0 if any(e.status != "unidentifiable" for outcome in found for e in outcome.estimates) else 1
 
 
-def run_experiment(job: Job) -> tuple[Identification, ...]:
+def run_experiment(job: IdentificationJob) -> tuple[Identification, ...]:
     """Results of the experiment. Messages of errors in the data begin with the files."""
     if job.experiment.files_needed and not job.files:
         raise IdentificationError(f"no files were given; {job.experiment.name} needs {job.experiment.files}")
@@ -111,7 +111,7 @@ def findings_by_drive(found: Sequence[Identification]) -> dict[str, tuple[Findin
     return {name: findings for outcome in found for name, findings in outcome.findings.items()}
 
 
-def provenance(job: Job, now: datetime) -> dict[str, Any]:
+def provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
     """Provenance of the values: time, experiment, vehicle, files, versions."""
     data = list(job.files)
     if job.experiment.drives:  # replaces folders by the recordings in them
@@ -123,7 +123,7 @@ def provenance(job: Job, now: datetime) -> dict[str, Any]:
     }
 
 
-def write_results(job: Job, found: Sequence[Identification], car: VehicleParameters,
+def write_results(job: IdentificationJob, found: Sequence[Identification], car: VehicleParameters,
                   facts: dict[str, Any]) -> dict[str, Path]:
     """Write all files; returns their paths by name."""
     output = FigureOutput(new_folder(job.folder, ""), FORMATS)
