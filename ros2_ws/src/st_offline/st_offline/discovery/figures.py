@@ -49,7 +49,7 @@ class Scene:
 
 
 def draw_waterfall(scene: Scene) -> PageFigure | None:
-    """Held-out position error after 5 s at each step of the search; None if the position is not a channel."""
+    """Draw the held-out position error after 5 s at each step of the search; None if the position is not a channel."""
     steps = scene.found.steps
     if not steps or not all(np.isfinite((s.position_5s.base, s.position_5s.augmented)).all() for s in steps):
         return None
@@ -103,7 +103,7 @@ def _annotate(axes: plt.Axes, x: float, row: int, text: str) -> None:
 
 
 def draw_axle_curves(scene: Scene) -> PageFigure | None:
-    """Force of each axle versus slip angle with its 90 % interval, and the distribution of the driven slip angles."""
+    """Draw the force of each axle versus slip angle with its 90 % interval, and the distribution of the slip angles."""
     curves = scene.found.axle_curves
     if not curves or not scene.found.model:
         return None
@@ -130,7 +130,7 @@ def draw_axle_curves(scene: Scene) -> PageFigure | None:
 
 
 def draw_maps(scene: Scene) -> PageFigure | None:
-    """The track of one run, coloured by the error of `scene.channel` with the base model and the complete model."""
+    """Draw the track of one run, coloured by the error of `scene.channel` with the base and the complete model."""
     run, errors = _find_worst_run(scene)
     if run is None:
         return None
@@ -189,7 +189,7 @@ MAX_RATIO = 3.0  # end of the axis, at which intervals are cut off
 
 
 def draw_agreement(scene: Scene) -> PageFigure | None:
-    """Ratio of the local estimate to the overall estimate of each effect, for each part of the driving."""
+    """Draw the ratio of the local estimate to the overall estimate of each effect, for each part of the driving."""
     effects = [e for e in scene.found.effects if any(e.agreement.values())]
     if not effects:
         return None
@@ -241,7 +241,7 @@ def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) ->
 
 
 def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
-    """Curve of a relation with its 95 % interval, and the distribution of the driving below it."""
+    """Draw the curve of a relation with its 95 % interval, and the distribution of the driving below it."""
     c = relation.candidate
     (y_scale, unit), (x_scale, x_unit) = display_unit(c.unit), display_unit(QUANTITIES[c.quantity])
     at, value = x_scale * relation.at, y_scale * relation.value

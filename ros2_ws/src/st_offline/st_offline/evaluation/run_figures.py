@@ -82,7 +82,7 @@ def draw_run(drawing: Drawing) -> list[PageFigure]:
 
 
 def draw_segments(drawing: Drawing) -> PageFigure | None:
-    """Measured and predicted paths from a few starts, with the errors over their horizons: figure 1 of the paper."""
+    """Draw measured and predicted paths from a few starts, with the errors over the horizon: figure 1 of the paper."""
     evaluation = drawing.evaluation
     rows = choose_starts(evaluation, drawing.starts)
     if not len(rows):
@@ -145,7 +145,7 @@ def _draw_measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length:
 
 
 def draw_horizon_means(drawing: Drawing) -> PageFigure:
-    """Mean errors over the horizon, speed and acceleration versus start time: figure 2 of the paper."""
+    """Draw the mean errors over the horizon, speed and acceleration versus start time: figure 2 of the paper."""
     evaluation = drawing.evaluation
     figure, (upper, lower, context) = plt.subplots(
         3, 1, figsize=(WIDTH, 5.2), height_ratios=(1.3, 1.3, 0.9), sharex=True)
@@ -177,7 +177,7 @@ def _reduce_over_time(evaluation: LogEvaluation, values: np.ndarray) -> tuple[np
 
 
 def draw_error_against_horizon(drawing: Drawing) -> PageFigure:
-    """Root mean square error at each point of the horizon, in hindsight and as a forecast."""
+    """Draw the root mean square error at each point of the horizon, in hindsight and as a forecast."""
     evaluation = drawing.evaluation
     lines: tuple[tuple[Mode, float, float], ...] = ("hindsight", 1.6, 1.0), ("forecast", 0.9, 0.7)
     figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.4))
@@ -216,7 +216,7 @@ def describe_ranking(evaluation: LogEvaluation) -> str:
 
 
 def draw_slip_and_forces(drawing: Drawing) -> PageFigure | None:
-    """Predicted slip angles and lateral forces of both axles, and slip angles from the measured motion."""
+    """Draw the predicted slip angles and lateral forces of both axles, and slip angles from the measured motion."""
     models = [m for m in drawing.models if m.axles is not None and not m.extra_states and not m.signals]
     evaluation, signals, vehicle = drawing.evaluation, drawing.signals, drawing.vehicle
     rows = choose_starts(evaluation, drawing.starts)

@@ -31,7 +31,7 @@ DISPLAY_UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
 
 
 def draw_offset(found: Identification, output: FigureOutput) -> PageFigure:
-    """Offset in each straight window with both estimates, and the residuals of the yaw rate."""
+    """Draw the offset in each straight window with both estimates, and the residuals of the yaw rate."""
     data = found.figure
     with style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.4), width_ratios=(2, 1))
@@ -52,7 +52,7 @@ def draw_offset(found: Identification, output: FigureOutput) -> PageFigure:
 
 
 def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
-    """Ratio of lateral to forward velocity, corrected for slip, versus curvature, and the residuals.
+    """Draw the ratio of lateral to forward velocity, corrected for slip, versus curvature, and the residuals.
 
     The slope of the ratio is the distance of the INS ahead of the rear axle [m].
     """
@@ -79,7 +79,7 @@ def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
 
 
 def draw_stiffness(found: Identification, output: FigureOutput) -> PageFigure:
-    """Axle force versus slip angle, as in the paper; after a fit by prediction, also both slopes and 95 % regions."""
+    """Draw axle force versus slip angle, as in the paper; for a fit by prediction, also both slopes and 95 % regions."""
     paper = found.figure.get("paper")
     both = ", ".join(f"{axle} {_format_estimate(found[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
     points = "force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
@@ -111,7 +111,7 @@ def draw_stiffness(found: Identification, output: FigureOutput) -> PageFigure:
 
 
 def draw_prediction(found: Identification, output: FigureOutput) -> PageFigure:
-    """Residuals of a fit of predictions, and the first parameter with the one most correlated with it."""
+    """Draw the residuals of a fit of predictions, and the first parameter with the one most correlated with it."""
     data, first = found.figure, found.estimates[0]
     with style():
         figure, panels = plt.subplot_mosaic([["rate", "pair"], ["across", "pair"]], figsize=(WIDTH, 4.2),

@@ -49,7 +49,7 @@ def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification
 
 
 def draw_scales(found: Identification, output: FigureOutput) -> PageFigure:
-    """All weighings, with the 95 % intervals of mass and CG position."""
+    """Draw all weighings, with the 95 % intervals of mass and CG position."""
     data = found.figure
     rows = np.arange(len(data["names"]))
     with style():
@@ -95,7 +95,7 @@ def identify_ratio(files: Sequence[Path], setup: Setup) -> tuple[Identification,
 
 
 def draw_ratio(found: Identification, output: FigureOutput) -> PageFigure:
-    """Road-wheel angles versus steering-wheel angle, with the fitted line and its residuals."""
+    """Draw road-wheel angles versus steering-wheel angle, with the fitted line and its residuals."""
     data, estimate = found.figure, found.estimates[0]
     steering, sweeps = np.degrees(data["steering"]), np.asarray(data["sweeps"])
     with style():
@@ -174,7 +174,7 @@ def _read_pitch(table: Table, wheelbase: float) -> np.ndarray:
 
 
 def draw_height(found: Identification, output: FigureOutput) -> PageFigure:
-    """Rear load versus pitch with the fitted line, and the CG height computed from each row alone."""
+    """Draw rear load versus pitch with the fitted line, and the CG height computed from each row alone."""
     data, estimate = found.figure, found.estimates[0]
     pitch, lifts = np.degrees(data["pitch"]), np.asarray(data["lifts"])
     with style():
@@ -247,7 +247,7 @@ def read_tyre_tables(files: Sequence[Path]) -> list[FlatPlank]:
 
 
 def draw_tyre(found: Identification, output: FigureOutput) -> PageFigure:
-    """Measured and fitted lateral force, residuals, and stiffness versus load."""
+    """Draw measured and fitted lateral force, residuals, and stiffness versus load."""
     data = found.figure
     slip = np.degrees(data["slip"])
     with style():
