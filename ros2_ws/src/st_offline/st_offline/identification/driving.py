@@ -79,7 +79,7 @@ def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
 
 
 def draw_stiffness(found: Identification, output: FigureOutput) -> PageFigure:
-    """Draw axle force versus slip angle, as in the paper; for a fit by prediction, also both slopes and 95 % regions."""
+    """Draw axle force versus slip angle, as in the paper; for a fit by prediction, also the slopes and 95 % regions."""
     paper = found.figure.get("paper")
     both = ", ".join(f"{axle} {_format_estimate(found[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
     points = "force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
