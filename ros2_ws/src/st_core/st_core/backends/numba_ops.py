@@ -18,7 +18,7 @@ from .. import ops
 
 # LLVM fast-math flags, without nnan and ninf, because NaN in a log must give NaN. Callees do not inherit them.
 FLAGS = ("contract", "nsz", "arcp")
-OPTIONS: Any = {"fastmath": set(FLAGS), "error_model": "numpy", "forceinline": True}
+OPTIONS: Any = {"fastmath": set(FLAGS), "error_model": "numpy", "forceinline": True, "no_cfunc_wrapper": True}
 
 SIGN = np.int64(-(2**63))  # mask of the sign bit
 MAGNITUDE = np.int64(2**63 - 1)  # mask of the other bits
