@@ -75,7 +75,7 @@ def given(node, course: Course, at: tuple[float, float] | None = None) -> Course
     """at: origin of the map of this run [deg]."""
     one = CourseInput(node, course, CAR, 5.0, 0.05)
     if at:
-        one._move(NavSatFix(latitude=at[0], longitude=at[1]))
+        one._move_course(NavSatFix(latitude=at[0], longitude=at[1]))
     return one
 
 
