@@ -180,9 +180,9 @@ class Controller:
         first = np.concatenate([self._guess.ravel(), np.zeros(self.steps if self.corridor else 0)])
         warm = {"lam_x0": self._duals[0], "lam_g0": self._duals[1]} if self._duals else {}
         wall, cpu = perf_counter(), process_time()
-        found = self._solve(x0=first, p=p, **self._limits, **warm)
+        result = self._solve(x0=first, p=p, **self._limits, **warm)
         wall, cpu = perf_counter() - wall, process_time() - cpu
-        rows = found["x"].full()[:count].reshape(self.steps, 2 + self._states)
+        rows = result["x"].full()[:count].reshape(self.steps, 2 + self._states)
         statistics = self._solve.stats()
         if not np.all(np.isfinite(rows)):
             self._guess, self._duals = None, None
@@ -191,7 +191,7 @@ class Controller:
         t = self.tuning
         angle, acceleration = np.clip(rows[0, :2], [-t.angle, t.acceleration[0]], [t.angle, t.acceleration[1]])
         self._last = float(angle), float(acceleration)
-        self._guess, self._duals = np.vstack([rows[1:], rows[-1]]), (found["lam_x"], found["lam_g"])
+        self._guess, self._duals = np.vstack([rows[1:], rows[-1]]), (result["lam_x"], result["lam_g"])
         return Solution(self._last, rows[:, :2], rows[:, 2:], wall, cpu, statistics["iter_count"],
                         self.solver == "rti" or bool(statistics["success"]))
 

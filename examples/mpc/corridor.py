@@ -165,7 +165,7 @@ def _make_log(table: np.ndarray, vehicle: VehicleParameters, seed: int) -> Drive
 
 def calibrate_band(controller: Controller, car: Car, vehicle: VehicleParameters,
                    model: str) -> tuple[Band, CalibrationDomain]:
-    """Band and domain of hindsight predictions, which have known future inputs like those of the controller."""
+    """Band and domain of hindsight predictions, because the controller too knows the future inputs."""
     runs = []
     for seed in range(CALIBRATION_CARS):
         log = drive(controller, car, vehicle, make_gates(np.random.default_rng([22, seed])), 1000 + seed).log

@@ -83,9 +83,9 @@ class PolledSubscription:
 
     def publisher_names(self) -> list[str]:
         """Full node name of each publisher of the topic; UNRESOLVED_NODE if it is not resolved yet."""
-        found = self._node.get_publishers_info_by_topic(self.topic)
+        publishers = self._node.get_publishers_info_by_topic(self.topic)
         return [UNRESOLVED_NODE if publisher.node_name.startswith(UNRESOLVED_PREFIX)
-                else f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}" for publisher in found]
+                else f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}" for publisher in publishers]
 
     def destroy(self) -> None:
         self._node.destroy_subscription(self.subscription)

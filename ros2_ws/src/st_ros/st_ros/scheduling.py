@@ -70,7 +70,7 @@ def _read_autogroup() -> int | None:
     try:
         if Path("/proc/sys/kernel/sched_autogroup_enabled").read_text().strip() != "1":
             return None
-        found = re.search(r"nice (-?\d+)", _GROUP.read_text())
+        match = re.search(r"nice (-?\d+)", _GROUP.read_text())
     except OSError:
         return None
-    return int(found[1]) if found else None
+    return int(match[1]) if match else None

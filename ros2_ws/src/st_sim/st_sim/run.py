@@ -187,7 +187,7 @@ def _live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> No
 
 
 def _to_files(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> None:
-    """Write the drive to files. The times of CAN frames are those of sending, by the clock of the logger."""
+    """Write the drive to files. CAN frames get the sending time by the clock of the logger, with offset and drift."""
     run = _prepare(options)
     start_ns = FILE_EPOCH_NS + options.seed * 3_600_000_000_000  # one hour later for each seed
     folder = make_folder("--to-files", options.to_files)

@@ -110,7 +110,7 @@ class CourseInput:
         return self._forecast.inputs
 
     @property
-    def used(self) -> bool:
+    def is_used(self) -> bool:
         """Whether the newest start used inputs of the course."""
         return self._forecast.inputs is not None
 

@@ -183,7 +183,7 @@ class PredictorNode(Node):
 
     def _predict(self, start: Start) -> None:
         self._plan.drain()
-        before = bool(self._plan.problem), self._course.used
+        before = bool(self._plan.problem), self._course.is_used
         issued: dict[str, dict[Mode, Trajectory]] = {model: {} for model in self._outputs}
         modes: list[Mode] = ["forecast", "hindsight"]
         if planned := self._plan.at(self._core, start):
@@ -215,7 +215,7 @@ class PredictorNode(Node):
             else:
                 self._not_finite.add(model)  # viewers cannot draw such a path; the evaluator scores it as incomplete
         self._bands.add_predictions(start, issued)
-        if before != (bool(self._plan.problem), self._course.used):
+        if before != (bool(self._plan.problem), self._course.is_used):
             self._diagnostics.publish()
 
     def _publish_planned(self, start: Start, mode: Mode, inputs: InputSequence, plan_ns: int,
