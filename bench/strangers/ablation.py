@@ -111,16 +111,16 @@ def _multiplied(work: Any, number: str, factor: float) -> Iterator[Any]:
 
 def _searched(work: Any) -> tuple[Any, ...]:
     """Problem, floor of the noise, parts of the driving, the search and what it found."""
-    problem, by_column = work._problem()
+    problem, by_column = work._make_problem()
     parts = partitions(work.windows)
     search = Search(problem, work.limits, parts, work.sensors, work.settings.seed)
-    return problem, work._floor(by_column), parts, search, search.run()
+    return problem, work._channel_noise(by_column), parts, search, search.run()
 
 
 def _counts(work: Any, searched: tuple[Any, ...], truth: Mapping[str, Any]) -> dict[str, int]:
     """Counts of statements, hidden errors, values and points of the force curves."""
     work.problem, floor, parts, search, found = searched
-    names = work._judged(search, found, parts, floor)
+    names = work._judge_effects(search, found, parts, floor)
     answer = {"effects": [_plain(one) for one in names.named], "minor": [_plain(one) for one in names.minor],
               "combinations": [vars(one) for one in names.combinations],
               "axle_curves": [vars(one) for one in names.curves]}

@@ -24,12 +24,12 @@ from st_core.discovery.decision import (
     Checks,
     Rival,
     SearchResult,
-    alternative,
     decide,
     judge,
+    judge_alternative,
     naming_verdict,
-    varies_over,
     varies_relevantly,
+    varying_partition,
 )
 from st_core.discovery.discover import with_sensor_interval
 from st_core.discovery.evidence import AgainstFile, Agreement, Evidence
@@ -168,7 +168,7 @@ def test_what_intervals_and_axles_say_of_an_effect(evidence, checks, rule):
     ({"run": Agreement({}, 1e-4, 0.04)}, ""),
 ])
 def test_partition_over_which_an_effect_varies(agreement, partition):
-    assert varies_over(replace(GOOD, agreement=agreement), LIMITS) == partition
+    assert varying_partition(replace(GOOD, agreement=agreement), LIMITS) == partition
 
 
 @pytest.mark.parametrize(("gain", "p_value", "healthy_gain", "relevant"), [
@@ -217,12 +217,13 @@ def test_every_partition_has_a_name():
     (replace(EQUAL, share=0.4, evidence=EDGE), "explains less"),  # asked first
 ])
 def test_another_name(rival, rule):
-    assert alternative(rival, LIMITS).rule == rule
+    assert judge_alternative(rival, LIMITS).rule == rule
 
 
 def test_another_name_is_told_with_the_one_whose_place_it_takes():
     for rival in (replace(EQUAL, replaces="tyre_stiffness"), replace(WORSE, replaces="tyre_stiffness")):
-        assert "in place of tyre stiffness it achieves 90% of its error reduction" in alternative(rival, LIMITS).text
+        text = judge_alternative(rival, LIMITS).text
+        assert "in place of tyre stiffness it achieves 90% of its error reduction" in text
 
 
 @pytest.mark.parametrize(("answer", "outcome", "figures"), [
@@ -259,13 +260,13 @@ TURNED = {
     "relevant_position": (lambda limits: judge(CHEAP, limits).rule, 1e-9, IRRELEVANT, ACCEPTED),
     "min_relative_size": (lambda limits: judge(replace(SENSED, size=0.4), limits).rule, 1e-9, IRRELEVANT, ACCEPTED),
     "negligible": (lambda limits: judge(SMALL, limits).rule, 1e-9, NEGLIGIBLE, ACCEPTED),
-    "min_rival_gain": (lambda limits: alternative(replace(EQUAL, share=0.4), limits).rule, 1e-9, "explains less",
+    "min_rival_gain": (lambda limits: judge_alternative(replace(EQUAL, share=0.4), limits).rule, 1e-9, "explains less",
               "alternative"),
     "min_peak_force": (lambda limits: naming_verdict(GOOD, limits, Checks(peak_force_share=0.5)).rule, 1e-9, MINOR,
                        NAMED),
     "max_file_deviation": (lambda limits: judge(HEAVY, limits).rule, 1e9, FILE, ACCEPTED),
     "at_bound": (lambda limits: judge(replace(EDGE, bound_distance=0.001), limits).rule, 1e-9, BOUND, ACCEPTED),
-    "unexplained_share": (lambda limits: alternative(AMONG, limits).rule, 1e-9, "alternative", "explains less"),
+    "unexplained_share": (lambda limits: judge_alternative(AMONG, limits).rule, 1e-9, "alternative", "explains less"),
     "max_noise_ratio": (lambda limits: decide(replace(NOTHING, noise_ratio=9.0), limits)[0], 1e9, "unknown", "none"),
     "detection_power": (lambda limits: decide(replace(NOTHING, detectable_share=0.1), limits)[0], 1e-9, "not_testable",
                         "none"),
@@ -290,7 +291,7 @@ def test_limit_turns_an_answer(limit):
 @pytest.mark.parametrize(("limit", "off", "asked", "on", "without"), [
     ("false_alarm", 1e-9, lambda limits: judge(replace(LOCAL, p_value=0.0), limits).rule, VARIES, ACCEPTED),
     ("undecided_p", 0.9, lambda limits: judge(LOCAL, limits).rule, VARIES, ACCEPTED),
-    ("undecided_p", 1e-9, lambda limits: alternative(WORSE, limits).rule, "explains less", "alternative"),
+    ("undecided_p", 1e-9, lambda limits: judge_alternative(WORSE, limits).rule, "explains less", "alternative"),
     ("undecided_p", 0.9, lambda limits: judge(MAYBE_NULL, limits).rule, NULL, ACCEPTED),
     ("relevant", 1e-9, lambda limits: naming_verdict(replace(SLIGHT, shares={"yaw": (0.01, 5.0)}), limits).rule, MINOR,
      NAMED),
@@ -302,7 +303,7 @@ def test_limit_turns_an_answer(limit):
     ("max_noise_ratio", 1e9, lambda limits: naming_verdict(replace(WEAK, noise_ratio=5.0), limits).rule, MINOR, NAMED),
     ("undecided_p", 1e-9, lambda limits: naming_verdict(
         replace(CONFIRMED, gain=0.1, noise_ratio=5.0, sensors_p_value=0.01), limits).rule, MINOR, NAMED),
-    ("max_noise_ratio", 1e9, lambda limits: alternative(AMONG, limits).rule, "alternative", "explains less"),
+    ("max_noise_ratio", 1e9, lambda limits: judge_alternative(AMONG, limits).rule, "alternative", "explains less"),
     ("max_noise_ratio", 1e9, lambda limits: naming_verdict(replace(SLIGHT, shares={"yaw": (0.1, 5.0)}), limits).rule,
      NAMED,
      MINOR),

@@ -9,7 +9,7 @@ from scipy import optimize, stats
 from st_core.augmented import augment
 from st_core.channels import CHANNEL_OF_COLUMN
 from st_core.discovery import DiscoverySettings, fit_effects
-from st_core.discovery.fit import FOLDS, Problem, Sensitivities, bounded
+from st_core.discovery.fit import FOLDS, Problem, Sensitivities, minimise_bounded
 from st_core.discovery.loss import MAX_SCALED_ERROR, NU, Errors, Loss, rho, weight
 from st_core.discovery.space import GAIN, Space
 from st_core.discovery.windows import LOOKUP_CACHE_SIZE, Signals, Windows
@@ -361,7 +361,7 @@ def test_bounded_is_the_minimum_within_bounds(seed):
     a, b = root.T @ root + 1e-6 * np.eye(k), root.T @ (3.0 * rng.standard_normal(k + 3))
     low, high = -rng.uniform(0.0, 2.0, k), rng.uniform(0.0, 2.0, k)
     low[rng.uniform(size=k) < 0.3] = 0.0  # already on a bound
-    x = bounded(a, b, low, high)
+    x = minimise_bounded(a, b, low, high)
     assert ((low <= x) & (x <= high)).all()
     factor = np.linalg.cholesky(a)
     best = optimize.lsq_linear(factor.T, np.linalg.solve(factor, b), (low, high + 1e-12), tol=1e-14).x

@@ -189,9 +189,9 @@ def test_promised_power_is_what_imitated_drives_show():
     problem.noise = np.full(len(COLUMNS), 0.02)  # nothing is left that noise does not explain
     base = fitted(problem)
     scores = screen(problem, base, np.random.default_rng(0))
-    promised = certificate.predicted(problem, base, scores, Limits())
+    promised = certificate.predict_power(problem, base, scores, Limits())
     ticks = []
-    shown = certificate.measured(problem, base, Limits(), 0, lambda: ticks.append(1))
+    shown = certificate.measure_power(problem, base, Limits(), 0, lambda: ticks.append(1))
     assert (promised.measured, promised.simulated_drives, shown.measured, len(ticks)) == (False, 0, True, len(FEW))
     assert shown.alarms <= 0.05 * shown.simulated_drives
     off = [p.probability - s.probability for p, s in zip(promised.powers, shown.powers, strict=True)]
@@ -207,7 +207,7 @@ def test_effect_that_changes_nothing_is_never_found():
     problem = linear_problem(FEW, {}, 6)
     problem.errors.signatures[problem.space.indices("road_bank")] = 0.0
     base = fitted(problem)
-    promised = certificate.predicted(problem, base, screen(problem, base, np.random.default_rng(0)), Limits())
+    promised = certificate.predict_power(problem, base, screen(problem, base, np.random.default_rng(0)), Limits())
     found = {e: max(p.probability for p in promised.powers if p.effect == e) for e in FEW}
     assert found["road_bank"] < 0.01 and min(found[e] for e in FEW if e != "road_bank") > 0.8
 

@@ -8,7 +8,16 @@ import pytest
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.where import largest_errors
-from st_core.discovery.where_parts import CELL_SIZE, Range, Samples, cells, changes, excesses, membership, range_text
+from st_core.discovery.where_parts import (
+    CELL_SIZE,
+    Range,
+    Samples,
+    compute_excesses,
+    find_cells,
+    find_changes,
+    membership,
+    range_text,
+)
 from st_core.log import DriveLog
 from st_core.prediction import predict
 from st_core.types import InputSequence, VehicleState
@@ -36,7 +45,7 @@ def made(seed: int, levels=None, correlation: int = 8, count: int = 800, **condi
 
 def found(samples: Samples, reference: Samples | None):
     ranges, members = membership(samples)
-    return excesses(samples, members, ranges, reference, NOISE, 0, 200)
+    return compute_excesses(samples, members, ranges, reference, NOISE, 0, 200)
 
 
 def test_range_that_is_three_times_worse_is_found_with_its_size():
@@ -83,12 +92,12 @@ def test_range_the_reference_never_saw_says_so():
 
 def test_change_in_time_is_found_where_it_is():
     samples = made(6, lambda time, c: np.where(time > 120.0, 3.0, 1.0), **PLAIN)
-    (part,) = changes(samples, "yaw_rate", 0.001, 4.0, 0, 299)
+    (part,) = find_changes(samples, "yaw_rate", 0.001, 4.0, 0, 299)
     assert abs(part.start - 120.0) <= 4.0 and part.end > 198.0 and part.ratio > 2.0 and part.p <= 0.01
 
 
 def test_stationary_drives_have_no_change():
-    assert sum(bool(changes(made(seed, **PLAIN), "yaw_rate", 0.001, 4.0, seed, 199)) for seed in range(30)) <= 2
+    assert sum(bool(find_changes(made(seed, **PLAIN), "yaw_rate", 0.001, 4.0, seed, 199)) for seed in range(30)) <= 2
 
 
 def test_harder_driving_is_no_change():
@@ -99,7 +108,7 @@ def test_harder_driving_is_no_change():
     time = 0.25 * np.arange(800)
     samples = made(7, lambda time, c: np.where(lateral(time) > 1.0, 3.0, 1.0),
                    **{**PLAIN, "lateral_acceleration": lateral(time)})
-    assert not changes(samples, "yaw_rate", 0.001, 4.0, 0, 299)
+    assert not find_changes(samples, "yaw_rate", 0.001, 4.0, 0, 299)
 
 
 def test_place_that_is_bad_on_every_pass():
@@ -108,7 +117,7 @@ def test_place_that_is_bad_on_every_pass():
     x, y = 60.0 * np.cos(angle), 60.0 * np.sin(angle)
     near = np.hypot(x - 60.0, y) < 15.0
     squares = {"yaw_rate": base.squares["yaw_rate"] * np.where(near, 16.0, 1.0)}
-    worst = max(cells(replace(base, x=x, y=y, squares=squares), "yaw_rate", 0.001), key=lambda c: c.interval[0])
+    worst = max(find_cells(replace(base, x=x, y=y, squares=squares), "yaw_rate", 0.001), key=lambda c: c.interval[0])
     assert math.hypot(worst.x - 60.0, worst.y) < 1.5 * CELL_SIZE and worst.ratio > 2.0 and worst.p < 1e-3
 
 

@@ -30,8 +30,15 @@ from st_core.relations.candidates import (
 )
 from st_core.relations.formulas import fitted_shapes, simulated_formulas
 from st_core.relations.relation_fit import SMOOTHING, RelationFits, RunWindows
-from st_core.relations.relation_search import _reported
-from st_core.relations.selection import RunShares, deterioration, equally_good, lower_bound, rejected_curve, small_gain
+from st_core.relations.relation_search import _find_imitated_fault
+from st_core.relations.selection import (
+    RunShares,
+    describe_deterioration,
+    describe_small_gain,
+    describe_unusable_curve,
+    find_equally_good,
+    lower_bound,
+)
 from st_core.vehicle import VehicleParameters
 from support import ROOT
 
@@ -191,9 +198,9 @@ def test_a_curve_that_one_run_alone_shows_is_read():
 
 def test_rivals_are_told_apart_by_all_their_blocks_and_harm_by_one_run():
     draw = np.random.default_rng(4).normal(size=(3, 20))
-    near = equally_good(np.stack([draw[0] + 3.0, draw[1] + 0.1, 5.0 * draw[2]]), 0.05, 0)
+    near = find_equally_good(np.stack([draw[0] + 3.0, draw[1] + 0.1, 5.0 * draw[2]]), 0.05, 0)
     assert near.tolist() == [False, True, True]
-    assert equally_good(np.zeros((0, 20)), 0.05, 0).size == 0
+    assert find_equally_good(np.zeros((0, 20)), 0.05, 0).size == 0
     assert lower_bound(np.full(9, 2.0), 0.05) == pytest.approx(18.0) and lower_bound(draw[0], 0.05) < 0.0
 
 
@@ -202,11 +209,11 @@ def test_a_law_that_makes_one_run_surely_worse_is_no_proposal(laws):
     before = np.full(len(laws.windows), 0.5)
     noise = 0.01 * np.random.default_rng(5).normal(size=len(before))
     second = laws.windows.run == 1
-    assert deterioration(laws, "law", before, before - 0.1 + noise, Limits()) == ""
+    assert describe_deterioration(laws, "law", before, before - 0.1 + noise, Limits()) == ""
     slightly = before + np.where(second, 0.01, -0.2) + 0.1 * noise  # by 1 cm
-    assert deterioration(laws, "law", before, slightly, Limits()) == ""
+    assert describe_deterioration(laws, "law", before, slightly, Limits()) == ""
     mixed = before + np.where(second, 0.05, -0.2) + noise
-    said = [deterioration(laws, "law", before, after, Limits()) for after in (mixed, before + 0.1)]
+    said = [describe_deterioration(laws, "law", before, after, Limits()) for after in (mixed, before + 0.1)]
     assert f"raises the held-out position error of {laws.windows.names[1]}" in said[0]
     assert "raises the held-out position error after 5 s from 0.500 to 0.6" in said[1]
 
@@ -221,7 +228,7 @@ def test_a_law_with_which_the_path_is_perhaps_no_better_is_no_proposal(laws):
     moment, gyroscope = (Candidate(place, "yaw_rate", -1.0, -0.5, 0.5) for place in ("yaw_moment", "sensor_yaw_rate"))
 
     def said(law: Candidate, closer: np.ndarray) -> str:
-        return small_gain(laws, law, falls, closer[laws.block], Limits())
+        return describe_small_gain(laws, law, falls, closer[laws.block], Limits())
 
     assert said(moment, 0.05 * share) == ""
     assert all("the gain in the predicted path is not" in said(moment, closer)
@@ -315,9 +322,9 @@ def curved(laws, candidate, heights):
 def test_a_curve_at_its_bound_is_no_proposal(laws):
     laws, car = laws
     c = Candidate("side_force", "speed", 0.0, 3.0, 20.0)
-    assert rejected_curve(laws, curved(laws, c, np.full(SPLINES, 1.0)), car) == ""
+    assert describe_unusable_curve(laws, curved(laws, c, np.full(SPLINES, 1.0)), car) == ""
     at_bound = curved(laws, c, np.eye(SPLINES)[2] * 100.0)
-    assert "side_force over speed reaches its bound" in rejected_curve(laws, at_bound, car)
+    assert "side_force over speed reaches its bound" in describe_unusable_curve(laws, at_bound, car)
 
 
 @pytest.mark.slow
@@ -327,7 +334,7 @@ def test_a_law_that_makes_the_car_unstable_is_no_proposal(laws, sign, words):
     c = Candidate("yaw_moment", "yaw_rate", -1.0, -0.15, 0.15)
     at = np.linspace(-0.15, 0.15, 50)
     heights = np.linalg.lstsq(c.splines(at).T, sign * 25.0 * at, rcond=1e-6)[0]
-    said = rejected_curve(laws, curved(laws, c, heights), car)
+    said = describe_unusable_curve(laws, curved(laws, c, heights), car)
     assert words in said and bool(words) == said.startswith("with yaw_moment over yaw_rate the simulated car")
 
 
@@ -376,7 +383,7 @@ def test_a_kinematic_answer_without_tyre_slip_is_refused_in_one_sentence(leaf):
 
 def test_a_relation_that_imitates_a_reported_sensor_is_recognised():
     late = [("steering_lag", "road_wheel_angle"), ("yaw_rate_lag", "yaw_rate")]
-    assert _reported(Candidate("front_steer", "steering_rate", -1.0, -1.0, 1.0), late) == "steering_lag"
-    assert _reported(Candidate("sensor_yaw_rate", "speed", 0.0, 2.0, 9.0), late) == "yaw_rate_lag"
-    assert _reported(Candidate("yaw_moment", "speed", 0.0, 2.0, 9.0), late) == ""
-    assert _reported(Candidate("front_steer", "acceleration_y", -1.0, -1.0, 1.0), late) == ""
+    assert _find_imitated_fault(Candidate("front_steer", "steering_rate", -1.0, -1.0, 1.0), late) == "steering_lag"
+    assert _find_imitated_fault(Candidate("sensor_yaw_rate", "speed", 0.0, 2.0, 9.0), late) == "yaw_rate_lag"
+    assert _find_imitated_fault(Candidate("yaw_moment", "speed", 0.0, 2.0, 9.0), late) == ""
+    assert _find_imitated_fault(Candidate("front_steer", "acceleration_y", -1.0, -1.0, 1.0), late) == ""

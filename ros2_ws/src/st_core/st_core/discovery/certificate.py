@@ -1,8 +1,8 @@
 """Power and false-alarm rate of the tests on these drives: predicted from the curvature of the loss, or measured.
 
-Measured: simulated drives have the residuals of the final fit, with random signs of whole blocks, plus the change of
-the errors by a known effect. The effect counts as found if one forward step of the search, from the quadratic, selects
-it; the search is not repeated.
+For the measurement, each simulated drive has the residuals of the final fit, with the signs of whole blocks drawn at
+random, plus the change that a known effect causes. The effect counts as found if one forward step of the search selects
+it on the quadratic approximation of the loss; the whole search is not repeated.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ SIZES = (0.25, 0.5, 1.0)  # sizes of an effect that are tested, in parameter sca
 DRAWS = 20  # simulated drives for each size; the standard deviation of a power is at most 0.11
 
 
-def predicted(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> Certificate:
+def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> Certificate:
     """Power from the curvature at the final fit: twice the gain divided by the design effect is noncentral chi-square.
     """
     q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
@@ -39,8 +39,8 @@ def predicted(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> Cer
 
 
 def confounded_with(problem: Problem, fit: Fit, effect: str, scores: Scores, limits: Limits) -> str:
-    """The effect of the fit that masks `effect`: with its values known, `effect` would be found at a size of one
-    parameter scale; "" if there is none."""
+    """Name of the effect of the fit that masks `effect`: if its values were known, `effect` would be detected at a size
+    of one parameter scale; "" if there is none."""
     q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
     names = [n for n in fit.names if not problem.space.overlaps(effect, (n,))]
     indices, best, found = problem.space.indices(effect), "", limits.detection_power
@@ -62,22 +62,22 @@ def _power(problem: Problem, fit: Fit, index: int, share: float, information: fl
     rows = problem.errors.at(fit.vector)
     before, after = problem.position_error(rows), problem.position_error(rows + share * sensitivities)
     reduction = float(np.nanmean(after - before)) if np.isfinite(before).any() else 0.0
-    required = _required(problem, rows, reduction, limits)
+    required = _required_gain(problem, rows, reduction, limits)
     threshold = max(threshold, 2.0 * required * problem.residual_count / scores.design_effect)
     return float(stats.ncx2.sf(threshold, 1, max(2.0 * share**2 * information / scores.design_effect, 1e-9)))
 
 
-def _required(problem: Problem, rows: np.ndarray, reduction: float, limits: Limits) -> float:
-    """Smallest gain per residual with which an effect is named. rows: residuals of the final fit. reduction: of the
-    mean position error [m]."""
+def _required_gain(problem: Problem, rows: np.ndarray, reduction: float, limits: Limits) -> float:
+    """Smallest gain per residual at which an effect is named. rows: residuals of the final fit. reduction: reduction of
+    the mean position error by the effect [m]."""
     required = limits.negligible if reduction > limits.relevant_position else limits.relevant
     unexplained = residual_over_noise(problem, rows) > limits.max_noise_ratio
     return max(required, limits.unexplained_share) if unexplained else required
 
 
-def measured(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> Certificate:
-    """Power and false alarms of a forward step on simulated drives: DRAWS for each size of each effect, FLIPS / 4
-    without an effect."""
+def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> Certificate:
+    """Power and false alarms of a forward step on simulated drives: DRAWS drives for each size of each effect, and
+    FLIPS / 4 drives without an effect."""
     rng = np.random.default_rng(seed)
     rows = np.nan_to_num(problem.errors.at(fit.vector))
     sensitivities = problem.all_sensitivities(fit.vector).values
@@ -92,21 +92,21 @@ def measured(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callab
             moved = problem.space.inside(moved)
             change = rows - np.nan_to_num(problem.errors.at(moved))
             reduction = float(np.nanmean(problem.position_error(rows + change) - problem.position_error(rows)))
-            required = _required(problem, rows, reduction, limits)
-            found = sum(effect in _found(problem, fit, rows, change, sensitivities, required, limits, rng)
+            required = _required_gain(problem, rows, reduction, limits)
+            found = sum(effect in _detect_effects(problem, fit, rows, change, sensitivities, required, limits, rng)
                         for _ in range(DRAWS))
             powers.append(Power(effect, free.parameter, free.unit, share * free.scale, found / DRAWS, DRAWS))
         tick()
     draws = FLIPS // 4
-    alarms = sum(bool(_found(problem, fit, rows, 0.0 * rows, sensitivities, limits.relevant, limits, rng))
+    alarms = sum(bool(_detect_effects(problem, fit, rows, 0.0 * rows, sensitivities, limits.relevant, limits, rng))
                  for _ in range(draws))
     return Certificate(tuple(powers), alarms, draws, True)
 
 
-def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, sensitivities: np.ndarray, required: float,
-           limits: Limits, rng: np.random.Generator) -> list[str]:
-    """Effects that would be named on one simulated drive: the best one and those not separable from it; none if that is
-    not significant. change: (n, m) of the residuals by the simulated effect. required: gain per residual."""
+def _detect_effects(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, sensitivities: np.ndarray,
+                    required: float, limits: Limits, rng: np.random.Generator) -> list[str]:
+    """Effects that would be named on one simulated drive: the best one and those inseparable from it; none if it is not
+    significant. change: (n, m) change of the residuals by the simulated effect. required: minimum gain per residual."""
     signs = rng.choice([-1.0, 1.0], problem.blocks)
     simulated = signs[problem.block][:, None] * rows + change
     q = problem.loss.quadratic(simulated, sensitivities).summed(problem.block, problem.blocks)
@@ -129,6 +129,6 @@ def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, sen
 
 
 def _held_out(problem: Problem, q: Quadratic, names: Sequence[str], vector: np.ndarray) -> np.ndarray:
-    """(b,) held-out loss of a set of effects, from the quadratic."""
+    """(b,) held-out loss of a set of effects, from the quadratic approximation."""
     indices = problem.free_indices(names)
     return problem.leave_out(q.only(indices), names, vector, indices, problem.fold)[1]

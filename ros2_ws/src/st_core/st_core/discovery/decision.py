@@ -18,10 +18,10 @@ from .settings import Limits
 @dataclass(frozen=True)
 class Checks:
     """Checks of an effect that need intervals and axle curves. null_outside: whether an interval excludes the null.
-    crossing: parameter whose interval crosses a bound, "" for none. peak_force_share [1]: ratio of the largest axle
-    force in the drives to the peak force, for an effect on the peak. worse_axle: axle that the effect acts on, if its
-    measured forces fit worse with the final model than with the vehicle file; "" for none. summed: other effects of the
-    model of which only the sum with this one is identifiable. objection: why the car with this effect would be
+    crossing: parameter whose interval crosses a bound, "" for none. peak_force_share [1]: largest axle force in the
+    drives divided by the peak force, for an effect on the peak. worse_axle: axle that the effect acts on and whose
+    measured forces agree less with the final model than with the vehicle file; "" for none. summed: other effects of
+    the model; only their sum with this one is identifiable. objection: why the car with this effect would be
     implausible, see `handling.objections`; "" for none."""
 
     null_outside: bool = True
@@ -35,9 +35,9 @@ class Checks:
 @dataclass(frozen=True)
 class Rival:
     """An effect that could replace the effect `replaces` in the model. share [1]: ratio of its gain to that of the
-    replaced effect. p_no_worse [1]: p-value of the hypothesis that it is no worse. deficit [1]: difference of the gains
-    per residual. evidence, values: of the rival in the set without the replaced effect. shared: True if it explains a
-    part of the replaced effect and both are in the model."""
+    replaced effect. p_no_worse [1]: p-value of the hypothesis that it is no worse. deficit [1]: gain of the replaced
+    effect minus gain of the rival, per residual. evidence, values: of the rival in the set without the replaced effect.
+    shared: whether both are in the model and the rival explains a part of the replaced effect."""
 
     name: str
     replaces: str
@@ -67,14 +67,14 @@ class SearchResult:
 
 def judge(e: Evidence, limits: Limits) -> Reason:
     """The verdict on one effect in a set; the same test for adding, keeping and exchanging it."""
-    if not confirmed(e, limits):
-        refused = _insignificance(e, limits)
+    if not is_confirmed(e, limits):
+        refused = _reject_insignificant(e, limits)
         if refused:
             return refused
     elif not is_relevant(e, limits):
-        return Reason(IRRELEVANT, e.name, _relevance(e, limits), "redundant sensors confirm it, but it "
-                      f"reduces no channel's baseline error by more than {most_affected(e, limits)[1]:.1%}, and the "
-                      f"position error after 5 s by {100 * position_of(e):.1f} cm")
+        return Reason(IRRELEVANT, e.name, _relevance_figures(e, limits), "redundant sensors confirm it, but it "
+                      f"reduces the baseline error of every channel by at most {most_affected(e, limits)[1]:.1%}, and "
+                      f"the position error after 5 s by {100 * position_reduction(e):.1f} cm")
     if e.sensors_p_value is not None and e.sensors_p_value < limits.undecided_p:
         return Reason(SENSORS, e.name, {"sensors_p_value": e.sensors_p_value, "undecided_p": limits.undecided_p},
                       f"its value contradicts the redundant sensors (p = {e.sensors_p_value:.2g})")
@@ -83,13 +83,13 @@ def judge(e: Evidence, limits: Limits) -> Reason:
         return Reason(FILE, e.name, {"value": known.value, "file": known.file,
                                      "standard_deviation": known.standard_deviation, "z_score": known.z_score,
                                      "max_file_deviation": limits.max_file_deviation},
-                      f"the best fit has {known.key} {_with_unit(known, known.value)}, the vehicle file "
-                      f"{known.file:g} ± {_with_unit(known, known.standard_deviation)}: check it; if it is "
+                      f"the best fit has {known.key} {_format_with_unit(known, known.value)}, the vehicle file "
+                      f"{known.file:g} ± {_format_with_unit(known, known.standard_deviation)}: check it; if it is "
                       "correct, another cause has the same effect")
     if e.bound_distance < limits.at_bound:
         return Reason(BOUND, e.name, {"bound_distance": e.bound_distance, "at_bound": limits.at_bound},
                       "its value is at a bound, so the best fit is beyond the physical range")
-    return _varying(e, limits) or Reason(
+    return _reject_varying(e, limits) or Reason(
         ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value, "position": e.position},
         f"it reduces the errors by {e.share:.1%} and the position error after 5 s by {100 * e.position:.1f} cm (p = "
         f"{e.p_value:.2g}), and does not vary significantly between parts of the drives")
@@ -98,13 +98,13 @@ def judge(e: Evidence, limits: Limits) -> Reason:
 def correction_verdict(e: Evidence, limits: Limits) -> Reason:
     """The verdict on one effect as an effective correction: it must improve predictions in all parts of the drives, but
     need not be a property of the car."""
-    return _insignificance(e, limits) or _varying(e, limits) or Reason(
+    return _reject_insignificant(e, limits) or _reject_varying(e, limits) or Reason(
         ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value}, f"it reduces the size of the errors by {e.share:.1%}")
 
 
-def _varying(e: Evidence, limits: Limits) -> Reason | None:
-    """The reason to reject an effect that varies between parts of the drives; None if it may be the same everywhere."""
-    partition = varies_over(e, limits)
+def _reject_varying(e: Evidence, limits: Limits) -> Reason | None:
+    """Reason to reject an effect that varies between parts of the drives; None if it may be the same everywhere."""
+    partition = varying_partition(e, limits)
     if not partition:
         return None
     a = e.agreement[partition]
@@ -114,18 +114,18 @@ def _varying(e: Evidence, limits: Limits) -> Reason | None:
                   f"probability {a.p_absent:.2g} it is absent or of opposite sign in a new part")
 
 
-def _with_unit(known: AgainstFile, number: float) -> str:
+def _format_with_unit(known: AgainstFile, number: float) -> str:
     """A value of the quantity, with its unit."""
     unit = "" if known.unit == "1" else f" {known.unit}"
-    return f"{_digits(number)}{unit}"
+    return f"{_format_number(number)}{unit}"
 
 
-def _digits(number: float) -> str:
+def _format_number(number: float) -> str:
     return f"{float(f'{number:.3g}'):.0f}" if abs(number) >= 100.0 else f"{number:.3g}"
 
 
-def _insignificance(e: Evidence, limits: Limits) -> Reason | None:
-    """The reason to reject an effect that is not significant or too small; None otherwise."""
+def _reject_insignificant(e: Evidence, limits: Limits) -> Reason | None:
+    """Reason to reject an effect that is not significant or too small; None otherwise."""
     if e.gain < limits.negligible:
         return Reason(NEGLIGIBLE, e.name, {"gain": e.gain, "negligible": limits.negligible},
                       f"it reduces the size of the errors by {e.share:.1%}, below the limit of "
@@ -140,62 +140,62 @@ def _insignificance(e: Evidence, limits: Limits) -> Reason | None:
     if e.null_p_value > limits.undecided_p:
         return Reason(NULL, e.name, {"null_p_value": e.null_p_value, "undecided_p": limits.undecided_p},
                       f"its values do not differ significantly from their null: p = {e.null_p_value:.2g}")
-    if e.gain < limits.relevant and position_of(e) < limits.relevant_position:
-        return Reason(IRRELEVANT, e.name, {"gain": e.gain, "position": position_of(e), "relevant": limits.relevant,
-                                           "relevant_position": limits.relevant_position},
+    if e.gain < limits.relevant and position_reduction(e) < limits.relevant_position:
+        return Reason(IRRELEVANT, e.name, {"gain": e.gain, "position": position_reduction(e),
+                                           "relevant": limits.relevant, "relevant_position": limits.relevant_position},
                       f"it is significant, but reduces the errors by {e.share:.1%} and the position error after 5 s by "
-                      f"{100 * position_of(e):.1f} cm; {limits.relevant:.1%} or "
-                      f"{100 * limits.relevant_position:.0f} cm are required")
+                      f"{100 * position_reduction(e):.1f} cm; {limits.relevant:.1%} or "
+                      f"{100 * limits.relevant_position:.0f} cm is required")
     return None
 
 
-def confirmed(e: Evidence, limits: Limits) -> bool:
+def is_confirmed(e: Evidence, limits: Limits) -> bool:
     """Whether redundant sensor measurements exclude the null and agree with the value."""
     return (e.sensors_p_value is not None and e.sensors_p_value >= limits.undecided_p
             and e.sensors_null_p_value is not None and e.sensors_null_p_value < limits.false_alarm)
 
 
-def position_of(e: Evidence) -> float:
+def position_reduction(e: Evidence) -> float:
     """Reduction of the position error, overall or in one driving condition [m]."""
     return max(e.position, e.position_somewhere)
 
 
 def is_relevant(e: Evidence, limits: Limits) -> bool:
-    """Whether an effect is large enough to be named: by the error reduction in the channel that it affects most or in
-    position, or, if redundant sensors confirm it, by its value."""
-    return (most_affected(e, limits)[1] >= limits.relevant or position_of(e) >= limits.relevant_position
-            or (confirmed(e, limits) and e.size >= limits.min_relative_size))
+    """Whether an effect is large enough to be named: by its error reduction in the most affected channel or in position
+    or, if redundant sensors confirm it, by its value."""
+    return (most_affected(e, limits)[1] >= limits.relevant or position_reduction(e) >= limits.relevant_position
+            or (is_confirmed(e, limits) and e.size >= limits.min_relative_size))
 
 
 def most_affected(e: Evidence, limits: Limits) -> tuple[str, float]:
-    """(channel with the largest relative error reduction among those with an error above the noise, that reduction
-    divided by the baseline error [1]); ("", 0) for none."""
+    """(name, reduction [1]) of the channel with the largest error reduction relative to its baseline error, among those
+    with an error above the noise; ("", 0) for none."""
     share, column = max(((share, column) for column, (share, noise_ratio) in e.shares.items()
                          if noise_ratio > limits.max_noise_ratio), default=(0.0, ""))
     return CHANNEL_OF_COLUMN[column].name if column else "", share
 
 
-def _relevance(e: Evidence, limits: Limits) -> dict[str, float]:
-    return {"share": most_affected(e, limits)[1], "position": position_of(e), "relevant": limits.relevant,
+def _relevance_figures(e: Evidence, limits: Limits) -> dict[str, float]:
+    return {"share": most_affected(e, limits)[1], "position": position_reduction(e), "relevant": limits.relevant,
             "relevant_position": limits.relevant_position}
 
 
 def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) -> Reason:
-    """Whether an accepted effect is named, or only kept so that it does not bias other values."""
-    by_sensors, checks = confirmed(e, limits), checks or Checks()
+    """Whether an accepted effect is named, or only stays in the model to avoid a bias of other values."""
+    by_sensors, checks = is_confirmed(e, limits), checks or Checks()
     if checks.worse_axle:
-        return Reason(FORCES, e.name, {"gain": e.gain}, f"with it the measured forces of the {checks.worse_axle} axle "
-                      "fit worse than with the vehicle file: it improves predictions, but is not named")
+        return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {checks.worse_axle} axle agree "
+                      "with it less than with the vehicle file: it improves predictions, but is not named")
     if checks.objection:
         return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is not plausible: {checks.objection}; "
                       "it improves predictions, but is not named")
     if checks.summed:
         others = " and ".join(checks.summed).replace("_", " ")
-        return Reason(MINOR, e.name, {"gain": e.gain}, f"the drives show only the sum of it and {others}: kept in "
-                      "the model, not named")
+        return Reason(MINOR, e.name, {"gain": e.gain}, f"the drives show only the sum of it and {others}: it stays "
+                      "in the model, but is not named")
     if checks.crossing:
         return Reason(MINOR, e.name, {"gain": e.gain}, f"the interval of its {checks.crossing.replace('_', ' ')} "
-                      "extends beyond the physical range: kept in the model, not named")
+                      "extends beyond the physical range: it stays in the model, but is not named")
     if checks.peak_force_share < limits.min_peak_force:
         return Reason(MINOR, e.name, {"peak_force_share": checks.peak_force_share,
                                       "min_peak_force": limits.min_peak_force},
@@ -203,51 +203,51 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
                       "there, without a peak")
     if e.position < -limits.relevant_position and not by_sensors:
         return Reason(MINOR, e.name, {"position": e.position, "relevant_position": limits.relevant_position},
-                      f"without it the held-out position error is {-100 * e.position:.1f} cm smaller: kept in "
-                      "the model, not named")
+                      f"without it the held-out position error is {-100 * e.position:.1f} cm smaller: it stays in "
+                      "the model, but is not named")
     if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.unexplained_share and not by_sensors:
         return Reason(MINOR, e.name, {"gain": e.gain, "noise_ratio": e.noise_ratio,
                                       "max_noise_ratio": limits.max_noise_ratio,
                                       "unexplained_share": limits.unexplained_share},
-                      f"it is significant, but reduces the errors by {e.share:.1%} only, to {e.noise_ratio:.1f} times "
-                      f"the noise, where {limits.unexplained_share:.0%} are required: it may imitate an unmodelled "
-                      "effect; kept in the model, not named")
+                      f"it is significant, but reduces the errors by only {e.share:.1%}, to {e.noise_ratio:.1f} times "
+                      f"the noise; {limits.unexplained_share:.0%} is required, as it may imitate an unmodelled effect: "
+                      "it stays in the model, but is not named")
     if not checks.null_outside and not by_sensors:
         return Reason(MINOR, e.name, {"gain": e.gain}, "it reduces the errors, but other sets of effects that fit "
-                      "nearly as well do not need it: kept in the model, not named")
+                      "nearly as well do not need it: it stays in the model, but is not named")
     if is_relevant(e, limits):
-        return Reason(NAMED, e.name, _relevance(e, limits), _effect_size(e, limits))
-    return Reason(MINOR, e.name, _relevance(e, limits), f"significant, but {_effect_size(e, limits)}; "
-                  f"{limits.relevant:.1%} or {100 * limits.relevant_position:.0f} cm are required: kept in the "
-                  "model, not named")
+        return Reason(NAMED, e.name, _relevance_figures(e, limits), _describe_effect_size(e, limits))
+    return Reason(MINOR, e.name, _relevance_figures(e, limits),
+                  f"it is significant, but {_describe_effect_size(e, limits)}; {limits.relevant:.1%} or "
+                  f"{100 * limits.relevant_position:.0f} cm is required: it stays in the model, but is not named")
 
 
-def _effect_size(e: Evidence, limits: Limits) -> str:
+def _describe_effect_size(e: Evidence, limits: Limits) -> str:
     """The largest reductions, as a clause."""
     channel, share = most_affected(e, limits)
     channel_part = f"the baseline {CHANNELS[channel].label} error by {share:.1%} and " if channel else ""
     where = " in one driving condition" if e.position_somewhere > e.position else ""
-    return f"it reduces {channel_part}the position error after 5 s by {100 * position_of(e):.1f} cm{where}"
+    return f"it reduces {channel_part}the position error after 5 s by {100 * position_reduction(e):.1f} cm{where}"
 
 
 PARTITION_NAMES = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",
                    "condition": "the kinds of driving"}
 
 
-def varies_over(e: Evidence, limits: Limits) -> str:
-    """The partition, such as run or place, between whose parts an effect varies significantly, so that it may be absent
-    in a new part; "" for none."""
+def varying_partition(e: Evidence, limits: Limits) -> str:
+    """Partition (run, place, ...) in which an effect varies significantly and may be absent in a new part; "" for none.
+    If there are several, the one with the largest probability of absence."""
     found = [partition for partition, a in e.agreement.items()
              if a.p_equal < limits.false_alarm and a.p_absent > limits.undecided_p]
     return max(found, key=lambda partition: e.agreement[partition].p_absent, default="")
 
 
 def varies_relevantly(e: Evidence, limits: Limits) -> bool:
-    """Whether an effect with a different value in each part of the driving is reported."""
+    """Whether an effect with separate values in the parts of the driving is reported."""
     return e.p_value < limits.false_alarm and e.gain > max(limits.relevant, e.healthy_gain) and is_relevant(e, limits)
 
 
-def alternative(rival: Rival, limits: Limits) -> Reason:
+def judge_alternative(rival: Rival, limits: Limits) -> Reason:
     """Whether another effect is an alternative to an effect of the final model."""
     verdict = judge(rival.evidence, limits)
     figures = {"share": rival.share, "p_no_worse": rival.p_no_worse, "deficit": rival.deficit,
@@ -259,7 +259,7 @@ def alternative(rival: Rival, limits: Limits) -> Reason:
     if rival.share < limits.min_rival_gain or (rival.p_no_worse < limits.undecided_p and not unexplained):
         return Reason("explains less", rival.name, figures, f"{gain}; {no_worse}")
     if rival.shared:
-        gain = f"together with {rival.replaces.replace('_', ' ')} it gains no more than that alone"
+        gain = f"together with {rival.replaces.replace('_', ' ')} it gains no more than that effect alone"
     elif verdict.rule not in (ACCEPTED, IRRELEVANT):
         return verdict
     return Reason("alternative", rival.name, figures, f"{gain}; {no_worse}")
@@ -270,7 +270,7 @@ def decide(a: SearchResult, limits: Limits) -> tuple[Outcome, Reason]:
     def because(outcome: Outcome, text: str, **figures: float) -> tuple[Outcome, Reason]:
         return outcome, Reason(outcome, "outcome", figures, text)
 
-    equal = {name: [r for r in others if alternative(r, limits).rule == "alternative"]
+    equal = {name: [r for r in others if judge_alternative(r, limits).rule == "alternative"]
             for name, others in a.rivals.items()}
     if len(a.named) > 1:
         return because("several", f"{len(a.named)} effects are significant, relevant and do not vary significantly",

@@ -1,4 +1,4 @@
-"""Discovery of missing effects: from recorded drives to named effects, their values and the residual."""
+"""Discovery of effects that a model lacks, from recorded drives: named effects, their values and the residual."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -46,17 +46,14 @@ from .result import (
 from .search import Found, Search
 from .settings import DiscoverySettings
 from .space import Space, known_quantities
-from .varying import Varying, evidence_of, varying
+from .varying import Varying, evidence_of, find_varying_effects
 from .where import largest_errors
 from .windows import MARGIN_NS, Windows, noise_floor
 
 Progress = Callable[[str, int, int], None]
 Sensors = Mapping[str, tuple[float, float, float]]
-ALREADY_GIVEN = {
-    "drag": "the measured forward acceleration is an input and contains it already",
-    "rolling_resistance": "the measured forward acceleration is an input and contains it already",
-    "grade": "the measured forward acceleration is an input and contains it already; pitch is not measured",
-}
+IN_INPUT = "the measured forward acceleration is an input and contains it already"
+NOT_TESTABLE = {"drag": IN_INPUT, "rolling_resistance": IN_INPUT, "grade": f"{IN_INPUT}; pitch is not measured"}
 
 
 def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
@@ -66,10 +63,10 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
     """Find the effects that the base model lacks to explain the runs.
 
     runs: suspect drives. vehicle: values of the vehicle file, where the search starts. reference: drives of the healthy
-    car; the search then starts from the fit to them, and finds changes since then. sensor_estimates: (value, low, high)
-    from redundant sensors, by the name of the estimate in `st_core.checks`. parallel: number of threads. clocks:
-    standard deviation of the steering clock [s] by run; time stamps of runs without one are taken as exact.
-    progress(stage, done, total): called during the work.
+    car; with them the search starts from the values fitted to them and finds changes since then. sensor_estimates:
+    (value, low, high) from redundant sensors, by the name of the estimate in `st_core.checks`. parallel: number of
+    threads. clocks: standard deviation of the steering clock [s] by run; the time stamps of other runs are taken as
+    exact. progress(stage, done, total): called during the work.
 
     Raises StCoreError if the runs contain no usable prediction, ConfigurationError for settings that are not valid for
     the base. Checked by: test_discovery*.py, bench/discovery.
@@ -96,8 +93,8 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
 
 
 class _JudgedEffects(NamedTuple):
-    """The effects of the final fit by verdict: named; minor, kept in the model but not named; contradicted, by the axle
-    forces or because the car would be implausible. leave_one_out: see `Discovery`."""
+    """The effects of the final fit by verdict. minor: in the model, but not named. contradicted: by the measured axle
+    forces, or because the car would be implausible. leave_one_out: see `Discovery`."""
 
     named: tuple[FoundEffect, ...]
     minor: tuple[FoundEffect, ...]
@@ -118,92 +115,92 @@ class _Analysis:
         self._progress, self._count = progress, 0
         self.warnings: list[str] = []
         self.clock_errors: dict[str, float] = {}
-        self.runs, self.reference = self._usable(runs, "run"), self._usable(reference, "reference")
+        self.runs, self.reference = self._select_usable(runs, "run"), self._select_usable(reference, "reference")
         if not self.runs:
             raise StCoreError("no run is long enough: a run needs "
                               f"{settings.horizon + 2.0:g} s of driving above walking speed with INS and steering")
-        self.settings = settings = self._channels(settings)
+        self.settings = settings = self._select_channels(settings)
         self.space = Space(base, settings)
         self.threads = parallel
-        self.runs, self.reference = self._on_one_clock(self.runs, clocks), self._on_one_clock(self.reference, clocks)
+        self.runs, self.reference = (self._correct_clocks(logs, clocks) for logs in (self.runs, self.reference))
         self.windows = Windows(self.runs, vehicle, settings)
         if len(self.windows) < 3:
             raise StCoreError(f"only {len(self.windows)} predictions of {settings.horizon:g} s fit into the runs: "
                               "drive longer, above walking speed, without gaps")
-        self.sensors = self._known_by_sensors(sensor_estimates)
+        self.sensors = self._match_sensor_estimates(sensor_estimates)
 
     def result(self) -> Discovery:
         settings, space = self.settings, self.space
-        problem, by_column = self._problem()
+        problem, by_column = self._make_problem()
         self.problem = problem
         self._warn_of_low_excitation()
         parts = partitions(self.windows)
-        search = Search(problem, self.limits, parts, self.sensors, settings.seed, self._tick("searching"))
+        search = Search(problem, self.limits, parts, self.sensors, settings.seed, self._ticker("searching"))
         found = search.run()
-        without_priors, fit = self._corrected(found, parts)
-        self._tick("explaining")()
+        without_priors, fit = self._add_corrections(found, parts)
+        self._ticker("explaining")()
         horizon_errors = waterfall.HorizonErrors(without_priors, settings.seed)
-        varied = self._varying_effects(found, parts)
-        floor = self._floor(by_column)
-        judged = self._judged(search, found, parts, floor)
+        varied = self._find_varying(found, parts)
+        floor = self._channel_noise(by_column)
+        judged = self._judge_effects(search, found, parts, floor)
         steps, base = waterfall.steps(problem, found.fit, found.order, horizon_errors, parts)
         errors, named_errors = (waterfall.channel_errors(horizon_errors, base, f, floor) for f in (fit, found.fit))
         fit_of_varying = next((fit for _, fit in varied), None)
         budget = waterfall.budget(problem, base, found.fit, fit, fit_of_varying, horizon_errors)
-        power = (certificate.measured(problem, found.fit, self.limits, settings.seed, self._tick("certifying"))
-                 if settings.certify else certificate.predicted(problem, found.fit, found.scores, self.limits))
+        power = (certificate.measure_power(problem, found.fit, self.limits, settings.seed, self._ticker("certifying"))
+                 if settings.certify else certificate.predict_power(problem, found.fit, found.scores, self.limits))
         effects, design_effect = judged.named, found.scores.design_effect
-        drives = self._catalogue(found, effects)
-        untestable = self._untestable(found, power, judged, drives)
+        drives = self._simulate_catalogue(found, effects)
+        untestable = self._find_untestable(found, power, judged, drives)
         residual = _noise_ratio(named_errors, floor)
         unattributed = known_together(judged.combinations, effects)
-        outcome, why = self._outcome(found, effects, untestable, residual, len(varied), unattributed)
-        statements = self._where(base, floor) if settings.where else ()
+        outcome, why = self._decide_outcome(found, effects, untestable, residual, len(varied), unattributed)
+        statements = self._locate_errors(base, floor) if settings.where else ()
         return Discovery(
             outcome=outcome, effects=effects, minor=judged.minor,
-            effective=(*judged.contradicted, *self._effective_corrections(without_priors, fit, found)),
+            effective=(*judged.contradicted, *self._list_corrections(without_priors, fit, found)),
             varying=tuple(v for v, _ in varied), steps=tuple(steps), errors=errors, named_errors=named_errors,
-            budget=tuple(budget), reasons=(why, *self._reasons(found, judged.verdicts)),
-            candidates=self._candidates(found, judged.verdicts), where=statements, not_testable=untestable,
+            budget=tuple(budget), reasons=(why, *self._collect_reasons(found, judged.verdicts)),
+            candidates=self._list_candidates(found, judged.verdicts), where=statements, not_testable=untestable,
             next_manoeuvre=next_manoeuvre(problem, found.fit, effects, drives, design_effect) if drives else None,
             separability=separability(problem, found.fit, effects, design_effect), certificate=power,
-            signature=self._residual_signature(residual, statements), runs=self._run_table(),
+            signature=self._describe_residual(residual, statements), runs=self._list_runs(),
             start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
-            model=space.at(fit.vector) if fit.names else None, named=self._named_model(found, judged),
+            model=space.at(fit.vector) if fit.names else None, named=self._make_named_model(found, judged),
             warnings=tuple(self.warnings), leave_one_out=judged.leave_one_out, axle_curves=judged.curves,
-            assumed=self._assumed(), combinations=judged.combinations, clock_errors=self.clock_errors,
+            assumed=self._list_assumed(), combinations=judged.combinations, clock_errors=self.clock_errors,
             # The residual of the best model counts as noise in all later comparisons, whatever its cause.
             noise={c: error.augmented for c, error in errors.items()}, acceleration_gain=float(fit.vector[-1]))
 
-    def _judged(self, search: Search, found: Found, parts: Mapping[str, Partition],
-                floor: Mapping[str, float]) -> _JudgedEffects:
-        """The effects of the search by verdict, with force curves and combinations of the axles."""
+    def _judge_effects(self, search: Search, found: Found, parts: Mapping[str, Partition],
+                       floor: Mapping[str, float]) -> _JudgedEffects:
+        """Judge the effects found by the search; add the force curves and the parameter combinations of the axles."""
         problem = self.problem
-        # All other parameters of the library are free too, so that intervals include their possible contribution.
+        # All other parameters of the library are free as well: intervals include their possible contribution.
         joint_fit = joint(problem, found.fit) if problem.prior is None else None
         position = problem.position_error(problem.held_out_rows(found.fit))
         unexplained = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
                        if np.isfinite(position).any() else 1.0)
-        effects = [replace(self._effect(name, found, parts, joint_fit, unexplained),
+        effects = [replace(self._make_effect(name, found, parts, joint_fit, unexplained),
                            joint=search.cancelling(found.fit, name)) for name in found.order]
         leave_one_out = waterfall.leave_one_out(problem, found.fit)
-        axles, curves, combinations = self._axles(found, joint_fit, unexplained)
-        verdicts = self._verdicts(found, effects, axles, leave_one_out)
+        axles, curves, combinations = self._analyse_axles(found, joint_fit, unexplained)
+        verdicts = self._name_effects(found, effects, axles, leave_one_out)
         named, minor, contradicted = (tuple(e for e in effects if verdicts[e.name].rule in rules) for rules in (
             (decision.NAMED,), (decision.MINOR,), (decision.FORCES, decision.IMPLAUSIBLE)))
         return _JudgedEffects(named, minor, contradicted, verdicts, leave_one_out, curves, combinations)
 
-    def _named_model(self, found: Found, judged: _JudgedEffects) -> AugmentedModel | None:
+    def _make_named_model(self, found: Found, judged: _JudgedEffects) -> AugmentedModel | None:
         """The final model without the contradicted effects; None if no effect was found."""
         if not found.fit.names:
             return None
         return self.space.at(self.problem.vector_without(found.fit, *(e.name for e in judged.contradicted)))
 
-    def _outcome(self, found: Found, effects: Sequence[FoundEffect], untestable: Sequence[NotTestable], residual: float,
-                 varying_effects: int, unattributed: Sequence[Combination]) -> tuple[Outcome, Reason]:
-        """residual [1]: ratio of the position error to the noise. varying_effects: number of effects that vary
-        between parts of the drives. unattributed: combinations that differ from the vehicle file without a named
-        effect."""
+    def _decide_outcome(self, found: Found, effects: Sequence[FoundEffect], untestable: Sequence[NotTestable],
+                        residual: float, varying_effects: int, unattributed: Sequence[Combination],
+                        ) -> tuple[Outcome, Reason]:
+        """residual [1]: position error divided by the noise. varying_effects: number that vary. unattributed:
+        combinations that differ from the vehicle file although no named effect changes them."""
         hypotheses = self.space.hypotheses
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         refused = [evidence for evidence, *_ in found.refused.values()]
@@ -212,31 +209,32 @@ class _Analysis:
                                        [c.name for c in unattributed])
         return decision.decide(result, self.limits)
 
-    def _corrected(self, found: Found, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:
-        """(problem, fit) of the effects found plus effective corrections, without the priors of the vehicle file. The
-        fit is returned unchanged if the gain is too small, or with a reference, since it then has no such priors."""
+    def _add_corrections(self, found: Found, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:
+        """(problem, fit) of the effects found plus effective corrections, without the priors of the vehicle file. Both
+        are returned unchanged if the gain is too small, or with reference drives, which replace these priors."""
         problem, scale = self.problem, self.problem.loss.scale
         if problem.prior is not None:
             return problem, found.fit
         free = problem.without_file()
-        search = Search(free, self.limits, parts, self.sensors, self.settings.seed, self._tick("correcting"),
+        search = Search(free, self.limits, parts, self.sensors, self.settings.seed, self._ticker("correcting"),
                         decision.correction_verdict)
         fit = search.corrections(found.fit)
         problem.loss.scale = scale
         fit = free.fit_at(fit.names, fit.vector, fit.indices, fit.sensitivities)
         gain = free.held_out_gain(found.fit, fit)
-        # Both sums are over the same windows, hence comparable; 0 if position is not a channel.
+        # Both sums are over the same windows; they are 0 if position is not a channel.
         named, best = (np.nansum(p.position_error(p.held_out_rows(f))) for p, f in ((problem, found.fit), (free, fit)))
         return (problem, found.fit) if gain < self.limits.relevant or best > named else (free, fit)
 
     # Inputs
 
-    def _problem(self) -> tuple[Problem, dict[str, float]]:
-        """The problem to search, starting from the fit to the reference if there is one, and the noise by column."""
+    def _make_problem(self) -> tuple[Problem, dict[str, float]]:
+        """The problem, which starts from the fit to the reference if there is one, and the noise by column."""
         settings, space = self.settings, self.space
         start, prior, gain_between_drives, by_column = space.null, None, 0.0, noise_floor(self.windows)
         if self.reference:
-            healthy = healthy_car(self.reference, self.vehicle, space, settings, self.threads, self._tick("reference"))
+            tick = self._ticker("reference")
+            healthy = healthy_car(self.reference, self.vehicle, space, settings, self.threads, tick)
             start, prior, gain_between_drives = healthy.vector, healthy.prior, healthy.gain
             # The residual of the healthy car counts as noise: it is not a change since the reference drives.
             by_column = {c: max(by_column[c], float(v))
@@ -247,21 +245,21 @@ class _Analysis:
                        np.array([by_column[c] for c in self.windows.columns]), gain_between_drives,
                        known_quantities(space, self.vehicle) if prior is None else None), by_column
 
-    def _usable(self, runs: Sequence[DriveLog], role: str) -> list[DriveLog]:
+    def _select_usable(self, runs: Sequence[DriveLog], role: str) -> list[DriveLog]:
         """The runs that are long enough; warns about the others."""
         needed = self.settings.horizon + 2.0 * MARGIN_NS * 1e-9 + 0.5
         short = [run.name for run in runs if run.overlap < needed]
         if short:
-            self.warnings.append(f"{role} {', '.join(short)}: shorter than {needed:.1f} s, not used")
+            self.warnings.append(f"{role} {', '.join(short)}: not used, because shorter than {needed:.1f} s")
         return [run for run in runs if run.overlap >= needed]
 
-    def _on_one_clock(self, runs: list[DriveLog], deviations: Mapping[str, float]) -> list[DriveLog]:
-        """The runs with corrected steering stamps; warns about runs with separate clocks."""
+    def _correct_clocks(self, runs: list[DriveLog], deviations: Mapping[str, float]) -> list[DriveLog]:
+        """The runs with corrected steering stamps; warns if the steering clock of a run is uncertain."""
         uncertain = [s for run in runs if (s := deviations.get(run.name, 0.0)) > MAX_CLOCK_DEVIATION]
         if not uncertain:
             return runs
         corrections = clock_corrections(runs, self.vehicle, self.space, self.settings, deviations, self.threads,
-                                        self._tick("clocks"))
+                                        self._ticker("clocks"))
         self.clock_errors |= corrections
         warning = (f"the steering clock has an uncertainty of ± {1e3 * max(uncertain):.0f} ms, in {len(uncertain)} of "
                    f"{len(runs)} runs")
@@ -274,7 +272,7 @@ class _Analysis:
                              "frames on CAN, or give the offset)")
         return apply_clock_corrections(runs, corrections)
 
-    def _channels(self, settings: DiscoverySettings) -> DiscoverySettings:
+    def _select_channels(self, settings: DiscoverySettings) -> DiscoverySettings:
         """The settings, with only the channels that are measured in all runs; warns about the others."""
         logs = [*self.runs, *self.reference]
         left_out = [c for c in settings.channels if not all(CHANNELS[c].is_measured_in(log) for log in logs)]
@@ -283,54 +281,54 @@ class _Analysis:
                                  f"{'it' if len(left_out) == 1 else 'them'} are not searched")
         return replace(settings, channels=tuple(c for c in settings.channels if c not in left_out))
 
-    def _known_by_sensors(self, sensor_estimates: Sensors) -> Sensors:
+    def _match_sensor_estimates(self, sensor_estimates: Sensors) -> Sensors:
         """Estimates from redundant sensors, keyed by "effect.parameter"."""
         return {f"{effect}.{p.name}": sensor_estimates[p.identity] for effect in self.space.hypotheses
                 for p in get_effect(effect).parameters if p.identity and p.identity in sensor_estimates}
 
     def _warn_of_low_excitation(self) -> None:
         if len(self.runs) < 3:
-            self.warnings.append(f"{'two runs' if len(self.runs) == 2 else 'one run'} only: instead of runs, stretches "
-                                 "of them are compared with each other")
+            self.warnings.append(f"{'two runs' if len(self.runs) == 2 else 'one run'} only: stretches of them are "
+                                 "compared with each other instead of whole runs")
         if not sites(self.windows).any():
             self.warnings.append("all driving is at one site: effects of the site, such as banked roads and wind, "
                                  "cannot be separated from properties of the car")
         if self.problem.blocks < 10:
             count = f"{self.problem.blocks} block{'' if self.problem.blocks == 1 else 's'}"
             self.warnings.append(f"only {count} of {self.settings.block:g} s: tests have little power")
-        rate = self.windows.joined.yaw_rate * self.windows.joined.velocity_x
-        turning = np.abs(rate) > 0.5
-        if turning.mean() < 0.05:
+        lateral_acceleration = self.windows.joined.yaw_rate * self.windows.joined.velocity_x
+        left, right = lateral_acceleration > 0.5, lateral_acceleration < -0.5
+        if (left | right).mean() < 0.05:
             self.warnings.append("nearly all driving is straight: tyres, steering ratio and mass are not identifiable")
-        elif min((rate > 0.5).sum(), (rate < -0.5).sum()) < 0.05 * turning.sum():
+        elif min(left.sum(), right.sum()) < 0.05 * (left | right).sum():
             self.warnings.append("turns to one side only: offsets of sensors and steering resemble changes of the car")
 
     # Results
 
-    def _effect(self, name: str, found: Found, parts: Mapping[str, Partition], joint_fit: Joint | None,
-                unexplained: float) -> FoundEffect:
+    def _make_effect(self, name: str, found: Found, parts: Mapping[str, Partition], joint_fit: Joint | None,
+                     unexplained: float) -> FoundEffect:
         evidence = found.evidence[name]
         others = sorted(filter(self._is_alternative, found.rivals.get(name, ())), key=lambda r: -r.share)
         values = waterfall.parameters(self.problem, found.fit, name, parts, found.near, joint_fit, unexplained)
         known = {} if self.reference else self.sensors
         parameters = {n: with_sensor_interval(p, known.get(f"{name}.{n}")) for n, p in values.items()}
         return FoundEffect(name, get_effect(name).kind, parameters, tuple(r.name for r in others), evidence.position,
-                           _values(evidence), (), *decision.most_affected(evidence, self.limits))
+                           _local_estimates(evidence), (), *decision.most_affected(evidence, self.limits))
 
     def _is_alternative(self, rival: Rival) -> bool:
-        return decision.alternative(rival, self.limits).rule == "alternative"
+        return decision.judge_alternative(rival, self.limits).rule == "alternative"
 
-    def _assumed(self) -> tuple[Assumed, ...]:
+    def _list_assumed(self) -> tuple[Assumed, ...]:
         """The quantities of the vehicle file that are used as priors."""
         known = {q.key: Assumed(q.key, q.unit, q.value, q.deviation, q.stated)
                  for q in self.problem.quantities if q is not None}
         return tuple(known.values())
 
-    def _axles(self, found: Found, joint_fit: Joint | None,
-               unexplained: float) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[Combination, ...]]:
+    def _analyse_axles(self, found: Found, joint_fit: Joint | None,
+                       unexplained: float) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[Combination, ...]]:
         """(axle forces of the final model, force curves, combinations); None and empty for a base without tyres,
-        driving without slip, or values so uncertain that they exceed the limits of a vehicle file. With a reference no
-        combinations: they compare with the vehicle file, not with the healthy car."""
+        driving without slip, or values so uncertain that they exceed the limits of a vehicle file. With a reference
+        there are no combinations, because these are compared with the vehicle file, not with the healthy car."""
         base = self.space.at(self.problem.start)
         try:
             axles = Axles(self.problem, found.fit, joint_fit, self.runs, self.vehicle, unexplained,
@@ -339,10 +337,10 @@ class _Analysis:
         except StCoreError:
             return None, (), ()
 
-    def _verdicts(self, found: Found, effects: Sequence[FoundEffect], axles: Axles | None,
-                  leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Reason]:
-        """The verdict on each effect of the final fit. With a reference, intervals do not decide, as they include the
-        uncertainty of the healthy car."""
+    def _name_effects(self, found: Found, effects: Sequence[FoundEffect], axles: Axles | None,
+                      leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Reason]:
+        """The verdict on each effect of the final fit. With a reference, verdicts do not use intervals, which
+        would include the uncertainty of the healthy car."""
         worse_axle: dict[str, str] = {}
         objection: dict[str, str] = {}
         reached_force_ratio, names = 1.0, [e.name for e in effects]
@@ -354,20 +352,21 @@ class _Analysis:
                 alone = self.space.at(self.problem.start).with_values({name: self.space.values(name, found.fit.vector)})
                 objection[name] = next(iter(objections(alone.effective_vehicle(self.vehicle), self.vehicle)), "")
         return {e.name: decision.naming_verdict(found.evidence[e.name], self.limits, decision.Checks(
-            bool(self.reference) or null_excluded(e), "" if self.reference else parameter_across_bound(e),
+            bool(self.reference) or excludes_null(e), "" if self.reference else find_parameter_across_bound(e),
             reached_force_ratio if get_effect(e.name).at_peak_force else 1.0, worse_axle.get(e.name, ""),
-            _summed(e.name, names) if axles is not None else (), objection.get(e.name, ""))) for e in effects}
+            _find_summed_delays(e.name, names) if axles is not None else (),
+            objection.get(e.name, ""))) for e in effects}
 
-    def _effective_corrections(self, problem: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
+    def _list_corrections(self, problem: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
         """The effective corrections: effects of `fit` that are not in `found.fit`."""
         horizon_errors = waterfall.HorizonErrors(problem, self.settings.seed)
         return tuple(FoundEffect(n, get_effect(n).kind, waterfall.parameters(problem, fit, n, {}), (),
                                  horizon_errors.position_without(fit, n), {})
                      for n in fit.names if n not in found.fit.names)
 
-    def _varying_effects(self, found: Found, parts: Mapping[str, Partition]) -> list[tuple[VaryingEffect, Fit | None]]:
-        """At most one significant effect that varies between parts of the drives, and its fit: one that the search
-        rejected because it varies, else the one that varies most."""
+    def _find_varying(self, found: Found, parts: Mapping[str, Partition]) -> list[tuple[VaryingEffect, Fit | None]]:
+        """Find at most one significant effect that varies between parts of the drives, and its fit: one that the search
+        rejected because it varies, otherwise the one that varies most."""
         collected: list[tuple[VaryingEffect, Fit | None]] = []
         # An effect of the final fit, or an alternative to one, is not also reported as varying.
         rivals = [r for others in found.rivals.values() for r in others]
@@ -375,11 +374,11 @@ class _Analysis:
         for name, (evidence, verdict, fit) in found.refused.items():
             if (verdict.rule == decision.VARIES and not self.space.overlaps(name, reported)
                     and decision.is_relevant(evidence, self.limits) and not collected):
-                partition = decision.varies_over(evidence, self.limits)
+                partition = decision.varying_partition(evidence, self.limits)
                 collected.append((VaryingEffect(name, partition, waterfall.parameters(self.problem, fit, name, {}),
-                                                _values(evidence)[partition], evidence.position), fit))
+                                                _local_estimates(evidence)[partition], evidence.position), fit))
         if not collected:
-            for v in varying(self.problem, found.fit, parts):
+            for v in find_varying_effects(self.problem, found.fit, parts):
                 evidence = evidence_of(self.problem, found.fit, v, parts)
                 if decision.varies_relevantly(evidence, self.limits) and not self.space.overlaps(v.name, reported):
                     collected.append((self._as_varying_effect(v, evidence.position), None))
@@ -391,7 +390,7 @@ class _Analysis:
         return collected
 
     def _as_varying_effect(self, v: Varying, position: float) -> VaryingEffect:
-        """position [m]: reduction of the error."""
+        """v in the form of the result. position [m]: reduction of the mean position error after 5 s."""
         free = next(f for f in self.space.free if (f.effect, f.parameter) == (v.name, v.parameter))
         value, spread = max(v.values.values(), key=lambda each: abs(each[0] - free.null))
         change = value - free.null or free.scale
@@ -400,15 +399,15 @@ class _Analysis:
         found = FittedParameter(value, free.unit, (value - 1.96 * spread, value + 1.96 * spread), free.null)
         return VaryingEffect(v.name, v.varies_with, {v.parameter: found}, ratios, position)
 
-    def _reasons(self, found: Found, named: Mapping[str, Reason]) -> list[Reason]:
+    def _collect_reasons(self, found: Found, named: Mapping[str, Reason]) -> list[Reason]:
         rivals = (r for others in found.rivals.values() for r in others)
-        return [*named.values(), *(decision.alternative(r, self.limits) for r in rivals),
+        return [*named.values(), *(decision.judge_alternative(r, self.limits) for r in rivals),
                 *(verdict for _, verdict, _ in found.refused.values())]
 
-    def _candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[CandidateEffect, ...]:
+    def _list_candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[CandidateEffect, ...]:
         """Every effect of the library with its gain and verdict, largest gain first."""
         problem, space, rows = self.problem, self.space, []
-        # An effect that was tried in place of several others is listed with the one where it explains most.
+        # An effect that was tried in place of several others is listed with the one that it replaces best.
         rivals = {r.name: r for r in sorted((r for others in found.rivals.values() for r in others),
                                             key=lambda r: (self._is_alternative(r), r.share))}
         for name in space.hypotheses:
@@ -420,7 +419,8 @@ class _Analysis:
                 gain, values = evidence.gain, space.values(name, fit.vector)
             elif name in rivals:
                 rival = rivals[name]
-                verdict, gain, values = decision.alternative(rival, self.limits), rival.evidence.gain, rival.values
+                verdict = decision.judge_alternative(rival, self.limits)
+                gain, values = rival.evidence.gain, rival.values
             elif name in found.scores.by_effect:
                 gains, vector = found.scores.gains[name]
                 values = space.values(name, vector)
@@ -437,16 +437,16 @@ class _Analysis:
                                         verdict.text))
         return tuple(sorted(rows, key=lambda c: -c.gain))
 
-    def _catalogue(self, found: Found, effects: Sequence[FoundEffect]) -> Catalogue | None:
+    def _simulate_catalogue(self, found: Found, effects: Sequence[FoundEffect]) -> Catalogue | None:
         """The simulated manoeuvres; None if they are not needed."""
         if not self.settings.where and not any(e.alternatives for e in effects):
             return None
-        self._tick("next drive")()
+        self._ticker("next drive")()
         return catalogue(self.problem, found.fit)
 
-    def _untestable(self, found: Found, power: Certificate, judged: _JudgedEffects,
-                    manoeuvres: Catalogue | None) -> tuple[NotTestable, ...]:
-        """Effects that are not detectable in these drives, each with the reason and a manoeuvre that shows it."""
+    def _find_untestable(self, found: Found, power: Certificate, judged: _JudgedEffects,
+                         manoeuvres: Catalogue | None) -> tuple[NotTestable, ...]:
+        """Effects that are not detectable in these drives, with the reason and a manoeuvre that would show each."""
         listed = {*(name for e in judged.named for name in (e.name, *e.alternatives)), *(e.name for e in judged.minor)}
         collected = []
         problem, scores = self.problem, found.scores
@@ -465,11 +465,11 @@ class _Analysis:
         for name in self.space.without_signal:
             signals = ", ".join(get_effect(name).signals)
             collected.append(NotTestable(name, f"it needs the signal {signals}, which is not recorded"))
-        return (*collected, *(NotTestable(name, reason) for name, reason in ALREADY_GIVEN.items()))
+        return (*collected, *(NotTestable(name, reason) for name, reason in NOT_TESTABLE.items()))
 
     @staticmethod
-    def _floor(by_column: Mapping[str, float]) -> dict[str, float]:
-        """Noise of each channel at the end of the horizon, and mean position error from noise alone."""
+    def _channel_noise(by_column: Mapping[str, float]) -> dict[str, float]:
+        """Noise of each channel at the end of the horizon, and mean position error due to noise alone."""
         result: dict[str, float] = {}
         for column, value in by_column.items():
             channel = CHANNEL_OF_COLUMN[column].name if column in CHANNEL_OF_COLUMN else column
@@ -479,27 +479,27 @@ class _Analysis:
             result["position_5s"] = max(result.get("position_5s", 0.0), noise)
         return result
 
-    def _residual_signature(self, residual: float, statements: Sequence[ErrorCondition]) -> tuple[str, ...]:
+    def _describe_residual(self, residual: float, statements: Sequence[ErrorCondition]) -> tuple[str, ...]:
         """Description of the residual; empty if it is near the noise."""
         if residual <= self.limits.max_noise_ratio:
             return ()
         return (f"errors are up to {residual:.1f} times the noise",
                 *(f"{w.channel}: {w.condition}" for w in statements[:5]))
 
-    def _where(self, fit: Fit, floor: Mapping[str, float]) -> tuple[ErrorCondition, ...]:
-        self._tick("where")()
+    def _locate_errors(self, fit: Fit, floor: Mapping[str, float]) -> tuple[ErrorCondition, ...]:
+        self._ticker("where")()
         noise = {channel: value for channel, value in floor.items() if channel != "position_5s"}
         return largest_errors(self.runs, self.space.at(fit.vector), self.vehicle, self.settings, self.reference, noise,
                               float(fit.vector[-1]))
 
-    def _run_table(self) -> tuple[Run, ...]:
+    def _list_runs(self) -> tuple[Run, ...]:
         site = sites(self.windows)
         windows = [np.flatnonzero(self.windows.run == k) for k in range(len(self.runs))]
         return (*(Run(log.name, "suspect", log.overlap, int(site[rows[0]]) if len(rows) else 0, len(rows))
                   for log, rows in zip(self.runs, windows, strict=True)),
                 *(Run(log.name, "reference", log.overlap, 0, 0) for log in self.reference))
 
-    def _tick(self, stage: str) -> Callable[[], None]:
+    def _ticker(self, stage: str) -> Callable[[], None]:
         """A function that reports progress in a stage."""
         def tick() -> None:
             self._count += 1
@@ -508,7 +508,7 @@ class _Analysis:
         return tick
 
 
-def _values(evidence: Evidence) -> dict[str, tuple[LocalEstimate, ...]]:
+def _local_estimates(evidence: Evidence) -> dict[str, tuple[LocalEstimate, ...]]:
     return {partition: tuple(LocalEstimate(part, ratio, deviation) for part, (ratio, deviation) in a.ratios.items())
             for partition, a in evidence.agreement.items()}
 
@@ -520,15 +520,15 @@ def _noise_ratio(errors: Mapping[str, ChannelError], floor: Mapping[str, float])
     return errors["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
 
 
-def _summed(name: str, names: Sequence[str]) -> tuple[str, ...]:
+def _find_summed_delays(name: str, names: Sequence[str]) -> tuple[str, ...]:
     """The other effects whose delays add to that of `name`: only the total delay is identifiable."""
     parts = [n for n in names if TOTAL_DELAY in get_effect(n).combinations]
     return tuple(n for n in parts if n != name) if name in parts else ()
 
 
-def parameter_across_bound(effect: FoundEffect) -> str:
-    """Name of a parameter whose interval crosses a bound, "" without one. Bounds at the null, at the theoretical value
-    and on the shape of a curve do not count."""
+def find_parameter_across_bound(effect: FoundEffect) -> str:
+    """Name of a parameter with an interval that crosses a bound; "" without one. Bounds at the null, at the theoretical
+    value and on the shape of a curve do not count."""
     for p in get_effect(effect.name).parameters:
         fitted = effect.parameters.get(p.name)
         if fitted is not None and not p.shape and any(
@@ -537,14 +537,14 @@ def parameter_across_bound(effect: FoundEffect) -> str:
     return ""
 
 
-def null_excluded(effect: FoundEffect) -> bool:
+def excludes_null(effect: FoundEffect) -> bool:
     """Whether the interval of one of the values excludes the null."""
     return any(not p.interval[0] <= p.null <= p.interval[1] for p in effect.parameters.values())
 
 
 def with_sensor_interval(fitted: FittedParameter, known: tuple[float, float, float] | None) -> FittedParameter:
-    """The value with an interval of the width from redundant sensors, (value, low, high), if these agree with the value
-    and exclude the null although the fitted interval contains it."""
+    """The fitted value, with an interval as wide as that from redundant sensors (value, low, high) if the sensors agree
+    with the value and exclude the null, while the fitted interval contains the null."""
     _, low, high = known or (0.0, -np.inf, np.inf)
     contains_null = fitted.interval[0] <= fitted.null <= fitted.interval[1]
     if not contains_null or not low <= fitted.value <= high or low <= fitted.null <= high:

@@ -1,4 +1,4 @@
-"""Statistics of one effect in a set of effects; `decision` draws the conclusions."""
+"""Statistics of one effect in a set of effects, from which `decision` draws the conclusions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,23 +8,23 @@ from scipy import stats
 
 from ..effects import get_effect
 from ..regression import random_effects
-from .fit import Fit, Problem, Sensitivities, bounded
+from .fit import Fit, Problem, Sensitivities, minimise_bounded
 from .loss import Quadratic
 from .partitions import Partition
 from .space import Space
 
-FLIPS = 400  # random signs of all blocks; they resolve a p-value of 0.01
+FLIPS = 400  # draws of random signs of all blocks; they resolve a p-value of 0.01
 TWO_SIDED = float(stats.norm.ppf(0.975))
-MIN_CURVATURE = 0.3  # lower limit: curvature of the robust loss, which outliers reduce, to that of reweighted squares
-PART_PRIOR = 0.05  # curvature of the other parameters' prior in a part of the driving, relative to all driving
-UNSELECTED_DEVIATION = 0.5  # parameter scales, prior standard deviation of effects outside the set, for intervals
+MIN_CURVATURE = 0.3  # minimum ratio of the curvature of the robust loss to that of the reweighted squares
+PART_PRIOR = 0.05  # prior curvature of the other parameters in a part of the driving, relative to the overall one
+UNSELECTED_DEVIATION = 0.5  # parameter scales: prior standard deviation of effects outside the set, for intervals
 MIN_INFORMATION_SHARE = 0.02  # fraction of the information in all driving; a part with less is ignored
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of the parts of the driving (runs, sites, ...) on an effect. ratios: by part, (ratio of the value there
-    to the overall one, standard deviation). p_equal [1]: p-value of equal values in all parts. p_absent [1]:
+    """Agreement of the parts of the driving (runs, sites, ...) on an effect. ratios: by part, (local divided by overall
+    value, standard deviation). p_equal [1]: p-value of the hypothesis of equal values in all parts. p_absent [1]:
     probability that the effect is absent or of opposite sign in a new part."""
 
     ratios: Mapping[str, tuple[float, float]]
@@ -34,8 +34,8 @@ class Agreement:
 
 @dataclass(frozen=True)
 class AgainstFile:
-    """A quantity of the vehicle file as changed by an effect. value: with the effect; file, standard_deviation: of
-    the file [unit]. z_score [1]: distance of the two values in standard deviations."""
+    """A quantity of the vehicle file that an effect changes. value: with the effect; file, standard_deviation: in the
+    vehicle file [unit]. z_score [1]: distance of the two values in standard deviations."""
 
     key: str
     unit: str
@@ -50,15 +50,15 @@ class Evidence:
     """Statistics of one effect in a set.
 
     gain [1]: reduction of the held-out loss per residual, about the relative reduction of the RMS error; the smaller of
-    two values, with blocks and with whole runs held out. healthy_gain [1]: the largest such gain between drives of the
-    healthy car. p_value [1]: of the gain, corrected for the whole library; null_p_value [1]: of the null value. shares:
-    by column, (reduction of the error divided by the baseline error, ratio of the error without the effect to the
-    noise) [1]. position [m]: reduction of the mean held-out position error at the end of the horizon;
-    position_somewhere: the largest in one driving condition (lower 95 % bound). noise_ratio [1]: ratio of the error
-    with the effect to the noise, in the column where it is largest. bound_distance [1]: to the nearest bound, and size
-    [1]: distance from the null, both in parameter scales. sensors_p_value, sensors_null_p_value [1]: of the fitted
-    value and of the null, given redundant sensor measurements; None without any. against_file: the quantity of the
-    vehicle file that is furthest from the file's value; None without one. agreement: by partition.
+    two values, with blocks and with whole runs held out. healthy_gain [1]: the largest gain between drives of the
+    healthy car. p_value [1]: of the gain, corrected for the whole library. null_p_value [1]: of the null value. shares
+    [1]: by column, (error reduction divided by the baseline error, error without the effect divided by the noise).
+    position [m]: reduction of the mean held-out position error at the end of the horizon. position_somewhere [m]: the
+    same in the driving condition where it is largest (lower 95 % bound). noise_ratio [1]: error with the effect divided
+    by the noise, in the column where this is largest. bound_distance [1]: distance to the nearest bound; size [1]:
+    distance from the null, both in parameter scales. sensors_p_value, sensors_null_p_value [1]: of the fitted value and
+    of the null, given redundant sensor measurements; None without any. against_file: the quantity that the effect moves
+    furthest from the vehicle file; None without one. agreement: by partition.
     """
 
     name: str
@@ -92,9 +92,9 @@ def share_of(gain: float) -> float:
 class Scores:
     """Efficient scores of all effects of the library that are not in a fit.
 
-    by_effect: scores (b, k) of each. largest: (FLIPS,) largest statistic of the library under random block signs.
+    by_effect: (b, k) scores by effect. largest: (FLIPS,) largest statistic of the library under random block signs.
     design_effect [1]: factor by which dependent windows increase the variance of a score (median of the library).
-    gains: by effect, (b,) gain from the quadratic approximation, and the vector at its optimum.
+    gains: by effect, ((b,) gain from the quadratic approximation, vector at the optimum of the approximation).
     """
 
     by_effect: Mapping[str, np.ndarray]
@@ -145,8 +145,8 @@ def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
 
 def make_scores(q: Quadratic, by_effect: Mapping[str, np.ndarray], information: Mapping[str, np.ndarray],
                 gains: Mapping[str, tuple[np.ndarray, np.ndarray]], rng: np.random.Generator, draws: int) -> Scores:
-    """`Scores` from the scores and information of each effect. q: by block, in all parameters. draws: number of draws
-    of random signs."""
+    """Make `Scores` from the scores and information of each effect. q: by block, in all parameters. draws: number of
+    draws of random signs."""
     signs, largest, ratios = rng.choice([-1.0, 1.0], (draws, len(q.cost))), np.zeros(draws), []
     min_information = 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
     for effect, s in by_effect.items():
@@ -158,12 +158,12 @@ def make_scores(q: Quadratic, by_effect: Mapping[str, np.ndarray], information: 
 
 
 def library_p_value(best: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> float:
-    """p-value of the gain of the best effect of the library: the smaller one of two tests.
+    """p-value of the gain of the best effect of the library: the smaller of the p-values of two tests.
 
-    Sign flips: the score exceeds the largest of the library under random signs of the blocks, and the mean gain of the
-    blocks is positive. Likelihood ratio: twice the gain divided by the design effect, with Bonferroni's factor for the
-    library; needed for effects that act in a few blocks only. The design effect is estimated from the blocks, hence
-    Fisher's F instead of chi-square.
+    Sign flips: the score statistic is compared with the largest of the library under random signs of the blocks, and
+    the mean gain of the blocks is tested against zero; the larger p-value counts. Likelihood ratio: twice the gain
+    divided by the design effect, with Bonferroni's factor for the library; it detects effects that act in few blocks.
+    Its distribution is Fisher's F instead of chi-square, because the design effect is estimated from the blocks.
     """
     blocks, values = best.shape
     if blocks < 2:
@@ -185,7 +185,7 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
         block_scores = score_of(problem, without, effect, fit.sensitivities)
     rows, after = problem.held_out_rows(without), problem.held_out_rows(fit)
     reduction = problem.position_error(rows) - problem.position_error(after)
-    if problem.prior is not None:  # the parameters of the healthy car are known, so none compensates for the effect
+    if problem.prior is not None:  # the values of the healthy car are known, so none compensates the effect
         rows = problem.errors.at(problem.vector_without(fit, effect))
     overall, somewhere = error_reductions(reduction, partitions.get("condition"))
     return Evidence(effect, min(float(gain.sum()) / problem.residual_count, problem.held_out_gain(without, fit)),
@@ -198,25 +198,25 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
 
 
 def residual_over_noise(problem: Problem, rows: np.ndarray) -> float:
-    """Largest ratio of error to noise of all columns. 1 with a reference: an unexplained residual is present in the
-    healthy car as well, and no change of the car can imitate it."""
+    """Largest ratio of error to noise of all columns; 1 with a reference: the healthy car has the same unexplained
+    residual, which therefore imitates no change of the car."""
     if problem.prior is not None:
         return 1.0
-    return float((problem.sizes(rows) / np.maximum(problem.noise, 1e-12)).max())
+    return float((problem.column_rms(rows) / np.maximum(problem.noise, 1e-12)).max())
 
 
 def shares(problem: Problem, without: np.ndarray, rows: np.ndarray) -> dict[str, tuple[float, float]]:
-    """By column, (reduction of the error divided by the baseline error or, if larger, by the error without the effect;
-    ratio of the error without the effect to the noise)."""
-    before, after = problem.sizes(without), problem.sizes(rows)
+    """By column, (error reduction divided by the larger of the baseline error and the error without the effect, error
+    without the effect divided by the noise)."""
+    before, after = problem.column_rms(without), problem.column_rms(rows)
     return {column: (float(fall), float(over)) for column, fall, over in zip(
-        problem.errors.windows.columns, (before - after) / np.maximum(problem.baseline_sizes, before),
+        problem.errors.windows.columns, (before - after) / np.maximum(problem.baseline_rms, before),
         before / np.maximum(problem.noise, 1e-12), strict=True)}
 
 
 def score_of(problem: Problem, fit: Fit, effect: str, sensitivities: Sensitivities) -> np.ndarray:
-    """(b, k) efficient scores of an effect that is not in the fit. sensitivities: to the parameters of fit and effect,
-    at a nearby vector."""
+    """(b, k) efficient scores of an effect that is not in the fit. sensitivities: to the parameters of the fit and of
+    the effect, at a nearby vector."""
     indices = np.union1d(fit.indices, problem.space.indices(effect))
     rows = problem.errors.at(fit.vector)
     q = problem.loss.quadratic(rows, sensitivities.of(indices)).summed(problem.block, problem.blocks)
@@ -301,7 +301,7 @@ def _two_sided(distance: float, spread: float) -> float:
 
 
 def inverse(h: np.ndarray) -> np.ndarray:
-    """Pseudoinverse, regularised."""
+    """Regularised pseudoinverse."""
     return np.linalg.pinv(_regular(h))
 
 
@@ -318,8 +318,8 @@ def deviation(problem: Problem, fit: Fit, effect: str) -> np.ndarray:
 
 
 def covariance(problem: Problem, fit: Fit) -> np.ndarray:
-    """(a, a) sandwich covariance of the fitted parameters, in parameter scales: H^-1 S H^-1, S: scatter of the scores
-    of independent blocks, H: half the second derivative of the loss."""
+    """(a, a) sandwich covariance of the fitted parameters, in parameter scales: H^-1 S H^-1, with S the scatter matrix
+    of the scores by block, H half the second derivative of the loss."""
     q = fit.quadratic.summed(problem.block, problem.blocks)
     curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.sensitivities.of(fit.indices))
     h = inverse(_raised(curvature, q.hessian.sum(axis=0)) + problem.prior_curvature(fit.names, fit.indices))
@@ -346,8 +346,8 @@ class Joint:
 
 
 def joint(problem: Problem, fit: Fit) -> Joint:
-    """Covariance with the uncertainties of the vehicle file, and with every effect outside the set free as well, with
-    a prior standard deviation of UNSELECTED_DEVIATION.
+    """Covariance with the uncertainties of the vehicle file, and with all other effects free, with a prior standard
+    deviation of UNSELECTED_DEVIATION.
 
         covariance = (D / 2) (H + K)^-1,   K: curvature of the priors,   D: the design effect
 
@@ -365,7 +365,7 @@ def joint(problem: Problem, fit: Fit) -> Joint:
     h = q.hessian.sum(axis=0) + np.diag(prior)
     h = h + (1e-9 * np.trace(h) / len(h)) * np.eye(len(h))
     gradient = q.gradient.sum(axis=0) - prior * problem.distance(fit.vector)[indices]
-    shift = bounded(h, gradient, *problem.distance_to_bounds(fit.vector, indices))
+    shift = minimise_bounded(h, gradient, *problem.distance_to_bounds(fit.vector, indices))
     return Joint(indices, 0.5 * problem.design_effect * np.linalg.inv(h), shift)
 
 
@@ -380,23 +380,23 @@ def _raised(curvature: np.ndarray, reweighted: np.ndarray) -> np.ndarray:
 
 
 def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
-    """p-value of the hypothesis that the values of an effect equal the start (Hotelling's T^2 test with the sandwich
-    covariance)."""
+    """p-value of the start values of an effect, by Hotelling's T^2 test with the sandwich covariance."""
     indices = problem.space.indices(effect)
     columns = np.searchsorted(fit.indices, indices)
     variance = covariance(problem, fit)[np.ix_(columns, columns)]
     d = problem.distance(fit.vector)[indices]
-    freedom = problem.blocks - len(indices)
-    if freedom < 1:
+    degrees_of_freedom = problem.blocks - len(indices)
+    if degrees_of_freedom < 1:
         return 1.0
     square = float(d @ np.linalg.pinv(variance) @ d)
-    return float(stats.f.sf(square * freedom / (len(indices) * max(problem.blocks - 1, 1)), len(indices), freedom))
+    ratio = square * degrees_of_freedom / (len(indices) * max(problem.blocks - 1, 1))
+    return float(stats.f.sf(ratio, len(indices), degrees_of_freedom))
 
 
 def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: list[str]) -> Agreement:
-    """The value of an effect in each part of the driving, compared by a random-effects model.
+    """Compare the values of an effect in the parts of the driving by a random-effects model.
 
-    The ratio of a part is a = 1 + Newton step along the fitted values d with the loss of this part alone; the other
+    The ratio of a part is 1 plus the Newton step along the fitted values with the loss of this part alone; the other
     fitted parameters are free, with a weak prior (PART_PRIOR). Variances include the design effect.
     """
     columns = np.searchsorted(fit.indices, problem.space.indices(effect))
@@ -423,10 +423,10 @@ def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: 
         shares.append(1.0 + float((part_variance @ g[k])[0]))
         variances.append(design_effect / information)
         informative.append(names[k])
-    return pooled(np.array(shares), np.array(variances), informative)
+    return pool_ratios(np.array(shares), np.array(variances), informative)
 
 
-def pooled(shares: np.ndarray, variances: np.ndarray, names: list[str]) -> Agreement:
+def pool_ratios(shares: np.ndarray, variances: np.ndarray, names: list[str]) -> Agreement:
     """`Agreement` of independent ratios, by a random-effects model."""
     collected = {n: (float(s), float(np.sqrt(v))) for n, s, v in zip(names, shares, variances, strict=True)}
     if len(shares) < 2:

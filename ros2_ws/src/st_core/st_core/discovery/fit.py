@@ -22,7 +22,7 @@ MAX_QUADRATIC_RISE = 0.05  # per residual; at a larger predicted increase of the
 RIDGE = 1e-6  # fraction of the mean curvature added to the diagonal, for finite steps without information
 
 
-def bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def minimise_bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Minimiser x of x'Ax - 2 b'x subject to low <= x <= high (low <= 0 <= high), by an active-set method."""
     x = np.linalg.solve(a, b)
     if ((x >= low) & (x <= high)).all():
@@ -93,7 +93,7 @@ class Fit:
     held_out: np.ndarray
 
 
-def marginalised(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
+def marginalise(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
     """A prior curvature (p, p) with the parameters `free` marginalised (Schur complement); zero for these."""
     others = np.setdiff1d(np.arange(len(prior)), free)
     marginal = np.zeros_like(prior)
@@ -134,11 +134,11 @@ class Problem:
         self._deviation = np.minimum(prior_deviations(quantities, self.space.scale), addition_deviation)
 
     @cached_property
-    def baseline_sizes(self) -> np.ndarray:
-        """(c,) RMS of the baseline residuals, see `sizes`."""
-        return np.maximum(self.sizes(self.errors.at(self.start)), 1e-12)
+    def baseline_rms(self) -> np.ndarray:
+        """(c,) RMS of the baseline residuals, see `column_rms`."""
+        return np.maximum(self.column_rms(self.errors.at(self.start)), 1e-12)
 
-    def sizes(self, rows: np.ndarray) -> np.ndarray:
+    def column_rms(self, rows: np.ndarray) -> np.ndarray:
         """(c,) RMS of the residuals of each column at all points of the horizon [SI]; residuals are clipped at
         MAX_SCALED scales of the baseline residuals."""
         limit = MAX_SCALED * self._baseline_scale
@@ -186,7 +186,7 @@ class Problem:
         all parameters except those of the effects `names`."""
         if self.prior is None:
             return np.diag(self.file_curvature[indices])
-        return marginalised(self.prior, self.space.indices(*names))
+        return marginalise(self.prior, self.space.indices(*names))
 
     @property
     def file_curvature(self) -> np.ndarray:
@@ -239,7 +239,7 @@ class Problem:
         def best_step(h: np.ndarray, g: np.ndarray) -> np.ndarray:
             if not len(indices):
                 return np.zeros(0)
-            return bounded(add_ridge(h + prior), g - prior_gradient, *limits)
+            return minimise_bounded(add_ridge(h + prior), g - prior_gradient, *limits)
         return best_step
 
     def cost(self, names: Iterable[str], vector: np.ndarray, indices: np.ndarray) -> float:
@@ -325,13 +325,12 @@ class Problem:
         return replace(fit, held_out=self.held_out_loss(fit, self.fold))
 
     def leave_out(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, indices: np.ndarray,
-                  fold: np.ndarray, settled: bool = False) -> tuple[dict[int, np.ndarray], np.ndarray]:
+                  fold: np.ndarray, at_optimum: bool = False) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """({fold: step to the values fitted without it}, (b,) loss of each block at those values, with its share of the
         cost of the prior), from the quadratic approximation of the loss.
 
-        q: by block. fold: (b,). settled: treat `vector` as the optimum and ignore the remaining Gauss-Newton step; only
-        the change from leaving out a fold is applied. With a prior from reference drives, leaving out a fold changes
-        only the parameters of the effects `names`.
+        q: by block. fold: (b,). at_optimum: treat `vector` as the optimum, without the remaining Gauss-Newton step.
+        With a prior from reference drives, leaving out a fold changes only the parameters of the effects `names`.
         """
         names = tuple(names)
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
@@ -342,7 +341,7 @@ class Problem:
         columns = np.flatnonzero(np.isin(indices, self.space.indices(*names)))
         gradient = q.gradient - q.hessian @ optimum
         base = optimum
-        if settled:
+        if at_optimum:
             q, base = Quadratic(q.cost, gradient, q.hessian), np.zeros(len(indices))
         steps, held_out = {}, np.zeros(len(q.cost))
         for k in np.unique(fold):
@@ -352,9 +351,10 @@ class Problem:
                 d = best_step(fitted, g - (gradient + q.hessian @ optimum)[out].sum(axis=0)) - optimum
             else:
                 d = np.zeros(len(indices))
-                flat = RIDGE * np.trace(h) / len(h) * np.eye(len(columns))
-                d[columns] = bounded(fitted[np.ix_(columns, columns)] + flat, gradient[~out].sum(axis=0)[columns],
-                                 np.minimum(low, 0.0)[columns], np.maximum(high, 0.0)[columns])
+                ridge = RIDGE * np.trace(h) / len(h) * np.eye(len(columns))
+                d[columns] = minimise_bounded(
+                    fitted[np.ix_(columns, columns)] + ridge, gradient[~out].sum(axis=0)[columns],
+                    np.minimum(low, 0.0)[columns], np.maximum(high, 0.0)[columns])
             steps[int(k)] = d = base + d
             rise = np.einsum("i,bij,j->b", d, q.hessian[out], d) - 2.0 * q.gradient[out] @ d
             prior_cost = (distance + d) @ prior @ (distance + d) / len(q.cost)
@@ -374,7 +374,7 @@ class Problem:
     def leave_out_of(self, fit: Fit, groups: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """`leave_out`, linearised at a fit. groups: (b,) group of each block."""
         q = fit.quadratic.summed(self.block, self.blocks)
-        return self.leave_out(q, fit.names, fit.vector, fit.indices, groups, settled=True)
+        return self.leave_out(q, fit.names, fit.vector, fit.indices, groups, at_optimum=True)
 
     def held_out_loss(self, fit: Fit, groups: np.ndarray) -> np.ndarray:
         """(b,) loss of each block at values fitted without its group; simulated if the quadratic predicts a loss much

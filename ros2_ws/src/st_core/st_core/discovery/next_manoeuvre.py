@@ -62,7 +62,7 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
                     acceleration_y=readings.acceleration_y)
 
 
-def simulated(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Windows]]:
+def simulate_manoeuvres(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Windows]]:
     """Manoeuvres at speeds up to MAX_SPEED_RATIO times the driven one, with the windows of a simulated drive of each
     and the recorded channels. The base model without effects is accurate enough to compare excitation."""
     model = augment(base, {})
@@ -89,7 +89,7 @@ def simulated(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Window
 def catalogue(problem: Problem, fit: Fit) -> Catalogue:
     """Curvatures at the values of a fit, for REPETITIONS drives of each manoeuvre."""
     space, result = problem.space, {}
-    for manoeuvre, driven in simulated(problem.errors.windows, space.model.base):
+    for manoeuvre, driven in simulate_manoeuvres(problem.errors.windows, space.model.base):
         loss = Loss(Errors(driven, space, problem.errors.threads), fit.vector)
         loss.scale = problem.loss.scale
         rows = loss.errors.at(fit.vector)

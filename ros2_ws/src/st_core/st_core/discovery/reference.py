@@ -11,7 +11,7 @@ from ..effects import get_effect
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from .evidence import TWO_SIDED, inverse
-from .fit import Problem, marginalised
+from .fit import Problem, marginalise
 from .loss import Errors, Loss, Quadratic
 from .settings import DiscoverySettings
 from .space import Quantities, Space, known_quantities, prior_deviations
@@ -86,7 +86,7 @@ def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, spread: np.
         predictive = _predictive_prior(other, spread, prior)
         minimum = partial(_minimum, run.hessian[k], run.gradient[k], centre)
         number = max(int(windows.known[windows.run == k].sum()), 1)
-        largest = max(largest, *((minimum(predictive) - minimum(marginalised(predictive, space.indices(n)))) / number
+        largest = max(largest, *((minimum(predictive) - minimum(marginalise(predictive, space.indices(n)))) / number
                                  for n in space.hypotheses))
     return largest
 

@@ -25,7 +25,7 @@ MODELS = ("base", "model", "named")
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """Value, 95 % interval and null [unit]; the interval allows for dependent windows and the scatter between runs."""
+    """Value, 95 % interval and null [unit]. The interval allows for dependent windows and differences between runs."""
 
     value: float
     unit: str
@@ -35,7 +35,7 @@ class FittedParameter:
 
 @dataclass(frozen=True)
 class Change:
-    """A held-out error before and after, base and augmented [unit], and the 95 % interval of their difference."""
+    """A held-out error before (base) and after (augmented) a step [unit]. interval: 95 %, of base - augmented."""
 
     base: float
     augmented: float
@@ -45,9 +45,9 @@ class Change:
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the waterfall: an effect added. parameters: of this effect after the step. position_5s: change of the
-    mean position error after 5 s [m]; channels: change of the root mean square error at the end of the horizon; runs:
-    mean position error after 5 s [m] of each run, before and after. All on held-out folds."""
+    """One step of the waterfall, which adds an effect. parameters: values of this effect after the step. position_5s:
+    change of the mean position error after 5 s [m]. channels: change of the root mean square error at the end of the
+    horizon. runs: mean position error after 5 s of each run [m], before and after. All errors are held-out errors."""
 
     effect: str
     kind: str
@@ -59,8 +59,8 @@ class Step:
 
 @dataclass(frozen=True)
 class LocalEstimate:
-    """Local estimate of an effect in one run, site, time, place or condition. ratio [1]: of the local to the overall
-    estimate, can be negative or above 1; in a `VaryingEffect`, to the local estimate that differs most from null.
+    """Estimate of an effect in one run, site, time, place or condition. ratio [1]: this estimate divided by the overall
+    one, possibly negative or above 1; in a `VaryingEffect`, divided by the estimate that differs most from the null.
     deviation: standard deviation of the ratio."""
 
     where: str
@@ -71,10 +71,10 @@ class LocalEstimate:
 @dataclass(frozen=True)
 class FoundEffect:
     """One effect of the result. kind: one of EFFECT_KINDS. alternatives: names of effects that the data do not separate
-    from it, best first. position_5s_increase [m]: of the mean error after 5 s without it. agreement: by partition (run,
-    site, time, place, condition), its value in each part. joint: other effects of the result that it cancels; only the
-    combination of their values is identifiable. channel, share [1]: the channel with the largest error reduction, and
-    that reduction divided by the baseline error; "" if no error is above the noise."""
+    from it, best first. position_5s_increase [m]: increase of the mean position error after 5 s without it. agreement:
+    by partition (run, site, time, place, condition), its value in each part. joint: other effects of the result that
+    cancel it; only the combination of their values is identifiable. channel: the one with the largest relative error
+    reduction, "" if no error is above the noise. share [1]: this reduction divided by the baseline error."""
 
     name: str
     kind: str
@@ -89,8 +89,8 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Assumed:
-    """A quantity of the vehicle file used as a prior: value and standard deviation [unit]. stated: whether the file has
-    the deviation; otherwise it is the default of the quantity."""
+    """A quantity of the vehicle file used as a prior: value and standard deviation [unit]. stated: whether the file
+    states the standard deviation; otherwise it is the default of the quantity."""
 
     key: str
     unit: str
@@ -101,8 +101,8 @@ class Assumed:
 
 @dataclass(frozen=True)
 class Combination:
-    """A combination of vehicle parameters that determines predictions [unit]: value, 95 % interval, and value of the
-    vehicle file. effects: names that change it; a single one is known only as far as the file fixes the others."""
+    """A combination of vehicle parameters that determines predictions: value, 95 % interval and value of the vehicle
+    file [unit]. effects: names of the effects that change it; the drives alone do not separate them."""
 
     name: str
     unit: str
@@ -141,8 +141,8 @@ class ForceCurve:
 @dataclass(frozen=True)
 class VaryingEffect:
     """A significant effect that varies between parts of the drives. resembles: effect of the library that describes it
-    best. varies_with: run, site, time, place or condition. values: in each part. position_5s_reduction [m]: of the mean
-    position error after 5 s."""
+    best. varies_with: run, site, time, place or condition. values: estimate in each part. position_5s_reduction [m]:
+    reduction of the mean position error after 5 s."""
 
     resembles: str
     varies_with: str
@@ -153,8 +153,8 @@ class VaryingEffect:
 
 @dataclass(frozen=True)
 class Reason:
-    """A rule of `decision` as applied. subject: an effect, or "outcome". figures: the numbers that were compared, by
-    the name of their field in `Limits`, `Evidence` (and its parts), `Checks`, `Rival` or `SearchResult`."""
+    """A decision and its reason. rule: the rule of `decision` that applied. subject: an effect, or "outcome". figures:
+    the numbers compared, by field name in `Limits`, `Evidence` (and its parts), `Checks`, `Rival`, `SearchResult`."""
 
     rule: str
     subject: str
@@ -164,8 +164,8 @@ class Reason:
 
 @dataclass(frozen=True)
 class CandidateEffect:
-    """One effect of the library, in the final model or as an addition to it. gain: relative reduction of the RMS error.
-    verdict: named, alternative, or the rule that rejected it. why: a sentence with figures."""
+    """One effect of the library, in the final model or as an addition to it. gain [1]: relative reduction of the RMS
+    error. verdict: the rule of `decision` that applied. why: the reason in words, with figures."""
 
     name: str
     kind: str
@@ -192,8 +192,8 @@ class BudgetLine:
 
 @dataclass(frozen=True)
 class Power:
-    """Probability [1] of detecting an effect of a given size [unit] in these drives. simulated_drives: their number; 0:
-    predicted without simulation."""
+    """Probability [1] of detecting an effect of a given size [unit] in these drives. simulated_drives: number of drives
+    simulated for the estimate; 0 for a prediction without simulation."""
 
     effect: str
     parameter: str
@@ -205,9 +205,9 @@ class Power:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Power of these drives. powers: three sizes of each effect. alarms: number of simulated drives without any effect
-    in which one was named. measured: True if estimated by a step of the search on simulated drives (--certify); False
-    if predicted from the curvature of the loss; simulated_drives is then 0."""
+    """Power of these drives. powers: for three sizes of each effect. alarms: number of simulated drives without any
+    effect in which one was named. measured: whether the power is estimated by a step of the search on simulated drives
+    (--certify); otherwise it is predicted from the curvature of the loss, and simulated_drives is 0."""
 
     powers: tuple[Power, ...]
     alarms: int
@@ -217,8 +217,9 @@ class Certificate:
 
 @dataclass(frozen=True)
 class ErrorCondition:
-    """Condition, time or place in which the error exceeds the floor, that of the reference drives or of noise alone.
-    channel: one of CHANNELS. excess [1]: ratio of the root mean square error to that of the floor; interval: 95 %."""
+    """Condition, time or place in which the error exceeds the floor: the error in the reference drives, or that due to
+    noise alone. channel: one of CHANNELS. excess [1]: ratio of the root mean square error to the floor; interval: 95 %.
+    """
 
     channel: str
     condition: str
@@ -228,10 +229,10 @@ class ErrorCondition:
 
 @dataclass(frozen=True)
 class ChannelError:
-    """Error of a channel on held-out driving, before and after. base, augmented [unit]: root mean square at the end of
-    the horizon; of position_5s the mean. interval: 95 % of base - augmented. floor: error from noise alone [unit].
-    worst_run, worst: run with the largest error after, and that error. worse_runs: runs in which the error increased by
-    more than the floor."""
+    """Held-out error of a channel with the base model (base) and with effects (augmented) [unit]: root mean square at
+    the end of the horizon, but mean for position_5s. interval: 95 %, of base - augmented. floor: error due to noise
+    alone [unit]. worst_run, worst: run with the largest augmented error, and that error. worse_runs: runs in which the
+    effects increase the error by more than the floor."""
 
     base: float
     augmented: float
@@ -245,8 +246,8 @@ class ChannelError:
 
 @dataclass(frozen=True)
 class NotTestable:
-    """An effect that is not detectable in these drives. manoeuvre: one of the catalogue that would show it; "" for
-    none."""
+    """An effect that is not detectable in these drives. manoeuvre: a manoeuvre of the catalogue that would show it; ""
+    for none."""
 
     name: str
     reason: str
@@ -256,9 +257,9 @@ class NotTestable:
 @dataclass(frozen=True)
 class NextManoeuvre:
     """The manoeuvre that best separates an effect from its alternatives. name: in the catalogue, and of the scenario of
-    the virtual car. separates: the pair with the smallest separation. strength: separation of that pair [standard
-    deviations] by the runs plus `times` drives of the manoeuvre. options: strength of every manoeuvre. duration [s],
-    speed [m/s]: of one drive."""
+    the virtual car. separates: the pair of effects with the smallest separation. strength: separation of this pair
+    [standard deviations] expected after `times` further drives of the manoeuvre. options: strength by manoeuvre.
+    duration [s], speed [m/s]: of one drive."""
 
     name: str
     separates: tuple[str, str]
@@ -272,8 +273,8 @@ class NextManoeuvre:
 
 @dataclass(frozen=True)
 class Separability:
-    """Separability of two effects in these drives. cosine: between their changes of the errors, 1 = the same. strength:
-    size of the part of the first that the second does not explain [standard deviations]."""
+    """Separability of two effects in these drives. cosine [1]: cosine similarity of their changes of the errors.
+    strength: size of the part of the first that the second does not explain [standard deviations]."""
 
     first: str
     second: str
@@ -300,19 +301,19 @@ class Discovery:
     outcome: none = the residual is near the noise, or not significant; named = one effect; ambiguous = one effect with
     alternatives, or a combination (`known_together`); several = more than one effect; varying = significant, but
     specific to a run, place, time or condition; unknown = a significant residual that no effect of the library
-    explains; not_testable = too little excitation. start: of the search. minor: significant effects too small to be
-    named, in the model so that they do not bias the values of the others. varying: significant effects that vary
-    between parts of the drives. effective: corrections that improve predictions but are not properties of the car,
-    whatever their names; part of the model, never of a vehicle file.
+    explains; not_testable = too little excitation. start: of the search. minor: effects that are in the model, to avoid
+    a bias of the other values, but are not named. varying: significant effects that vary between parts of the drives.
+    effective: corrections that improve predictions without being properties of the car, despite their names; part of
+    the model, never of a vehicle file.
 
-    base: the model at the start; model: the best prediction, with all effects, None without any; named: with named and
-    minor effects only, at the reported values. steps: from the base to the named effects. errors: of base and best
-    model by channel, and position_5s; named_errors: without the effective corrections. reasons: every rule that
-    decided. leave_one_out: values of named and minor effects, by the run left out of the fit. acceleration_gain [1]:
-    relative excess of the measured lateral specific force over that of the motion, due to body roll. noise: error of
-    the best model at the end of the horizon, by channel [SI]. signature: description of the residual. clock_errors:
-    correction of the steering stamps by run [s], see `clocks.clock_corrections`; no entry for runs without a
-    correction.
+    base: the model at the start. model: the one with all effects, which predicts best; None if no effect was found.
+    named: the one with named and minor effects only, at the reported values. steps: from the base to the named effects.
+    errors: of base and best model, by channel and for position_5s. named_errors: the same without the effective
+    corrections. reasons: every rule that decided. leave_one_out: values of the effects by the run left out of the fit.
+    acceleration_gain [1]: relative excess of the measured lateral specific force over that of the motion, due to body
+    roll. noise: error of the best model at the end of the horizon, by channel [SI]. signature: description of the
+    residual. clock_errors: correction of the steering stamps by run [s], see `clocks.clock_corrections`; runs without a
+    correction are not listed.
     """
 
     outcome: Outcome
@@ -361,9 +362,8 @@ class Discovery:
 
 
 def known_together(combinations: Sequence[Combination], named: Sequence[FoundEffect]) -> tuple[Combination, ...]:
-    """Stiffness-to-mass ratios that differ significantly from the vehicle file while no named effect accounts for it;
-    if there are none, the first other combination of stiffness (understeer gradient, yaw gain) with this property; and
-    the total delay of the steering, if it differs."""
+    """Combinations that differ significantly from the vehicle file and that no named effect changes: all ratios of
+    stiffness to mass; if there are none, the first of understeer gradient and yaw gain; and the total delay."""
     names = {name for e in named for name in (e.name, *e.alternatives)}
     found = [c for c in combinations if c.differs and not names.intersection(c.effects)]
     delay = [c for c in found if c.is_time]
@@ -372,7 +372,7 @@ def known_together(combinations: Sequence[Combination], named: Sequence[FoundEff
 
 
 def plain_data(value: Any) -> Any:
-    """Dataclasses, mappings, tuples and NumPy numbers as dicts, lists and numbers."""
+    """Convert dataclasses, mappings, tuples and NumPy numbers to dicts, lists and numbers."""
     if is_dataclass(value) and not isinstance(value, type):
         return {f.name: plain_data(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""Search for the best set of effects by forward, backward and exchange steps, with the same test for all steps."""
+"""Search for the best set of effects by forward, backward and exchange steps, all with the same test."""
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping
@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import confounded_effects, get_effect
-from .decision import ACCEPTED, GAIN_INSIGNIFICANT, NULL, Rival, alternative, judge
+from .decision import ACCEPTED, GAIN_INSIGNIFICANT, NULL, Rival, judge, judge_alternative
 from .evidence import Evidence, Scores, evidence, library_p_value, null_by_sensors, screen
 from .fit import Fit, Problem, Sensitivities
 from .loss import Quadratic
@@ -29,10 +29,10 @@ Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
 
 @dataclass
 class Found:
-    """State of the search. fit: of the current set. order: names of its effects in order of selection. By name of an
-    effect of the set: evidence; without, the fit without it; rivals, effects tried in its place. refused: by name,
-    effects tried in addition, (evidence, verdict, fit). cached_scores: of the other effects of the library. near: sets
-    that fit nearly as well (`_near_sets`).
+    """State of the search. fit: of the current set. order: names of its effects in order of selection. evidence, without,
+    rivals: by effect of the set, its evidence, the fit without it, and the effects tried in its place. refused: by
+    effect tried in addition, (evidence, verdict, fit). cached_scores: of the other effects of the library. near: sets
+    that fit nearly as well, see `_near_sets`.
     """
 
     fit: Fit
@@ -51,8 +51,8 @@ class Found:
 
 
 class Search:
-    """partitions: divisions of the driving. sensors: (value, low, high) from redundant sensors, by
-    "effect.parameter". tick: called at every refit. judge: verdict on an effect."""
+    """A search from several starts. partitions: see `partitions`. sensors: (value, low, high) from redundant sensors, by
+    "effect.parameter". tick: called at every refit. judge: function that gives the verdict on an effect."""
 
     def __init__(self, problem: Problem, limits: Limits, partitions: Mapping[str, Partition], sensors: Mapping,
                  seed: int = 0, tick: Callable[[], None] = lambda: None,
@@ -65,8 +65,8 @@ class Search:
         self._fits_tried: list[tuple[np.ndarray, Near, float]] = []
 
     def run(self) -> Found:
-        """The best set found from three starts: the empty set; the set found from it plus all physical effects; the
-        whole library."""
+        """Find the best set from three starts: the empty set; the set found from the empty one plus all physical effects;
+        the whole library."""
         p = self.problem
         p.update_design_effect(p.start)
         first = self._step_from(p.fit((), p.all_sensitivities(p.start)))
@@ -90,9 +90,9 @@ class Search:
     def _add_partial_rivals(self, found: Found) -> None:
         """Add a load as a rival that explains a part of softer tyres: drives show only the ratio of stiffness to mass.
 
-        Effects whose values are nearer to the vehicle file with a load get it as an alternative, unless the drives
-        exclude it. Loads tried: the standard deviation of the prior, then `limits.min_relative_size` (in parameter
-        scales). Bands of axle forces extend to the laden car; values do not, since they apply without a load.
+        The load becomes an alternative to the effects with values nearer to the vehicle file with a load, unless the
+        drives exclude it. Loads tried: the prior standard deviation, then `limits.min_relative_size` parameter scales.
+        Bands of axle forces include the laden car; intervals of values do not, since they apply without a load.
         """
         p, names = self.problem, found.fit.names
         for other in (n for n in p.space.additions if names and n not in names and not p.space.overlaps(n, names)):
@@ -104,7 +104,7 @@ class Search:
                 rivals = [Rival(other, name, 1.0, no_worse(difference), float(difference.sum()) / p.residual_count,
                                 found.evidence[name], p.space.values(other, fit.vector), shared=True)
                           for name in sorted({p.space.free[i].effect for i in nearer})]
-                if rivals and alternative(rivals[0], self.limits).rule == "alternative":
+                if rivals and judge_alternative(rivals[0], self.limits).rule == "alternative":
                     for rival in rivals:
                         others = found.rivals.get(rival.replaces, ())
                         found.rivals[rival.replaces] = [*(r for r in others if r.name != other), rival]
@@ -112,8 +112,8 @@ class Search:
                     break
 
     def _with_other(self, fit: Fit, name: str, size: np.ndarray | float) -> Fit:
-        """The fit of the same set with another effect `size` parameter scales from its start value: fixed there, or
-        with a reference, which frees all parameters, with that value as its prior mean."""
+        """The fit of the same set with another effect fixed at `size` parameter scales from its start value; with a
+        reference, which frees all parameters, that value is the prior mean."""
         p, own = copy(self.problem), self.problem.space.indices(name)
         p.start = p.start.copy()
         p.start[own] += size * p.space.scale[own]
@@ -131,8 +131,8 @@ class Search:
         return self._drop_rejected(found).fit
 
     def _near_sets(self, found: Found) -> list[Near]:
-        """Sets that were tried and are worse by less than the fraction `limits.unexplained_share` of the residual; none
-        if the residual is near the noise."""
+        """Sets that were tried and are worse than the final one by less than the fraction `limits.unexplained_share` of
+        the residual; none if the residual is near the noise."""
         p, limits = self.problem, self.limits
         if max((e.noise_ratio for e in found.evidence.values()), default=0.0) <= limits.max_noise_ratio:
             return []
@@ -155,7 +155,7 @@ class Search:
             scale = self.problem.loss.scale
             added = self._forward(found) if len(found.fit.names) < self.limits.max_effects else None
             if added is None:
-                self.problem.loss.scale = scale  # that of the losses in `found`; refused effects may have changed it
+                self.problem.loss.scale = scale  # the one of the losses in `found`; refused effects may have changed it
                 return found
             found.fit = self._rescale(self._backward(added, found.scores))
             found.order = [n for n in dict.fromkeys((*found.order, *added.names)) if n in found.fit.names]
@@ -190,8 +190,8 @@ class Search:
         return fit
 
     def _select(self, candidates: list[Found]) -> Found:
-        """The set with the lowest held-out loss, with the residual scale and the design effect of the one with the
-        smallest errors; each effect costs `limits.negligible`."""
+        """The set with the lowest held-out loss plus `limits.negligible` per effect. Losses are compared at the residual
+        scale and the design effect of the set with the smallest errors."""
         p = self.problem
         if len(candidates) > 1:
             smallest = min(candidates, key=lambda a: float(np.log(p.loss.scale_of(a.fit.vector)).sum()))
@@ -224,7 +224,7 @@ class Search:
         if not fits:
             return None
         without, fits = self._refine(found.fit, fits)
-        best, found.refused = 0.0, {}  # best gain of the significant effects that are refused
+        best, found.refused = 0.0, {}  # best: largest gain of a significant effect that was refused
         for effect in self._members_first(fits, without):
             gain = self._gain(without, fits[effect])
             if gain < CONTENDER_SHARE * best:
@@ -239,7 +239,7 @@ class Search:
         return self._add_confirmed(found, without, [n for n in gains if n not in fits])
 
     def _add_confirmed(self, found: Found, without: Fit, names: list[str]) -> Fit | None:
-        """The fit with an effect that redundant sensors confirm, however small; None without one."""
+        """The fit with a further effect that redundant sensors confirm, however small its gain; None without one."""
         for effect in names:
             null = null_by_sensors(self.problem.space, effect, self.sensors)
             if self.problem.prior is not None or null is None or null > self.limits.false_alarm:
@@ -250,8 +250,8 @@ class Search:
         return None
 
     def _refit_with(self, fit: Fit, effect: str, start: np.ndarray, around: Sensitivities | None = None) -> Fit:
-        """A fit with a further effect, started at `start`, or at the vector of `fit` if its loss is lower. around:
-        sensitivities, default those of `fit`."""
+        """A fit with a further effect, from the initial vector `start`, or that of `fit` if its loss is lower. around:
+        sensitivities to use, default those at `fit`."""
         p = self.problem
         self.tick()
         better = p.loss.total(start) < p.loss.total(fit.vector)
@@ -275,7 +275,7 @@ class Search:
         return order
 
     def _refine(self, without: Fit, fits: dict[str, Fit]) -> tuple[Fit, dict[str, Fit]]:
-        """The contenders, refitted at the scale of the best one: large errors would mask their differences."""
+        """Refit the contenders at the residual scale of the best one: large errors would mask their differences."""
         p = self.problem
         best = max(fits, key=lambda e: self._gain(without, fits[e]))
         gain = self._gain(without, fits[best])
@@ -304,26 +304,26 @@ class Search:
         return fit
 
     def predicted_rise(self, fit: Fit, *names: str, fixed: tuple[str, ...] = ()) -> float:
-        """Increase of the loss without some effects of a fit, from its quadratic approximation. fixed: effects that
+        """Increase of the loss if effects are removed from a fit, from the quadratic approximation. fixed: effects that
         keep their values; the others are refitted."""
         p = self.problem
-        kept = tuple(n for n in fit.names if n not in names)
-        removed = np.isin(fit.indices, np.setdiff1d(p.space.indices(*names), p.space.indices(*kept)))
+        remaining = tuple(n for n in fit.names if n not in names)
+        removed = np.isin(fit.indices, np.setdiff1d(p.space.indices(*names), p.space.indices(*remaining)))
         step = np.where(removed, -p.distance(fit.vector)[fit.indices], 0.0)
         free = ~removed & ~np.isin(fit.indices, p.space.indices(*fixed))
         return _constrained_step(p, fit.quadratic, fit.vector, fit.indices, step, free)[0]
 
     def cancelling(self, fit: Fit, name: str) -> tuple[str, ...]:
-        """Effects of a fit that cancel one: without both, the loss increases by less than `limits.min_rival_gain` times
-        its increase without one of them while the other keeps its value. The drives show only the sum of the two."""
+        """Effects of a fit that cancel `name`, so that the drives show only the sum: without both, the loss increases by
+        less than `limits.min_rival_gain` times its increase without one of them while the other keeps its value."""
         def cancels(other: str) -> bool:
             alone = min(self.predicted_rise(fit, name, fixed=(other,)), self.predicted_rise(fit, other, fixed=(name,)))
             return self.predicted_rise(fit, name, other) < self.limits.min_rival_gain * alone
         return tuple(n for n in fit.names if n != name and cancels(n))
 
     def _prune(self, vector: np.ndarray, names: list[str]) -> Fit | None:
-        """Backward elimination from a joint fit of many effects with a weak prior; None if the remaining set was
-        visited before."""
+        """Eliminate effects backwards from a joint fit of many effects with a weak prior; None if no effect remains, or
+        if the remaining set was visited before."""
         p = self.problem
         free = np.isin(np.arange(len(p.space)), p.free_indices(names))
         curvature = np.where(free, np.maximum(JOINT_DEVIATION**-2, p.file_curvature), FIXED_CURVATURE)
@@ -376,7 +376,7 @@ class Search:
         return found
 
     def _weakest_failing(self, found: Found, required: float = np.inf) -> str:
-        """Fill in `evidence` and `without`, and return the weakest effect that fails the test, "" if none does.
+        """Fill in `evidence` and `without`, and return the weakest effect that fails the test; "" if none fails.
 
         required: an effect passes without a refit if its removal raises the loss per residual by three times this.
         """
@@ -416,7 +416,7 @@ class Search:
                               deficit / p.residual_count, self._evidence(without, fit, other, found.scores),
                               p.space.values(other, fit.vector))
                 found.rivals[name].append(rival)
-                if alternative(rival, self.limits).rule == "alternative":
+                if judge_alternative(rival, self.limits).rule == "alternative":
                     alternatives[other].append(fit)
                 significant = rival.p_no_worse > 1.0 - self.limits.undecided_p
                 if (significant and frozenset(fit.names) not in self._visited
@@ -427,7 +427,7 @@ class Search:
 
     def _merge(self, found: Found, alternatives: Mapping[str, list[Fit]]) -> Fit | None:
         """The fit with one effect in place of several, if it explains as much; each effect costs `limits.negligible`.
-        None if there is none. alternatives: by name of an effect, the fits with it in place of one other effect."""
+        None without one. alternatives: by effect, the fits in which it replaces one other effect."""
         for fits in alternatives.values():
             fit = min(fits, key=lambda fit: float(fit.held_out.sum()))
             if len(fits) > 1 and frozenset(fit.names) not in self._visited:
@@ -438,11 +438,11 @@ class Search:
                     return fit
         return None
 
-    def _exchange_step(self, q: Quadratic, fit: Fit, kept: tuple[str, ...], other: str) -> tuple[float, np.ndarray]:
-        """(increase of the loss, vector) with the effects `kept` and `other`, from the quadratic about the fit."""
+    def _exchange_step(self, q: Quadratic, fit: Fit, names: tuple[str, ...], other: str) -> tuple[float, np.ndarray]:
+        """(increase of the loss, vector) with the effects `names` and `other`, from the quadratic about the fit."""
         p = self.problem
         indices = np.arange(len(p.space))
-        free = np.isin(indices, p.free_indices((*kept, other)))
+        free = np.isin(indices, p.free_indices((*names, other)))
         to_start = np.where(free, 0.0, -p.distance(fit.vector))
         cost, step = _constrained_step(p, q, fit.vector, indices, to_start, free)
         return cost, p.moved(fit.vector, indices, step)
@@ -451,7 +451,7 @@ class Search:
 def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, indices: np.ndarray, fixed: np.ndarray,
                       free: np.ndarray) -> tuple[float, np.ndarray]:
     """(increase of the loss, best step) with the components `free` of the step free and the others as in `fixed`. q:
-    about the vector, in the parameters `indices`."""
+    quadratic about the vector, in the parameters `indices`."""
     d = np.array(fixed)
     h = q.hessian.sum(axis=0) + np.diag(problem.file_curvature[indices])
     g = q.gradient.sum(axis=0) - problem.prior_gradient(vector)[indices]
@@ -463,6 +463,6 @@ def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, indice
 
 
 def no_worse(difference: np.ndarray) -> float:
-    """p-value of the hypothesis that a loss is not higher, from its differences by block (b,)."""
+    """p-value of the hypothesis that a loss is not higher than another. difference: (b,) of the losses by block."""
     spread = float(difference.std(ddof=1)) * np.sqrt(len(difference)) if len(difference) > 1 else np.inf
     return float(stats.norm.sf(difference.sum() / max(spread, 1e-12)))

@@ -37,7 +37,7 @@ class Varying:
     steps: Mapping[int, np.ndarray]
 
 
-def varying(problem: Problem, fit: Fit, partitions: Mapping[str, Partition]) -> list[Varying]:
+def find_varying_effects(problem: Problem, fit: Fit, partitions: Mapping[str, Partition]) -> list[Varying]:
     """Every effect of the library with separate values in the parts of each partition, largest gain first. Those
     with at least half as many parts as there are blocks are left out."""
     q = problem.quadratic_of_all(fit.vector)
@@ -68,14 +68,14 @@ def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, p
     if information.min() <= 1e-9 * float(np.trace(h)) / len(h):
         return None
     parts = [part for part in every if np.diag(part[2]).min() > MIN_INFORMATION_SHARE * information.min()]
-    freedom, blocks = (len(parts) - 1) * len(indices), problem.blocks - len(parts)
+    degrees_of_freedom, blocks = (len(parts) - 1) * len(indices), problem.blocks - len(parts)
     if len(parts) < 2 or blocks < 1:
         return None
     separate = sum(float(gk @ inverse(hk) @ gk) for _, gk, hk in parts)
     total = sum(gk for _, gk, _ in parts)
     gain = separate - float(total @ inverse(sum(hk for *_, hk in parts)) @ total)
     design = _design_effect(problem, number, parts, gradient, curvature) * problem.blocks / blocks
-    p_value = min(tests * float(stats.f.sf(2.0 * gain / design / freedom, freedom, blocks)), 1.0)
+    p_value = min(tests * float(stats.f.sf(2.0 * gain / design / degrees_of_freedom, degrees_of_freedom, blocks)), 1.0)
     best = int(np.argmax(information))
     index = indices[best]
     value, scale = float(fit.vector[index]), space.scale[index]

@@ -26,9 +26,9 @@ from .where_parts import (
     Cell,
     Part,
     Samples,
-    cells,
-    changes,
-    excesses,
+    compute_excesses,
+    find_cells,
+    find_changes,
     membership,
     range_text,
 )
@@ -38,17 +38,17 @@ SHORT_HORIZON = 1.0  # s, for errors of velocity, rate and acceleration: near th
 RESAMPLES = 1000  # bootstrap samples
 MAX_RANGES = 3  # statements about conditions per channel
 SIGNED = ("lateral acceleration", "steering angle", "steering rate")
-MIN_CONTRAST = 1.15  # ratio of the error in a range to that in all driving, above which it is reported
+MIN_CONTRAST = 1.15  # ratio of the error in a range to that in all driving, from which the range is reported
 
 
 def largest_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
                    settings: DiscoverySettings, reference: Sequence[DriveLog] = (),
                    noise: Mapping[str, float] | None = None, gain: float = 0.0) -> tuple[ErrorCondition, ...]:
-    """Where the errors of a model in the runs exceed those in the reference drives, or the sensor noise; the largest
-    excess first within each channel.
+    """Conditions, times and places in which the errors of a model exceed those in the reference drives, or the sensor
+    noise without reference.
 
-    noise: one standard deviation by channel [unit]; needed without reference. gain: see `Windows.errors`. A channel
-    that runs or reference do not have is left out.
+    noise: standard deviation by channel [unit]; needed without reference. gain: see `Windows.errors`. Channels that the
+    runs or the reference do not have are left out.
     """
     samples = window_errors(runs, model, vehicle, settings, gain)
     expected = window_errors(reference, model, vehicle, settings, gain) if reference else None
@@ -57,11 +57,11 @@ def largest_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: Veh
         samples = replace(samples, squares={c: samples.squares[c] for c in common})
     sigma = {channel: (noise or {}).get(channel, 0.0) for channel in samples.squares}
     ranges, members = membership(samples)
-    bins = excesses(samples, members, ranges, expected, sigma, settings.seed, RESAMPLES)
+    bins = compute_excesses(samples, members, ranges, expected, sigma, settings.seed, RESAMPLES)
     parts = [part for channel, noise_level in sigma.items()
-             for part in changes(samples, channel, noise_level, settings.block, settings.seed, PERMUTATIONS)]
+             for part in find_changes(samples, channel, noise_level, settings.block, settings.seed, PERMUTATIONS)]
     places = _significant([cell for channel, noise_level in sigma.items()
-                           for cell in cells(samples, channel, noise_level)])
+                           for cell in find_cells(samples, channel, noise_level)])
     return tuple(statement for channel in samples.squares
                  for statement in _statements(channel, bins, parts, places, samples, expected is not None))
 
@@ -82,8 +82,8 @@ def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: Vehi
 
 
 def _squares(windows: Windows, squares: np.ndarray) -> dict[str, np.ndarray]:
-    """(n,) by channel: mean square error in the first second; of channels whose errors accumulate, at the end of the
-    horizon."""
+    """(n,) mean square error by channel over the first second; for channels with accumulating errors, square error at
+    the end of the horizon."""
     short = windows.time <= max(SHORT_HORIZON, float(windows.time[0]))
     found: dict[str, np.ndarray] = {}
     for column, square in zip(windows.columns, np.moveaxis(squares, -1, 0), strict=True):
@@ -127,7 +127,7 @@ def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], 
     if not any(b.significant for b in of_channel):
         return []
     overall = next(b for b in of_channel if b.range.quantity == EVERYWHERE)
-    found = [_range_statement(group, of_channel, overall, with_reference) for group in _groups(of_channel)]
+    found = [_range_statement(group, of_channel, overall, with_reference) for group in _group_neighbours(of_channel)]
     # Ranked by the lower bound: a range with few observations can have a large error by chance.
     clear = sorted((s for s in found if s.interval[0] > 1.0 and s.excess >= MIN_CONTRAST * overall.excess),
                    key=lambda s: -s.interval[0])
@@ -139,8 +139,8 @@ def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], 
     return statements
 
 
-def _groups(bins: Sequence[BinExcess]) -> list[list[BinExcess]]:
-    """Significant ranges of one quantity, neighbours with similar excess in one group."""
+def _group_neighbours(bins: Sequence[BinExcess]) -> list[list[BinExcess]]:
+    """Groups of significant ranges of the same quantity; a group contains neighbours with similar excess."""
     groups: list[list[BinExcess]] = []
     for _, of_quantity in itertools.groupby((b for b in bins if b.range.quantity != EVERYWHERE),
                                             key=lambda b: b.range.quantity):
@@ -160,7 +160,7 @@ def _groups(bins: Sequence[BinExcess]) -> list[list[BinExcess]]:
 
 def _range_statement(group: Sequence[BinExcess], bins: Sequence[BinExcess], overall: BinExcess,
                      with_reference: bool) -> ErrorCondition:
-    """Statement on a group of ranges. bins: all of the channel; overall: that of all driving."""
+    """Statement on a group of ranges. bins: all bins of the channel. overall: the bin with all driving."""
     quantity = group[0].range.quantity
     if quantity == "direction":
         return ErrorCondition(overall.channel, f"{group[0].range.label} turns" if group[0].range.label != "straight"
@@ -182,7 +182,7 @@ def _range_statement(group: Sequence[BinExcess], bins: Sequence[BinExcess], over
 
 
 def _part_statement(part: Part, overall: BinExcess, samples: Samples) -> ErrorCondition:
-    """Statement on a stretch of a run; its excess is the excess of the channel times the ratio of the stretch."""
+    """Statement on a stretch of a run; excess: the overall one of the channel times the ratio of the stretch."""
     last = float(samples.time[samples.run == part.run].max())
     name = samples.names[part.run]
     when = (f"from {part.start:.0f} s on" if part.end >= last - 1.0 else f"until {part.end:.0f} s" if part.start < 2.0
@@ -193,7 +193,7 @@ def _part_statement(part: Part, overall: BinExcess, samples: Samples) -> ErrorCo
 
 
 def _place_statements(places: Sequence[Cell], overall: BinExcess) -> list[ErrorCondition]:
-    """Statements on places, neighbouring cells together; the two with the largest excess."""
+    """Statements on the two places with the largest excess; neighbouring cells form one place."""
     remaining, statements = list(places), []
     while remaining:
         cluster = [remaining.pop(0)]

@@ -1,19 +1,19 @@
-"""Parts of the driving with larger errors: ranges of the conditions, stretches of a run, places.
+"""Tests for parts of the driving with larger errors: ranges of the conditions, stretches of a run, places.
 
-Ranges of a condition:
+For each range (bin) of a condition:
 
     excess = sqrt(mean square error in the bin / expected mean square error)
 
-The expected error is that of reference drives in the same bin, or their largest one if they have too few blocks there,
-or the sensor noise without reference. Interval and p-value are from resampling whole blocks of time, since errors of
-neighbouring predictions are correlated. Significance is corrected for all bins (Benjamini and Hochberg, 1995).
+The expected error is the error of the reference drives in the same bin, or their largest one if they have too few
+blocks there; without reference drives it is the sensor noise. Intervals and p-values are from resampling whole blocks
+of time, since errors of neighbouring predictions are correlated. Significance is corrected for the number of bins
+(Benjamini and Hochberg, 1995).
 
-Errors are larger in corners than on straights, so times and places are compared by the residuals of a regression of all
-predictions on the conditions:
+Errors are larger in corners than on straights. Times and places are therefore compared by the residuals of a
+regression of all errors on the conditions, which change on ice, in a gust, or with a defect:
 
-    log(mean square + noise) = a + b . (log speed, log lateral acceleration, log steering rate, |forward acceleration|)
-
-The residuals change on ice, in a gust, or with a defect.
+    log(mean square + noise^2) = a + b . (log speed, log lateral acceleration, log steering rate,
+                                          |forward acceleration|)
 """
 
 import itertools
@@ -45,9 +45,9 @@ EVERYWHERE = "everywhere"
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """One row for each prediction. run: index into names. time [s]: since the first measurement of the run. x, y [m]:
-    position at its start. block: number of a stretch of time that counts as one observation. conditions: (n,) by name.
-    squares: (n,) mean squared error by channel [unit^2]."""
+    """Errors and conditions of n predictions in n rows. run: index into names. time [s]: since the first measurement
+    of the run. x, y [m]: position at the start. block: number of the stretch of time, which counts as one observation.
+    conditions: (n,) by name. squares: (n,) mean square error by channel [unit^2]."""
 
     names: tuple[str, ...]
     run: np.ndarray
@@ -61,7 +61,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class Range:
-    """Range of a condition. label: for reports. low, high: None for the directions."""
+    """Range of a condition. label: text for reports. low, high: limits; None for directions (left, straight, right)."""
 
     quantity: str
     label: str
@@ -71,9 +71,9 @@ class Range:
 
 @dataclass(frozen=True)
 class BinExcess:
-    """Error of one channel in one range. excess [1]: ratio to the expected error; interval: 95 %. p: p-value of an
-    error not above the expected one. blocks: number of blocks. covered: whether the reference contains the range; True
-    without a reference."""
+    """Error of one channel in one range. excess [1]: ratio to the expected error; interval: 95 %. p: p-value of the
+    hypothesis that the error is no larger than expected. blocks: number of blocks. covered: whether the reference has
+    enough driving in the range; True without a reference."""
 
     channel: str
     range: Range
@@ -87,8 +87,8 @@ class BinExcess:
 
 @dataclass(frozen=True)
 class Part:
-    """A stretch of a run, [s] since its first measurement. ratio: of the RMS error to that in the other parts of the
-    run under similar conditions."""
+    """A stretch of a run. start, end [s]: since the first measurement of the run. ratio [1]: RMS error divided by that
+    in the other parts of the run under similar conditions."""
 
     channel: str
     run: int
@@ -100,8 +100,8 @@ class Part:
 
 @dataclass(frozen=True)
 class Cell:
-    """A square with side CELL_SIZE, centre in the map frame [m]. ratio: of the RMS error to that elsewhere under
-    similar conditions."""
+    """A square of the map with side CELL_SIZE. x, y [m]: its centre in the map frame. ratio [1]: RMS error divided by
+    that elsewhere under similar conditions; interval: 95 %."""
 
     channel: str
     x: float
@@ -112,7 +112,7 @@ class Cell:
 
 
 def membership(samples: Samples) -> tuple[tuple[Range, ...], np.ndarray]:
-    """All ranges and which rows are in them, (n, ranges); the first contains every row."""
+    """All ranges, and (n, number of ranges) whether each row is in them; the first range contains every row."""
     c = samples.conditions
     lateral = c["lateral_acceleration"]
     ranges, columns = [Range(EVERYWHERE, EVERYWHERE)], [np.ones(len(lateral), bool)]
@@ -143,26 +143,26 @@ def range_text(quantity: str, unit: str, low: float, high: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Means:
-    """By bin: mean square, bootstrap standard deviation of its logarithm, number of blocks."""
+    """Mean square by bin. deviation: bootstrap standard deviation of its logarithm. blocks: number of blocks."""
 
     mean: np.ndarray
     deviation: np.ndarray
     blocks: np.ndarray
 
 
-def excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range, ...], reference: Samples | None,
-             noise: Mapping[str, float], seed: int, resamples: int) -> tuple[BinExcess, ...]:
+def compute_excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range, ...], reference: Samples | None,
+                     noise: Mapping[str, float], seed: int, resamples: int) -> tuple[BinExcess, ...]:
     """Excess of every channel in every range with at least MIN_BLOCKS blocks. noise: floor without a reference."""
     found = []
     expected_members = membership(reference)[1] if reference is not None else None
     for number, (channel, squares) in enumerate(samples.squares.items()):
-        means = _means(squares, samples.block, members, np.random.default_rng((seed, number, 0)), resamples)
+        means = _bin_means(squares, samples.block, members, np.random.default_rng((seed, number, 0)), resamples)
         if reference is None or expected_members is None:
             expected = np.full(len(ranges), noise[channel] ** 2)
             spread, covered = np.zeros(len(ranges)), np.ones(len(ranges), bool)
         else:
-            floor = _means(reference.squares[channel], reference.block, expected_members,
-                           np.random.default_rng((seed, number, 1)), resamples)
+            floor = _bin_means(reference.squares[channel], reference.block, expected_members,
+                               np.random.default_rng((seed, number, 1)), resamples)
             covered = floor.blocks >= MIN_BLOCKS
             # With too little reference driving in a bin, its largest error anywhere is used, to avoid false alarms.
             worst = int(np.nanargmax(np.where(covered, floor.mean, -1.0)))
@@ -174,8 +174,8 @@ def excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range, ...], r
     return _with_significance(found)
 
 
-def _means(squares: np.ndarray, block: np.ndarray, members: np.ndarray, rng: np.random.Generator,
-           resamples: int) -> _Means:
+def _bin_means(squares: np.ndarray, block: np.ndarray, members: np.ndarray, rng: np.random.Generator,
+               resamples: int) -> _Means:
     """Means of the squares in each column of `members`, by resampling whole blocks."""
     known = np.isfinite(squares)
     _, index = np.unique(block[known], return_inverse=True)
@@ -236,10 +236,10 @@ def log_residuals(samples: Samples, squares: np.ndarray, noise: float) -> np.nda
     return residual
 
 
-def changes(samples: Samples, channel: str, noise: float, block: float, seed: int, resamples: int) -> list[Part]:
-    """Stretches with larger errors than the other parts of the run, found by binary segmentation.
+def find_changes(samples: Samples, channel: str, noise: float, block: float, seed: int, resamples: int) -> list[Part]:
+    """Find the stretches with larger errors than the other parts of the run, by binary segmentation.
 
-    A change point is significant if the largest cumulative sum of `log_residuals` exceeds that of shuffled blocks.
+    A change point is significant if the cumulative sum of `log_residuals` is larger than with shuffled blocks.
     """
     residual = log_residuals(samples, samples.squares[channel], noise)
     rng = np.random.default_rng((seed, 17))
@@ -248,9 +248,9 @@ def changes(samples: Samples, channel: str, noise: float, block: float, seed: in
         rows = np.flatnonzero((samples.run == run) & np.isfinite(residual))
         if not len(rows):
             continue
-        time, values = _seconds(samples.time[rows], residual[rows])
+        time, values = _average_by_second(samples.time[rows], residual[rows])
         size = max(1, round(block))
-        edges = sorted(_edges(values, 0, len(values), size, rng, resamples, MAX_CHANGES))
+        edges = sorted(_find_change_points(values, 0, len(values), size, rng, resamples, MAX_CHANGES))
         cuts = [0, *(k for k, _ in edges), len(values)]
         if len(cuts) == 2:
             continue
@@ -263,34 +263,34 @@ def changes(samples: Samples, channel: str, noise: float, block: float, seed: in
     return parts
 
 
-def _seconds(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _average_by_second(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(whole seconds, mean of the values in each)."""
     second = np.floor(time).astype(int)
     unique, index = np.unique(second, return_inverse=True)
     return unique.astype(float), np.bincount(index, values) / np.bincount(index)
 
 
-def _edges(values: np.ndarray, first: int, last: int, block: int, rng: np.random.Generator, resamples: int,
-           max_changes: int) -> list[tuple[int, float]]:
-    """(index, p-value) of at most `max_changes` change points of values[first:last]."""
+def _find_change_points(values: np.ndarray, first: int, last: int, block: int, rng: np.random.Generator, resamples: int,
+                        max_changes: int) -> list[tuple[int, float]]:
+    """(index, p-value) of at most `max_changes` significant change points in values[first:last]."""
     part = values[first:last]
     shortest = round(MIN_PART_DURATION)
     if max_changes < 1 or len(part) < 2 * shortest:
         return []
-    sizes = _cusum(part[None])[0]
-    at = int(np.argmax(sizes[shortest:-shortest])) + shortest if len(part) > 2 * shortest else shortest
+    cusum = _cusum(part[None])[0]
+    at = int(np.argmax(cusum[shortest:-shortest])) + shortest if len(part) > 2 * shortest else shortest
     length = len(part) // block * block
     if length < 4 * block:
         return []
     pieces = part[:length].reshape(-1, block)
     shuffled = np.stack([pieces[rng.permutation(len(pieces))].ravel() for _ in range(resamples)])
     largest = _cusum(shuffled).max(axis=1)
-    p = (1 + int((largest >= sizes[at]).sum())) / (1 + resamples)
+    p = (1 + int((largest >= cusum[at]).sum())) / (1 + resamples)
     if p > MAX_P_VALUE:
         return []
     middle = first + at
-    return [(middle, p), *_edges(values, first, middle, block, rng, resamples, max_changes - 1),
-            *_edges(values, middle, last, block, rng, resamples, max_changes - 1)][:max_changes]
+    return [(middle, p), *_find_change_points(values, first, middle, block, rng, resamples, max_changes - 1),
+            *_find_change_points(values, middle, last, block, rng, resamples, max_changes - 1)][:max_changes]
 
 
 def _cusum(rows: np.ndarray) -> np.ndarray:
@@ -300,8 +300,8 @@ def _cusum(rows: np.ndarray) -> np.ndarray:
     return np.abs(sums) / (rows.std(axis=1, keepdims=True) * math.sqrt(rows.shape[1]) + 1e-12)
 
 
-def cells(samples: Samples, channel: str, noise: float) -> list[Cell]:
-    """Places passed in at least MIN_BLOCKS blocks, with the p-value of errors no larger than the conditions explain."""
+def find_cells(samples: Samples, channel: str, noise: float) -> list[Cell]:
+    """Cells driven in at least MIN_BLOCKS blocks. p: of the hypothesis that the conditions explain the errors there."""
     residual = log_residuals(samples, samples.squares[channel], noise)
     known = np.isfinite(residual) & np.isfinite(samples.x) & np.isfinite(samples.y)
     key = np.stack([np.floor(samples.x[known] / CELL_SIZE), np.floor(samples.y[known] / CELL_SIZE)], axis=1)

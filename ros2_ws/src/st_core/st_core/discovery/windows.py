@@ -1,8 +1,8 @@
-"""Multi-step errors: predictions from many instants of the recorded drives, compared with the measurements.
+"""Multi-step prediction errors: predictions from many instants of the recorded drives, compared with measurements.
 
-All runs are placed one after the other on one clock, so that one batch predicts all windows. A window starts from the
-measured state. Without measured sideslip it starts from the sideslip of steady cornering, and is scored only after the
-influence of this assumption has decayed.
+All runs are placed one after the other on a common clock, and one batch predicts all windows. A window starts from the
+measured state. If sideslip is not measured, it starts from the sideslip of steady cornering and is scored only after
+the influence of this assumption has decayed.
 """
 
 from collections import OrderedDict
@@ -31,9 +31,9 @@ from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings
 
 STEP = 0.05  # s, integration step
-SIDESLIP_SETTLING_TIME = 0.75  # s, decay of an assumed initial sideslip
+SIDESLIP_SETTLING_TIME = 0.75  # s; until then the error of an assumed initial sideslip decays
 MARGIN_NS = 600_000_000  # ns at both ends of a run, for effects that delay or advance the steering
-MAX_GAP = 0.1  # s, longest gap that is interpolated, like PredictionSettings.maximum_gap
+MAX_GAP = 0.1  # s, longest gap that is interpolated, as PredictionSettings.maximum_gap
 MIN_SPEED = 1.5  # m/s; slower windows have no lateral motion
 PAUSE_NS = 5_000_000_000  # ns between runs on the common clock
 RECORDING_CACHE_SIZE = 4  # corrected recordings, and tables computed from them
@@ -75,8 +75,8 @@ class Signals(LogSignals):
 
 
 class Batch(LogBatch):
-    """A LogBatch for thousands of fits: the caller validates the step once, and recordings and input tables are cached
-    for models that correct the recording in the same way."""
+    """A LogBatch for thousands of fits: the integration step is not checked again, and the recordings and input tables
+    are cached for models that correct the recording in the same way."""
 
     def __init__(self, *arguments: Any, **options: Any):
         super().__init__(*arguments, **options)
@@ -88,7 +88,7 @@ class Batch(LogBatch):
         return _remember(self._recordings, key, self._recordings.pop(key, None) or super().recording(model))
 
     def _table(self, block: Block, values: list[np.ndarray], model: Any, p: Any) -> np.ndarray:
-        # The values are kept too, so that their memory is not reused while their id is a key.
+        # The values are cached as well: their memory must not be reused while their id is a key.
         key = (block.number, model.inputs, model.input_dependencies(p), *map(id, values))
         known = self._tables.pop(key, None) or (values, super()._table(block, values, model, p))
         return _remember(self._tables, key, known)[1]
@@ -117,16 +117,16 @@ def score_points(settings: DiscoverySettings) -> np.ndarray:
     return np.unique(points)
 
 
-def prepared(log: DriveLog, vehicle: VehicleParameters, settings: DiscoverySettings) -> DriveLog:
-    """The drive that initial states are taken from: yaw rate smoothed, sideslip of steady cornering if not measured."""
+def prepare_initial_states(log: DriveLog, vehicle: VehicleParameters, settings: DiscoverySettings) -> DriveLog:
+    """The drive for the initial states: yaw rate smoothed, sideslip that of steady cornering if it is not measured."""
     log = replace(log, yaw_rate=moving_average(log.ins_time_ns, log.yaw_rate, 50_000_000))
     return log if "velocity_y" in settings.channels else replace(log, velocity_y=steady_velocity_y(log, vehicle))
 
 
 class Windows:
-    """The windows of some runs. starts_ns: (n,) on the common clock; run, block: (n,) number of each; seconds: (n,)
-    since the start of the run; time: (k,) scored points, after the start of a window [s]; columns: (c,) names of the
-    errors."""
+    """The n windows of some runs. starts_ns: (n,) start on the common clock. run, block: (n,) number of its run and
+    block. seconds: (n,) start since the start of the run [s]. time: (k,) scored points since the start of a window [s].
+    columns: (c,) names of the errors."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self.vehicle, self.settings = vehicle, settings
@@ -143,7 +143,7 @@ class Windows:
         starts, run, seconds = _starts(runs, offsets, horizon * STEP, settings)
         around = np.unique(np.concatenate([self._points - 1, self._points, self._points + 1]))
         self._around = np.searchsorted(around, np.stack([self._points - 1, self._points, self._points + 1]))
-        signals = Signals(prepared(joined, vehicle, settings), MAX_GAP)
+        signals = Signals(prepare_initial_states(joined, vehicle, settings), MAX_GAP)
         self._batch = Batch(signals, starts, horizon * STEP, STEP, points=np.round(around * STEP, 6))
         times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
         self._times, self._measured = times, self._readings(times)
@@ -181,7 +181,7 @@ class Windows:
 
     @cached_property
     def known(self) -> np.ndarray:
-        """(n, m) whether an error has a measurement, and inputs without a gap before it; points and columns of a window
+        """(n, m) whether an error has a measurement, and no gap of the inputs before it. m: points and columns of a window
         in one row."""
         measured = [np.isfinite([self._measured[name] for name in channel.signals]).all(axis=0)
                     for channel in self.channels for _ in channel.columns]
@@ -189,8 +189,8 @@ class Windows:
 
     @cached_property
     def _with_inputs(self) -> np.ndarray:
-        """(n, k) whether a point is before the first gap of steering or INS, after which there are no inputs. Gaps have
-        a margin of MARGIN_NS before the start of a window and half of it after a point, like the ends of a run."""
+        """(n, k) whether a point is before the first gap of steering or INS, after which there are no inputs. As at the
+        ends of a run, a gap has a margin: MARGIN_NS before the start of a window, half of it after a point."""
         last = np.full(len(self), np.iinfo(np.int64).max)
         for time_ns in (self.joined.steering_time_ns, self.joined.ins_time_ns):
             gaps = np.flatnonzero(np.diff(time_ns) > MAX_GAP / NANOSECOND)
@@ -219,7 +219,7 @@ class Windows:
         return np.stack(parts, axis=-1)
 
     def _predicted_readings(self, model: AugmentedModel, gain: float) -> Measured:
-        """Predicted INS readings at the scored points; acceleration and yaw rate are means over 2 STEP, like the
+        """Predicted INS readings at the scored points; acceleration and yaw rate are means over 2 STEP, as are the
         measurements. The gain applies to the true specific force, before the sensor errors."""
         states = self._batch.predict(model, self.vehicle).states
         with np.errstate(all="ignore"):
@@ -250,8 +250,8 @@ class Windows:
 
 def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,
                        acceleration: np.ndarray) -> np.ndarray | float:
-    """Lateral specific force minus lateral acceleration at the CG [m/s^2]. states: six arrays, like the inputs."""
-    # Only effects that act on an accelerometer, and those that change the inputs of such effects.
+    """Lateral specific force minus lateral acceleration at the CG [m/s^2]. states: six arrays, as large as angle."""
+    # Only effects that act on the accelerometer, and those that change the inputs or the base model.
     model = model.only(e for e in model.effects if e.converts or (e in model.active and (e.specific_force or e.inputs)))
     added = compose(model.base, model.effects).specific_force
     if added is None:
@@ -262,7 +262,7 @@ def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states
 
 
 def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
-    """All runs on one clock, PAUSE_NS apart, and the offset of each [ns]."""
+    """(all runs on the common clock, PAUSE_NS apart; offset of each run [ns])."""
     names = dict.fromkeys((*INS_SIGNALS, *(name for channel in CHANNELS.values() for name in channel.signals)))
     offsets, start = [], 0
     for run in runs:
@@ -278,7 +278,7 @@ def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
 
 def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,
             settings: DiscoverySettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(start [ns], run, seconds since the start of the run) of all windows driven faster than MIN_SPEED."""
+    """(start [ns], run, seconds since the start of the run) of all windows that start and end faster than MIN_SPEED."""
     length = round(horizon / NANOSECOND)
     usable = sum(max(run.overlap - horizon, 0.0) for run in runs)
     interval = max(settings.interval, usable / settings.windows)

@@ -91,7 +91,7 @@ class Candidate:
         return LaggedRelationEffect.name if self.quantity in MEMORY or self.factor in MEMORY else RelationEffect.name
 
     @property
-    def of_sensor(self) -> bool:
+    def is_sensor_error(self) -> bool:
         """Whether it is a sensor error, not a motion of the car."""
         return self.term.startswith("sensor_")
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..discovery.loss import Errors, Loss
-from ..discovery.next_manoeuvre import MIN_SEPARATION, REPETITIONS, simulated
+from ..discovery.next_manoeuvre import MIN_SEPARATION, REPETITIONS, simulate_manoeuvres
 from ..discovery.windows import Windows
 from ..effects._relation import SPLINES
 from ..manoeuvres import Manoeuvre
@@ -86,7 +86,7 @@ def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, riva
     curvature = fit.q.hessian.sum(axis=0)
     variance = _variance(curvature + fit.penalty, splines)
     options = []
-    for manoeuvre, windows in simulated(fits.windows, fits.model.base):
+    for manoeuvre, windows in simulate_manoeuvres(fits.windows, fits.model.base):
         loss = _loss(fits, windows, candidate, fit)
         rows = 0.0 * np.nan_to_num(loss.errors.at(fit.vector))
         sensitivities = loss.sensitivities(fit.vector, fit.indices)

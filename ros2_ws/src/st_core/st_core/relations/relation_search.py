@@ -112,7 +112,7 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
         return RelationSearch(None, "the model is kinematic without tyre slip, and has no axle forces for a relation "
                               "to act on: use --base linear or --base nonlinear", {})
     windows = RunWindows(runs, vehicle, settings)
-    too_short = _too_short(windows, settings)
+    too_short = _describe_shortage(windows, settings)
     if too_short:
         return RelationSearch(None, too_short, {})
     names = [e.name for e in (*found.effects, *found.minor)]
@@ -143,11 +143,11 @@ def _select(screened: Sequence[Screened], fits: RelationFits, without: RelationF
         return RelationSearch(None, f"no relation is significant. The best, {name}, lowers the held-out loss by "
                               f"{gain:.3f} per residual, p = {p_value:.2g} over all candidates; "
                               f"p < {limits.false_alarm:g} is required", tried, detection_limits)
-    explained = {trial: finding for trial in significant if (finding := _reported(trial.candidate, reported))}
+    explained = {trial: fault for trial in significant if (fault := _find_imitated_fault(trial.candidate, reported))}
     fitted, accepted, against = _fit_candidates([s for s in significant if s not in explained], fits, without, vehicle,
                                                 limits, tick)
     against |= {trial: f"{trial.candidate.name} is significant, but may be the sensor fault that st check reports: "
-                       f"{finding}. Correct it first and search again" for trial, finding in explained.items()}
+                       f"{fault}. Correct it first and search again" for trial, fault in explained.items()}
     if not accepted:
         first = next(trial for trial in significant if trial in against)
         return RelationSearch(None, against[first], tried, detection_limits)
@@ -174,11 +174,11 @@ def _fit_candidates(significant: Sequence[Screened], fits: RelationFits, without
         tick()
         fit = fits.fit(trial.candidate, without)
         name, after = trial.candidate.name, selection.held_out_positions(fits, fit)
-        if rejected := selection.rejected_curve(fits, fit, vehicle):
+        if rejected := selection.describe_unusable_curve(fits, fit, vehicle):
             against[trial] = rejected
             continue
         fitted[trial] = fit  # possibly an alternative to the accepted relation, even if rejected itself
-        reason = selection.deterioration(fits, name, before, after, limits) or selection.small_gain(
+        reason = selection.describe_deterioration(fits, name, before, after, limits) or selection.describe_small_gain(
             fits, trial.candidate, without.held_out - fit.held_out, before - after, limits)
         if reason:
             against[trial] = reason
@@ -187,14 +187,14 @@ def _fit_candidates(significant: Sequence[Screened], fits: RelationFits, without
     return fitted, accepted, against
 
 
-def _reported(candidate: Candidate, reported: Collection[tuple[str, str]]) -> str:
+def _find_imitated_fault(candidate: Candidate, reported: Collection[tuple[str, str]]) -> str:
     """Name of a finding of the checks that a candidate imitates; "" for none."""
     if candidate.term == "front_steer" and {candidate.quantity, candidate.factor} & set(STEERING_TIMING):
         return next((name for name, channel in reported if channel == "road_wheel_angle" and name.endswith("_lag")), "")
     return next((name for name, channel in reported if channel in MEASURED_BY.get(candidate.term, ())), "")
 
 
-def _too_short(windows: RunWindows, settings: DiscoverySettings) -> str:
+def _describe_shortage(windows: RunWindows, settings: DiscoverySettings) -> str:
     """Reason why these drives are too short for a relation; "" if they are long enough."""
     if len(set(windows.run)) == 1:
         return "only one run: a relation needs a second drive for validation; give two or more"
@@ -214,7 +214,7 @@ def _make_relation(best: Screened, fitted: Fitted, without: RelationFit, fits: R
     before, after = (selection.held_out_positions(fits, f) for f in (without, fit))
     rivals = [trial for trial in fitted if trial is not best]
     excess = np.array([fitted[trial].held_out - fit.held_out for trial in rivals])
-    as_good = selection.equally_good(excess, limits.undecided_p, settings.seed)
+    as_good = selection.find_equally_good(excess, limits.undecided_p, settings.seed)
     equal = {trial.candidate.name: fitted[trial] for trial, is_equal in zip(rivals, as_good, strict=True) if is_equal}
     u = driven_quantities(fits.windows, vehicle)[c.quantity]
     at = np.linspace(c.low, c.high, selection.POINTS)
@@ -232,7 +232,7 @@ def _make_relation(best: Screened, fitted: Fitted, without: RelationFit, fits: R
         float(gains.sum()) / fits.loss.residual_count, p_values[c.name],
         (float(np.nanmean(before)), float(np.nanmean(after))), runs, library_part,
         {name: selection.cosine(fits, fit, other) for name, other in equal.items()},
-        simulated_formulas(fits, fit, without), selection.run_shares(fits, fit),
+        simulated_formulas(fits, fit, without), selection.compare_runs(fits, fit),
         selection.redundant_effects(fits, c, fit, without, named, limits),
         next_drives(fits, c, fit, equal, best.design_effect, at, deviation, sparse_ranges(at, density, c.parity)))
-    return relation, f"it {selection.gain_text(fits, gains, before - after, limits)}"
+    return relation, f"it {selection.describe_gain(fits, gains, before - after, limits)}"

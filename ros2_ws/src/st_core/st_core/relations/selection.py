@@ -1,5 +1,4 @@
-"""Screening of candidate relations by held-out gain and p-value, and selection of a significant one: reasons to reject
-it, equally good rivals, redundant effects."""
+"""Screening of candidate relations by held-out gain and p-value, reasons to reject one, rivals, redundant effects."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,16 +24,16 @@ POINTS = 41  # at which a curve is evaluated
 class Screened:
     """Statistics of a candidate, linearised at the discovered model.
 
-    observed, drawn: score statistic, and with random signs of the blocks (DRAWS,), both divided by the mean of the
-    draws. freedom: effective degrees of freedom of the curve. design_effect: of dependent windows on the variance of
-    the scores, >= 1, from the residual scores. gain: reduction of the held-out loss. information: (SPLINES, SPLINES) on
-    the coefficients, other parameters projected out.
+    observed, drawn: score statistic, and (DRAWS,) its values for random signs of the blocks, both divided by the mean
+    of the draws. degrees_of_freedom: effective number for the curve. design_effect: factor by which dependent windows
+    increase the variance of the residual scores, at least 1. gain: reduction of the held-out loss. information:
+    (SPLINES, SPLINES), of the coefficients with the other parameters projected out.
     """
 
     candidate: Candidate
     observed: float
     drawn: np.ndarray
-    freedom: float
+    degrees_of_freedom: float
     design_effect: float
     gain: float
     information: np.ndarray
@@ -44,7 +43,8 @@ class Screened:
         c = self.candidate
         at = np.linspace(c.low, c.high, POINTS)
         line = np.linalg.lstsq(c.splines(at).T, at / max(abs(c.low), abs(c.high)), rcond=1e-6)[0]
-        required = 0.5 * float(stats.f.isf(p_value, self.freedom, blocks - 1)) * self.freedom * self.design_effect
+        quantile = float(stats.f.isf(p_value, self.degrees_of_freedom, blocks - 1))
+        required = 0.5 * quantile * self.degrees_of_freedom * self.design_effect
         return float(np.sqrt(required / max(float(line @ self.information @ line), 1e-30)))
 
 
@@ -64,26 +64,27 @@ def screen(fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
 
 
 def p_values(screened: Sequence[Screened], blocks: int) -> dict[str, float]:
-    """p-value by name that any candidate gains as much without a real effect; the smaller of two tests.
+    """p-value of each candidate, corrected for the number of candidates: the smaller of the p-values of two tests.
 
-    Random signs of blocks: the largest statistic of all candidates in every draw. Likelihood ratio: twice the held-out
-    gain divided by the design effect (of the candidate, or the median of all if larger) and by the degrees of freedom,
-    Fisher's F, Bonferroni for the number of candidates; for relations that act in few blocks only.
+    Random signs of blocks: the largest statistic of all candidates in every draw. Likelihood ratio (F test): twice the
+    held-out gain divided by the larger design effect, of the candidate or the median of all, and by the degrees of
+    freedom, with Bonferroni's factor; it detects relations that act in few blocks.
     """
     largest = np.max([s.drawn for s in screened], axis=0)
     median = float(np.median([s.design_effect for s in screened]))
     found = {}
     for s in screened:
         p_score = (1 + int((largest >= s.observed).sum())) / (1 + DRAWS)
-        ratio = 2.0 * max(s.gain, 0.0) / max(median, s.design_effect) / s.freedom
-        found[s.candidate.name] = min(p_score, len(screened) * float(stats.f.sf(ratio, s.freedom, blocks - 1)))
+        ratio = 2.0 * max(s.gain, 0.0) / max(median, s.design_effect) / s.degrees_of_freedom
+        p_ratio = len(screened) * float(stats.f.sf(ratio, s.degrees_of_freedom, blocks - 1))
+        found[s.candidate.name] = min(p_score, p_ratio)
     return found
 
 
 def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.ndarray, candidate: Candidate,
             signs: np.ndarray) -> Screened | None:
-    """Efficient scores of the coefficients: all other parameters projected out. base: (b,) held-out loss without a
-    relation, with the same linearisation. car: sensitivities to the parameters of the vehicle file."""
+    """Screen a candidate by the efficient scores of its coefficients, other parameters projected out. base: (b,)
+    held-out loss without a relation. car: sensitivities to the parameters of the vehicle file."""
     loss = fits.loss_of(candidate)
     sensitivities = loss.sensitivities(without.vector, fits.relation)
     q = fits.quadratic(loss, without.rows, np.concatenate([without.sensitivities, sensitivities]))
@@ -103,36 +104,34 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
     drawn = np.einsum("di,ij,dj->d", signs @ gradient, inverse, signs @ gradient)
     mean = max(float(drawn.mean()), 1e-30)
     total = gradient.sum(axis=0)
-    freedom = max(float(np.trace(inverse @ information)), 1.0)
-    step = inverse @ total
+    step, degrees_of_freedom = inverse @ total, max(float(np.trace(inverse @ information)), 1.0)
     residual_gradient = q_all.gradient - q_all.hessian @ np.concatenate([-cross @ step, step])
     after = residual_gradient[:, -SPLINES:] - residual_gradient[:, :-SPLINES] @ cross
-    design_effect = max(2.0 * float(np.einsum("bi,ij,bj->", after, inverse, after)) / freedom, 1.0)
-    return Screened(candidate, float(total @ inverse @ total) / mean, drawn / mean, freedom, design_effect,
+    design_effect = max(2.0 * float(np.einsum("bi,ij,bj->", after, inverse, after)) / degrees_of_freedom, 1.0)
+    return Screened(candidate, float(total @ inverse @ total) / mean, drawn / mean, degrees_of_freedom, design_effect,
                     float((base - losses[smooth]).sum()), information)
 
 
 REFITTED = 10  # candidates fitted by simulation
 BOUND_MARGIN = 0.02  # fraction of the bound of the coefficients; a curve nearer to the bound counts as on it
 MIN_INFORMATION = 0.02  # fraction of the information on the relation; a run with less gets no separate estimate
-TWO_SIDED_95 = 1.96
 
 
 @dataclass(frozen=True)
 class RunShares:
-    """Ratio of the relation in each run to the overall one. by_run: (ratio, standard deviation). p_equal: p-value of
-    equal ratios in all runs."""
+    """Size of the relation in each run relative to the overall one. by_run: (ratio, standard deviation). p_equal:
+    p-value of the hypothesis of equal ratios."""
 
     by_run: Mapping[str, tuple[float, float]]
     p_equal: float
 
     def absent(self) -> list[str]:
-        """Runs with a ratio significantly below one half."""
-        return [name for name, (share, deviation) in self.by_run.items() if share + TWO_SIDED_95 * deviation < 0.5]
+        """Runs with a ratio significantly (two-sided 95 %) below one half."""
+        return [name for name, (ratio, deviation) in self.by_run.items() if ratio + 1.96 * deviation < 0.5]
 
 
 def shortlist(significant: Sequence[Screened]) -> list[Screened]:
-    """The best candidate of every term, then the best of all; `significant`: best first."""
+    """The best candidate of every term, followed by the others; at most REFITTED. significant: best first."""
     first = {trial.candidate.term: trial for trial in reversed(significant)}
     return list(dict.fromkeys([*sorted(first.values(), key=lambda s: -s.gain), *significant]))[:REFITTED]
 
@@ -143,16 +142,16 @@ def lower_bound(values: np.ndarray, p: float) -> float:
     return float(values.sum() - stats.t.isf(p, len(values) - 1) * spread)
 
 
-def by_block(fits: RelationFits, values: np.ndarray) -> np.ndarray:
-    """(b,) mean over the windows of each block of (n,) values; NaN without a finite one."""
+def average_by_block(fits: RelationFits, values: np.ndarray) -> np.ndarray:
+    """(b,) mean of the finite (n,) values in the windows of each block; NaN for a block without any."""
     known = np.isfinite(values)
     count = np.bincount(fits.block[known], minlength=fits.blocks)
     with np.errstate(invalid="ignore"):
         return np.bincount(fits.block[known], values[known], fits.blocks) / np.where(count, count, np.nan)
 
 
-def rejected_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParameters) -> str:
-    """Reason to reject a curve regardless of its gain: at its bound, or an unstable car; "" if it is accepted."""
+def describe_unusable_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParameters) -> str:
+    """Reason to reject a curve whatever its gain: it is at its bound, or the car is unstable with it; "" for none."""
     assert fit.candidate is not None
     name = fit.candidate.name
     if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * MAX_COEFFICIENT:
@@ -165,16 +164,16 @@ def rejected_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParamet
     return f"with {name} the simulated car is unstable and cannot predict: {problem}" if problem else ""
 
 
-def deterioration(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray, limits: Limits) -> str:
-    """Reason to reject a relation that increases held-out errors, else "": the mean position error after 5 s rises, or
-    that of one run, significantly and by `limits.relevant_position` or more. before, after: (n,) [m]."""
+def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray, limits: Limits) -> str:
+    """Reason to reject a relation that increases the mean held-out position error after 5 s, or the error in one run
+    significantly and by at least `limits.relevant_position`; "" for none. before, after: (n,) [m]."""
     rise = after - before
     if not np.isfinite(rise).any():
         return ""
     if np.nanmean(rise) > 0.0:
         return (f"{name} is significant, but raises the held-out position error after 5 s from "
                 f"{np.nanmean(before):.3f} to {np.nanmean(after):.3f} m")
-    blocks, run, names = by_block(fits, rise), fits.problem.run_of_block, fits.windows.names
+    blocks, run, names = average_by_block(fits, rise), fits.problem.run_of_block, fits.windows.names
     for k in np.unique(run):
         of_run = blocks[(run == k) & np.isfinite(blocks)]
         windows = fits.windows.run == k
@@ -186,43 +185,41 @@ def deterioration(fits: RelationFits, name: str, before: np.ndarray, after: np.n
     return ""
 
 
-def gain_text(fits: RelationFits, gains: np.ndarray, position_gain: np.ndarray, limits: Limits) -> str:
-    """Text of the held-out gain. gains: (b,) reduction of the loss. position_gain: (n,) of the position error [m]."""
+def describe_gain(fits: RelationFits, gains: np.ndarray, position_gain: np.ndarray, limits: Limits) -> str:
+    """Describe the held-out gain. gains: (b,) reduction of the loss. position_gain: (n,) of the position error [m]."""
     gain, low = (-np.expm1(-total / fits.loss.residual_count)
                  for total in (gains.sum(), lower_bound(gains, limits.undecided_p)))
     return (f"reduces the held-out residual of all channels by {gain:.1%} (95 %: at least {low:.1%}), "
             f"and the position error after 5 s by {100 * finite_mean(position_gain):.1f} cm")
 
 
-def small_gain(fits: RelationFits, candidate: Candidate, gains: np.ndarray, position_gain: np.ndarray,
-               limits: Limits) -> str:
-    """Reason why the effect size is below the thresholds, else "": too little held-out gain, possibly none, or no
-    significant gain (`limits.false_alarm`) in the predicted path.
-
-    The path criterion does not apply to sensor relations, nor with fewer than two blocks with a position.
-    """
+def describe_small_gain(fits: RelationFits, candidate: Candidate, gains: np.ndarray, position_gain: np.ndarray,
+                        limits: Limits) -> str:
+    """Reason to reject a relation with a small effect, "" for none: a held-out gain that is below the thresholds or not
+    significant, or no significant gain in the predicted path. The path is not tested for sensor errors, nor with fewer
+    than two blocks with a position."""
     small = (gains.sum() < limits.relevant * fits.loss.residual_count
              and finite_mean(position_gain) < limits.relevant_position)
     if small or lower_bound(gains, limits.undecided_p) <= 0.0:
-        return f"{candidate.name} is significant, but {gain_text(fits, gains, position_gain, limits)}"
-    blocks = by_block(fits, position_gain)
+        return f"{candidate.name} is significant, but {describe_gain(fits, gains, position_gain, limits)}"
+    blocks = average_by_block(fits, position_gain)
     blocks = blocks[np.isfinite(blocks)]
-    if not candidate.of_sensor and len(blocks) > 1 and lower_bound(blocks, limits.false_alarm) <= 0.0:
+    if not candidate.is_sensor_error and len(blocks) > 1 and lower_bound(blocks, limits.false_alarm) <= 0.0:
         return (f"{candidate.name} is significant, but the gain in the predicted path is not: it "
-                f"{gain_text(fits, gains, position_gain, limits)}")
+                f"{describe_gain(fits, gains, position_gain, limits)}")
     return ""
 
 
 def finite_mean(values: np.ndarray) -> float:
-    """Mean of the finite values; 0 without one."""
+    """Mean of the finite values; 0 if there are none."""
     return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
 
 
-def equally_good(worse: np.ndarray, p: float, seed: int) -> np.ndarray:
-    """(k,) whether the data do not separate each rival from the best. worse: (k, b) held-out loss above the best.
+def find_equally_good(worse: np.ndarray, p: float, seed: int) -> np.ndarray:
+    """(k,) whether each rival is as good as the best. worse: (k, b) held-out loss of the rival minus that of the best.
 
-    t: paired differences of blocks divided by their standard error. A rival is separated if t exceeds the quantile
-    1 - p of the largest t under random signs of whole blocks, common to all rivals (Romano and Wolf 2005).
+    Paired t test: a rival is worse if its t exceeds the quantile 1 - p of the largest t of all rivals under random
+    signs of whole blocks (Romano and Wolf 2005).
     """
     if not len(worse):
         return np.zeros(0, bool)
@@ -236,22 +233,24 @@ def equally_good(worse: np.ndarray, p: float, seed: int) -> np.ndarray:
     return t <= np.quantile(largest, 1.0 - p)
 
 
-def run_shares(fits: RelationFits, fit: RelationFit) -> RunShares:
-    """`RunShares` from the quadratic approximation, everything else refitted in each run."""
+def compare_runs(fits: RelationFits, fit: RelationFit) -> RunShares:
+    """`RunShares` from the quadratic approximation, with all other parameters refitted."""
     h = fit.q.hessian.sum(axis=0)
     others, coefficients = h[:-SPLINES, :-SPLINES], fit.coefficients
     direction = np.concatenate([-np.linalg.solve(add_ridge(others), h[:-SPLINES, -SPLINES:] @ coefficients),
                                 coefficients])
-    g, hh = fit.q.gradient @ direction, np.einsum("i,bij,j->b", direction, fit.q.hessian, direction)
+    gradient = fit.q.gradient @ direction
+    curvature = np.einsum("i,bij,j->b", direction, fit.q.hessian, direction)
     run = fits.problem.run_of_block
-    informative = [k for k in np.unique(run) if hh[run == k].sum() > MIN_INFORMATION * hh.sum()]
+    informative = [k for k in np.unique(run) if curvature[run == k].sum() > MIN_INFORMATION * curvature.sum()]
     if len(informative) < 2:
         return RunShares({}, 1.0)
-    excess = {k: g[run == k].sum() / hh[run == k].sum() for k in informative}
-    scatter = sum(float(np.square(g - excess[k] * hh)[run == k].sum()) for k in informative)
+    excess = {k: gradient[run == k].sum() / curvature[run == k].sum() for k in informative}
+    scatter = sum(float(np.square(gradient - excess[k] * curvature)[run == k].sum()) for k in informative)
     known = np.isin(run, informative)
-    design_effect = max(2.0 * scatter / hh[known].sum() * known.sum() / max(known.sum() - len(informative), 1), 1.0)
-    weight = {k: 2.0 * hh[run == k].sum() / design_effect for k in informative}
+    variance_ratio = 2.0 * scatter / curvature[known].sum()
+    design_effect = max(variance_ratio * known.sum() / max(known.sum() - len(informative), 1), 1.0)
+    weight = {k: 2.0 * curvature[run == k].sum() / design_effect for k in informative}
     mean = sum(excess[k] * w for k, w in weight.items()) / sum(weight.values())
     square = sum(w * (excess[k] - mean) ** 2 for k, w in weight.items())
     shares = {fits.windows.names[k]: (1.0 + float(excess[k]), float(weight[k] ** -0.5)) for k in informative}
@@ -282,10 +281,10 @@ def cosine(fits: RelationFits, first: RelationFit, other: RelationFit) -> float:
 
 def redundant_effects(fits: RelationFits, candidate: Candidate, fit: RelationFit, without: RelationFit,
                       names: Sequence[str], limits: Limits) -> dict[str, float]:
-    """Effects of the result that the relation makes redundant: residual [1] that returns without each, all refitted.
+    """Effects of the result that the relation makes redundant, with the residual [1] that returns without each.
 
-    An effect is kept if its held-out gain in addition to the relation passes the test of a relation. It is redundant if
-    it does not, and the relation alone explains significantly more than the effect alone.
+    An effect is redundant if its held-out gain in addition to the relation is too small or not significant, and the
+    relation without it explains significantly more than the result without the relation.
     """
     found = {}
     with_both = held_out_positions(fits, fit)

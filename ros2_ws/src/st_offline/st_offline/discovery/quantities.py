@@ -143,7 +143,7 @@ def axis_label(c: Candidate) -> str:
     """Label of the vertical axis, with the reference of relative values and the positive direction."""
     per = {"front_force": " over its static load", "rear_force": " over its static load",
            "yaw_moment": " over the yaw inertia", "side_force": " over the mass"}.get(c.term, "")
-    side = (", + reads too large" if c.of_sensor else ", relative, + more force" if c.term.endswith("grip")
+    side = (", + reads too large" if c.is_sensor_error else ", relative, + more force" if c.term.endswith("grip")
             else f"{per}, left +")
     return f"{TERMS[c.term]}{side}{f', for each unit of {QUANTITIES[c.factor]}' if c.factor else ''}"
 

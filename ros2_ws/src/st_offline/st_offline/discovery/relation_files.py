@@ -181,7 +181,7 @@ def _memory_hooks(c: Candidate) -> str:
 def _effect_kind(c: Candidate) -> str:
     if c.quantity in MAP_QUANTITIES:
         return "surroundings"
-    return "sensors" if c.of_sensor else "physics"
+    return "sensors" if c.is_sensor_error else "physics"
 
 
 def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequence[str], created: str,
