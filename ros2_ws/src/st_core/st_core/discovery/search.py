@@ -29,9 +29,9 @@ Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
 
 @dataclass
 class Found:
-    """State of the search. fit: of the current set. order: names of its effects in order of selection. evidence, without,
-    rivals: by effect of the set, its evidence, the fit without it, and the effects tried in its place. refused: by
-    effect tried in addition, (evidence, verdict, fit). cached_scores: of the other effects of the library. near: sets
+    """State of the search. fit: of the current set. order: names in order of selection. evidence, without, rivals:
+    by effect of the set, its evidence, the fit without it, and the effects tried in its place. refused: by effect tried
+    in addition, (evidence, verdict, fit). cached_scores: of the other effects of the library. near: sets
     that fit nearly as well, see `_near_sets`.
     """
 
@@ -51,7 +51,7 @@ class Found:
 
 
 class Search:
-    """A search from several starts. partitions: see `partitions`. sensors: (value, low, high) from redundant sensors, by
+    """A search from several starts. partitions: of the driving. sensors: (value, low, high) from redundant sensors, by
     "effect.parameter". tick: called at every refit. judge: function that gives the verdict on an effect."""
 
     def __init__(self, problem: Problem, limits: Limits, partitions: Mapping[str, Partition], sensors: Mapping,
@@ -65,8 +65,8 @@ class Search:
         self._fits_tried: list[tuple[np.ndarray, Near, float]] = []
 
     def run(self) -> Found:
-        """Find the best set from three starts: the empty set; the set found from the empty one plus all physical effects;
-        the whole library."""
+        """Find the best set from three starts: the empty set; the set found from that plus all physical effects; the
+        whole library."""
         p = self.problem
         p.update_design_effect(p.start)
         first = self._step_from(p.fit((), p.all_sensitivities(p.start)))
@@ -155,7 +155,7 @@ class Search:
             scale = self.problem.loss.scale
             added = self._forward(found) if len(found.fit.names) < self.limits.max_effects else None
             if added is None:
-                self.problem.loss.scale = scale  # the one of the losses in `found`; refused effects may have changed it
+                self.problem.loss.scale = scale  # as in `found`; refused effects may have changed it
                 return found
             found.fit = self._rescale(self._backward(added, found.scores))
             found.order = [n for n in dict.fromkeys((*found.order, *added.names)) if n in found.fit.names]
@@ -314,7 +314,7 @@ class Search:
         return _constrained_step(p, fit.quadratic, fit.vector, fit.indices, step, free)[0]
 
     def cancelling(self, fit: Fit, name: str) -> tuple[str, ...]:
-        """Effects of a fit that cancel `name`, so that the drives show only the sum: without both, the loss increases by
+        """Effects of a fit that cancel `name`; the drives show only the sum. Without both, the loss increases by
         less than `limits.min_rival_gain` times its increase without one of them while the other keeps its value."""
         def cancels(other: str) -> bool:
             alone = min(self.predicted_rise(fit, name, fixed=(other,)), self.predicted_rise(fit, other, fixed=(name,)))

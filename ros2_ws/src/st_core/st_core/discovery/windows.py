@@ -181,7 +181,7 @@ class Windows:
 
     @cached_property
     def known(self) -> np.ndarray:
-        """(n, m) whether an error has a measurement, and no gap of the inputs before it. m: points and columns of a window
+        """(n, m) whether an error has a measurement and no gap of the inputs before it; points and columns of a window
         in one row."""
         measured = [np.isfinite([self._measured[name] for name in channel.signals]).all(axis=0)
                     for channel in self.channels for _ in channel.columns]
