@@ -1,7 +1,7 @@
 """Correction of the steering clock of each run, estimated with the whole library of effects before the search.
 
-The steering of a CAN log has its own clock, aligned to the INS run by run with an error of some milliseconds. One
-steering delay for all runs cannot represent errors that differ; yaw inertia or tyre relaxation would.
+The steering of a CAN log has its own clock, aligned to the INS in each run with an error of some milliseconds. One
+delay for all runs cannot represent errors that differ; the fit would change yaw inertia or tyre relaxation instead.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,7 +21,7 @@ from .settings import DiscoverySettings
 from .space import Space, known_quantities
 from .windows import Windows
 
-MAX_CLOCK_DEVIATION = 0.01  # s; a third of a typical steering delay
+MAX_CLOCK_DEVIATION = 0.01  # s, standard deviation of a clock that counts as exact; a third of a typical delay
 ITERATIONS = 3  # repetitions of the joint fit, each with the corrected stamps
 
 
@@ -30,9 +30,9 @@ def clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, spac
                       ) -> dict[str, float]:
     """Correction of the steering stamps by run [s], > 0 if they were early; empty if none is needed.
 
-    deviations [s]: standard deviation of the steering clock by run; up to MAX_CLOCK_DEVIATION it counts as exact. The
-    corrections, with these as priors, and all parameters of the library minimise one loss. An error common to all runs
-    is attributed to the effect `steering_delay`, whose prior is wider.
+    deviations [s]: standard deviation of the steering clock by run, used as a prior; up to MAX_CLOCK_DEVIATION a clock
+    counts as exact. The corrections are fitted together with all parameters of the library. An error common to all runs
+    is attributed to the effect `steering_delay`, which has a wider prior.
     """
     prior_deviation = np.array([deviations.get(run.name, 0.0) for run in runs])
     free = np.flatnonzero(prior_deviation > MAX_CLOCK_DEVIATION).tolist()

@@ -11,8 +11,8 @@ from ..regression import add_ridge
 from .loss import Loss, Quadratic, rho
 from .space import GAIN, Quantities, prior_deviations
 
-ITERATIONS, STEP_SHARES = 5, (1.0, 0.5, 0.2)  # maximum of a fit; fractions of a step, tried until the loss decreases
-MAX_REUSE_DISTANCE = 0.25  # parameter scales, up to which cached sensitivities are updated and not recomputed
+ITERATIONS, STEP_SHARES = 5, (1.0, 0.5, 0.2)  # maximum number; fractions of a step, tried until the loss decreases
+MAX_REUSE_DISTANCE = 0.25  # parameter scales; up to it, cached sensitivities are updated instead of recomputed
 SENSITIVITY_CACHE_SIZE = 4  # vectors
 MIN_LOSS_FALL = 2e-4  # per residual; a fit ends at a smaller reduction of the loss
 FOLDS = 8  # groups of blocks, each held out once
@@ -81,9 +81,9 @@ class Sensitivities:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A set of effects with fitted values. indices: (a,) free parameters. sensitivities: to at least these.
-    quadratic: approximation of the loss of each window in these. held_out: (b,) loss of each block at the values fitted
-    without its fold."""
+    """A set of effects with fitted values. indices: (a,) free parameters. sensitivities: to at least these parameters.
+    quadratic: approximation of the loss of each window in these parameters. held_out: (b,) loss of each block at the
+    values fitted without its fold."""
 
     names: tuple[str, ...]
     vector: np.ndarray
@@ -94,7 +94,7 @@ class Fit:
 
 
 def marginalise(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """A prior curvature (p, p) with the parameters `free` marginalised (Schur complement); zero for these."""
+    """Prior curvature (p, p) with the parameters `free` marginalised (Schur complement); their entries are zero."""
     others = np.setdiff1d(np.arange(len(prior)), free)
     marginal = np.zeros_like(prior)
     cross = prior[np.ix_(others, free)]
@@ -107,13 +107,13 @@ class Problem:
     """A loss with its priors, and the fits of sets of effects to it.
 
     start: (p,) initial vector of a search. prior: (p, p) curvature about `start`, from reference drives, for the
-    parameters of effects that are not in the fitted set; None: these keep their start values, except the gain of the
-    accelerometer. block: (n,) number of the block of each window. noise: (c,) error of each column from noise alone
+    parameters of effects outside the fitted set; None: these keep their start values, except the gain of the
+    accelerometer. block: (n,) number of the block of each window. noise: (c,) error of each column due to noise alone
     [SI]. healthy_gain: largest gain per residual between drives of the healthy car.
 
     quantities: (p,) quantity of the vehicle file that each parameter changes. Its standard deviation s enters the loss
-    as a Gaussian prior, 0.5 D (x / s)^2. design_effect D [1]: number of residuals that count as one independent
-    residual, see `update_design_effect`.
+    as a Gaussian prior 0.5 D (x / s)^2, x: change of the quantity. design_effect D [1]: number of residuals that count
+    as one independent residual, see `update_design_effect`.
     """
 
     def __init__(self, loss: Loss, start: np.ndarray, block: np.ndarray, prior: np.ndarray | None = None,
@@ -152,8 +152,7 @@ class Problem:
 
     @cached_property
     def held_out_groups(self) -> np.ndarray:
-        """(b,) group of each block for reported held-out errors: its run if there are at least four runs, else its
-        fold."""
+        """(b,) group of each block for reported held-out errors: its run if there are over three, else its fold."""
         return self.run_of_block if len(np.unique(self.run_of_block)) > 3 else self.fold
 
     @cached_property
@@ -182,7 +181,7 @@ class Problem:
         return self.space.indices(*names, *always)
 
     def prior_curvature(self, names: Iterable[str], indices: np.ndarray) -> np.ndarray:
-        """(a, a) curvature of the prior about the start: from the vehicle file; with a reference from its drives, for
+        """(a, a) curvature of the prior about the start: from the vehicle file or, with a reference, its drives, for
         all parameters except those of the effects `names`."""
         if self.prior is None:
             return np.diag(self.file_curvature[indices])
@@ -198,8 +197,8 @@ class Problem:
         return self.file_curvature * (vector - self.start) / self.space.scale
 
     def update_design_effect(self, vector: np.ndarray) -> None:
-        """Estimate the design effect from the residuals at a vector: ratio of the variance of the scores between
-        blocks, or between runs if larger, to that of independent residuals; median over the library, at least 1.
+        """Estimate the design effect from the residuals at a vector: variance of the scores between blocks, or between
+        runs if larger, divided by that of independent residuals; median over the library, at least 1.
 
             D = 2 n var(g_k) / H,   g_k: half the gradient of the loss in part k of n, H: half its second derivative
 
@@ -222,12 +221,12 @@ class Problem:
         return (vector - self.start) / self.space.scale
 
     def distance_to_bounds(self, vector: np.ndarray, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(a,) largest negative and positive steps of some parameters [parameter scales]."""
+        """(a,) largest negative and positive steps of some parameters to their bounds [parameter scales]."""
         low, high = np.minimum(self.space.low - vector, 0.0), np.maximum(self.space.high - vector, 0.0)
         return (low / self.space.scale)[indices], (high / self.space.scale)[indices]
 
     def solve(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
-        """(a,) step from `vector` to the minimum of the quadratic q, given by window, within the bounds."""
+        """(a,) step from `vector` to the minimum, within the bounds, of the quadratic q, which is given by window."""
         return self.stepper(names, vector, indices)(q.hessian.sum(axis=0), q.gradient.sum(axis=0))
 
     def stepper(self, names: Iterable[str], vector: np.ndarray,
@@ -248,7 +247,7 @@ class Problem:
         return self.loss.total(vector) + float(distance @ self.prior_curvature(names, indices) @ distance)
 
     def all_sensitivities(self, vector: np.ndarray) -> Sensitivities:
-        """Sensitivities to all parameters: cached ones of a nearby vector, updated for the step, or new ones."""
+        """Sensitivities to all parameters: those cached for a nearby vector, updated for the step, or new ones."""
         for known in reversed(self._cached_sensitivities):
             if np.abs((vector - known.vector) / self.space.scale).max() < MAX_REUSE_DISTANCE:
                 return self._sensitivities_at(known, vector, np.zeros(0, int))
@@ -275,10 +274,9 @@ class Problem:
 
     def fit(self, names: Iterable[str], sensitivities: Sensitivities, vector: np.ndarray | None = None,
             fresh: Iterable[str] = (), iterations: int = ITERATIONS) -> Fit:
-        """Fit a set of effects by robust Gauss-Newton. sensitivities: to at least the free parameters, at a
-        nearby vector; updated at each step. vector: initial vector, default that of the sensitivities. fresh: effects
-        whose sensitivities are recomputed at each step.
-        """
+        """Fit a set of effects by robust Gauss-Newton. sensitivities: to at least the free parameters, at a nearby
+        vector; updated at each step. vector: initial vector, default the one of the sensitivities. fresh: effects with
+        sensitivities that are recomputed at each step."""
         names = tuple(names)
         indices, new = self.free_indices(names), self.space.indices(*fresh)
         first, vector = sensitivities.vector if vector is None else vector, self.start.copy()
@@ -326,8 +324,8 @@ class Problem:
 
     def leave_out(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, indices: np.ndarray,
                   fold: np.ndarray, at_optimum: bool = False) -> tuple[dict[int, np.ndarray], np.ndarray]:
-        """({fold: step to the values fitted without it}, (b,) loss of each block at those values, with its share of the
-        cost of the prior), from the quadratic approximation of the loss.
+        """({fold: step to the values fitted without it}, (b,) loss of each block at the values fitted without its fold,
+        including its share of the prior cost), from the quadratic approximation of the loss.
 
         q: by block. fold: (b,). at_optimum: treat `vector` as the optimum, without the remaining Gauss-Newton step.
         With a prior from reference drives, leaving out a fold changes only the parameters of the effects `names`.
@@ -362,7 +360,7 @@ class Problem:
         return steps, held_out
 
     def _robust(self, rise: np.ndarray, blocks: np.ndarray) -> np.ndarray:
-        """Increase of the robust loss for an increase of its quadratic: logarithmic above 1 per residual."""
+        """Increase of the robust loss for an increase of the quadratic one: logarithmic above 1 per residual."""
         count = np.maximum(self._residual_counts[blocks], 1)
         return np.where(rise > count, count * (1.0 + np.log(np.maximum(rise / count, 1.0))), rise)
 
@@ -377,8 +375,8 @@ class Problem:
         return self.leave_out(q, fit.names, fit.vector, fit.indices, groups, at_optimum=True)
 
     def held_out_loss(self, fit: Fit, groups: np.ndarray) -> np.ndarray:
-        """(b,) loss of each block at values fitted without its group; simulated if the quadratic predicts a loss much
-        higher than the fitted one. groups: (b,) group of each block."""
+        """(b,) loss of each block at values fitted without its group; simulated if the quadratic approximation predicts
+        a large increase of the loss. groups: (b,) group of each block."""
         steps, held_out = self.leave_out_of(fit, groups)
         if held_out.sum() - fit.quadratic.cost.sum() < MAX_QUADRATIC_RISE * self.residual_count:
             return held_out
@@ -391,8 +389,8 @@ class Problem:
         return np.minimum(held_out, result)
 
     def held_out_gain(self, without: Fit, fit: Fit) -> float:
-        """Reduction of the held-out loss per residual from a fit without some of the effects to the fit with them;
-        groups held out: `held_out_groups`."""
+        """Reduction of the held-out loss per residual from a fit without some of the effects to the fit with them.
+        Whole `held_out_groups` are held out."""
         before, after = (self.held_out_loss(each, self.held_out_groups) for each in (without, fit))
         return float((before - after).sum()) / self.residual_count
 

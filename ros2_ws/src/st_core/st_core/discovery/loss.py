@@ -2,10 +2,10 @@
 
     rho(z) = (nu + 1) / 2 log(1 + z^2 / nu),   z = r / s
 
-the negative log-likelihood of Student's distribution, r: residual (measured minus predicted) of a column at a scored
-point of the horizon, s: its scale. The scale is estimated from the residuals and recomputed as the model improves, so
-that all channels have similar weight, and small errors matter once large ones are explained. Approximation (iteratively
-reweighted least squares):
+rho is the negative log-likelihood of Student's distribution, r the residual (measured minus predicted) of a column at a
+scored point of the horizon, s its scale. The scale is estimated from the residuals and recomputed as the model
+improves: all channels have similar weight, and small errors matter once large ones are explained. The approximation is
+that of iteratively reweighted least squares:
 
     cost(d) ~ cost - 2 g'd + d'H d,   d: step of the parameters, in parameter scales (`Space.scale`)
 
@@ -39,7 +39,7 @@ def weight(z: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
-    """The quadratic approximation of each window: cost (n,), gradient (n, p), hessian (n, p, p)."""
+    """Quadratic approximation of the loss of each window: cost (n,), gradient (n, p), hessian (n, p, p)."""
 
     cost: np.ndarray
     gradient: np.ndarray
@@ -52,7 +52,7 @@ class Quadratic:
         return Quadratic(*(np.tensordot(member, values, 1) for values in (self.cost, self.gradient, self.hessian)))
 
     def only(self, indices: np.ndarray) -> "Quadratic":
-        """The approximation in some of the parameters, the others fixed."""
+        """The approximation in some of the parameters, with the others fixed."""
         return Quadratic(self.cost, self.gradient[:, indices], self.hessian[:, indices][:, :, indices])
 
 
@@ -81,8 +81,8 @@ class Errors:
 
 
 class Loss:
-    """Robust loss. known: (n, m) whether measured. scale: (m,) of the residuals [SI]. residual_count: number of
-    residuals."""
+    """Robust loss. known: (n, m) whether a residual is measured. scale: (m,) of the residuals [SI]. residual_count:
+    number of measured residuals."""
 
     def __init__(self, errors: Errors, at: np.ndarray):
         self.errors, self.space = errors, errors.space

@@ -1,33 +1,32 @@
-"""Divisions of the driving by run, site, time, place and condition, to test whether an effect is the same in all parts.
-"""
+"""Partitions of the driving by run, site, time, place and condition, which test if an effect is the same everywhere."""
 
 import numpy as np
 
 from .windows import Windows
 
 PLACE_SIZE = 50.0  # m, side of the squares of the map that count as places
-SAME_SITE_SHARE = 0.2  # fraction of the shorter run's places: runs that have more in common are at the same site
+SAME_SITE_SHARE = 0.2  # fraction of the places of the smaller run; runs with more places in common share a site
 MIN_RUNS = 5  # fewer runs are divided into stretches
 TIMES = ("the first third of the runs", "the second third", "the last third")
 CONDITIONS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
 
-# A way to divide the driving (a factor of an analysis of variance): (n,) part of each window, names of the parts.
+# A factor of an analysis of variance: (n,) part of each window, names of the parts.
 Partition = tuple[np.ndarray, list[str]]
 
 
 def partitions(windows: Windows) -> dict[str, Partition]:
-    """(part of each window (n,), names of the parts) by name of the partition; only those with at least two parts."""
+    """Partitions by name; only those with at least two parts."""
     site, driven = sites(windows), windows.driven
     parts = {"run": runs(windows), "site": (site, [f"site {k + 1}" for k in range(int(site.max()) + 1)]),
              "time": (_thirds(windows), list(TIMES)), "place": places(driven["x"], driven["y"]),
              "condition": conditions(driven["speed"], driven["lateral_acceleration"])}
     if site.max() + 1 == len(windows.names):
-        del parts["site"]  # the same as the runs
+        del parts["site"]  # each run is a site
     return {name: partition for name, partition in parts.items() if len(np.unique(partition[0])) > 1}
 
 
 def runs(windows: Windows) -> Partition:
-    """The runs; of fewer than MIN_RUNS, stretches of equal duration."""
+    """The runs as parts; with fewer than MIN_RUNS, stretches of equal duration of the runs."""
     numbers = np.unique(windows.run)
     if len(numbers) >= MIN_RUNS:
         return windows.run, list(windows.names)
@@ -42,8 +41,8 @@ def runs(windows: Windows) -> Partition:
 
 
 def sites(windows: Windows) -> np.ndarray:
-    """(n,) site of each window, an area of several `places`: runs through common places, directly or by way of other
-    runs, are at one site. Distance is no criterion, as maps of different sites may have different origins."""
+    """(n,) site of each window. Runs with common `places`, directly or through other runs, are at one site. Distance is
+    no criterion, as the maps of different sites may have different origins."""
     number = places(windows.driven["x"], windows.driven["y"])[0]
     visited = [set(number[windows.run == run]) for run in range(len(windows.names))]
     site = list(range(len(visited)))
@@ -72,7 +71,7 @@ def conditions(speed: np.ndarray, lateral: np.ndarray) -> Partition:
 
 
 def _thirds(windows: Windows) -> np.ndarray:
-    """(n,) which third of its run each window is in: 0, 1 or 2."""
+    """(n,) third of its run that each window is in: 0, 1 or 2."""
     longest = np.zeros(len(windows.names))
     np.maximum.at(longest, windows.run, windows.seconds)
     share = windows.seconds / np.maximum(longest[windows.run], 1e-9)

@@ -1,4 +1,4 @@
-"""The healthy car from reference drives: initial vector of the search, and prior of the effects that are not fitted."""
+"""Fit of the healthy car to reference drives: initial vector of a search, and prior of effects outside the set."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,8 +26,8 @@ FIXED_CURVATURE = 1e6  # prior curvature that fixes a parameter
 class Healthy:
     """vector: (p,) values of the whole library fitted to the reference. prior: (p, p) curvature of the loss about them.
     residual: (c,) scale (`Loss.scale_of`) of the errors of each column at the end of the horizon [SI]. position [m]:
-    mean position error there, in the run where it is largest. gain: largest reduction of the loss per residual that an
-    effect reaches in one run alone, with a prior from the other runs (false-alarm level)."""
+    mean position error there, in the run where it is largest. gain [1]: largest reduction of the loss per residual by
+    an effect in one run, with a prior from the other runs; smaller gains may be false alarms."""
 
     vector: np.ndarray
     prior: np.ndarray
@@ -38,10 +38,10 @@ class Healthy:
 
 def healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
                 threads: int, tick: Callable[[], None]) -> Healthy:
-    """The healthy car from its drives.
+    """Fit the healthy car to its drives.
 
-    The prior is the predictive distribution for a new drive of the same car, with 2 x covariance of the reference
-    drives x design effect: once for the uncertainty of the reference, once for that of the new drive.
+    The prior is the predictive distribution for a new drive of the same car. Its covariance is that of the reference
+    drives times the design effect, times 2 for the uncertainty of both the reference and the new drive.
     """
     windows = Windows(runs, vehicle, settings)
     prior, quantities = weak_prior(space), known_quantities(space, vehicle)
@@ -62,7 +62,7 @@ def healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Spa
 
 
 def weak_prior(space: Space) -> np.ndarray:
-    """(p, p) prior curvature of a joint fit of the whole library; effects composed of others (`members`) are fixed."""
+    """(p, p) prior curvature of a joint fit of the whole library; it fixes effects composed of `members`."""
     prior = np.eye(len(space)) / JOINT_DEVIATION**2
     composite = space.indices(*(n for n in space.hypotheses if get_effect(n).members))
     prior[composite, composite] = FIXED_CURVATURE  # a composite is collinear with its members
@@ -98,8 +98,8 @@ def _minimum(h: np.ndarray, g: np.ndarray, centre: np.ndarray, prior: np.ndarray
 
 
 def _design_effects(q: Quadratic, curvature: np.ndarray, windows: Windows) -> np.ndarray:
-    """(p,) design effect of each value, at least 1: ratio of the variance of its score between blocks, or between runs
-    if larger, to that of independent windows; widened by Student's quantile, as there may be few blocks or runs."""
+    """(p,) design effect of each value, at least 1: variance of its score between blocks, or between runs if larger,
+    divided by that of independent windows; increased by Student's quantile, as there may be few blocks or runs."""
     effects = np.ones(len(curvature))
     for part in (windows.block, windows.run):
         gradient = q.summed(part).gradient
@@ -111,7 +111,7 @@ def _design_effects(q: Quadratic, curvature: np.ndarray, windows: Windows) -> np
 
 
 def theoretical_values(space: Space) -> np.ndarray:
-    """(p,) values known from theory for any car; effects that turn the base model into another keep their null."""
+    """(p,) null, but theoretical values where known; effects that turn the base model into another keep their null."""
     vector = space.null.copy()
     for i, free in enumerate(space.free):
         if free.theory is not None and not get_effect(free.effect).converts:

@@ -190,7 +190,7 @@ class Search:
         return fit
 
     def _select(self, candidates: list[Found]) -> Found:
-        """The set with the lowest held-out loss plus `limits.negligible` per effect. Losses are compared at the residual
+        """The set with the lowest held-out loss plus `limits.negligible` per effect, at the residual
         scale and the design effect of the set with the smallest errors."""
         p = self.problem
         if len(candidates) > 1:

@@ -13,26 +13,25 @@ from ..errors import ConfigurationError
 class Limits:
     """Thresholds of the decisions of a discovery.
 
-    false_alarm [1]: significance level, corrected for the whole library, of an effect; of the improvement of the path
-    by a proposed relation; and, at its default, of a combination (`known_together`) that differs from the vehicle file.
+    false_alarm [1]: significance level of an effect, corrected for the whole library; also of the path improvement by a
+    relation and, with the default value, of a combination that differs from the vehicle file (`known_together`).
     undecided_p [1]: p-value above which a difference is undecided: between two effects, between the values in parts of
     the driving, or from the null; also the error probability of a one-sided confidence bound. relevant [1]: relative
     reduction of the errors that an effect must reach: over all channels, relative to the errors without it, to be kept;
     in one channel, relative to the baseline error, to be named. relevant_position [m]: reduction of the mean position
     error after 5 s, overall or in one driving condition, that is sufficient instead of `relevant`. min_relative_size
-    [1]: value in parameter scales that is sufficient instead, if redundant sensors measure the effect; also that of the
-    load that is an alternative to lower tyre stiffness unless the drives exclude it.
+    [1]: value in parameter scales that is sufficient instead, if redundant sensors confirm the effect; also the load
+    that is tried as an alternative to lower tyre stiffness.
     negligible [1]: relative reduction of the errors below which an effect is ignored, however significant.
     min_rival_gain [1]: fraction of an effect's gain that another must reach in its place to be an alternative.
     max_file_deviation [1]: largest accepted deviation of a value from that of the vehicle file, in standard deviations.
     min_peak_force [1]: fraction of the peak force of an axle that the drives must reach for a peak to be named.
     at_bound [1]: distance to a bound, in parameter scales, below which a value counts as being at the bound.
     max_noise_ratio [1]: ratio of residual to noise above which the residual is reported as unexplained.
-    unexplained_share [1]: fraction of a residual above `max_noise_ratio` below which a difference may be due to
-    unmodelled effects. An effect must reduce the residual by this to be named; it must explain more than another by
-    this to have no alternative; a set of effects must be worse than the final one by this for the intervals not to
-    include its values. detection_power [1]: power above which a size counts as detectable in these drives.
-    max_effects [1]: maximum number of effects in one model.
+    unexplained_share [1]: fraction of a residual above `max_noise_ratio`; smaller differences may be due to unmodelled
+    effects. An effect must reduce the residual by this fraction to be named, and explain this much more than another
+    to exclude it as an alternative; intervals include the values of sets that are worse by less. detection_power [1]: power from
+    which a size counts as detectable in these drives. max_effects [1]: maximum number of effects in one model.
 
     Raises ConfigurationError naming the limit that is not a positive number.
     """
@@ -62,8 +61,8 @@ class Limits:
 class DiscoverySettings:
     """Options of a discovery.
 
-    channels: measurements that are used. Without velocity_y the sideslip is used neither as a measurement nor as an
-    initial state. seed: of all random numbers. horizon [s]: of the predictions. windows: approximate number of
+    channels: measurements that are used. Without velocity_y, sideslip is used neither as a measurement nor in initial
+    states. seed: of all random numbers. horizon [s]: of the predictions. windows: approximate number of
     predictions; their starts are at least `interval` [s] apart, as closer ones add little to horizons of 5 s. block
     [s]: driving further apart counts as independent. effects: names to choose from; None: all that apply. limits: of
     the decisions. certify: measure the power by one step of the search on simulated drives, instead of predicting it.

@@ -1,4 +1,4 @@
-"""Effects that vary between parts of the drives: another value in each run, at each site or in each stretch of time.
+"""Search for effects that vary between parts of the drives, such as runs, sites or stretches of time.
 
 An effect that begins in the middle of a drive has no single value that reduces the errors everywhere, so the search
 cannot find it. Here each part of a partition has a separate value, from the quadratic about the final fit.
@@ -38,7 +38,7 @@ class Varying:
 
 
 def find_varying_effects(problem: Problem, fit: Fit, partitions: Mapping[str, Partition]) -> list[Varying]:
-    """Every effect of the library with separate values in the parts of each partition, largest gain first. Those
+    """Every effect of the library with separate values in the parts of each partition, largest gain first. Partitions
     with at least half as many parts as there are blocks are left out."""
     q = problem.quadratic_of_all(fit.vector)
     usable = {name: partition for name, partition in partitions.items()
@@ -87,8 +87,8 @@ def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, p
 
 def _design_effect(problem: Problem, number: np.ndarray, parts: Sequence[Part], gradient: np.ndarray,
                    curvature: np.ndarray) -> float:
-    """Design effect of the values, at least 1, from the scores of the blocks that remain with a value for each part.
-    number: (n,) part of each window; gradient, curvature: (n, k), (n, k, k)."""
+    """Design effect of the values, at least 1, from the residual scores of the blocks with a value for each part.
+    number: (n,) part of each window. gradient: (n, k). curvature: (n, k, k)."""
     residual = gradient.copy()
     for k, gk, hk in parts:
         inside = number == k
@@ -100,7 +100,7 @@ def _design_effect(problem: Problem, number: np.ndarray, parts: Sequence[Part], 
 
 
 def evidence_of(problem: Problem, fit: Fit, v: Varying, partitions: Mapping[str, Partition]) -> Evidence:
-    """Reduction of the errors by separate values for the parts, to first order, on the driving they were fitted to."""
+    """Error reduction by separate values for the parts: linearised, and on the driving to which they were fitted."""
     rows = problem.errors.at(fit.vector)
     corrected, sensitivities = rows.copy(), problem.all_sensitivities(fit.vector).values
     for k, step in v.steps.items():
