@@ -371,7 +371,7 @@ def test_one_bend_is_said(leaf):
                                              (3, "")])
 def test_few_runs_are_said(leaf, count, said):
     found = discover(recorded(leaf, OFFSET, 1)[:count], leaf, settings=FEW)
-    assert any("instead of runs, stretches" in text for text in found.warnings) == bool(said)
+    assert any("instead of whole runs" in text for text in found.warnings) == bool(said)
     assert not said or any(text.startswith(said) for text in found.warnings)
     assert any("tests have little power" in text for text in found.warnings)
     assert len(found.runs) == count and all(r.windows > 0 for r in found.runs)

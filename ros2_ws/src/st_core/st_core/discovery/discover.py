@@ -250,7 +250,7 @@ class _Analysis:
         needed = self.settings.horizon + 2.0 * MARGIN_NS * 1e-9 + 0.5
         short = [run.name for run in runs if run.overlap < needed]
         if short:
-            self.warnings.append(f"{role} {', '.join(short)}: not used, because shorter than {needed:.1f} s")
+            self.warnings.append(f"{role} {', '.join(short)}: shorter than {needed:.1f} s, not used")
         return [run for run in runs if run.overlap >= needed]
 
     def _correct_clocks(self, runs: list[DriveLog], deviations: Mapping[str, float]) -> list[DriveLog]:

@@ -30,8 +30,8 @@ class Limits:
     max_noise_ratio [1]: ratio of residual to noise above which the residual is reported as unexplained.
     unexplained_share [1]: fraction of a residual above `max_noise_ratio`; smaller differences may be due to unmodelled
     effects. An effect must reduce the residual by this fraction to be named, and explain this much more than another
-    to exclude it as an alternative; intervals include the values of sets that are worse by less. detection_power [1]: power from
-    which a size counts as detectable in these drives. max_effects [1]: maximum number of effects in one model.
+    to exclude it as an alternative; intervals include the values of sets that are worse by less.
+    detection_power [1]: power from which a size counts as detectable in these drives. max_effects: in one model.
 
     Raises ConfigurationError naming the limit that is not a positive number.
     """
