@@ -49,10 +49,8 @@ class OutputError(OSError):
 
 
 def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
-    """Creates the given folder, or runs/<name>-<time>. Raises OutputError if it is not empty or cannot be written.
-
-    create: False only checks the folder.
-    """
+    """Checks, and creates if `create`, the given folder or runs/<name>-<time>. Raises OutputError if it is not empty or
+    cannot be written."""
     folder = given or Path("runs") / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
     try:
         if folder.exists() and (folder.is_file() or any(folder.iterdir())):

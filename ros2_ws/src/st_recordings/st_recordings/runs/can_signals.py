@@ -158,15 +158,9 @@ def load_signal_table(dbc: Path, table: Path) -> SignalTable:
 
 def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
                  values: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, str]:
-    """Checks the frames of a message.
+    """(whether to use each frame of a message, whether each frame is valid, description of the faults).
 
-    Args:
-        payload: (n, 8) bytes.
-        time_ns: log times (n,).
-        values: SI values (n,) by signal of the suite.
-
-    Returns:
-        (whether to use each frame, whether each frame is valid, description of the faults).
+    payload: (n, 8) bytes. time_ns: log times (n,). values: SI values (n,) by signal of the suite.
     """
     n = len(payload)
     keep, valid = np.ones(n, dtype=bool), np.ones(n, dtype=bool)

@@ -41,14 +41,9 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
     """Aligns the clocks with the first available of: a given offset; the INS time frame on CAN, checked with shared
     signals; shared signals; substitute signals, which give a doubtful alignment at best.
 
-    Args:
-        offset: INS minus CAN clock [s].
-        search: bounds of the estimated offset [s].
-        latency: delay of INS values on CAN and its standard deviation [s].
-        steering_sign: +1 if the decoded sensor is positive to the left.
-
-    Returns:
-        (alignment, signals that it uses or that can check it).
+    offset: INS minus CAN clock [s]. search: bounds of the estimated offset [s]. latency: delay of INS values on CAN and
+    its standard deviation [s]. steering_sign: +1 if the decoded sensor is positive to the left. Returns (alignment,
+    signals that it uses or that can check it).
     """
     ins, can, notes = mask_implausible(ins, can)
     pairs, warning = pair_shared_signals(ins, can, latency), ""

@@ -66,12 +66,8 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
     """Builds the drive of a table. Raises RunError.
 
     A row without a number in an INS channel is left out of the INS samples but not of the steering samples, and vice
-    versa; a missing acceleration becomes NaN.
-
-    Args:
-        vehicle: required for a table that has only the steering wheel angle.
-        yaw_scale: correction factor of yaw, applied before unwrapping.
-        steering: gives the sign of the steering column that the layout of the table names.
+    versa; a missing acceleration becomes NaN. vehicle: required for a table with only the steering wheel angle.
+    yaw_scale: correction factor of yaw, applied before unwrapping. steering: gives the sign of its column.
     """
     file = table.file
     _require_columns(table, (*INS_SIGNALS, ROAD_WHEEL))
@@ -112,9 +108,7 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
 
 def build_ins_log(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
     """Builds the INS log of a table, for a run whose steering is in a CAN log. Raises RunError.
-
-    needed: channels that every sample has; in other channels, missing numbers are NaN.
-    """
+    needed: channels that every sample has; other channels may contain NaN."""
     _require_columns(table, needed, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)
     columns, origin = _derive_channels(table, notes)
@@ -161,10 +155,7 @@ def looks_like_a_drive(file: Path) -> bool:
 
 def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iterable[str],
                       completed: bool = True) -> list[str]:
-    """The needed channels that neither a column gives nor can be derived from other columns.
-
-    completed: whether channels that `_complete_motion` derives count as given.
-    """
+    """The needed channels without a column that cannot be derived; completed: by `_complete_motion` as well."""
     found = set(sources)
     if found & {COMPASS, COURSE} or found.issuperset(QUATERNION_CHANNELS):
         found.add("yaw")

@@ -82,10 +82,7 @@ def rotate_to_body(vector: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, roll:
 
 def to_enu(origin: tuple[float, float, float], latitude: np.ndarray, longitude: np.ndarray,
            altitude: np.ndarray) -> np.ndarray:
-    """East, north, up [m], (3, n), in the tangent plane of the origin, as in oxts_bridge.motion.LocalFrame.
-
-    Latitudes and longitudes are in rad, altitudes in m.
-    """
+    """East, north, up [m], (3, n), in the tangent plane of the origin (oxts_bridge.motion.LocalFrame); angles [rad]."""
     dx, dy, dz = to_ecef(latitude, longitude, altitude) - to_ecef(*(np.array([v]) for v in origin))
     s_lat, c_lat, s_lon, c_lon = np.sin(origin[0]), np.cos(origin[0]), np.sin(origin[1]), np.cos(origin[1])
     outward = c_lon * dx + s_lon * dy
@@ -139,10 +136,7 @@ def decode_status_channel(columns: Columns, channel: int, names: tuple[str, ...]
 
 
 def select_latest_values(sent_in: np.ndarray, values: np.ndarray, packets: np.ndarray) -> np.ndarray:
-    """The latest values at each packet, (n, k); NaN before the first.
-
-    sent_in, values: result of `decode_status_channel`. packets: ascending indices.
-    """
+    """The latest result of `decode_status_channel` at each of the ascending packets, (n, k); NaN before the first."""
     if not len(sent_in):
         return np.full((len(packets), values.shape[1]), np.nan)
     newest = np.searchsorted(sent_in, packets, side="right") - 1

@@ -58,7 +58,6 @@ class Reconstruction:
         return self.has(CAN_FRAMES) and None not in self._descriptions()
 
     def map_frame(self) -> str:
-        """frame_id of the odometry."""
         return str(self._nodes.get("oxts_bridge", {}).get("map_frame", "map"))
 
     def odometry(self, fields: tuple[str, ...]) -> dict[str, np.ndarray]:
@@ -295,11 +294,8 @@ def deserialise(where: Any, storage: Storage, topic: Topic, store: Typestore) ->
 
 def read_steering_columns(where: Any, storage: Storage, topic: Topic, steering: SteeringField,
                           store: Typestore) -> dict[str, np.ndarray]:
-    """Columns of st_msgs/Steering, read from a topic of another type. Raises RunError.
-
-    If only the steering wheel angle was recorded, the road wheel angle is a placeholder with the same values, which
-    DriveLog.with_steering replaces.
-    """
+    """Columns of st_msgs/Steering, read from a topic of another type. Raises RunError."""
+    # With the steering wheel angle, the road wheel angle is a placeholder that DriveLog.with_steering replaces.
     stamps, angles = [], []
     for log_ns, message in deserialise(where, storage, topic, store):
         stamps.append(get_stamp(message, log_ns))

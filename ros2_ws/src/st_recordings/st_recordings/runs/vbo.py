@@ -37,16 +37,11 @@ TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dua
 MIN_HEADING_AGREEMENT = 0.5
 """A yaw rate channel is not used if its correlation with the derivative of the heading is lower."""
 MIN_TURN_RATE = 0.01
-"""rad/s; noise of a heading of 0.1 deg at 5 Hz. If the median derivative is lower, it is not compared with the yaw
-rate."""
+"""rad/s, noise of a heading of 0.1 deg at 5 Hz; a smaller median derivative is not compared with the yaw rate."""
 
 
 def read_vbo(file: Path, layout: Layout) -> Table:
-    """Reads a file. Raises RunError.
-
-    The channel "heading" of a VBO file is the course over ground. Only a receiver with two antennas also gives the
-    heading of the car.
-    """
+    """Reads a file, whose channel "heading" is the course over ground. Raises RunError."""
     check_readable(file)
     text = read_text(file)
     sections = _split_sections(text)
@@ -86,8 +81,7 @@ def lacks_steering(file: Path) -> bool:
 
 
 def _split_sections(text: str) -> dict[str, str]:
-    """Section -> text. The data sections of joined files are concatenated; of other repeated sections, the first is
-    used."""
+    """Section -> text. Repeated data sections (joined files) are concatenated; of others, the first is used."""
     parts = _SECTION.split(text)
     sections: dict[str, str] = {}
     for name, content in zip(parts[1::2], parts[2::2], strict=True):
@@ -156,10 +150,7 @@ def _is_hhmmss(body: str, column: int) -> bool:
 
 
 def _parse_time(text: str, midnight: float) -> tuple[float, float] | None:
-    """(Unix time [s] of HHMMSS.ss, period [s] after which it restarts: one day); None for an invalid cell.
-
-    midnight: Unix time [s] of the start of the day.
-    """
+    """(Unix time [s] of HHMMSS.ss on the day that begins at midnight [s], length of a day [s]); None if invalid."""
     try:
         clock = float(text)
     except ValueError:

@@ -48,14 +48,9 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
                ) -> Imported:
     """Reads and checks a run of NCOM packets and CAN frames, and writes it as a bag.
 
-    Args:
-        vehicle: gives the steering ratio and offset for the road wheel angle.
-        directory: of the new bag.
-        check: returns the findings on a drive; raises RunError for a drive that must not be written.
-        progress: called with the completed fraction, 0 to 1.
-
-    Raises:
-        RunError: the run cannot be read or aligned, is rejected by `check`, or the bag cannot be written.
+    check: returns the findings on a drive; raises RunError for a drive that must not be written. progress: called with
+    the completed fraction, 0 to 1. Raises RunError if the run cannot be read or aligned, `check` rejects it, or the bag
+    cannot be written.
     """
     if source.problem is None and source.kind != "ncom":
         raise RunError(source.where, f"st import converts NCOM packets and CAN frames, but this run is {source.kind}",
