@@ -109,10 +109,7 @@ def describe_missing_files(path: Path) -> list[str]:
 
 
 def _describe_missing_before(file: Path) -> str:
-    """A note on files missing before this one in a numbered recording (drive_1, drive_3); empty if none is missing.
-
-    Files whose time gap is much shorter or longer than the missing files would be are separate recordings.
-    """
+    """A note on files missing before this one in a numbered recording (drive_1, drive_3); empty if none is missing."""
     stem, _, number = file.stem.rpartition("_")
     numbers = {int(end): other for other in file.parent.iterdir() if other.suffix == file.suffix
                and other.stem.rpartition("_")[0] == stem and (end := other.stem.rpartition("_")[2]).isdigit()}

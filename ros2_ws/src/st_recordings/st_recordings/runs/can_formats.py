@@ -37,9 +37,7 @@ codecs.register_error(_CP1252_FALLBACK, lambda error: (
 
 class Lines:
     """Iterates over the lines of a text log in any encoding; python-can uses it as a file.
-
-    position: number of the last line that was read. last: its text.
-    """
+    position: number of the last line that was read. last: its text. `unread`: makes a line the next one."""
 
     def __init__(self, file: Path, convert: Callable[[str], str] = str):
         self._convert, self._unread = convert, list[str]()
@@ -63,7 +61,6 @@ class Lines:
         return self.last
 
     def unread(self, line: str) -> None:
-        """Makes a line the next one to be read."""
         self._unread.append(line)
 
     def close(self) -> None:
@@ -72,10 +69,7 @@ class Lines:
 
 @dataclass(frozen=True)
 class Format:
-    """A log format.
-
-    messages: yields python-can messages in the order of the file, and appends notes, which do not name the file.
-    """
+    """A log format. messages: yields python-can messages in the order of the file, and appends notes on the file."""
 
     name: str
     extensions: tuple[str, ...]  # lower case

@@ -417,10 +417,8 @@ def _replace_month_name(date: re.Match[str]) -> str:
 
 
 def _parse_stamp(text: str) -> tuple[float, float] | None:
-    """Parses a time: (seconds since 1970, midnight or the full hour, period [s] after which they restart or 0).
-
-    A text without time zone is UTC. Returns None for a text that is not a time.
-    """
+    """(seconds since 1970, midnight or the full hour, period [s] after which they restart or 0) of a time; None for
+    another text. A time without time zone is UTC."""
     match = _STAMP.fullmatch(text)
     if match is None:
         return None

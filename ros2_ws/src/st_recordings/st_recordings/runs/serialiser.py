@@ -129,10 +129,7 @@ class Serialiser:
             "valid": valid})
 
     def wheel_speeds(self, message: str, signals: CanSignals, to_reference: Any) -> Messages:
-        """Wheel speeds, one ROS message per frame of a CAN message; NaN for speeds that are not in the frame.
-
-        to_reference: converts log times to times of the result.
-        """
+        """Wheel speeds, one ROS message per frame of a CAN message; NaN for speeds that are not in the frame."""
         wheels = {field: signals.signals[name, message] for name, field in WHEEL_FIELDS.items()
                   if (name, message) in signals.signals}
         first = next(iter(wheels.values()))

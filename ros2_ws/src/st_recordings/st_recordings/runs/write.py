@@ -109,7 +109,6 @@ class _MessageBlocks:
         self.end_ns = max(int(t[-1]) for t in times if len(t))
 
     def messages(self, start_ns: int, end_ns: int) -> list[Messages]:
-        """The messages with start_ns <= time < end_ns, by topic."""
         run, serialiser = self._run, self._serialiser
         parts = [serialiser.odometry(self._ins, _select_between(run.ins.time_ns, start_ns, end_ns), self._covariances)]
         rows = _select_between(self._packet_ns, start_ns, end_ns)

@@ -64,10 +64,7 @@ def register(reader: Reader) -> Reader:
 
 
 def find_reader(path: Path, key: str | None = None) -> Reader | None:
-    """Finds the reader of a file or folder; None if there is none.
-
-    key: key of the file in a run.yaml. The reader then has this key, even if it does not accept the path.
-    """
+    """Finds the reader of a file or folder; with a key of a run.yaml, a reader of this key. None if there is none."""
     candidates = [reader for reader in READERS.values() if key in (None, reader.key)]
     return next((reader for reader in candidates if reader.accepts(path)), candidates[0] if key else None)
 
