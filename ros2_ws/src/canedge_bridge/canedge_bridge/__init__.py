@@ -1,1 +1,1 @@
-"""CAN frames (live or logged) to ROS 2 topics through a DBC."""
+"""Decodes CAN frames, live or logged, with a DBC and publishes their signals as ROS 2 topics."""

@@ -1,4 +1,4 @@
-"""Counters and checksums of CAN messages, for decoding and for encoding."""
+"""Verifies and computes the counters and checksums of CAN messages."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Mode(StrEnum):
-    """Reaction to a wrong counter or checksum: none, pass the frame on as invalid, or drop it."""
+    """Reaction to a wrong counter or checksum: OFF: none, WARN: pass the frame on as invalid, DROP: discard it."""
 
     OFF = "off"
     WARN = "warn"
@@ -14,7 +14,7 @@ class Mode(StrEnum):
 
 
 def xor_nibble(data: bytes, arbitration_id: int) -> int:
-    """The check nibble that makes the XOR of all nibbles of the frame 0; data: payload with the check nibble set to 0.
+    """The check nibble for which the XOR of all nibbles of the frame is 0; data: payload with the check nibble at 0.
 
     Source: derived from 1963 recorded frames of 0x002, all at one steering angle.
     """
@@ -25,7 +25,7 @@ def xor_nibble(data: bytes, arbitration_id: int) -> int:
 
 
 def sum8_id(data: bytes, arbitration_id: int) -> int:
-    """Low byte of the sum of all bytes and of the two bytes of the identifier; data: payload with the check byte at 0.
+    """Low byte of the sum of all bytes and both bytes of the identifier; data: payload with the check byte at 0.
 
     Source: derived from 3247 recorded frames of 0x284 at up to 100 km/h, 2035 of 0x284 and 0x285 at rest.
     """
@@ -34,10 +34,10 @@ def sum8_id(data: bytes, arbitration_id: int) -> int:
 
 @dataclass(frozen=True)
 class Rule:
-    """A checksum: its number of bits, and its value for (data with these bits at 0, arbitration id)."""
+    """A checksum. bits: its width. compute: its value from the payload with these bits at 0 and the arbitration id."""
 
     bits: int
-    value: Callable[[bytes, int], int]
+    compute: Callable[[bytes, int], int]
 
 
 RULES = {"xor_nibble": Rule(4, xor_nibble), "sum8_id": Rule(8, sum8_id)}
@@ -67,18 +67,17 @@ class Field:
         return bytes(changed)
 
 
-def checksum_of(rule: Rule, field: Field, data: bytes, arbitration_id: int) -> int:
+def compute_checksum(rule: Rule, field: Field, data: bytes, arbitration_id: int) -> int:
     """The correct checksum of a frame; the bits of `field` in `data` are ignored."""
-    return rule.value(field.with_value(data, 0), arbitration_id)
+    return rule.compute(field.with_value(data, 0), arbitration_id)
 
 
 class CounterCheck:
     """Checks the counter of one message.
 
-    Every step other than +1 is a fault. A step of k > 1 also means k - 1 lost frames (modulo the counter's range), a
-    repeated value a stuck sender or a duplicated frame. The received value is always the new reference, so that one
-    lost frame counts as one fault. The first frame, and the first after a gap longer than `restart_after_ns`, are not
-    checked.
+    Every step other than +1 is a fault; a step of k > 1 counts as k - 1 lost frames (modulo the counter's range). The
+    received value is always the new reference, so one lost frame counts as one fault. The first frame, and the first
+    after a gap longer than `restart_after_ns`, are not checked.
     """
 
     def __init__(self, field: Field, restart_after_ns: int):
@@ -99,7 +98,7 @@ class CounterCheck:
         return step == 1
 
     def skip(self, time_ns: int) -> None:
-        """Assumes that a frame with invalid content has the next counter value."""
+        """Assume that a frame with invalid content has the next counter value."""
         if self._last is not None:
             self._last = (self._last + 1) & self._field.mask
             self._last_ns = time_ns

@@ -1,4 +1,4 @@
-"""CAN frames to checked signals under canonical names in SI, and back to frames for a simulated car."""
+"""Decodes CAN frames to checked signals under canonical names in SI units, and encodes frames for a simulated car."""
 
 import math
 from collections import deque
@@ -11,14 +11,14 @@ from cantools.database.can import Signal as DbcSignal
 from st_core import vehicle
 from st_core.types import Number
 
-from .checks import CounterCheck, Mode, checksum_of
-from .extraction import decode_frame, without_padding
-from .ins_time import to_parts, with_unix_time
+from .checks import CounterCheck, Mode, compute_checksum
+from .extraction import decode_frame, strip_padding
+from .ins_time import replace_gps_time, split_unix_time
 from .signals import ANGLES, MessageSpec, SignalSpec, SignalTable, load_table
 from .table_reader import TableError
 
 # A signal with more than MAX_IMPLAUSIBLE implausible values in PLAUSIBILITY_FRAMES frames (1 s at 100 Hz) is withheld
-# until MAX_IMPLAUSIBLE plausible ones in a row: with a wrong DBC, plausible values are isolated.
+# until MAX_IMPLAUSIBLE consecutive values are plausible: with a wrong DBC, plausible values are isolated.
 PLAUSIBILITY_FRAMES, MAX_IMPLAUSIBLE = 100, 10
 
 
@@ -26,7 +26,7 @@ PLAUSIBILITY_FRAMES, MAX_IMPLAUSIBLE = 100, 10
 class Decoded:
     """One decoded frame.
 
-    values: canonical names, SI. valid: False if a counter or checksum set to `warn` was wrong; fault names it.
+    values: by canonical name, in SI units. valid: false if a counter or checksum in mode `warn` was wrong, see fault.
     """
 
     message: str
@@ -38,7 +38,7 @@ class Decoded:
 
 @dataclass
 class MessageStatistics:
-    """Counts of the frames of one message. last_seen_ns: time of the last good one; None before the first."""
+    """Counts of the frames of one message. last_seen_ns: time of the last good frame, None before the first."""
 
     good: int = 0
     wrong_length: int = 0
@@ -61,51 +61,51 @@ class FrameStatistics:
 
 
 class Plausibility:
-    """Range and rate check of the values of one signal, frame by frame.
+    """Checks the range and the rate of change of one signal, frame by frame.
 
-    A wrong byte order is visible while the wheel turns: one step of the low byte becomes a jump of 256 steps.
+    This detects a wrong byte order while the wheel turns: one step of the low byte becomes a jump of 256 steps.
     """
 
     def __init__(self, spec: SignalSpec, period: float, timeout: float):
-        """period: seconds between frames. timeout: seconds after which two values are not compared."""
+        """period: time between frames [s]. timeout: values further apart in time are not compared [s]."""
         self._spec = spec
         self._period = period
         self._timeout_ns = int(timeout * 1e9)
         self._previous: tuple[int, float] | None = None  # time and value of the previous frame if in range
-        self._accepted: tuple[int, float] | None = None
+        self._last_plausible: tuple[int, float] | None = None
         self._recent: deque[bool] = deque(maxlen=PLAUSIBILITY_FRAMES)
-        self._accepted_in_a_row = 0
+        self._consecutive_plausible = 0
         self.implausible = 0
 
     def accepts(self, si: float, time_ns: int) -> bool:
-        """Whether this value [SI] is in range and reachable from the previous value or from the last accepted one.
+        """Whether this value [SI] is in range and reachable from the previous value or from the last plausible one.
 
-        A single outlier thus costs one frame, as does a true step. Values out of range are not used as a reference.
+        A single outlier therefore costs one frame, as does a true step. No value is compared with one out of range.
         """
         value = si / self._spec.factor
         in_range = self._spec.minimum <= value <= self._spec.maximum
-        possible = in_range and self._reachable(value, time_ns)
+        plausible = in_range and self._is_reachable(value, time_ns)
         self._previous = (time_ns, value) if in_range else None
-        if possible:
-            self._accepted = self._previous
-        self._accepted_in_a_row = self._accepted_in_a_row + 1 if possible else 0
-        self._recent.append(possible)
-        self.implausible += not possible
-        return possible
+        if plausible:
+            self._last_plausible = self._previous
+        self._consecutive_plausible = self._consecutive_plausible + 1 if plausible else 0
+        self._recent.append(plausible)
+        self.implausible += not plausible
+        return plausible
 
-    def _reachable(self, value: float, time_ns: int) -> bool:
-        references = [reference for reference in (self._previous, self._accepted)
+    def _is_reachable(self, value: float, time_ns: int) -> bool:
+        references = [reference for reference in (self._previous, self._last_plausible)
                       if reference is not None and 0 < time_ns - reference[0] <= self._timeout_ns]
-        # At least the period, because frames can arrive closer together than they were sent.
+        # The elapsed time is at least the period, because frames can arrive closer together than they were sent.
         return not references or any(
             abs(value - last) <= self._spec.max_rate * max((time_ns - last_ns) * 1e-9, self._period)
             for last_ns, last in references)
 
     @property
     def fault(self) -> str:
-        """Reason why the signal is withheld at present; empty if it is plausible, or plausible again."""
+        """Reason why the signal is currently withheld; empty if it is not."""
         bad = self._recent.count(False)
-        if bad <= MAX_IMPLAUSIBLE or self._accepted_in_a_row >= MAX_IMPLAUSIBLE:
+        if bad <= MAX_IMPLAUSIBLE or self._consecutive_plausible >= MAX_IMPLAUSIBLE:
             return ""
         spec = self._spec
         return (f"{spec.dbc.name} decodes to implausible values: {bad} of the last {len(self._recent)} frames are "
@@ -122,24 +122,24 @@ class _Row:
 
 
 class Decoder:
-    """Decodes the messages of one signal table; files and errors: see `load_table`.
+    """Decodes the messages of one signal table; raises the errors of `load_table`.
 
-    A bad frame (wrong length, counter or checksum wrong and set to drop, not finite, not plausible) updates nothing,
-    not even the time of the last message. `decode` never raises.
+    A bad frame (wrong length, wrong counter or checksum in mode drop, a value that is not finite or not plausible)
+    updates only the counts of faults. `decode` never raises.
     """
 
     def __init__(self, dbc_file: str | Path, signals_file: str | Path, needed: Iterable[str] = (),
                  checks: Mapping[str, str] | None = None):
         """checks: overrides of the table, `MESSAGE`, `MESSAGE.counter` or `MESSAGE.checksum` -> off, warn or drop."""
         self.table: SignalTable = load_table(dbc_file, signals_file, needed)
-        self.modes = _modes(self.table, checks or {})
+        self.modes = _select_modes(self.table, checks or {})
         self.frames = FrameStatistics()
-        self._rows = {spec.key: _row(spec) for spec in self.table.messages.values()}
+        self._rows = {spec.key: _make_row(spec) for spec in self.table.messages.values()}
         self._by_name = {row.spec.name: row for row in self._rows.values()}
 
     @property
     def keys(self) -> list[tuple[int, bool]]:
-        """(arbitration id, 29-bit?) of every message of the table, for a bus filter."""
+        """(arbitration id, whether it has 29 bits) of every message of the table, for a bus filter."""
         return list(self._rows)
 
     def statistics(self, message: str) -> MessageStatistics:
@@ -148,7 +148,7 @@ class Decoder:
     def decode(self, frame: can.Message, time_ns: int | None = None) -> Decoded | None:
         """The signals of a frame; None for a bad frame or one that is not in the table.
 
-        time_ns: when the frame was received [ns since 1970]; by default the frame's own timestamp.
+        time_ns: time of receipt [ns since 1970]; None: the frame's own timestamp.
         """
         if frame.is_error_frame:
             self.frames.error += 1
@@ -164,67 +164,66 @@ class Decoder:
 
     def _decode(self, row: _Row, received: bytes, time_ns: int) -> Decoded | None:
         spec, statistics = row.spec, row.statistics
-        data = without_padding(received, spec.dbc.length)
+        data = strip_padding(received, spec.dbc.length)
         if data is None:
             statistics.wrong_length += 1
             return None
-        fault, dropped = self._check(row, data, time_ns)
-        if dropped:
+        fault, must_drop = self._check(row, data, time_ns)
+        if must_drop:
             statistics.dropped += 1
             return None
         physical = decode_frame(spec.dbc, data)
-        values = {signal.name: signal.si(physical) for signal in spec.signals if signal.dbc.name in physical}
+        values = {signal.name: signal.to_si(physical) for signal in spec.signals if signal.dbc.name in physical}
         if not all(map(math.isfinite, values.values())):
             statistics.not_finite += 1
             return None
-        if row.plausibility and not self._plausible(row, values, time_ns):
+        if row.plausibility and not self._are_plausible(row, values, time_ns):
             return None
         statistics.good += 1
-        if not values:  # a multiplexed frame with other signals
+        if not values:  # a multiplexed frame that carries none of the table's signals
             return None
         statistics.last_seen_ns = time_ns
-        return Decoded(spec.name, time_ns, with_unix_time(values), not fault, fault)
+        return Decoded(spec.name, time_ns, replace_gps_time(values), not fault, fault)
 
-    def _plausible(self, row: _Row, values: Mapping[str, float], time_ns: int) -> bool:
-        """Whether all values are plausible; also False while too many recent values of a signal are implausible,
+    def _are_plausible(self, row: _Row, values: Mapping[str, float], time_ns: int) -> bool:
+        """Whether all values are plausible; also false while too many recent values of a signal are implausible,
         because the plausible ones are then a coincidence."""
-        possible = [check.accepts(values[name], time_ns) for name, check in row.plausibility if name in values]
-        if not all(possible):
+        plausible = [check.accepts(values[name], time_ns) for name, check in row.plausibility if name in values]
+        if not all(plausible):
             row.statistics.implausible += 1
             return False
         return not any(check.fault for _, check in row.plausibility)
 
     def implausible_signals(self) -> list[str]:
-        """A sentence for every signal that is withheld at present because of implausible values."""
-        checks = [check for row in self._rows.values() for _, check in row.plausibility]
-        return [text for check in checks if (text := check.fault)]
+        """A message for every signal that is currently withheld because of implausible values."""
+        return [check.fault for row in self._rows.values() for _, check in row.plausibility if check.fault]
 
     def _check(self, row: _Row, data: bytes, time_ns: int) -> tuple[str, bool]:
-        """(fault, whether to drop the frame)"""
+        """Fault of the counter or the checksum, empty if none; and whether to drop the frame."""
         spec, statistics = row.spec, row.statistics
         counter_mode, checksum_mode = self.modes[spec.name]
         if spec.checksum is not None and spec.checksum.rule is not None and checksum_mode is not Mode.OFF:
             found = spec.checksum.field.read(data)
-            expected = checksum_of(spec.checksum.rule, spec.checksum.field, data, spec.dbc.frame_id)
+            expected = compute_checksum(spec.checksum.rule, spec.checksum.field, data, spec.dbc.frame_id)
             if found != expected:
                 statistics.wrong_checksum += 1
                 if row.counter is not None:
                     row.counter.skip(time_ns)
-                return f"{spec.checksum.signal} is {found:#x}, {expected:#x} expected", checksum_mode is Mode.DROP
+                return f"{spec.checksum.signal} is {found:#x}, expected {expected:#x}", checksum_mode is Mode.DROP
         if row.counter is not None and spec.counter is not None and counter_mode is not Mode.OFF:
-            correct = row.counter.accepts(data, time_ns)
+            is_correct = row.counter.accepts(data, time_ns)
             statistics.lost = row.counter.lost
-            if not correct:
+            if not is_correct:
                 statistics.wrong_counter += 1
                 return f"{spec.counter.signal} did not increase by 1", counter_mode is Mode.DROP
         return "", False
 
     def encode(self, message: str, values: Mapping[str, float], counter: int = 0) -> can.Message:
-        """A frame with counter and checksum filled in.
+        """A frame with correct counter and checksum.
 
-        message: any message of the DBC. values: canonical names in SI, or DBC signals in their unit; ins_unix_time
-        for a time frame. Other signals have the `fill` value of the table, or raw 0. A value outside the signal's range
-        is clipped, as by a sensor; angles of the INS are wrapped into the range.
+        message: any message of the DBC. values: by canonical name in SI units, or by DBC name in the DBC's unit;
+        ins_unix_time for a time frame. Other signals get the `fill` value of the table, or raw 0. A value outside the
+        signal's range is clipped, as by a sensor; angles of the INS are wrapped into the range.
         Raises KeyError for an unknown message or signal, ValueError for a value that is not finite.
         """
         dbc = self.table.database.get_message_by_name(message)
@@ -235,18 +234,18 @@ class Decoder:
             raw.update(spec.fill)
             names = frozenset(s.name for s in spec.signals)
             if "ins_unix_time" in given and "ins_unix_time" not in names:
-                given.update(to_parts(given.pop("ins_unix_time"), names))
+                given.update(split_unix_time(given.pop("ins_unix_time"), names))
         canonical = {s.name: s for s in spec.signals} if spec is not None else {}
         by_name = {s.name: s for s in dbc.signals}
         for name, value in given.items():
             if not math.isfinite(value):
-                raise ValueError(f"{message}.{name}: {value} cannot be sent")
+                raise ValueError(f"{message}.{name}: {value} cannot be encoded: expected a finite number")
             if name in canonical:
-                raw[canonical[name].dbc.name] = _raw_of(canonical[name], value)
+                raw[canonical[name].dbc.name] = _si_to_raw(canonical[name], value)
                 if (sign_signal := canonical[name].sign_signal) is not None:
                     raw[sign_signal.name] = int(canonical[name].to_physical(value) < 0)
             elif name in by_name:
-                raw[name] = _to_raw(by_name[name], value)
+                raw[name] = _physical_to_raw(by_name[name], value)
             else:
                 raise KeyError(f"{message} has no signal {name}")
         if spec is not None and spec.counter is not None:
@@ -254,17 +253,17 @@ class Decoder:
         data = dbc.encode(raw, scaling=False, strict=False)
         check = spec.checksum if spec is not None else None
         if check is not None and check.rule is not None:
-            data = check.field.with_value(data, checksum_of(check.rule, check.field, data, dbc.frame_id))
+            data = check.field.with_value(data, compute_checksum(check.rule, check.field, data, dbc.frame_id))
         return can.Message(arbitration_id=dbc.frame_id, is_extended_id=dbc.is_extended_frame, data=data)
 
 
-def _row(spec: MessageSpec) -> _Row:
+def _make_row(spec: MessageSpec) -> _Row:
     counter = CounterCheck(spec.counter.field, int(spec.timeout * 1e9)) if spec.counter else None
     limited = [s for s in spec.signals if math.isfinite(s.maximum) or math.isfinite(s.max_rate)]
     return _Row(spec, counter, tuple((s.name, Plausibility(s, spec.period, spec.timeout)) for s in limited))
 
 
-def _raw_of(spec: SignalSpec, si: float) -> float:
+def _si_to_raw(spec: SignalSpec, si: float) -> float:
     physical = spec.to_physical(si)
     if spec.sign_signal is not None:
         physical = abs(physical)
@@ -273,10 +272,10 @@ def _raw_of(spec: SignalSpec, si: float) -> float:
         step = abs(spec.dbc.scale)
         # Rounded first, so that 359.996 deg is sent as 0, not as 360.00.
         physical = spec.dbc.minimum + (round(physical / step) * step - spec.dbc.minimum + step / 4) % turn - step / 4
-    return _to_raw(spec.dbc, physical)
+    return _physical_to_raw(spec.dbc, physical)
 
 
-def _to_raw(signal: DbcSignal, physical: float) -> float:
+def _physical_to_raw(signal: DbcSignal, physical: float) -> float:
     if signal.is_float:
         return (physical - signal.offset) / signal.scale
     low = -(2 ** (signal.length - 1)) if signal.is_signed else 0
@@ -284,14 +283,14 @@ def _to_raw(signal: DbcSignal, physical: float) -> float:
     return min(max(round((physical - signal.offset) / signal.scale), low), high)
 
 
-def _modes(table: SignalTable, overrides: Mapping[str, str]) -> dict[str, tuple[Mode, Mode]]:
-    """(counter, checksum) by message. Raises TableError for an override of a check that does not exist."""
+def _select_modes(table: SignalTable, overrides: Mapping[str, str]) -> dict[str, tuple[Mode, Mode]]:
+    """Modes of the counter and the checksum by message. Raises TableError for an invalid override."""
     modes = {m.name: {"counter": m.counter.mode if m.counter else Mode.OFF,
                       "checksum": m.checksum.mode if m.checksum else Mode.OFF} for m in table.messages.values()}
     for key, text in overrides.items():
         message, _, kind = key.partition(".")
         if message not in modes or kind not in ("", "counter", "checksum"):
-            raise TableError(f"check {key}: expected MESSAGE, MESSAGE.counter or MESSAGE.checksum; messages are "
+            raise TableError(f"check {key}: expected MESSAGE, MESSAGE.counter or MESSAGE.checksum; the messages are "
                              f"{', '.join(modes)}")
         if text not in list(Mode):
             raise TableError(f"check {key}: {text!r} is not one of {', '.join(Mode)}")
@@ -302,11 +301,10 @@ def _modes(table: SignalTable, overrides: Mapping[str, str]) -> dict[str, tuple[
 
 @dataclass(frozen=True)
 class SteeringCalibration:
-    """road_wheel_angle = (steering_sign * sensor - steering_wheel_offset) / steering_ratio
+    """Converts sensor readings: road_wheel_angle = (steering_sign * sensor - steering_wheel_offset) / steering_ratio.
 
-    steering_sign: +1 if the decoded sensor value is positive to the left, -1 if to the right; applied first.
-    steering_wheel_offset [rad, left +]: signed sensor reading when driving straight. steering_ratio [1].
-    Source: paper, section on the vehicle; offset and ratio of the Leaf are -2.7 deg and 17.3.
+    steering_sign: +1 if the decoded sensor value is positive to the left, -1 if positive to the right.
+    steering_wheel_offset [rad, left +]: steering_sign * sensor when driving straight. steering_ratio [1].
     """
 
     steering_sign: int
@@ -314,16 +312,16 @@ class SteeringCalibration:
     steering_ratio: float
 
     def steering_wheel_angle(self, sensor: Number) -> Number:
-        """[rad], left +, offset not removed."""
+        """Steering wheel angle [rad], left +, including the offset."""
         return self.steering_sign * sensor
 
     def road_wheel_angle(self, sensor: Number) -> Number:
-        """[rad], left +, mean of the front axle."""
+        """Road wheel angle [rad], left +, mean of the front axle."""
         angle = self.steering_wheel_angle(sensor)
         return vehicle.road_wheel_angle(angle, self.steering_wheel_offset, self.steering_ratio)
 
     def formula(self) -> str:
-        """The equation with its numbers, for the log."""
+        """The conversion with the numbers of the car, for the log."""
         offset = math.degrees(self.steering_wheel_offset)
         return (f"road_wheel_angle = ({self.steering_sign:+d} * sensor - ({self.steering_wheel_offset:.6f} rad)) / "
                 f"{self.steering_ratio:g}, left +; steering_wheel_offset = {offset:.3f} deg, so a sensor at 0 gives "

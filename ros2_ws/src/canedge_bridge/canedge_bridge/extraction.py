@@ -1,6 +1,6 @@
-"""Physical values of DBC signals: one frame for the live bridge, all frames of a log as arrays.
+"""Extracts physical values of DBC signals from a single frame, or from all frames of a log as arrays.
 
-cantools decodes single frames. A log is decoded in columns, bit-identical to the values of cantools. Checked by:
+cantools decodes single frames. The values of a log are bit-identical to those of cantools. Checked by:
 test_extraction.py, test_log_decode.py.
 """
 
@@ -18,7 +18,7 @@ PADDING = frozenset((0x00, 0x55, 0xAA, 0xCC, 0xFF))
 """Bytes that controllers append to fill a frame up to the next valid length."""
 
 
-def without_padding(data: bytes, length: int) -> bytes | None:
+def strip_padding(data: bytes, length: int) -> bytes | None:
     """The first `length` bytes of a frame; None if it is shorter, or if anything but padding follows."""
     tail = data[length:]
     if len(data) < length or (tail and (tail[0] not in PADDING or tail.count(tail[0]) != len(tail))):
@@ -27,7 +27,7 @@ def without_padding(data: bytes, length: int) -> bytes | None:
 
 
 def has_length(payload: np.ndarray, lengths: np.ndarray, length: int) -> np.ndarray:
-    """Mask (n,) of the frames that `without_padding` accepts. payload: (n, width) uint8. lengths: (n,), in bytes."""
+    """Mask (n,) of the frames that `strip_padding` accepts. payload: (n, width) uint8. lengths: (n,), in bytes."""
     fits = lengths == length
     longer = np.flatnonzero(lengths > length)
     if longer.size:
@@ -38,18 +38,18 @@ def has_length(payload: np.ndarray, lengths: np.ndarray, length: int) -> np.ndar
 
 
 def decode_frame(message: DbcMessage, data: bytes) -> Mapping[str, float]:
-    """DBC name -> physical value of the signals that a frame carries. data: exactly as long as the message."""
+    """Physical values of the signals in a frame by DBC name. data: exactly as long as the message."""
     try:
         return cast("dict[str, float]", message.decode(data, decode_choices=False))
-    except DecodeError:  # a selector value that the DBC does not list: the other signals are valid
-        columns = _physical_columns(message, np.frombuffer(data, np.uint8)[None])
+    except DecodeError:  # the DBC does not list the multiplexer's value; signals that are not multiplexed are valid
+        columns = _decode_columns(message, np.frombuffer(data, np.uint8)[None])
         return {name: float(values[0]) for name, values in columns.items() if not np.isnan(values[0])}
 
 
 def multiplexer_conditions(message: DbcMessage, signal: DbcSignal) -> list[tuple[DbcSignal, frozenset[int]]]:
     """Conditions for a multiplexed signal to be in a frame: (selector, allowed raw values), innermost selector first.
 
-    All must hold; empty for a signal that is not multiplexed.
+    All of them must be met; empty for a signal that is not multiplexed.
     """
     conditions = []
     while signal.multiplexer_signal:
@@ -61,7 +61,7 @@ def multiplexer_conditions(message: DbcMessage, signal: DbcSignal) -> list[tuple
 
 @dataclass(frozen=True)
 class MessageColumns:
-    """All frames of one message. rows: their indices in the input arrays. signals: DBC name -> physical values, NaN
+    """All frames of one message. rows: their indices in the input arrays. signals: physical values by DBC name, NaN
     where a multiplexed signal is not in the frame."""
 
     rows: np.ndarray
@@ -70,11 +70,11 @@ class MessageColumns:
 
 def decode_log(database: Any, ids: np.ndarray, payload: np.ndarray, lengths: np.ndarray,
                messages: Iterable[str] | None = None) -> dict[str, MessageColumns]:
-    """Decoded frames by message name, each message in input order; messages without a frame are omitted.
+    """Decoded frames by message name, in input order; messages without a frame are omitted.
 
-    database: from `signals.load_dbc`. ids: (n,) integer, plus EXTENDED for 29-bit frames. payload: (n, 8 or more)
-    uint8, bytes after the frame's end are ignored. lengths: (n,) bytes in the frame; a frame that is shorter than in
-    the DBC, or longer by more than padding, is skipped, as in the live decoder. messages: names to decode, None: all.
+    database: from `signals.load_dbc`. ids: (n,) identifiers, plus EXTENDED for 29-bit frames. payload: (n, 8 or more)
+    uint8; bytes after the end of a frame are ignored. lengths: (n,) bytes in each frame; a frame that is shorter than
+    in the DBC, or longer by anything but padding, is skipped. messages: names to decode, None: all.
     Raises KeyError for an unknown message name, ValueError for a wrong shape.
     """
     payload = np.ascontiguousarray(payload, dtype=np.uint8)
@@ -83,7 +83,7 @@ def decode_log(database: Any, ids: np.ndarray, payload: np.ndarray, lengths: np.
         raise ValueError("ids, payload, lengths: expected shapes (n,), (n, 8 or more), (n,), "
                          f"not {ids.shape}, {payload.shape}, {lengths.shape}")
     selected = database.messages if messages is None else map(database.get_message_by_name, messages)
-    # numpy sorts 16-bit integers by radix, several times as fast; only 29-bit identifiers need more.
+    # numpy uses radix sort, which is several times as fast, only for up to 16 bits; 29-bit identifiers need more.
     order = np.argsort(ids.astype(np.uint16) if ids.size and ids.max() < 2**16 else ids, kind="stable")
     sorted_ids = ids[order]
     decoded = {}
@@ -93,12 +93,12 @@ def decode_log(database: Any, ids: np.ndarray, payload: np.ndarray, lengths: np.
         rows = order[first:last]
         rows = rows[has_length(payload[rows], lengths[rows], message.length)]
         if rows.size:
-            decoded[message.name] = MessageColumns(rows, _physical_columns(message, payload[rows]))
+            decoded[message.name] = MessageColumns(rows, _decode_columns(message, payload[rows]))
     return decoded
 
 
-def raw_column(signal: DbcSignal, payload: np.ndarray) -> np.ndarray:
-    """The bits of one signal in (n, width) payload bytes, right-aligned uint64."""
+def _extract_raw(signal: DbcSignal, payload: np.ndarray) -> np.ndarray:
+    """The bits of one signal from (n, width) payload bytes, as right-aligned uint64."""
     first, lead = signal.start // 8, 7 - signal.start % 8 if signal.byte_order == "big_endian" else signal.start % 8
     # Nine bytes: a signal of up to 64 bits may start inside a byte.
     window = np.zeros((len(payload), 9), np.uint8)
@@ -115,23 +115,23 @@ def raw_column(signal: DbcSignal, payload: np.ndarray) -> np.ndarray:
     return words >> np.uint64(64 - end) & mask
 
 
-def _physical_columns(message: DbcMessage, payload: np.ndarray) -> dict[str, np.ndarray]:
+def _decode_columns(message: DbcMessage, payload: np.ndarray) -> dict[str, np.ndarray]:
     columns = {}
     for signal in message.signals:
-        values = _physical(signal, raw_column(signal, payload))
+        values = _raw_to_physical(signal, _extract_raw(signal, payload))
         for selector, ids in multiplexer_conditions(message, signal):
-            values = np.where(np.isin(raw_column(selector, payload), list(ids)), values, np.nan)
+            values = np.where(np.isin(_extract_raw(selector, payload), list(ids)), values, np.nan)
         columns[signal.name] = values
     return columns
 
 
-def _physical(signal: DbcSignal, raw: np.ndarray) -> np.ndarray:
+def _raw_to_physical(signal: DbcSignal, raw: np.ndarray) -> np.ndarray:
     if signal.is_float:
         unsigned, floating = {16: (np.uint16, np.float16), 32: (np.uint32, np.float32), 64: (np.uint64, np.float64)}[
             signal.length]
         values = raw.astype(unsigned).view(floating).astype(np.float64)
     elif signal.is_signed:
-        unused_bits = 64 - signal.length  # shifted out and back, which extends the sign
+        unused_bits = 64 - signal.length  # shifting left and back right extends the sign
         values = ((raw << np.uint64(unused_bits)).view(np.int64) >> np.int64(unused_bits)).astype(np.float64)
     else:
         values = raw.astype(np.float64)

@@ -1,4 +1,4 @@
-"""Diagnostic checks of the CAN bridge."""
+"""Builds the diagnostic checks of the CAN bridge."""
 
 import time
 from collections.abc import Callable
@@ -11,15 +11,15 @@ from .receiver import BusState, ReceiverStatus
 
 _LEVELS = {BusState.OK: OK, BusState.SILENT: WARN, BusState.ERROR_PASSIVE: WARN, BusState.BUS_OFF: ERROR,
            BusState.DOWN: ERROR, BusState.GONE: ERROR}
-_START_UP_TIME = 2.0  # a signal missing for this long after the start is not an error yet [s]
+_START_UP_TIME = 2.0  # a missing signal is an error only after this time from the start [s]
 
 
 class Health:
-    """Builds the checks from the counts of the decoder and the receiver; rates are averages since the previous call."""
+    """Builds diagnostic checks from the counts of the decoder and the receiver."""
 
     def __init__(self, bus_name: str, decoder: Decoder, receiver_status: Callable[[], ReceiverStatus],
                  now_ns: Callable[[], int]):
-        """now_ns: clock that stamps the frames [ns since 1970]."""
+        """now_ns: reads the clock that stamps the frames [ns since 1970]."""
         self._bus_name, self._decoder, self._receiver_status = bus_name, decoder, receiver_status
         self._now_ns = now_ns
         self._started_at = self._rates_updated_at = time.monotonic()
@@ -32,12 +32,12 @@ class Health:
         plausibility = Check("plausibility", OK, "all decoded signals are plausible")
         if implausible:
             plausibility = Check("plausibility", ERROR, "; ".join(implausible) + "; the signal is withheld")
-        return [self._bus(), self._signals(), self._frames(), plausibility]
+        return [self._check_bus(), self._check_signals(), self._check_frames(), plausibility]
 
-    def _bus(self) -> Check:
+    def _check_bus(self) -> Check:
         status = self._receiver_status()
         now = time.monotonic()
-        # Also called at every change of the bus state: a rate over a few milliseconds would be noise.
+        # Every change of the bus state also calls this; a rate over a few milliseconds would be meaningless.
         elapsed = now - self._rates_updated_at
         if elapsed > 0.5:
             self._rate = (status.frames - self._previous_frames) / elapsed
@@ -54,7 +54,7 @@ class Health:
         text = f"{self._bus_name} {status.state}" + (f": {status.reason}" if status.reason else "")
         return Check("bus", _LEVELS[status.state], text, values)
 
-    def _signals(self) -> Check:
+    def _check_signals(self) -> Check:
         now_ns = self._now_ns()
         values: dict[str, Any] = {}
         missing: list[str] = []
@@ -77,7 +77,7 @@ class Health:
         text = "waiting for the first frames" if missing else "needed signals are up to date"
         return Check("signals", OK, text, values)
 
-    def _frames(self) -> Check:
+    def _check_frames(self) -> Check:
         values: dict[str, Any] = {}
         bad = 0
         for name, message in self._decoder.table.messages.items():

@@ -1,4 +1,4 @@
-"""GPS time to UTC for the two time frames of an OxTS unit on CAN (0x600 and 0x630), as single frames or columns."""
+"""Converts between GPS time in the two time frames of an OxTS unit on CAN (0x600 and 0x630) and UTC."""
 
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
@@ -12,11 +12,10 @@ DATE_TIME_PARTS = ("gps_year_of_century", "gps_century", "gps_month", "gps_day",
 MILLI_TIME_PARTS = ("gps_time", "gps_utc_offset")
 
 
-def with_unix_time(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The signals of a time frame with `ins_unix_time`, UTC [s since 1970], in place of the parts of GPS time.
+def replace_gps_time(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The signals of a frame with `ins_unix_time`, UTC [s since 1970], in place of the parts of GPS time if it has any.
 
-    values: name -> number or array. NaN where the parts form no valid time (the unit has none yet). Frames without
-    parts of GPS time are returned unchanged.
+    values: numbers or arrays by canonical name. The time is NaN where the unit has no valid time yet.
     """
     if "gps_time" in values:
         unix = _from_milli_time(np.asarray(values["gps_time"]), np.abs(np.asarray(values["gps_utc_offset"])))
@@ -29,17 +28,17 @@ def with_unix_time(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _from_milli_time(gps: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """UTC [s] of GPS time [s since 1980-01-06]; NaN at 0.
+    """UTC [s since 1970] of GPS time [s since 1980-01-06]; NaN at 0, which means that the time is unknown.
 
-    An offset sent by the unit has precedence over the table of leap seconds. Only its magnitude is used: GPS is ahead
-    of UTC, and the sign in a real frame is not known.
+    offset: leap seconds as sent by the unit; 0: the leap-second table is used. The caller passes the magnitude, because
+    the sign in a real frame is not known.
     """
     as_unix = np.where(gps > 0, gps + GPS_EPOCH_UNIX, np.nan)
     return np.where(offset > 0, as_unix - offset, _to_utc(as_unix))
 
 
 def _from_date_time(parts: Mapping[str, np.ndarray]) -> np.ndarray:
-    """UTC [s] of a date and time in GPS time; NaN for an invalid date."""
+    """UTC [s since 1970] of a date and time in GPS time; NaN if they are invalid."""
     n = {name: np.nan_to_num(part, nan=-1).astype(np.int64) for name, part in parts.items()}
     day = _day_number(n["gps_century"] * 100 + n["gps_year_of_century"], n["gps_month"], n["gps_day"])
     is_time = (n["gps_hour"] < 24) & (n["gps_minute"] < 60)
@@ -48,24 +47,25 @@ def _from_date_time(parts: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def _to_utc(gps_as_unix: np.ndarray) -> np.ndarray:
-    """UTC [s since 1970] of GPS time that counts seconds from 1970."""
+    """UTC [s since 1970] of GPS time given in seconds since 1970."""
     return gps_as_unix - at_all_gps(gps_as_unix - GPS_EPOCH_UNIX)
 
 
 def _day_number(year: np.ndarray, month: np.ndarray, day: np.ndarray) -> np.ndarray:
     """Days since 1970-01-01, NaN for a date that does not exist."""
-    possible = (year >= 1) & (year <= 9999) & (month >= 1) & (month <= 12) & (day >= 1)
-    months = (np.where(possible, year, 1970) - 1970) * 12 + np.where(possible, month, 1) - 1
+    is_valid = (year >= 1) & (year <= 9999) & (month >= 1) & (month <= 12) & (day >= 1)
+    months = (np.where(is_valid, year, 1970) - 1970) * 12 + np.where(is_valid, month, 1) - 1
     first = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
     following = (months + 1).astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
-    return np.where(possible & (day <= following - first), first + day - 1.0, np.nan)
+    return np.where(is_valid & (day <= following - first), first + day - 1.0, np.nan)
 
 
-def to_parts(unix_time: float, names: frozenset[str]) -> dict[str, float]:
-    """GPS time as the signals `names` of a time frame; a date and time are rounded to 0.01 s."""
+def split_unix_time(unix_time: float, names: frozenset[str]) -> dict[str, float]:
+    """Parts of GPS time for the time frame with these signals; a date and time are rounded to 0.01 s."""
     leap = at_unix(unix_time)
     if "gps_time" in names:
-        return {"gps_time": unix_time + leap - GPS_EPOCH_UNIX, "gps_utc_offset": float(-leap)}  # as NCOM, UTC - GPS
+        # The sign is that of NCOM, UTC - GPS.
+        return {"gps_time": unix_time + leap - GPS_EPOCH_UNIX, "gps_utc_offset": float(-leap)}
     hundredths = round((unix_time + leap) * 100)
     moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=hundredths // 100)
     century, year = divmod(moment.year, 100)

@@ -1,4 +1,4 @@
-"""canedge_bridge: CAN frames of a car, live, to ROS topics."""
+"""Node canedge_bridge, which publishes the signals in live CAN frames of a car as ROS topics."""
 
 import logging
 import math
@@ -60,7 +60,7 @@ PARAMETERS = (
 
 
 class CanedgeBridge(Node):
-    """Publishes from the receive thread: one frame in, at most one message out, bypassing the executor."""
+    """Decodes and publishes each frame in the receive thread, without waiting for the executor."""
 
     def __init__(self) -> None:
         super().__init__("canedge_bridge")
@@ -83,7 +83,7 @@ class CanedgeBridge(Node):
         bus_name = f"{settings.interface}:{settings.channel}"
         self._health = Health(bus_name, self._decoder, self._receiver.status, time.time_ns)
         self._diagnostics = Diagnostics(self, bus_name, self._health.checks)
-        # A change of the bus is reported at once, but only the executor's thread may publish diagnostics.
+        # The receive thread reports a change through this, because only the executor may publish diagnostics.
         self._bus_changed = self.create_guard_condition(self._diagnostics.publish)
         self._report_start(bus_name)
         self._receiver.start()
@@ -94,7 +94,7 @@ class CanedgeBridge(Node):
             self._publish_frames()
 
     def _make_calibration(self) -> SteeringCalibration | None:
-        if self._decoder.table.source_of("steering_wheel_angle") is None:
+        if self._decoder.table.find_source("steering_wheel_angle") is None:
             return None
         settings = self._settings
         ratio, offset = settings.steering_ratio, settings.steering_wheel_offset
@@ -109,14 +109,14 @@ class CanedgeBridge(Node):
 
     def _open(self) -> can.BusABC:
         settings = self._settings
-        # A raw recording contains every frame; otherwise only the messages of the table are needed.
+        # can/frames must contain every frame; otherwise only the messages of the table are needed.
         filters = None if settings.publish_frames else id_filters(self._decoder.keys)
         return open_bus(settings.interface, settings.channel, filters, settings.bitrate)
 
     def _on_frame(self, frame: can.Message, time_ns: int) -> None:
         if self._settings.publish_frames:
             with self._frames_lock:
-                self._frames.append(serialised_frame(frame, time_ns))
+                self._frames.append(serialise_frame(frame, time_ns))
         decoded = self._decoder.decode(frame, time_ns)
         if decoded is not None:
             self._publish(decoded)
@@ -139,14 +139,14 @@ class CanedgeBridge(Node):
             frames, self._frames = self._frames, []
         if frames:
             bus = f"{self._settings.interface}:{self._settings.channel}"
-            self._can_frames.publish(serialised_frames(frames, bus))
+            self._can_frames.publish(serialise_frames(frames, bus))
 
     def _on_state(self, state: BusState, reason: str) -> None:
         if rclpy.ok():
             self._bus_changed.trigger()
 
     def _on_error(self, error: Exception) -> None:
-        # At shutdown the context is destroyed before the thread ends; failures then are expected.
+        # At shutdown, the context is destroyed before the thread ends, and publishing fails as expected.
         if rclpy.ok():
             self.get_logger().error(f"a frame could not be processed: {error!r}", throttle_duration_sec=5.0)
 
@@ -198,16 +198,15 @@ def to_ins_on_can(decoded: Decoded) -> InsOnCan | None:
     return InsOnCan(header=_header(decoded.time_ns), **fields) if fields else None
 
 
-def serialised_frame(frame: can.Message, time_ns: int) -> bytes:
-    """st_msgs/CanFrame as CDR, padded to four bytes; ten times faster than filling and serialising a message."""
+def serialise_frame(frame: can.Message, time_ns: int) -> bytes:
+    """st_msgs/CanFrame as CDR, padded to four bytes; ten times as fast as filling and serialising a message."""
     data, (seconds, nanoseconds) = bytes(frame.data), divmod(time_ns, 1_000_000_000)
     return _FRAME.pack(seconds, nanoseconds, frame.arbitration_id, frame.is_extended_id, frame.is_error_frame,
                        frame.is_remote_frame, frame.is_fd, len(data)) + data + bytes(-len(data) % 4)
 
 
-def serialised_frames(frames: list[bytes], bus: str) -> bytes:
-    """st_msgs/CanFrames as CDR. frames: at least one `serialised_frame`, in order of arrival. bus:
-    interface:channel."""
+def serialise_frames(frames: list[bytes], bus: str) -> bytes:
+    """st_msgs/CanFrames as CDR. frames: one or more from `serialise_frame`, in order of arrival. bus: its name."""
     name = bus.encode() + b"\0"
     head = frames[0][:_STAMP_SIZE] + struct.pack("<I", len(name)) + name + bytes(-len(name) % 4)
     return b"".join((_LITTLE_ENDIAN, head, struct.pack("<I", len(frames)), *frames))
@@ -218,13 +217,13 @@ def _header(time_ns: int) -> Header:
 
 
 def _message_fields(decoded: Decoded, names: dict[str, str]) -> dict[str, float]:
-    """Value of each message field, NaN where the frame has none; empty if the frame fills no field."""
+    """Value of each message field, NaN if the frame has none; empty if the frame has no value for any field."""
     if not any(name in decoded.values for name in names):
         return {}
     return {field: decoded.values.get(name, math.nan) for name, field in names.items()}
 
 
 def main() -> int:
-    # python-can logs every failed attempt to open a bus; the node reports it once, in its diagnostics.
+    # python-can logs every failed attempt to open a bus; the node reports failures in its diagnostics instead.
     logging.getLogger("can").setLevel(logging.CRITICAL)
     return spin.run(CanedgeBridge)

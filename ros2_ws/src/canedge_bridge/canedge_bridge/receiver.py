@@ -1,6 +1,6 @@
-"""The receive side of a CAN bus: one supervised thread that opens, reads, detects faults and reconnects.
+"""Receives from a CAN bus in one thread, which opens the bus, reads frames, detects faults and reconnects.
 
-python-can's Notifier is not used: its thread ends at the first exception, and no data arrive after that.
+python-can's Notifier is not used, because its thread ends at the first exception and no data arrive after that.
 """
 
 import errno
@@ -17,7 +17,7 @@ import can
 from .transport import link_is_up
 
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.1, 5.0  # delay before the bus is reopened [s], doubled after each failure
-_RECEIVE_TIMEOUT = 0.2  # timeout of recv [s]; stop(), silence and a removed interface are detected within it
+_RECEIVE_TIMEOUT = 0.2  # timeout of recv [s]; stop(), silence and a removed interface are detected within this time
 # All controllers report entering error-passive, but some do not report leaving it: the state ends after this time
 # without an error frame [s].
 _ERROR_PASSIVE_TIMEOUT = 5.0
@@ -58,14 +58,14 @@ class ReceiverStatus:
 
 
 class Receiver:
-    """Calls `on_frame(frame, time_ns)` in its own thread for every frame, data and error frames alike.
+    """Calls `on_frame(frame, time_ns)` in its own thread for every data frame and every error frame.
 
-    open_bus: opens the bus; retried while it raises, after 0.1 s, doubled up to 5 s.
+    open_bus: opens the bus; if it raises, it is called again after 0.1 s, then after twice that time, up to 5 s.
     on_state(state, reason): called in the same thread at every change of state or reason.
     silence: seconds without a frame after which an open bus counts as silent.
-    network_interface: name of the interface, to detect that it is down or removed, which not every socket reports; ""
+    network_interface: name of the interface, observed because not every socket reports that it is down or removed; ""
     for a bus without one.
-    on_error: called with every exception of a callback or of closing the bus; none ends the thread.
+    on_error: called with every exception that a callback or closing the bus raises; none ends the thread.
     """
 
     def __init__(self, open_bus: Callable[[], can.BusABC], on_frame: Callable[[can.Message, int], None], *,
@@ -86,7 +86,7 @@ class Receiver:
         self._thread.start()
 
     def stop(self) -> None:
-        """Ends the thread and closes the bus; returns when both are done. May be called twice."""
+        """End the thread and close the bus; returns when both are done. May be called twice."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -109,7 +109,7 @@ class Receiver:
                 with self._lock:
                     self._status.opened += 1
                 self._set_state(BusState.SILENT, "no frame yet")
-            except Exception as error:  # no error of a driver may end the thread
+            except Exception as error:  # no exception of a driver may end the thread
                 self._handle_failure(error)
         self._close()
 
@@ -177,21 +177,21 @@ class Receiver:
             self._set_state(BusState.DOWN, f"interface {self._network_interface} is down")
             return
         self._back_off = BACK_OFF_FIRST
-        quiet = time.monotonic() - self._last_frame_at > self._silence
+        silent = time.monotonic() - self._last_frame_at > self._silence
         if state is BusState.DOWN:
             self._set_state(BusState.SILENT, "interface is up again, no frame yet")
-        elif quiet and (state is BusState.OK or (state is BusState.ERROR_PASSIVE and not self._errors_are_recent())):
+        elif silent and (state is BusState.OK or (state is BusState.ERROR_PASSIVE and not self._errors_are_recent())):
             self._set_state(BusState.SILENT, f"no frame for more than {self._silence:g} s")
 
     def _handle_failure(self, error: Exception) -> None:
         """Report a failure and wait. A socket recovers when its network is up; other failures need a new socket."""
         with self._lock:
             self._status.failures += 1
-        if _errno(error) == errno.ENETDOWN and self._bus is not None:
-            self._set_state(BusState.DOWN, f"interface is down: {_error_line(error)}")
+        if _error_number(error) == errno.ENETDOWN and self._bus is not None:
+            self._set_state(BusState.DOWN, f"interface is down: {_describe(error)}")
         else:
             self._close()
-            self._set_state(BusState.GONE, _error_line(error))
+            self._set_state(BusState.GONE, _describe(error))
         self._stop.wait(self._back_off)
         self._back_off = min(2 * self._back_off, BACK_OFF_LAST)
 
@@ -202,11 +202,11 @@ class Receiver:
         if changed:
             try:
                 self._on_state(state, reason)
-            except Exception as error:  # a callback that fails must not end the thread either
+            except Exception as error:  # no exception of a callback may end the thread either
                 self._on_error(error)
 
 
-def _errno(error: BaseException) -> int | None:
+def _error_number(error: BaseException) -> int | None:
     """Error number of a python-can error (`error_code`), an OSError, or the cause of either; None without one."""
     for candidate in (error, error.__cause__, error.__context__):
         code = getattr(candidate, "error_code", None) or getattr(candidate, "errno", None)
@@ -215,8 +215,8 @@ def _errno(error: BaseException) -> int | None:
     return None
 
 
-def _error_line(error: Exception) -> str:
-    if _errno(error) == errno.EAFNOSUPPORT:
+def _describe(error: Exception) -> str:
+    if _error_number(error) == errno.EAFNOSUPPORT:
         return "this kernel has no SocketCAN (module can_raw)"
     return " ".join(str(error).split()) or type(error).__name__
 
@@ -242,9 +242,9 @@ _PASSIVE = 0x30
 
 
 def describe_error_frame(frame: can.Message) -> tuple[str, BusState | None]:
-    """Text of an error frame's classes, and the bus state it reports; None if it reports none.
+    """Text for the error classes of a frame, and the bus state that it reports, None if it reports none.
 
-    Never raises; a frame without a known class bit gives "unknown error class" with its identifier.
+    A frame without a known class bit gives "unknown error class" with its identifier.
     """
     bits = frame.arbitration_id
     data = bytes(frame.data).ljust(8, b"\0")

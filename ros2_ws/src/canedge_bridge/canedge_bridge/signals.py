@@ -1,4 +1,4 @@
-"""Table that maps DBC signals to canonical names, sign and SI unit, read from YAML and checked against the DBC."""
+"""Reads the YAML table that gives DBC signals their canonical name, sign and SI unit, and checks it against the DBC."""
 
 import math
 import re
@@ -49,7 +49,7 @@ _SPELLINGS = {
 _UNIT_OF = {text: unit for unit, spellings in _SPELLINGS.items() for text in (unit, *spellings)}
 
 
-def unit_of(text: str | None) -> str | None:
+def find_unit(text: str | None) -> str | None:
     """Key of UNITS for a unit as written in a DBC or a table; None if unknown."""
     return _UNIT_OF.get((text or "").strip().lower().replace(" ", ""))
 
@@ -58,9 +58,9 @@ def unit_of(text: str | None) -> str | None:
 class SignalSpec:
     """One DBC signal and its conversion: si = gain * physical + bias, physical in the DBC's unit.
 
-    minimum, maximum: physically possible range; max_rate: largest rate of change [per s]; all three apply to
-    sign * scale * physical + offset, in the DBC's unit. sign_signal: 1 makes physical negative, for a sensor that sends
-    magnitude and sign separately.
+    unit: of the table, factor: this unit in SI. minimum, maximum: possible range in this unit. max_rate: largest
+    possible rate of change [unit/s]. sign_signal: signal whose value 1 makes `physical` negative, for a sensor that
+    sends magnitude and sign separately.
     """
 
     dbc: DbcSignal
@@ -74,8 +74,8 @@ class SignalSpec:
     max_rate: float
     sign_signal: DbcSignal | None = None
 
-    def si(self, physical: Mapping[str, Any]) -> Any:
-        """SI value from the physical values of a frame by DBC name, or SI column from columns."""
+    def to_si(self, physical: Mapping[str, Any]) -> Any:
+        """The signal's value in SI units, or a column of them, from the physical values of a frame by DBC name."""
         value = physical[self.dbc.name]
         if self.sign_signal is not None:
             value = value * (1 - 2 * (physical.get(self.sign_signal.name, 0) != 0))
@@ -88,7 +88,7 @@ class SignalSpec:
 
 @dataclass(frozen=True)
 class CheckSpec:
-    """Counter or checksum of a message. signal: its DBC name. rule: None for a counter."""
+    """Counter or checksum of a message. signal: DBC name. rule: how the checksum is computed; None for a counter."""
 
     signal: str
     field: Field
@@ -98,7 +98,7 @@ class CheckSpec:
 
 @dataclass(frozen=True)
 class MessageSpec:
-    """One row of the table. period, timeout in seconds; fill: raw values of undecoded signals in encoded frames."""
+    """One message of the table. period, timeout: [s]. fill: raw values of signals that are encoded but not decoded."""
 
     dbc: DbcMessage
     needed: bool
@@ -115,13 +115,13 @@ class MessageSpec:
 
     @property
     def key(self) -> tuple[int, bool]:
-        """(arbitration id, 29-bit?)"""
+        """(arbitration id, whether it has 29 bits)."""
         return self.dbc.frame_id, self.dbc.is_extended_frame
 
 
 @dataclass(frozen=True)
 class SignalTable:
-    """Checked contents of both files. messages: rows with a message in the DBC. absent: optional rows without one."""
+    """Checked contents of both files. messages: those in the DBC. absent: optional messages that the DBC lacks."""
 
     dbc_file: Path
     signals_file: Path
@@ -133,8 +133,8 @@ class SignalTable:
     def needed(self) -> tuple[MessageSpec, ...]:
         return tuple(m for m in self.messages.values() if m.needed)
 
-    def source_of(self, name: str) -> tuple[MessageSpec, SignalSpec] | None:
-        """Message and signal of a canonical name; a needed message first."""
+    def find_source(self, name: str) -> tuple[MessageSpec, SignalSpec] | None:
+        """Message and signal with a canonical name, preferably of a needed message; None if there is none."""
         rows = sorted(self.messages.values(), key=lambda m: not m.needed)
         return next(((m, s) for m in rows for s in m.signals if s.name == name), None)
 
@@ -143,9 +143,8 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
     """The signal table of a DBC and its YAML file, checked against each other.
 
     needed: message names that replace the table's own `needed` (for a bus that carries only some of the messages).
-    Raises TableError, one line naming file, key and limit: unreadable file, misspelt key, unit other than the DBC's, a
-    needed message or signal that the DBC lacks, a layout that cannot represent the signal, a sample that decodes to
-    another value.
+    Raises TableError for an unreadable file, an unknown key, a unit other than the DBC's, a needed message or signal
+    that the DBC lacks, a layout that cannot represent the signal, or a sample that decodes to another value.
     """
     dbc_path, table_path = Path(dbc_file), Path(signals_file)
     root = Entry(str(table_path), "", read_document(table_path))
@@ -161,10 +160,10 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
     for name in rows:
         row = rows.entry(name)
         if [m.name for m in database.messages].count(name) > 1:
-            raise TableError(f"{dbc_path}: has {name} more than once; keep one")
+            raise TableError(f"{dbc_path}: defines {name} more than once; keep one definition")
         is_needed = name in required if required else row.boolean("needed")
         if name in known:
-            messages[name] = replace(_message(row, known[name], dbc_path), needed=is_needed)
+            messages[name] = replace(_read_message(row, known[name], dbc_path), needed=is_needed)
         elif is_needed:
             raise TableError(f"{dbc_path}: has no message {name}, which {table_path} marks as needed")
         else:
@@ -175,8 +174,8 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
 def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
     """cantools database of a DBC file; if the file is invalid, of the given messages only.
 
-    Public DBC files of real cars have overlapping signals, 29-bit identifiers without the extended flag or names that
-    begin with a digit, in messages that are not used. Raises TableError if the given messages cannot be parsed either.
+    In public DBC files of real cars, messages that are not needed have overlapping signals, 29-bit identifiers without
+    the extended flag, or names that begin with a digit. Raises TableError if the given messages are invalid too.
     """
     try:
         text = path.read_bytes().decode("cp1252", "replace")  # the encoding that cantools assumes for DBC
@@ -187,7 +186,7 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
     except Exception as error:  # cantools does not wrap the exceptions of its parsers
         reason = error
     try:
-        reduced = _reduced(text, frozenset(messages))
+        reduced = _reduce_dbc(text, frozenset(messages))
         if reduced:
             return cantools.database.load_string(reduced, "dbc", strict=False)
     except Exception as error:
@@ -195,36 +194,37 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
     raise TableError(f"{path}: is not a valid DBC: {one_line(reason)}")
 
 
-def _reduced(text: str, names: frozenset[str]) -> str:
-    """Text of a DBC with only the named messages and their float and multiplexing attributes; empty without any."""
+def _reduce_dbc(text: str, names: frozenset[str]) -> str:
+    """Text of a DBC with only the named messages and their float and multiplexing attributes; empty if it has none."""
     blocks = [block for block in _MESSAGE.finditer(text) if block["name"] in names]
     ids = {block["id"] for block in blocks}
     lines = [block[0] for block in blocks]
     lines += ["", *(line[0] for line in _SIGNAL_ATTRIBUTE.finditer(text) if line["id"] in ids), ""]
-    return 'VERSION ""\n\nBS_:\n\nBU_: X\n\n' + _corrected("\n".join(lines)) if blocks else ""
+    return 'VERSION ""\n\nBS_:\n\nBU_: X\n\n' + _correct_dbc("\n".join(lines)) if blocks else ""
 
 
-def _corrected(text: str) -> str:
-    """Messages with the flag of a 29-bit identifier, and with names and numbers of signals as cantools reads them.
+def _correct_dbc(text: str) -> str:
+    """DBC text with 29-bit identifiers, signal names and numbers as cantools requires them.
 
-    Public DBC files write 0x12f8bfa7 without the flag, signals like 0_COUNTER and factors like .25.
+    Public DBC files write 0x12f8bfa7 without the extended flag, signals like 0_COUNTER and factors like .25.
     """
-    def flagged(match: re.Match[str]) -> str:
+    def add_flag(match: re.Match[str]) -> str:
         number = int(match[2])
         return f"{match[1]}{number | EXTENDED if MAX_STANDARD_ID < number <= MAX_EXTENDED_ID else number}"
 
-    text = re.sub(r"^((?:BO_|SIG_VALTYPE_|SG_MUL_VAL_) +)(\d+)", flagged, text, flags=re.MULTILINE)
+    text = re.sub(r"^((?:BO_|SIG_VALTYPE_|SG_MUL_VAL_) +)(\d+)", add_flag, text, flags=re.MULTILINE)
     text = re.sub(r"^([ \t]+SG_ +|(?:SIG_VALTYPE_|SG_MUL_VAL_) +\d+ +)(?=\d)", r"\1_", text, flags=re.MULTILINE)
     return re.sub(r"(?<=[(\[,|])(-?)(?=\.\d)", r"\g<1>0", text)
 
 
-def _message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
+def _read_message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
     row.allow_only("needed", "period", "timeout", "counter", "checksum", "fill", "samples", "signals")
     if dbc.is_container:
         raise TableError(f"{dbc_path}: {dbc.name} is a container of other messages, which is not supported")
     _check_layout(dbc, dbc_path)
     rows = row.entry("signals")
-    signals = tuple(_signal(rows.entry(name), dbc, _find(dbc, name, dbc_path, row), dbc_path) for name in rows)
+    signals = tuple(_read_signal(rows.entry(name), dbc, _find_signal(dbc, name, dbc_path, row), dbc_path)
+                    for name in rows)
     parts = {s.name for s in signals if s.name.startswith("gps_")}
     if parts and parts not in (set(DATE_TIME_PARTS), set(MILLI_TIME_PARTS)):
         raise TableError(f"{rows.origin}: {rows.path}: GPS time needs all of {', '.join(MILLI_TIME_PARTS)} "
@@ -237,14 +237,14 @@ def _message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
     return MessageSpec(
         dbc=dbc, needed=row.boolean("needed"), signals=signals,
         period=row.quantity("period", "s", 0.0005, 60.0), timeout=row.quantity("timeout", "s", 0.001, 600.0),
-        counter=_check(counter, dbc, dbc_path, row) if counter else None,
-        checksum=_check(checksum, dbc, dbc_path, row, with_rule=True) if checksum else None,
-        fill={} if fill is None else {name: fill.integer(name, 0, 2 ** _find(dbc, name, dbc_path, row).length - 1)
-                                      for name in fill})
+        counter=_read_check(counter, dbc, dbc_path, row) if counter else None,
+        checksum=_read_check(checksum, dbc, dbc_path, row, with_rule=True) if checksum else None,
+        fill={name: fill.integer(name, 0, 2 ** _find_signal(dbc, name, dbc_path, row).length - 1)
+              for name in fill or ()})
 
 
 def _check_layout(dbc: DbcMessage, dbc_path: Path) -> None:
-    """Raises TableError for signals that overlap or lie outside their message, or cannot be scaled."""
+    """Raises TableError for signals that overlap, lie outside their message or have an implausible factor."""
     try:
         dbc.refresh(strict=True)
     except Exception as error:  # any type, as in load_dbc
@@ -256,7 +256,7 @@ def _check_layout(dbc: DbcMessage, dbc_path: Path) -> None:
             raise TableError(f"{dbc_path}: {dbc.name}.{signal.name}: factor or offset beyond {MAX_SCALING:g}")
 
 
-def _find(dbc: DbcMessage, name: str, dbc_path: Path, row: Entry) -> DbcSignal:
+def _find_signal(dbc: DbcMessage, name: str, dbc_path: Path, row: Entry) -> DbcSignal:
     for signal in dbc.signals:
         if signal.name == name:
             return signal
@@ -264,16 +264,16 @@ def _find(dbc: DbcMessage, name: str, dbc_path: Path, row: Entry) -> DbcSignal:
                      f"it has {', '.join(s.name for s in dbc.signals)}")
 
 
-def _signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Path) -> SignalSpec:
+def _read_signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Path) -> SignalSpec:
     entry.allow_only("name", "unit", "sign", "sign_signal", "scale", "offset", "range", "max_rate")
     name = entry.choice("name", CANONICAL_SIGNALS)
-    unit = _unit(entry, name, dbc, dbc_path)
+    unit = _read_unit(entry, name, dbc, dbc_path)
     factor = UNITS[unit][1]
     sign = entry.choice("sign", (1, -1))
     scale = entry.number("scale", 0.01, 100.0, default=1.0)
     offset = entry.number("offset", -1e6, 1e6, default=0.0)
     low, high = entry.interval("range", default=(-math.inf, math.inf))
-    sign_signal = _find(message, entry.text("sign_signal"), dbc_path, entry) if "sign_signal" in entry else None
+    sign_signal = _find_signal(message, entry.text("sign_signal"), dbc_path, entry) if "sign_signal" in entry else None
     spec = SignalSpec(dbc=dbc, name=name, unit=unit, gain=sign * scale * factor, bias=offset * factor, factor=factor,
                       minimum=low, maximum=high, max_rate=entry.number("max_rate", 0.0, 1e9, default=math.inf),
                       sign_signal=sign_signal)
@@ -281,10 +281,10 @@ def _signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Path) -
     return spec
 
 
-def _unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
+def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
     """Unit of a signal in the table; raises TableError if the DBC gives another known unit."""
     text = entry.text("unit")
-    unit, dbc_unit = unit_of(text), unit_of(dbc.unit)
+    unit, dbc_unit = find_unit(text), find_unit(dbc.unit)
     origin = f"{entry.origin}: {entry.path}.unit"
     if unit is None:
         raise TableError(f"{origin}: {text!r} is not one of {', '.join(o or repr(o) for o in UNITS)}")
@@ -312,7 +312,7 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
     if spec.sign_signal is not None:
         physical += [-value for value in physical]
     ends = [(spec.gain * value + spec.bias) / spec.factor for value in physical]
-    # Half of the range suffices, because some sensors do not cover all possible angles; none covers less than half.
+    # Half of the range suffices, because some sensors do not cover the whole range; no sensor covers less than half.
     if min(ends) > low / 2 or max(ends) < high / 2:
         order = "low byte first" if spec.dbc.byte_order == "little_endian" else "high byte first"
         raise TableError(
@@ -323,16 +323,16 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
             "sign_signal")
 
 
-def _check(entry: Entry, dbc: DbcMessage, dbc_path: Path, row: Entry, with_rule: bool = False) -> CheckSpec:
+def _read_check(entry: Entry, dbc: DbcMessage, dbc_path: Path, row: Entry, with_rule: bool = False) -> CheckSpec:
     entry.allow_only(*(("signal", "rule", "check") if with_rule else ("signal", "check")))
-    signal = _find(dbc, entry.text("signal"), dbc_path, row)
+    signal = _find_signal(dbc, entry.text("signal"), dbc_path, row)
     rule = RULES[entry.choice("rule", RULES)] if with_rule else None
     shift = signal.start % 8 - (signal.length - 1 if signal.byte_order == "big_endian" else 0)
     if signal.is_signed or signal.is_float or shift < 0 or shift + signal.length > 8:
         raise TableError(f"{entry.origin}: {entry.path}.signal: {signal.name} cannot be a counter or checksum: "
                          f"it must be unsigned and within one byte in {dbc_path}")
     if rule is not None and rule.bits != signal.length:
-        raise TableError(f"{entry.origin}: {entry.path}.rule: needs {rule.bits} bits, "
+        raise TableError(f"{entry.origin}: {entry.path}.rule: needs {rule.bits} bits, but "
                          f"{signal.name} has {signal.length}")
     mode = Mode(entry.choice("check", [str(m) for m in Mode]))
     return CheckSpec(signal.name, Field(signal.start // 8, shift, signal.length), mode, rule)
@@ -350,7 +350,7 @@ def _check_sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...]
     entry.choice("unit", (spec.unit,))
     frame = f"the recorded frame {data.hex(' ').upper()} of {dbc.name}"
     if len(data) != dbc.length:
-        raise TableError(f"{entry.origin}: {entry.path}.data: {frame} has {len(data)} bytes, the DBC "
+        raise TableError(f"{entry.origin}: {entry.path}.data: {frame} has {len(data)} bytes, but the DBC "
                          f"gives {dbc.length}")
     physical = cast("dict[str, float]", dbc.decode(data, decode_choices=False))  # not a container message
     value = (spec.gain * physical[spec.dbc.name] + spec.bias) / spec.factor

@@ -1,4 +1,4 @@
-"""Checked access to a YAML document: every error is one line with file, key and limit."""
+"""Reads and checks the values of a YAML document; every error is one line with file, key and limit."""
 
 import math
 import textwrap
@@ -31,7 +31,7 @@ def one_line(error: object, limit: int = 300) -> str:
 
 
 class Entry:
-    """One mapping of the document. origin: the file, as shown in errors. path: dotted key."""
+    """One mapping of the document. origin: name of the file in errors. path: dotted key of the mapping."""
 
     def __init__(self, origin: str, path: str, value: Any):
         self.origin = origin

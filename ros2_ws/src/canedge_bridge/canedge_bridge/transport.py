@@ -1,4 +1,4 @@
-"""Opening a CAN bus: live SocketCAN, the loopback bus of the simulation, or any other python-can interface."""
+"""Opens a CAN bus: live SocketCAN, the loopback bus of the simulation, or any other python-can interface."""
 
 import select
 import socket
@@ -17,25 +17,25 @@ _LOOPBACK = socket.inet_aton("127.0.0.1")
 _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
 _IP_MULTICAST_ALL = 49  # linux/in.h; not in the socket module
 _TIMESPEC = struct.Struct("@ll")
-_LARGEST_DATAGRAM = 4096
-# can.Message accepts text as a number and a list as a flag.
-_KINDS = {"arbitration_id": int, "dlc": int, "data": bytes, **dict.fromkeys(
+_LARGEST_DATAGRAM = 4096  # bytes
+# Types of the fields of a datagram, checked because can.Message accepts text as a number and a list as a flag.
+_FIELD_TYPES = {"arbitration_id": int, "dlc": int, "data": bytes, **dict.fromkeys(
     ("is_extended_id", "is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch", "error_state_indicator"), bool)}
 _RECEIVE_BUFFER = 1 << 20
 
 
 def check_channel(interface: str, channel: str) -> None:
-    """Raises ValueError, one line, for an interface unknown to python-can or an invalid channel."""
+    """Raises ValueError for an interface unknown to python-can or an invalid channel."""
     if interface not in can.VALID_INTERFACES:
         raise ValueError(f"interface {interface!r} is not one of {', '.join(sorted(can.VALID_INTERFACES))}")
     if not channel:
-        raise ValueError(f"channel: empty; {interface} needs one")
+        raise ValueError(f"channel: is empty, but {interface} needs one")
     if interface == "udp_multicast":
         parse_channel(channel)
 
 
 def id_filters(keys: Iterable[tuple[int, bool]]) -> list[dict[str, Any]]:
-    """python-can filters that pass exactly these (arbitration id, 29-bit?); SocketCAN filters in the kernel."""
+    """python-can filters that pass exactly these messages: (arbitration id, whether it has 29 bits)."""
     return [{"can_id": i, "can_mask": 0x1FFFFFFF if extended else 0x7FF, "extended": extended} for i, extended in keys]
 
 
@@ -65,9 +65,9 @@ def link_is_up(name: str) -> bool | None:
 class LoopbackMulticastBus(can.BusABC):
     """Bus between processes of this machine on one multicast group; no datagram leaves the machine.
 
-    The class of python-can is not used, because it joins the group on the interface of the routing table, receives
-    datagrams of every group with the same port, returns frames to their sender, and builds message objects before
-    filtering. The format of the datagrams is that of python-can.
+    The datagrams have the format of python-can. Its class is not used, because it joins the group on the interface of
+    the routing table, receives datagrams of every group with the same port, returns frames to their sender, and builds
+    message objects before filtering.
     """
 
     def __init__(self, channel: str, can_filters: Any = None, **kwargs: Any):
@@ -108,7 +108,7 @@ class LoopbackMulticastBus(can.BusABC):
         sender.bind(("127.0.0.1", 0))
 
     def _apply_filters(self, filters: Any) -> None:
-        """Exact identifiers are looked up in a set; any other mask is left to python-can's own matching."""
+        """Look up exact identifiers in a set; filters with another mask are left to python-can."""
         self._accepted = None
         if filters and all("extended" in f and f["can_mask"] in (0x7FF, 0x1FFFFFFF) for f in filters):
             self._accepted = frozenset((f["can_id"], bool(f["extended"])) for f in filters)
@@ -144,8 +144,8 @@ class LoopbackMulticastBus(can.BusABC):
         """None for a frame that the filter rejects or that is malformed; any process can send to a multicast group."""
         try:
             fields = msgpack.unpackb(data, raw=False)
-            if any(type(fields.get(name, kind())) is not kind for name, kind in _KINDS.items()):
-                raise TypeError("a field of another type than python-can sends")
+            if any(type(fields.get(name, type_())) is not type_ for name, type_ in _FIELD_TYPES.items()):
+                raise TypeError("a field has another type than python-can sends")
             if (self._accepted is not None and not fields["is_error_frame"]
                     and (fields["arbitration_id"], fields["is_extended_id"]) not in self._accepted):
                 self.filtered += 1
@@ -173,7 +173,7 @@ class LoopbackMulticastBus(can.BusABC):
 
 
 def parse_channel(channel: str) -> tuple[str, int]:
-    """("239.74.163.2", 43113) from "239.74.163.2" or "239.74.163.2:43113". Raises ValueError naming the limit."""
+    """("239.74.163.2", 43113) from "239.74.163.2" or "239.74.163.2:43113". Raises ValueError for anything else."""
     group, _, port_text = channel.partition(":")
     try:
         multicast = 224 <= socket.inet_aton(group)[0] <= 239 and group.count(".") == 3

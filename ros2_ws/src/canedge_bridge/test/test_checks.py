@@ -1,7 +1,7 @@
 """Checksum rules on recorded bytes, and verdicts of the counter on sequences."""
 
 import pytest
-from canedge_bridge.checks import RULES, CounterCheck, Field, checksum_of
+from canedge_bridge.checks import RULES, CounterCheck, Field, compute_checksum
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,22 +12,22 @@ SECOND = 1_000_000_000
 
 def test_check_nibble_of_a_recorded_steering_frame():
     data = bytes.fromhex("1D000007B0")
-    assert checksum_of(RULES["xor_nibble"], HIGH_NIBBLE, data, 0x002) == 0xB
+    assert compute_checksum(RULES["xor_nibble"], HIGH_NIBBLE, data, 0x002) == 0xB
 
 
 def test_sum_by_hand():
     # 0x3C + 6 + 0x3C + 0x2B + 0x1D + 0x10 + 7 = 0xDD; + 0x02 + 0x84 = 0x163
     data = bytes.fromhex("3C063C2B1D100700")
-    assert checksum_of(RULES["sum8_id"], LAST_BYTE, data, 0x284) == 0x63
-    assert checksum_of(RULES["sum8_id"], LAST_BYTE, data, 0x285) == 0x64
+    assert compute_checksum(RULES["sum8_id"], LAST_BYTE, data, 0x284) == 0x63
+    assert compute_checksum(RULES["sum8_id"], LAST_BYTE, data, 0x285) == 0x64
 
 
 @given(data=st.binary(min_size=5, max_size=5), bit=st.integers(0, 39))
 def test_the_nibble_sees_every_single_bit_error(data, bit):
-    data = HIGH_NIBBLE.with_value(data, checksum_of(RULES["xor_nibble"], HIGH_NIBBLE, data, 2))
+    data = HIGH_NIBBLE.with_value(data, compute_checksum(RULES["xor_nibble"], HIGH_NIBBLE, data, 2))
     hit = bytearray(data)
     hit[bit // 8] ^= 1 << bit % 8
-    assert checksum_of(RULES["xor_nibble"], HIGH_NIBBLE, bytes(hit), 2) != HIGH_NIBBLE.read(bytes(hit))
+    assert compute_checksum(RULES["xor_nibble"], HIGH_NIBBLE, bytes(hit), 2) != HIGH_NIBBLE.read(bytes(hit))
 
 
 @given(data=st.binary(min_size=8, max_size=8), value=st.integers(0, 15), byte=st.integers(0, 7),

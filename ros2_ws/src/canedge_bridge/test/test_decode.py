@@ -221,7 +221,7 @@ def test_a_value_beyond_the_range_is_sent_as_its_end(decoder):
 
 
 def test_what_cannot_be_encoded(decoder):
-    with pytest.raises(ValueError, match="nan cannot be sent"):
+    with pytest.raises(ValueError, match="nan cannot be encoded"):
         decoder.encode("Leaf_Steering", {"steering_wheel_angle": math.nan})
     with pytest.raises(KeyError, match="no signal wheel"):
         decoder.encode("Leaf_Steering", {"wheel": 1.0})

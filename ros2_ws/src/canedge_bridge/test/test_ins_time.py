@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from canedge_bridge.ins_time import DATE_TIME_PARTS, to_parts, with_unix_time
+from canedge_bridge.ins_time import DATE_TIME_PARTS, replace_gps_time, split_unix_time
 from st_core.leap_seconds import at_unix
 
 
@@ -16,7 +16,7 @@ def test_leap_seconds(unix_time, leap):
 
 def test_the_packet_of_the_ncom_notes():
     """GPS 1440936034.560 s is 2025-09-03T12:00:16.560 UTC."""
-    unix_time = with_unix_time({"gps_time": 1_440_936_034.560, "gps_utc_offset": 0})["ins_unix_time"]
+    unix_time = replace_gps_time({"gps_time": 1_440_936_034.560, "gps_utc_offset": 0})["ins_unix_time"]
     assert unix_time == pytest.approx(1_756_900_816.560, abs=1e-6)
 
 
@@ -25,11 +25,11 @@ def test_the_packet_of_the_ncom_notes():
 def test_there_and_back_across_a_leap_second(around, difference):
     unix_time = around + difference
     for names, error in ((DATE_TIME_PARTS, 0.005), (("gps_time",), 1e-6)):
-        again = with_unix_time(to_parts(unix_time, frozenset(names)))["ins_unix_time"]
+        again = replace_gps_time(split_unix_time(unix_time, frozenset(names)))["ins_unix_time"]
         assert again == pytest.approx(unix_time, abs=error)
 
 
 @pytest.mark.parametrize("wrong", [{"gps_month": 0}, {"gps_month": 13}, {"gps_day": 31, "gps_month": 2},
                                    {"gps_hour": 24}, {"gps_minute": 60}])
 def test_no_date_is_no_time(wrong):
-    assert math.isnan(with_unix_time(to_parts(1.7e9, frozenset(DATE_TIME_PARTS)) | wrong)["ins_unix_time"])
+    assert math.isnan(replace_gps_time(split_unix_time(1.7e9, frozenset(DATE_TIME_PARTS)) | wrong)["ins_unix_time"])

@@ -5,7 +5,7 @@ from pathlib import Path
 import cantools
 import numpy as np
 import pytest
-from canedge_bridge.extraction import EXTENDED, decode_log, without_padding
+from canedge_bridge.extraction import EXTENDED, decode_log, strip_padding
 from canedge_bridge.signals import load_dbc
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -140,7 +140,7 @@ def test_only_padding_may_follow(rest, taken):
     wide = np.zeros((1, 64), np.uint8)
     wide[0, : len(data)] = list(data)
     assert bool(decode_log(DATABASE, np.array([2]), wide, np.array([len(data)]))) == taken
-    assert (without_padding(data, 5) == data[:5]) == taken
+    assert (strip_padding(data, 5) == data[:5]) == taken
 
 
 def test_nothing_in_nothing_out():

@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
-from canedge_bridge.node import serialised_frame, serialised_frames
+from canedge_bridge.node import serialise_frame, serialise_frames
 from rclpy.serialization import deserialize_message, serialize_message
 from st_msgs.msg import CanFrame, CanFrames
 
@@ -28,7 +28,7 @@ def as_message(frame: can.Message, time_ns: int) -> CanFrame:
 @pytest.mark.parametrize("bus", ["socketcan:can0", "socketcan:vcan1", "a:bcd", "udp_multicast:239.74.163.2:43113"])
 @pytest.mark.parametrize("count", range(1, len(FRAMES) + 1))
 def test_the_bytes_are_a_message(bus: str, count: int) -> None:
-    ours = serialised_frames([serialised_frame(frame, NS + k) for k, frame in enumerate(FRAMES[:count])], bus)
+    ours = serialise_frames([serialise_frame(frame, NS + k) for k, frame in enumerate(FRAMES[:count])], bus)
     expected = CanFrames(frames=[as_message(frame, NS + k) for k, frame in enumerate(FRAMES[:count])])
     expected.header.stamp, expected.header.frame_id = expected.frames[0].stamp, bus
     assert deserialize_message(ours, CanFrames) == expected

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from canedge_bridge.checks import RULES, Field, Mode, checksum_of
+from canedge_bridge.checks import RULES, Field, Mode, compute_checksum
 from canedge_bridge.decode import MAX_IMPLAUSIBLE, PLAUSIBILITY_FRAMES
 from canedge_bridge.extraction import decode_log
-from canedge_bridge.ins_time import with_unix_time
+from canedge_bridge.ins_time import replace_gps_time
 from canedge_bridge.signals import CheckSpec, MessageSpec, SignalSpec, SignalTable, load_table
 from st_core.checks import Series
 
@@ -87,14 +87,14 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
             continue
         rows, payload = rows[decoded.rows], payload[decoded.rows, : max(spec.dbc.length, 8)]
         time_ns = frames.time_ns[rows]
-        columns = {signal.name: signal.si(decoded.signals) for signal in spec.signals}
+        columns = {signal.name: signal.to_si(decoded.signals) for signal in spec.signals}
         keep, valid, fault = check_frames(spec, payload, time_ns, columns)
         if fault or length_fault:
             faults[message] = "; ".join(filter(None, (length_fault, fault)))
         if not keep.all():
             rejected[message] = time_ns[~keep]
         keep &= np.diff(time_ns, prepend=time_ns[0] - 1) > 0
-        for name, values in with_unix_time(columns).items():
+        for name, values in replace_gps_time(columns).items():
             good = keep & np.isfinite(values)
             if good.any():
                 signals[name, message] = Signal(name, message, time_ns[good], values[good], valid[good], rows[good])
@@ -117,7 +117,7 @@ def find_steering(signals: CanSignals, file: Path | str, table: SignalTable) -> 
     steering = signals.first_of("steering_wheel_angle")
     if steering is not None:
         return steering
-    source = table.source_of("steering_wheel_angle")
+    source = table.find_source("steering_wheel_angle")
     expected = f"{source[0].name} (0x{source[0].dbc.frame_id:03X})" if source else "(not in the signal table)"
     if source and (fault := signals.faults.get(source[0].name)):
         raise RunError(file, f"the steering message {expected} cannot be used: {fault}",
@@ -234,7 +234,7 @@ def checksum_matches(check: CheckSpec, payload: np.ndarray, arbitration_id: int)
         total = payload.sum(axis=1, dtype=np.uint32) - found + (arbitration_id >> 8) + (arbitration_id & 0xFF)
         return (total & 0xFF) == found
     assert check.rule is not None  # a checksum has a rule; only a counter has none
-    expected = [checksum_of(check.rule, check.field, row.tobytes(), arbitration_id) for row in payload]
+    expected = [compute_checksum(check.rule, check.field, row.tobytes(), arbitration_id) for row in payload]
     return np.array(expected) == found
 
 
