@@ -1,4 +1,4 @@
-"""Adaptive bands in order of time, each drive starting from bands of the others: coverage and width."""
+"""Scores adaptive bands: coverage and width over each drive, starting from bands calibrated on the other drives."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ from st_core.models import get_model
 from st_core.vehicle import VehicleParameters
 
 INTERVAL = 0.1  # s between starts, as live
-SETTLED = 120.0  # s after the first start; coverage from then on is counted separately
-FEWEST_SETTLED = 300  # starts after that, for a drive to have a coverage of its own
+SETTLING_TIME = 120.0  # s after the first start; coverage after it is also counted separately
+MIN_SETTLED_STARTS = 300  # starts after the settling time required for a separate coverage of a drive
 PAUSE_NS = 6_000_000_000  # between the drives of a session
 LEVELS = (0.9, 0.5)
 
@@ -21,7 +21,7 @@ ModelMode = tuple[str, str]
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Every start of a drive. starts_ns: (n,). conditions: (n, 4). errors: (n, points, 3) by question."""
+    """Every start of a drive. starts_ns: (n,). conditions: (n, 4). errors: (n, points, 3) by model and mode."""
 
     name: str
     starts_ns: np.ndarray
@@ -29,7 +29,7 @@ class Drive:
     errors: Mapping[ModelMode, np.ndarray]
 
 
-def drive_of(log: DriveLog, vehicle: VehicleParameters, model: str, settings: EvaluationSettings) -> Drive:
+def read_drive(log: DriveLog, vehicle: VehicleParameters, model: str, settings: EvaluationSettings) -> Drive:
     signals = settings.signals(log)
     starts, _ = usable_starts(signals, vehicle, regular_starts(log, INTERVAL), settings.prediction.minimum_speed)
     times, errors = [], {}
@@ -41,8 +41,8 @@ def drive_of(log: DriveLog, vehicle: VehicleParameters, model: str, settings: Ev
     return Drive(log.name, starts, conditions_at(signals, starts), {q: np.concatenate(e) for q, e in errors.items()})
 
 
-def session(name: str, drives: Sequence[Drive]) -> Drive:
-    """Drives one after the other, as one."""
+def join_drives(name: str, drives: Sequence[Drive]) -> Drive:
+    """The drives joined one after the other."""
     begin, times = 0, []
     for drive in drives:
         times.append(drive.starts_ns - drive.starts_ns[0] + begin)
@@ -52,7 +52,7 @@ def session(name: str, drives: Sequence[Drive]) -> Drive:
 
 
 class Score:
-    """Coverage and interval score of adaptive bands over drives, each from the start: calibrated, or without a file."""
+    """Coverage and interval score of adaptive bands over several drives, each with a new band."""
 
     def __init__(self, time: np.ndarray, question: ModelMode):
         self._time, self._question = time, question
@@ -60,7 +60,7 @@ class Score:
         self._settled: dict[float, list[float]] = {level: [] for level in LEVELS}
 
     def add(self, drive: Drive, band: Band | None = None, domain: CalibrationDomain | None = None) -> None:
-        """domain: of the calibrated band."""
+        """Follow one drive. band: calibrated band to start from, None: no band. domain: of the calibrated band."""
         rows = np.isfinite(drive.conditions).all(axis=1)
         if domain is not None:
             rows[rows] = domain(drive.conditions[rows])
@@ -68,8 +68,8 @@ class Score:
         errors, initial = drive.errors[self._question][rows].astype(float), adaptive.factors
         factors, scales = adaptive.follow(drive.starts_ns[rows], drive.conditions[rows], errors)
         scored = np.isfinite(errors).all(axis=(1, 2))
-        settled = (drive.starts_ns[rows] - drive.starts_ns[0]) * 1e-9 >= SETTLED
-        if band is None:  # no band is issued before
+        settled = (drive.starts_ns[rows] - drive.starts_ns[0]) * 1e-9 >= SETTLING_TIME
+        if band is None:  # without a calibrated band, none is issued before
             scored &= settled
         size, scale = np.abs(errors[scored]), scales[scored]
         highest = (size / scale).max(axis=(1, 2), initial=0.0)
@@ -78,18 +78,18 @@ class Score:
             self._parts[level].append((factor, np.full(len(factor), initial[level]), highest,
                                        size[:, 4::5, :2], scale[:, 4::5, :2]))
             late = (highest <= factor)[settled[scored]]
-            if len(late) >= FEWEST_SETTLED:
+            if len(late) >= MIN_SETTLED_STARTS:
                 self._settled[level].append(float(late.mean()))
 
     def cells(self, calibrated: bool = True) -> dict[str, str]:
-        """By level: coverage fixed and adaptive, worst drive once settled, and the score against fixed bands that are
-        scaled, by one factor, to the coverage of the adaptive ones."""
+        """By level: coverage of fixed and adaptive bands and of the worst settled drive, and interval score relative to
+        fixed bands that are scaled by one factor to the coverage of the adaptive bands."""
         cells = {}
         for level in LEVELS:
             factor, initial, highest, size, scale = map(np.concatenate, zip(*self._parts[level], strict=True))
             coverage, name = float((highest <= factor).mean()), f"{100.0 * level:.0f} %"
-            equal = initial * float(np.quantile(highest / initial, coverage))
-            ratio = _interval_score(factor, size, scale, level) / _interval_score(equal, size, scale, level)
+            fixed_factor = initial * float(np.quantile(highest / initial, coverage))
+            ratio = _interval_score(factor, size, scale, level) / _interval_score(fixed_factor, size, scale, level)
             fixed = f"{100.0 * (highest <= initial).mean():.1f}" if calibrated else "-"
             cells[f"{name}: fixed, adaptive"] = f"{fixed}, {100.0 * coverage:.1f}"
             cells[f"{name}: worst drive"] = f"{100.0 * min(self._settled[level]):.1f}" if self._settled[level] else "-"

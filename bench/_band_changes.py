@@ -1,5 +1,4 @@
-"""Delay of the evaluator's coverage warning after a change of the virtual car during a drive, and false warnings
-without a change. Coverage is counted by `st_core.bands.CoverageMonitor`, as in the node."""
+"""Measures the delay of the evaluator's coverage warning after a change of the virtual car, and its false warnings."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -19,13 +18,13 @@ from st_recordings.paths import project_root
 SETTINGS = EvaluationSettings()
 TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
 MODELS, MODES = ("linear", "nonlinear"), ("hindsight", "forecast")
-SEED, KNOWN, HOURS, CHANGED = 22, 24, 2, 5
-HOUR_PARTS, CHANGED_PARTS, KNOWN_PARTS = 450, 30, 9
-"""Manoeuvres, each of about 8 s: an hour, four minutes, one minute."""
+SEED, CALIBRATION_DRIVES, HEALTHY_DRIVES, CHANGED_DRIVES = 22, 24, 2, 5
+# Manoeuvres of about 8 s in each drive: an hour, four minutes, one minute.
+HEALTHY_PARTS, CHANGED_PARTS, CALIBRATION_PARTS = 450, 30, 9
 STYLES = {"ordinary": ("ORDINARY", "CIRCLE", "ORDINARY", "SWEEP", "ORDINARY", "STEPS", "WEAVE", "SLALOM",
                        "SLOW_CIRCLE"),
           "brisk": ("STEPS", "SLALOM", "SWEEP", "BRAKING", "CIRCLE")}
-"""Manoeuvres of discovery.programmes. ordinary: mostly below 2.5 m/s^2 across. brisk: up to 5."""
+"""Manoeuvres of discovery.programmes. Lateral acceleration: ordinary: mostly below 2.5 m/s^2, brisk: up to 5 m/s^2."""
 CHANGES = {
     "steering offset 0.005 rad": {"steering_offset": 0.005}, "steering offset 0.01 rad": {"steering_offset": 0.01},
     "steering offset 0.02 rad": {"steering_offset": 0.02}, "friction 0.7": {"friction_factor": 0.7},
@@ -40,21 +39,21 @@ Row = dict[str, str]
 
 
 @dataclass
-class Watched:
-    """warned: seconds into the drive at which a warning began, by model and question. share: kept at 90 %."""
+class DriveWarnings:
+    """warned: times in the drive at which a warning began [s], by model and mode. share: inside the 90 % band."""
 
     seconds: float
     warned: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     share: dict[tuple[str, str], float] = field(default_factory=dict)
 
 
-def watch(log: DriveLog, vehicle: VehicleParameters, bands: Bands, domain: CalibrationDomain) -> Watched:
-    """A drive through the evaluator's counts. A score is known a horizon after its start."""
+def count_warnings(log: DriveLog, vehicle: VehicleParameters, bands: Bands, domain: CalibrationDomain) -> DriveWarnings:
+    """Warnings of the evaluator during a drive; a score is known one horizon after its start."""
     signals, counts = SETTINGS.signals(log), CoverageMonitor()
     models = [get_model(model) for model in {model: None for model, _ in bands}]
     starts, _ = usable_starts(signals, vehicle, regular_starts(log, SETTINGS.interval),
                               SETTINGS.prediction.minimum_speed)
-    found, horizon = Watched(log.overlap, {key: [] for key in bands}), SETTINGS.prediction.horizon
+    found, horizon = DriveWarnings(log.overlap, {key: [] for key in bands}), SETTINGS.prediction.horizon
     before = dict.fromkeys(bands, False)
     for rows, block in evaluate_blocks(models, vehicle, signals, starts, SETTINGS):
         here = conditions_at(signals, starts[rows])
@@ -77,18 +76,18 @@ def watch(log: DriveLog, vehicle: VehicleParameters, bands: Bands, domain: Calib
     return found
 
 
-def learnt(runs: Sequence[ErrorSamples]) -> tuple[Bands, CalibrationDomain]:
+def calibrate_all(runs: Sequence[ErrorSamples]) -> tuple[Bands, CalibrationDomain]:
     questions = [(model, mode) for model in MODELS for mode in MODES]
     return ({key: calibrate(runs, key, TIME, (0.5, 0.9)) for key in questions},
             CalibrationDomain.of([r.conditions for r in runs]))
 
 
-def changes() -> list[Row]:
-    """By style of driving, change and model: healthy hours, then each change; questions of the model, then of both."""
-    return [row for number, style in enumerate(STYLES) for row in of_style(number, style)]
+def measure_changes() -> list[Row]:
+    """Rows for each style of driving: drives without a change, then with each change."""
+    return [row for number, style in enumerate(STYLES) for row in _measure_style(number, style)]
 
 
-def of_style(number: int, style: str) -> list[Row]:
+def _measure_style(number: int, style: str) -> list[Row]:
     sys.path.insert(0, str(project_root()))
     from bench.discovery import cars, programmes
     from bench.discovery.plants import Order, driven, vehicle_of
@@ -98,7 +97,7 @@ def of_style(number: int, style: str) -> list[Row]:
     kinds = [getattr(programmes, name) for name in STYLES[style]]
 
     def drive(kind: int, which: int, count: int, after: Mapping[str, float] | None = None) -> DriveLog:
-        """count: manoeuvres. after: settings from the middle on."""
+        """count: number of manoeuvres. after: settings of the car from the middle of the drive on."""
         parts = tuple(kinds[k % len(kinds)] for k in range(count))
         changed: dict[str, Any] = {} if after is None else {"before": healthy, "from_": 0.5}
         return driven(cars.LEAF, file, Order(f"{kind} {which}", (SEED, number, kind, which), after or healthy, parts,
@@ -106,25 +105,26 @@ def of_style(number: int, style: str) -> list[Row]:
 
     models = [get_model(model) for model in MODELS]
     runs = [error_samples(models, file, SETTINGS.signals(log), SETTINGS)
-            for log in (drive(0, k, KNOWN_PARTS) for k in range(KNOWN))]
-    bands, domain = learnt(runs)
-    rows = healthy_rows(style, [watch(drive(1, k, HOUR_PARTS), file, bands, domain) for k in range(HOURS)])
+            for log in (drive(0, k, CALIBRATION_PARTS) for k in range(CALIBRATION_DRIVES))]
+    bands, domain = calibrate_all(runs)
+    rows = _healthy_rows(style, [count_warnings(drive(1, k, HEALTHY_PARTS), file, bands, domain)
+                                 for k in range(HEALTHY_DRIVES)])
     for place, (name, change) in enumerate(CHANGES.items()):
-        moved = {key: healthy[key] + v if key == "steering_offset" else healthy[key] * v for key, v in change.items()}
-        drives = [drive(2 + place, k, CHANGED_PARTS, healthy | moved) for k in range(CHANGED)]
-        rows += changed_rows(style, name, [watch(log, file, bands, domain) for log in drives])
+        changed = {key: healthy[key] + v if key == "steering_offset" else healthy[key] * v for key, v in change.items()}
+        drives = [drive(2 + place, k, CHANGED_PARTS, healthy | changed) for k in range(CHANGED_DRIVES)]
+        rows += _changed_rows(style, name, [count_warnings(log, file, bands, domain) for log in drives])
         print(*rows[-len(bands):], sep="\n", flush=True)
     return rows
 
 
-def healthy_rows(style: str, drives: Sequence[Watched]) -> list[Row]:
+def _healthy_rows(style: str, drives: Sequence[DriveWarnings]) -> list[Row]:
     hours = sum(one.seconds for one in drives) / 3600.0
     return [_row(style, f"nothing, {hours:.1f} h", key,
                  f"{sum(len(one.warned[key]) for one in drives)} false warnings",
                  f"90 % kept {np.mean([one.share[key] for one in drives]):.1%}") for key in drives[0].warned]
 
 
-def changed_rows(style: str, name: str, drives: Sequence[Watched]) -> list[Row]:
+def _changed_rows(style: str, name: str, drives: Sequence[DriveWarnings]) -> list[Row]:
     """Delays from the change, in the middle of the drive, to the first warning after it."""
     rows = []
     for key in drives[0].warned:

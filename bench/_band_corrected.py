@@ -1,4 +1,4 @@
-"""A car that differs from its vehicle file, with vehicle.yaml and model.yaml of `st discover`."""
+"""Corrects the vehicle file and the model of a car with `st discover`."""
 
 from collections.abc import Sequence
 
@@ -16,8 +16,8 @@ from st_offline.discovery.drives import Drive, Request
 from st_offline.discovery.vehicle_update import update_vehicle
 
 
-def corrected(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[VehicleParameters, Model, Intervals]:
-    """Car, model and its 95 % intervals as read from the files that `st discover` writes for these drives."""
+def correct_files(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[VehicleParameters, Model, Intervals]:
+    """Vehicle, model and 95 % intervals of its parameters, read from the files that `st discover` writes."""
     sensors = pool_estimates([{name: value for name, value in check(log, vehicle).estimates.items()
                                if np.isfinite(value).all()} for log in logs])
     settings = DiscoverySettings()

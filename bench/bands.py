@@ -1,7 +1,7 @@
-"""Bands on held-out runs: coverage, worst cell, interval score compared with parametric alternatives.
+"""Evaluates bands on held-out runs: coverage, worst cell, and interval score compared with parametric alternatives.
 
-ST_BANDS=genesis, virtual, manoeuvres, corrected, changes or adaptive: that part only. Each replaces its rows of
-docs/measurements/bands.md.
+ST_BANDS=genesis, virtual, manoeuvres, corrected, changes or adaptive runs only this part. Each part replaces its rows
+of docs/measurements/bands.md.
 """
 
 import os
@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from _band_adaptive import Drive, Score, drive_of, session
-from _band_changes import changes
-from _band_corrected import corrected as corrected_files
+from _band_adaptive import Drive, Score, join_drives, read_drive
+from _band_changes import measure_changes
+from _band_corrected import correct_files
 from _band_page import PAGE, write
 from _band_ways import LEVELS, SEED, WAYS
 from _markers import renew, table
@@ -31,7 +31,7 @@ from st_recordings.runs import find_runs, read
 SETTINGS = EvaluationSettings()
 TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
 MODELS, MODES = ("kinematic", "linear", "nonlinear"), ("hindsight", "forecast")
-# Days by the page of the data; of low_speed_f to _h only the campaign is known.
+# Days of recording according to the data's web page; for low_speed_f to _h, only the campaign is known.
 DAYS = {
     "2018-08-20": ("cpg_lap_slow", "cpg_lap_fast"), "2018-08-22": ("cpg_lap_medium", "cpg_lap_fast_controlled"),
     "June 2019": ("cpg_low_speed_a", "cpg_low_speed_b", "cpg_low_speed_f", "stale_position_low_speed_g",
@@ -40,11 +40,11 @@ DAYS = {
 }
 SITES = {"Richmond": DAYS["2019-10-18"] + DAYS["2019-11-27"],
          "proving ground": DAYS["2018-08-20"] + DAYS["2018-08-22"] + DAYS["June 2019"]}
-OTHER_POINT = ("rear_ref_rfs_1", "rear_ref_rfs_2", "rear_ref_rfs_3", "rear_ref_rfs_lanekeeping")
-SEEDS, OF_A_MANOEUVRE, OF_A_SESSION, FOLDS, TO_CORRECT = 32, 4, 8, 4, 6
+REAR_AXLE_RUNS = ("rear_ref_rfs_1", "rear_ref_rfs_2", "rear_ref_rfs_3", "rear_ref_rfs_lanekeeping")
+SEEDS, DRIVES_PER_MANOEUVRE, DRIVES_PER_SESSION, FOLDS, CORRECTION_DRIVES = 32, 4, 8, 4, 6
 MANOEUVRES = ("SWEEP", "STEPS", "SLALOM", "WEAVE", "LIMIT", "BRAKING", "ORDINARY", "CIRCLE")
-OFF = {"friction_factor": 0.75, "steering_offset": 0.01, "mass_factor": 1.1}
-"""Deviations of the second car from the vehicle file."""
+DEVIATIONS = {"friction_factor": 0.75, "steering_offset": 0.01, "mass_factor": 1.1}
+"""Deviations of the second car from the vehicle file: factors, and an offset [rad]."""
 
 Runs = Mapping[str, ErrorSamples]
 Row = dict[str, str]
@@ -54,7 +54,7 @@ CALIBRATED = ("conformal",)
 
 
 def run() -> dict:
-    """One row for each model and mode."""
+    """Rows of all parts, or of the part chosen by ST_BANDS."""
     parts = {"genesis": genesis, "virtual": virtual, "manoeuvres": by_manoeuvre, "corrected": corrected,
              "changes": changed_mid_drive, "adaptive": adaptive}
     chosen = os.environ.get("ST_BANDS")
@@ -69,33 +69,32 @@ def run() -> dict:
 
 
 def changed_mid_drive() -> dict[str, Row]:
-    """Also written into the page, without rows of the forecast in which it did not warn."""
-    rows = changes()
+    """Delays of the coverage warning; the page gets all rows except forecasts without a warning."""
+    rows = measure_changes()
     shown = [row for row in rows if row["question"] == "hindsight" or row["median delay"] != "none"]
     renew(PAGE, "changes in mid-drive", "\n".join(table(shown)) + "\n")
     return {", ".join(list(row.values())[:4]): row for row in rows}
 
 
 def adaptive() -> dict[str, Row]:
-    """Adaptive bands of the linear model: drives of the Genesis by day, by site and with the INS at the rear axle, each
-    with bands of the others or without; and a session of each manoeuvre with bands of the other manoeuvres.
-    """
+    """Adaptive bands of the linear model on sessions of the virtual car by manoeuvre, and on drives of the Genesis by
+    day, by site, with the INS at the rear axle, and without calibrated bands to start from."""
     here = world()
-    kinds = {kind: tuple(f"{kind} {k}" for k in range(OF_A_SESSION)) for kind in MANOEUVRES}
+    kinds = {kind: tuple(f"{kind} {k}" for k in range(DRIVES_PER_SESSION)) for kind in MANOEUVRES}
     logs = {names[k]: here.drive(kind, k, here.healthy, kind) for kind, names in kinds.items()
-            for k in range(OF_A_SESSION)}
+            for k in range(DRIVES_PER_SESSION)}
     runs = {name: samples(log, here.file, ("linear",)) for name, log in logs.items()}
-    drives = {name: drive_of(log, here.file, "linear", SETTINGS) for name, log in logs.items()}
-    sessions = {kind: [session(kind, [drives[name] for name in names])] for kind, names in kinds.items()}
+    drives = {name: read_drive(log, here.file, "linear", SETTINGS) for name, log in logs.items()}
+    sessions = {kind: [join_drives(kind, [drives[name] for name in names])] for kind, names in kinds.items()}
     sets = [("virtual, by manoeuvre", runs, kinds, sessions)]
     real = _genesis_logs()
     if real is not None:
         car, logs = real
         runs = {name: samples(log, car, ("linear",)) for name, log in logs.items()}
-        drives = {name: drive_of(log, car, "linear", SETTINGS) for name, log in logs.items()}
-        others = {name: one for name, one in runs.items() if name not in OTHER_POINT}
+        drives = {name: read_drive(log, car, "linear", SETTINGS) for name, log in logs.items()}
+        others = {name: one for name, one in runs.items() if name not in REAR_AXLE_RUNS}
         for title, groups, known in (("Genesis, by day", DAYS, others), ("Genesis, by site", SITES, others),
-                                     ("Genesis, INS at the rear axle", {"rear": OTHER_POINT}, others)):
+                                     ("Genesis, INS at the rear axle", {"rear": REAR_AXLE_RUNS}, others)):
             sets.append((title, known, groups, {key: [drives[n] for n in names] for key, names in groups.items()}))
         sets.append(("Genesis, no file", {}, {"all": ()}, {"all": list(drives.values())}))
     rows = [row for one in sets for row in _adaptive_rows(*one)]
@@ -105,7 +104,7 @@ def adaptive() -> dict[str, Row]:
 
 def _adaptive_rows(title: str, runs: Runs, groups: Mapping[str, Sequence[str]],
                    new: Mapping[str, Sequence[Drive]]) -> list[Row]:
-    """runs: for the calibration, without those of the group; none: no file."""
+    """runs: runs for the calibration, of which those of the tested group are excluded; empty: no calibration."""
     rows = []
     for question in (("linear", mode) for mode in MODES):
         score = Score(TIME, question)
@@ -122,11 +121,11 @@ def _adaptive_rows(title: str, runs: Runs, groups: Mapping[str, Sequence[str]],
 
 
 def genesis() -> dict[str, Row]:
-    """Empty without the shared drives."""
+    """Bands of the Genesis by run, by day and by site; empty without the shared drives."""
     runs = _genesis_runs()
     if runs is None:
         return {}
-    apart = {name: runs.pop(name) for name in OTHER_POINT}
+    apart = {name: runs.pop(name) for name in REAR_AXLE_RUNS}
     found = {}
     for model in MODELS:
         found |= held_out(f"Genesis, {model}, by run", runs, {name: (name,) for name in runs}, model, tuple(WAYS))
@@ -137,7 +136,7 @@ def genesis() -> dict[str, Row]:
 
 
 def days_as_one(runs: Runs) -> list[Row]:
-    """Each day with bands of the others; the runs of a day count as one."""
+    """Coverage of each day by bands of the other days, with the runs of a day joined to one."""
     rows = []
     days = {day: join_runs([runs[name] for name in names]) for day, names in DAYS.items()}
     stated = (0.5, highest_level(len(days) - 1))
@@ -159,7 +158,7 @@ def days_as_one(runs: Runs) -> list[Row]:
 
 
 def virtual() -> dict[str, Row]:
-    """By seed, and from the car of the vehicle file to one that differs from it."""
+    """Bands of the virtual car by seed, and bands of the car of the vehicle file on a car that deviates from it."""
     here = world()
     mixed, other = here.samples("seed", SEEDS, here.healthy), here.samples("off", SEEDS, here.off)
     return held_out("virtual, nonlinear, by seed", mixed, _folds(mixed), "nonlinear", tuple(WAYS)) \
@@ -168,18 +167,18 @@ def virtual() -> dict[str, Row]:
 
 
 def by_manoeuvre() -> dict[str, Row]:
-    """Each kind of manoeuvre with bands of all the others."""
+    """Each manoeuvre tested with bands of all the others."""
     here = world()
-    kinds = {kind: here.samples(kind, OF_A_MANOEUVRE, here.healthy, kind) for kind in MANOEUVRES}
+    kinds = {kind: here.samples(kind, DRIVES_PER_MANOEUVRE, here.healthy, kind) for kind in MANOEUVRES}
     return held_out("virtual, nonlinear, by manoeuvre", {k: v for one in kinds.values() for k, v in one.items()},
                     {kind: tuple(one) for kind, one in kinds.items()}, "nonlinear")
 
 
 def corrected() -> dict[str, Row]:
-    """The car that differs from its file, corrected by `st discover` on other drives, and uncorrected on the same
-    runs."""
+    """The car that deviates from its file, after and before the correction by `st discover` on other drives."""
     here = world()
-    car, model, intervals = corrected_files([here.drive("to mend", k, here.off) for k in range(TO_CORRECT)], here.file)
+    drives = [here.drive("to mend", k, here.off) for k in range(CORRECTION_DRIVES)]
+    car, model, intervals = correct_files(drives, here.file)
     logs = [here.drive("off", k, here.off).with_steering(car) for k in range(SEEDS)]
     after = {log.name: samples(log, car, (model,)) for log in logs}
     _write_shares([sum_shares([model], car, SETTINGS.signals(log), SETTINGS, {model.name: intervals}) for log in logs])
@@ -195,7 +194,7 @@ def corrected() -> dict[str, Row]:
 
 
 def _write_shares(runs: Sequence[dict]) -> None:
-    """Write the decomposition of the error of the corrected car into the page."""
+    """Write the causes of the corrected car's error into the page."""
     shares = summarise_shares(pool_sums(runs))
     (one,) = shares.values()
     causes = {name: values["5"]["lateral"] for name, values in one["rms_of_cause"].items()}
@@ -207,15 +206,14 @@ def _write_shares(runs: Sequence[dict]) -> None:
 
 @dataclass(frozen=True)
 class World:
-    """The virtual Leaf: vehicle file, settings of the healthy car that it describes, and of one that differs from
-    it."""
+    """The virtual Leaf: vehicle file, settings of the healthy car that it describes, and of a car that deviates."""
 
     file: VehicleParameters
     healthy: Mapping[str, float]
     off: Mapping[str, float]
 
     def drive(self, name: str, number: int, settings: Mapping[str, float], kind: str | None = None) -> DriveLog:
-        """kind: manoeuvre of bench.discovery.programmes, three times; None: mixed."""
+        """One drive. kind: name of a manoeuvre in bench.discovery.programmes, driven three times; None: mixed."""
         from bench.discovery import cars, programmes
         from bench.discovery.plants import Order, driven
 
@@ -233,7 +231,8 @@ def world() -> World:
     from bench.discovery.plants import vehicle_of
 
     car = cars.healthy_car(cars.LEAF, (SEED,)).settings
-    off = {name: car[name] * value if name.endswith("factor") else car[name] + value for name, value in OFF.items()}
+    off = {name: car[name] * value if name.endswith("factor") else car[name] + value
+           for name, value in DEVIATIONS.items()}
     return World(vehicle_of(cars.LEAF, car), car, car | off)
 
 
@@ -242,7 +241,7 @@ def samples(log: DriveLog, vehicle: VehicleParameters, models: Sequence[str | Mo
 
 
 def held_out(title: str, runs: Runs, groups: Mapping, model: str, ways: Sequence[str] = CALIBRATED) -> dict[str, Row]:
-    """Each group of runs tested with bands of all the others; one row for each mode and method."""
+    """Each group of runs tested with bands of all other groups; one row for each mode and method."""
     found = {}
     for mode in MODES:
         entries: dict[str, list] = {way: [] for way in ways}
@@ -264,7 +263,7 @@ def held_out(title: str, runs: Runs, groups: Mapping, model: str, ways: Sequence
 
 
 def transferred(title: str, runs: Runs, others: Runs, model: str) -> dict[str, Row]:
-    """Bands of these runs on different runs, for which their coverage is not guaranteed."""
+    """Bands of `runs` tested on `others`, from another car or mounting; their coverage is not guaranteed."""
     found = {}
     for mode in MODES:
         known = list(runs.values())
@@ -276,7 +275,7 @@ def transferred(title: str, runs: Runs, others: Runs, model: str) -> dict[str, R
 
 def tested(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSamples],
            question: tuple[str, str]) -> list[dict]:
-    """Sums (bands.scoring) of every new run."""
+    """Sums for `summarise_bands`, for each new run."""
     domain, entries = CalibrationDomain.of([one.conditions for one in known]), []
     for one in new:
         rows = domain(one.conditions)
@@ -286,7 +285,7 @@ def tested(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSamples
 
 
 def row(runs: Sequence[dict], refused: Sequence[str]) -> Row:
-    """refused: groups for which no band could be calibrated, with the reason."""
+    """Cells of one row. refused: groups for which no band could be calibrated, with the reason."""
     of_all = summarise_bands({"models": {"m": {"q": pool_sums(runs)}}})["models"]["m"]["q"] if runs else None
     if of_all is None or not of_all["starts"]:
         return dict.fromkeys(COLUMNS, "-") | {"no band": "; ".join(refused) or "100%"}

@@ -25,15 +25,12 @@ from .next_drive import driven_again
 
 COMPARED = 3
 """Every so many-th case of blocks A and B is given to the other methods as well."""
-RENAMED = {"bound": "varying", "seen": "loss_ratio", "wanted": "searched", "needless": "redundant"}
-"""Keys in records of earlier versions."""
-
 Record = dict[str, Any]
 Question = Case | EditCase
 
 
 def run_case(case: Question, limits: Limits | None = None, whole: bool = True) -> Record:
-    """Everything the score needs to know of a case, as plain data. whole: with baselines and suggested drives."""
+    """Record of a case for the score, as plain data. whole: with baselines and suggested drives."""
     limits = limits or Limits()
     if isinstance(case, EditCase):
         logs, vehicle = edits.drives_of(case)
@@ -127,18 +124,12 @@ def read(file: Path) -> dict[tuple[str, str, int], Record]:
     """Records of a file of JSON lines, by set, block and index."""
     if not file.exists():
         return {}
-    lines = [_present_names(json.loads(line)) for line in file.read_text().splitlines()]
+    lines = map(json.loads, file.read_text().splitlines())
     return {(r["set"], r["block"], r["index"]): r for r in lines}
 
 
-def _present_names(r: Record) -> Record:
-    """A record of any version, with the present names of its keys and outcome."""
-    renamed = {RENAMED.get(key, key): value for key, value in r.items()}
-    return renamed | {"outcome": "varying" if r["outcome"] == "bound" else r["outcome"]}
-
-
 def read_all(files: Iterable[Path]) -> list[Record]:
-    """Records of several files, each case once for each limit it was answered with: that of the last file."""
+    """Records of several files; if files answer a case with the same limit, the record of the last file is used."""
     kept = {(*key, *r.get("limit", ())): r for file in files for key, r in read(file).items()}
     return list(kept.values())
 

@@ -24,8 +24,6 @@ PAGE = project_root() / "docs" / "measurements" / "strangers.md"
 KEPT = ("outcome", "effects", "minor", "effective", "combinations", "varying", "signature", "errors", "named_errors",
         "axle_curves", "assumed", "files")
 """Parts of discovery.json that the score or a reader of misses uses."""
-RENAMED = {"bound": "varying", "gap": "errors", "gap_named": "named_errors", "mended": "files"}
-"""Keys of these parts in answers of earlier versions."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -55,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     results = []
     for case in some:
         file = folder / f"{case.name}.json"
-        known = _read(file) if file.exists() else None
+        known = json.loads(file.read_text()) if file.exists() else None
         if known and (chosen.score or (not chosen.fresh and known["version"] == source_version())):
             results.append(known)
         elif not chosen.score:
@@ -69,11 +67,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return int(any("answer" not in one for one in results))
 
 
-def _read(file: Path) -> dict[str, Any]:
-    result = json.loads(file.read_text())
-    if "answer" in result:
-        result["answer"] = {RENAMED.get(key, key): value for key, value in result["answer"].items()}
-    return result
 
 
 def answered(case: Case, keep: Path | None = None) -> dict[str, Any]:
