@@ -239,8 +239,8 @@ def _read_message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
         period=row.quantity("period", "s", 0.0005, 60.0), timeout=row.quantity("timeout", "s", 0.001, 600.0),
         counter=_read_check(counter, dbc, dbc_path, row) if counter else None,
         checksum=_read_check(checksum, dbc, dbc_path, row, with_rule=True) if checksum else None,
-        fill={name: fill.integer(name, 0, 2 ** _find_signal(dbc, name, dbc_path, row).length - 1)
-              for name in fill or ()})
+        fill={} if fill is None else {name: fill.integer(
+            name, 0, 2 ** _find_signal(dbc, name, dbc_path, row).length - 1) for name in fill})
 
 
 def _check_layout(dbc: DbcMessage, dbc_path: Path) -> None:
