@@ -27,7 +27,7 @@ GAIN_SPEED = 20.0  # m/s, of the steady-state yaw gain
 
 
 class Axles:
-    """Forces of both axles in a fitted model. unexplained: ratio of residual to noise, a factor of bands and intervals.
+    """Forces of both axles in a fitted model. unexplained: ratio of residual to noise, widens bands and intervals.
     near: vectors of sets that fit nearly as well; the bands extend to their curves. Raises StCoreError for a base model
     without tyres, or drives without slip."""
 
@@ -42,7 +42,7 @@ class Axles:
         self.near = valid_models([problem.space.at(vector) for vector in near], vehicle) if joint is not None else []
         self.draws: list[AugmentedModel] = []
         if joint is not None:
-            inside = joint.indices < len(problem.space) - 1  # the last number is the gain of the accelerometer
+            inside = joint.indices < len(problem.space) - 1  # the last parameter is the gain of the accelerometer
             indices = joint.indices[inside]
             covariance, scale = np.zeros((len(self.model.vector),) * 2), problem.space.scale[indices]
             covariance[np.ix_(indices, indices)] = joint.covariance[np.ix_(inside, inside)] * np.outer(
@@ -107,8 +107,8 @@ class Axles:
 
     def contradicting(self, base: AugmentedModel,
                       leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
-        """Axles whose measured forces fit the model worse than the vehicle file; none if sideslip was not measured or
-        excitation is low.
+        """Axles with measured forces that agree less with the model than with the vehicle file; none without measured
+        sideslip or with low excitation.
 
         leave_one_out: values by run, fitted without that run.
         """

@@ -63,8 +63,8 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
 
 
 def simulate_manoeuvres(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Windows]]:
-    """Manoeuvres at speeds up to MAX_SPEED_RATIO times the driven one, with the windows of a simulated drive of each
-    and the recorded channels. The base model without effects is accurate enough to compare excitation."""
+    """Each manoeuvre at a speed up to MAX_SPEED_RATIO times the driven one, with the windows of a simulated drive that
+    has the recorded channels. The base model without effects is accurate enough to compare excitation."""
     model = augment(base, {})
     fastest = MAX_SPEED_RATIO * float(np.nanquantile(windows.speeds, 0.95))
     settings = replace(windows.settings, windows=50)
@@ -100,9 +100,9 @@ def catalogue(problem: Problem, fit: Fit) -> Catalogue:
 
 def separation(h: np.ndarray, problem: Problem, others: Sequence[str], first: str, second: str, values: np.ndarray,
                design_effect: float) -> tuple[float, float]:
-    """(cosine between the effects on the errors, part of `first` that `second` does not explain [standard deviations])
-    for a curvature h (p, p). others: effects in the fit besides `first`. values: (p,) distance from null [parameter
-    scales]."""
+    """(cosine similarity of two effects on the errors, size of the part of `first` that `second` does not explain
+    [standard deviations]) for a curvature h (p, p). others: further effects in the fit. values: (p,) distance from the
+    null [parameter scales]."""
     indices, other_indices = problem.space.indices(first), problem.space.indices(second)
     free = np.setdiff1d(problem.free_indices((*others, second)), indices)
     d = values[indices]

@@ -149,7 +149,7 @@ Quantities = tuple[FileQuantity | None, ...]
 
 
 def known_quantities(space: Space, vehicle: VehicleParameters) -> Quantities:
-    """(p,) quantity of the vehicle file that each parameter changes, the best known if several; None without one."""
+    """(p,) quantity of the vehicle file that each parameter changes (of several, the best known); None without one."""
     return (*(_changed_quantity(space, vehicle, i) for i in range(len(space.free))), None)
 
 
@@ -160,7 +160,7 @@ def prior_deviations(known: Quantities, scale: np.ndarray) -> np.ndarray:
 
 
 def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQuantity | None:
-    """Quantity that parameter i changes: the one it declares, else from finite differences of the effect's `fold`."""
+    """Quantity that parameter i changes: as declared, otherwise from finite differences of the `fold` of its effect."""
     free = space.free[i]
     effect = get_effect(free.effect)
     parameter = next(p for p in effect.parameters if p.name == free.parameter)

@@ -27,7 +27,7 @@ class HorizonErrors:
         self._weights = np.stack([np.bincount(d, minlength=problem.blocks) for d in draws])
 
     def of(self, fit: Fit) -> dict[str, np.ndarray]:
-        """(n,) by channel: square error at the end of the horizon; position_5s: the error itself [m]."""
+        """(n,) square error by channel at the end of the horizon; for position_5s, the error itself [m]."""
         p = self.problem
         rows = p.held_out_rows(fit)
         last = rows.reshape(len(rows), len(p.errors.windows.time), -1)[:, -1]
@@ -173,8 +173,8 @@ def leave_one_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, f
 
 def budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit | None,
            errors: HorizonErrors) -> list[BudgetLine]:
-    """Contribution of each kind of cause when added last and when added first, to the mean position error after 5 s
-    and to the loss, normalised by the residual scale of the final fit. corrected: fit with effective corrections.
+    """Contribution of each kind of cause, added last and added first, to the mean position error after 5 s and to the
+    loss at the residual scale of the final fit. corrected: fit with effective corrections.
     varying: fit with an effect that varies between parts of the drives."""
     def size(fit: Fit) -> tuple[float, float]:
         """(mean position error [m], loss per residual)."""

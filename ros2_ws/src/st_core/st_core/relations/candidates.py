@@ -92,7 +92,7 @@ class Candidate:
 
     @property
     def is_sensor_error(self) -> bool:
-        """Whether it is a sensor error, not a motion of the car."""
+        """Whether it acts on a sensor, not on the motion of the car."""
         return self.term.startswith("sensor_")
 
     @property
@@ -164,8 +164,8 @@ def driven_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str,
 
 
 def candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candidate]:
-    """Candidates that these drives excite: sensor terms of measured channels only, quantities with a range above
-    MIN_RANGES; positions only with a single site, because maps of several sites may have different origins."""
+    """Candidates that these drives excite: quantities with a range above MIN_RANGES, sensor terms of measured channels,
+    and positions only at a single site, because the maps of several sites may have different origins."""
     values, found = driven_quantities(windows, vehicle), []
     one_site = int(sites(windows).max()) == 0
     admissible = [(p, q, parity, "") for p, quantities in ADMISSIBLE.items() for q, parity in quantities]

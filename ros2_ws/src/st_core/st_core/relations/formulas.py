@@ -24,7 +24,7 @@ ShapeFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Formula:
-    """shape: name of the shape. text: formula with its numbers, y the relation and u the quantity, SI. kept [1]:
+    """Formula of a relation. shape: its name. text: formula y(u) with numbers, u: the quantity [SI]. kept [1]:
     fraction of the held-out gain of the curve that the formula retains when simulated in its place. causes: possible
     causes from textbooks."""
 
@@ -36,7 +36,7 @@ class Formula:
 
 @dataclass(frozen=True, eq=False)
 class FittedShape:
-    """A shape fitted with the quadratic about the curve. numbers, by_fold: fitted to all blocks, and without each fold.
+    """A shape fitted with the quadratic about the curve. numbers: fitted to all blocks; by_fold: without each fold.
     explained [1]: fraction of the gain of the curve. held_out: (b,) loss from the quadratic."""
 
     shape: str
@@ -220,7 +220,7 @@ def simulated_formulas(fits: RelationFits, fit: RelationFit, without: RelationFi
 
 def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape: FittedShape,
                with_offset: bool) -> tuple[float, float]:
-    """(held-out gain of a shape, its offset); gain -inf for a wrong sign, range or path."""
+    """(held-out gain of a shape, its offset); the gain is -inf if sign, range or path of the shape is wrong."""
     candidate = fit.candidate
     assert candidate is not None
     at = np.linspace(candidate.low, candidate.high, POINTS)

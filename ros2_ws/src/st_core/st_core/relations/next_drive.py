@@ -22,9 +22,9 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class Option:
-    """Expected result of the runs plus REPETITIONS drives of one manoeuvre. deviation: (k,) standard deviation of the
-    curve [its unit]. separation: from each rival [standard deviations]. seconds: time in each sparse range, in one
-    drive of the manoeuvre."""
+    """Expected result after REPETITIONS further drives of one manoeuvre. deviation: (k,) standard deviation of the
+    curve [its unit]. separation: from each rival [standard deviations]. seconds: time that one drive spends in each
+    sparse range [s]."""
 
     manoeuvre: Manoeuvre
     deviation: np.ndarray
@@ -115,7 +115,7 @@ def _loss(fits: RelationFits, windows: Windows, candidate: Candidate, fit: Relat
 
 def _joint(loss: Loss, rows: np.ndarray, sensitivities: np.ndarray, of_rival: np.ndarray,
            fit: RelationFit) -> np.ndarray:
-    """Curvature of the loss in the other parameters, the coefficients of a rival, and a factor of the relation."""
+    """Curvature of the loss in the other parameters, the coefficients of a rival, and a scale of the relation."""
     of_size = np.einsum("p,pnm->nm", fit.coefficients, sensitivities[-SPLINES:])
     joint = np.concatenate([sensitivities[:-SPLINES], of_rival, of_size[None]])
     return loss.quadratic(rows, joint).hessian.sum(axis=0)

@@ -19,8 +19,8 @@ from ..regression import add_ridge
 from ..vehicle import VehicleParameters
 from .candidates import Candidate, run_time
 
-RELATION = RelationEffect.name  # the three kinds have the same indices in the vector
-SMOOTHING = (0.003, 0.03, 0.3)  # penalty on second differences, fractions of the coefficients' mean curvature
+RELATION = RelationEffect.name  # the three relation effects have the same indices in the vector
+SMOOTHING = (0.003, 0.03, 0.3)  # penalties on second differences, relative to the mean curvature of the coefficients
 SIZE_PENALTY = 0.1  # penalty on the coefficients, relative to that on second differences; shrinks uninformed ones to 0
 ITERATIONS, STEP_SHARES, MIN_LOSS_FALL = 8, (1.0, 0.5, 0.2), 2e-4  # as in discovery.fit
 BASE_FITS = 2  # fits of the discovered model without a relation
@@ -34,7 +34,7 @@ ROUGHNESS = _SECOND.T @ _SECOND + SIZE_PENALTY * np.eye(SPLINES)
 class RelationFit:
     """A fit with a candidate, or of the discovered model without a relation (candidate None).
 
-    smooth: one of SMOOTHING. vector: in the space of its candidate. rows: (n, m) residuals. indices: (a,) free
+    smooth: one of SMOOTHING. vector: in the space of the candidate. rows: (n, m) residuals. indices: (a,) free
     parameters, the coefficients last. sensitivities: to these (a, n, m). penalty: (a, a). q: quadratic by block.
     held_out: (b,) loss of each block at values fitted without its fold. steps: by fold, from the fit to those values.
     """
@@ -75,9 +75,9 @@ class RunWindows(Windows):
 class RelationFits:
     """Fits of candidate relations in addition to one discovered model.
 
-    model: the discovered one; gain: of its accelerometer; names: of its effects. fold: (b,) fold of each block. The
-    residual scale of the discovered model is kept. refitted: indices of the parameters fitted together with a relation;
-    car: indices of the other vehicle parameters, which are projected out of the evidence for it.
+    model: the discovered model. gain: its `Discovery.acceleration_gain`. names: of its effects. fold: (b,) fold of each
+    block. refitted: indices of the parameters fitted together with a relation. car: indices of the other vehicle
+    parameters, which are projected out of the evidence for it. All fits use the residual scale of the discovered model.
     """
 
     def __init__(self, windows: Windows, model: AugmentedModel, gain: float, names: Sequence[str],

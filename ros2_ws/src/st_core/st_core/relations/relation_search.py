@@ -33,9 +33,9 @@ class Relation:
     candidate: the model term that it modifies (steering, axle force or grip, yaw moment, side force, a sensor), and the
     quantity it depends on. coefficients: (8,) of the splines. at: (k,) values of the quantity; value, deviation: (k,)
     the curve there and its standard deviation [unit of the term]; density: (k,) fraction of the driving near each. gain
-    [1]: reduction of the held-out loss per residual. p_value [1]: probability that any candidate gains as much
-    without a real effect. position_5s [m]: held-out (without, with); runs: the same by run. model: everything
-    else, at the values fitted with the relation. others: equally good relations, with the cosine similarity of their
+    [1]: reduction of the held-out loss per residual. p_value [1]: of the gain, corrected for the number of candidates.
+    position_5s [m]: held-out position error (without, with); runs: the same by run. model: the model without the
+    relation, at the values fitted with it. others: equally good relations, with the cosine similarity of their
     effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. shares: its size by run.
     redundant: effects of the result that the relation replaces, with the fraction of the residual [1] that returns if
     the effect is dropped. drives: sparsely driven ranges, and manoeuvres to drive next.
@@ -65,8 +65,8 @@ class Relation:
 
 @dataclass(frozen=True)
 class RelationSearch:
-    """Result of a search. relation: None if none is significant and large enough; why: the reason, or its gain in
-    figures. tried: held-out gain [1] and p-value [1] of every candidate, best first. detection_limits: of each
+    """Result of a search. relation: None if none is significant and large enough. why: the reason for that, or the gain
+    of the relation. tried: held-out gain [1] and p-value [1] of every candidate, best first. detection_limits: of each
     candidate, the smallest detectable value of a linear relation at the end of its range [unit of the curve]."""
 
     relation: Relation | None
@@ -93,14 +93,14 @@ def needs_search(found: Discovery) -> bool:
 def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParameters,
                   settings: DiscoverySettings | None = None, threads: int = 1, tick: Callable[[], None] = lambda: None,
                   reported: Collection[tuple[str, str]] = ()) -> RelationSearch:
-    """The relation that a result of `discover` lacks, or the reason for none.
+    """Find the relation that a result of `discover` lacks, or the reason for none.
 
     Every candidate is fitted together with the result; changes that a parameter of the vehicle file can reproduce are
     projected out of its evidence. A relation is reported if its p-value over all candidates is below
     `limits.false_alarm`, if its held-out gain reaches `limits.relevant` of the residual or `limits.relevant_position`
     significantly, if the predicted path improves at level `limits.false_alarm` (not required of a sensor relation), and
-    if no run becomes significantly worse. Relations that the drives do not separate from it are listed, and redundant
-    effects of the result. reported: (finding, channel) of `st check`; a relation that only imitates a late or wrong
+    if no run becomes significantly worse. Relations that the drives do not separate from it and redundant effects of
+    the result are listed. reported: (finding, channel) of `st check`; a relation that only imitates a late or wrong
     sensor that a finding reports is not proposed.
     Raises StCoreError if the drives contain no usable prediction.
     """
@@ -164,8 +164,8 @@ Fitted = dict[Screened, RelationFit]
 def _fit_candidates(significant: Sequence[Screened], fits: RelationFits, without: RelationFit,
                     vehicle: VehicleParameters, limits: Limits,
                     tick: Callable[[], None]) -> tuple[Fitted, Fitted, dict[Screened, str]]:
-    """(candidates with an acceptable curve, those of them that are large enough, reasons against the others), fitted by
-    simulation."""
+    """Fit candidates by simulation: (those with a usable curve, those of them with a large enough gain, reasons against
+    the others)."""
     fitted: Fitted = {}
     accepted: Fitted = {}
     against: dict[Screened, str] = {}
