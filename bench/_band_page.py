@@ -1,5 +1,5 @@
-"""Rows of the benchmark of bands in the table of docs/measurements/bands.md; a part of it replaces its own rows.
-A second table compares all of them with the aims."""
+"""Writes the rows of the benchmark of bands and their comparison with the aims to docs/measurements/bands.md.
+Each part of the benchmark replaces its own rows."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +18,7 @@ BAND, CALIBRATED = "conformal", "scaled to its level"
 
 
 def write(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE) -> None:
-    """Replace the rows of the same titles, keep the others."""
+    """Replace the rows with the same titles and keep all others."""
     kept = {cells[0]: cells for cells in map(_cells, part(page, NAME).splitlines()[2:])}
     kept |= {title: [title, *row.values()] for title, row in rows.items()}
     columns = ["held out", *next(iter(rows.values()))]
@@ -29,7 +29,7 @@ def write(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE) -> None:
 
 
 def summary(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
-    """By held-out group and mode, over all models: least to largest, in bold if not within the aim."""
+    """Range over all models for each held-out group and mode, in bold if outside the aim."""
     groups: dict[str, dict[str, list[Mapping[str, str]]]] = {}
     for row in (one for one in rows if one["interval score"] != "-"):
         title, mode, way = _parts(row["held out"])
@@ -60,7 +60,7 @@ def _ratio(band: Sequence[Mapping[str, str]], others: Mapping[str, Sequence[Mapp
 
 
 def _best(others: Mapping[str, Sequence[Mapping[str, str]]]) -> list[Mapping[str, str]]:
-    """Row of the method with the least product of both scores, for each model."""
+    """For each model, the row of the method with the smallest product of both scores."""
     return [min(rows, key=lambda row: _scores(row)[0] * _scores(row)[1])
             for rows in zip(*others.values(), strict=True)] if others else []
 
@@ -80,7 +80,7 @@ def _scores(row: Mapping[str, str]) -> tuple[float, float]:
 
 
 def _first(cell: str) -> float | None:
-    """Share at the begin of a cell [%]."""
+    """Share at the beginning of a cell [%]."""
     number, found, _ = cell.partition("%")
     return float(number) if found else None
 

@@ -36,8 +36,7 @@ class Stream:
     received: np.ndarray
 
     def first_from(self, start: int) -> int | None:
-        """Row of the first sample measured at `start` or later; None before the listener has settled, and at the
-        end."""
+        """Row of the first sample measured at `start` or later; None at the end and before the listener has settled."""
         row = int(np.searchsorted(self.stamp, start))
         return row if row < len(self.stamp) and start >= self.stamp[0] + SETTLE_NS else None
 
@@ -53,7 +52,7 @@ class Issued:
 
 
 def marks(start: int, odometry: Stream, steering: Stream, made: Sequence[Issued]) -> dict[str, int] | None:
-    """Instants [ns] of a tick, and `compute`; None if a sample of it was not received.
+    """Instants of a tick and compute time of its models [ns]; None if one of its samples was not received.
 
     start: instant of its state, the newest at which both inputs were known.
     """

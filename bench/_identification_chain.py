@@ -1,4 +1,4 @@
-"""The paper's procedure on virtual S1 to S7: offset, stiffnesses by regression, then the evaluation with the result."""
+"""Runs the paper's procedure on virtual S1 to S7: steering offset, cornering stiffnesses, evaluation."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ MODELS = ("kinematic", "linear", "nonlinear")
 
 
 def chain() -> dict:
-    """Horizon-mean errors, root mean square over the starts [m] of each scenario, with four vehicle files."""
+    """RMS over the starts of the horizon-mean errors [m] for each scenario and vehicle file."""
     car = leaf()
     unknown = with_stiffness(replace(car, steering_wheel_offset=0.0), 0.8 * car.cornering_stiffness_front,
                              0.8 * car.cornering_stiffness_rear)

@@ -1,4 +1,4 @@
-"""Identification of the Genesis on some of its drives, tested on the others by the position error after 5 s."""
+"""Identifies the Genesis from some of its drives and tests the result by the position error on the others."""
 
 import os
 from dataclasses import replace
@@ -28,7 +28,7 @@ SECONDS = 5
 
 
 def genesis() -> dict:
-    """Estimates from LEARNT, and what they change on the other drives."""
+    """Estimates from the drives in LEARNT, and errors with them on all drives."""
     file = config("vehicle/hyundai_genesis.yaml")
     car = VehicleParameters.from_yaml(file.read_text(), str(file))
     shared = Path(os.environ.get("ST_SHARED", project_root().parent / "shared"))
@@ -62,7 +62,7 @@ def genesis() -> dict:
 
 
 def taken(car: VehicleParameters, found: Identification, names=None) -> VehicleParameters:
-    """The car with the estimates of these names; of all without."""
+    """The car with the estimates of these parameters; None: with all estimates."""
     chosen = [e for e in found.estimates if names is None or e.parameter in names]
     return identified(car, chosen)
 

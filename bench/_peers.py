@@ -17,7 +17,7 @@ def leaves(p) -> list[float]:
 
 
 def limit(folder: Path, name: str, p, start, w, offsets) -> dict[str, Callable[[], np.ndarray]]:
-    """The C++ kernel of a model with 1 to 4 vectors of 8 at a time; the end states."""
+    """The C++ kernel of a model for 8, 16, 24 or 32 predictions at a time; each call returns the end states."""
     numbers, out = np.array(leaves(p)), np.empty_like(start)
     calls = {}
     for vectors in (1, 2, 3, 4):
@@ -40,7 +40,7 @@ def _pointer(array: np.ndarray) -> ctypes.c_void_p:
 
 
 def numba_scalar(model, p, start, w, offsets) -> Callable[[], np.ndarray]:
-    """The same source compiled for one prediction after the other."""
+    """The kernel of the model compiled for one prediction at a time."""
     import numba
     from st_core.backends import numba_lanes as lanes
 

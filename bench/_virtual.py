@@ -1,4 +1,4 @@
-"""Files of the virtual Leaf, as its own command writes them, and the drives in them."""
+"""Writes recordings of the virtual Leaf with its own command, and reads the drives in them."""
 
 import contextlib
 import io

@@ -1,4 +1,4 @@
-"""Cost of bands: duration of a tick, and live latency, alternately with and without them; docs/measurements/bands.md.
+"""Measures the cost of bands for docs/measurements/bands.md: duration of a tick and live latency with and without them.
 
 ST_BENCH_TURNS, ST_BENCH_SECONDS change the live runs. Needs an idle machine.
 """

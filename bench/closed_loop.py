@@ -37,7 +37,7 @@ IMAGES = project_root() / "docs" / "images"
 
 
 def run(folder: Path | None = None) -> dict:
-    """Both cases. Drives that exist in `folder` are not repeated."""
+    """Run both cases; drives that exist in `folder` are not repeated."""
     if folder is None:
         with tempfile.TemporaryDirectory(prefix="st-closed-loop-") as name:
             return run(Path(name))
@@ -95,7 +95,7 @@ def of_a_law(folder: Path) -> dict:
 
 def _found(folder: Path, drives: Sequence[str], seconds: float, vehicle: Path, car: Sequence[object],
            *options: str) -> dict:
-    """discovery.json of the drives, which are driven live and recorded."""
+    """Record the drives live and run `st discover` on them; returns the content of discovery.json."""
     for number, name in enumerate(drives):
         road = config(f"manoeuvres/{name}") if name.endswith(".yaml") else name
         _drive(folder / Path(name).stem, "--scenario", road, "--duration", seconds, "--vehicle", vehicle, *car,
@@ -118,7 +118,7 @@ class Scored:
 
 
 def _drive(folder: Path, *options: object) -> Path:
-    """A live drive, unless it exists already."""
+    """Record a live drive unless it exists already."""
     if not folder.exists():
         _st("demo", *options, "--output", folder)
     return folder
@@ -179,7 +179,7 @@ def _statement(effect: dict) -> dict:
 
 
 def _draw(file: Path, rows: Mapping[str, tuple[float | None, float]], labels: tuple[str, str]) -> None:
-    """rows: error before, if there was one, and now [m], by name."""
+    """Plot errors before (None: not measured) and after [m], by name."""
     import matplotlib
 
     matplotlib.use("Agg")

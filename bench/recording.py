@@ -1,4 +1,4 @@
-"""Cost of writing a recording to the disk twice a second: the writer with and without, alternately.
+"""Measures the cost of syncing a recording to the disk twice a second, alternately with and without.
 
 Messages of the sizes and rates of a drive with raw CAN frames. ST_BENCH_FOLDER: where to write, default the current
 folder; ST_BENCH_SECONDS: of each of the four turns.
@@ -21,7 +21,7 @@ DEFINITION = ("uint8[] data", "RIHS01_" + "0" * 64)
 
 
 def turn(folder: Path, seconds: float, synced: bool) -> dict:
-    """One bag. ms: durations of the writer's work and of each sync."""
+    """Write one bag; returns processor load, data rate, losses and the durations of the writer's work."""
     pool = _pool()
     bag = BagWriter(folder, {"recording": {"recorder": "bench"}}, synced=synced)
     topics = [bag.add_topic(f"/{k}", "bench_msgs/msg/Bytes", (), *DEFINITION) for k in range(len(TOPICS))]

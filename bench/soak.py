@@ -80,7 +80,7 @@ def choose(rng: random.Random) -> Fault:
 
 
 def drive(rig: Rig, minutes: float, seed: int) -> tuple[Samples, Counter, list[tuple[float, float]]]:
-    """The samples, how often each fault was in, and from when to when [minutes]."""
+    """Run the suite with faults; returns samples, count of each fault, and begin and end of each fault [minutes]."""
     rng, samples, faults, when = random.Random(seed), Samples(), Counter(), []
     began = time.monotonic()
     end, due, next_fault = began + 60 * minutes, began, began + CALM[0]
@@ -106,7 +106,7 @@ def drive(rig: Rig, minutes: float, seed: int) -> tuple[Samples, Counter, list[t
 
 
 def recorded(folder: Path) -> dict[str, np.ndarray]:
-    """Of all bags: start and age of the predictions, stamps of the NCOM packets, number of CAN frames."""
+    """Start and age of the predictions, stamps of the NCOM packets and number of CAN frames in all bags."""
     starts, ages, packets, frames = [], [], [], 0
     for bag in sorted(folder.glob("bag*")):
         recover(bag)
