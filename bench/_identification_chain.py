@@ -62,9 +62,7 @@ def recorded(scenario: str, seconds: float, vehicle: VehicleParameters) -> Drive
 
 
 def errors(logs: list, car: VehicleParameters) -> dict:
-    """{model: {scenario: longitudinal / lateral}} root mean square of the horizon means, hindsight [m]: the protocol of
-    `st evaluate`.
-    """
+    """RMS of the horizon means in hindsight, longitudinal / lateral [m], by model and scenario, as in `st evaluate`."""
     table: dict[str, dict[str, str]] = {model: {} for model in MODELS}
     total: dict[str, list] = {model: [] for model in MODELS}
     for log in logs:

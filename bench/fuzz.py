@@ -30,7 +30,7 @@ BLOCK = 2000  # packets through one pipeline, for long-lived state; its seed rep
 
 
 def changed(rng: random.Random, packet: bytes) -> bytes:
-    """A few bytes changed; three of four times the checksums are right."""
+    """The packet with a few changed bytes, in three of four cases with correct checksums."""
     data = bytearray(packet)
     for _ in range(1 + rng.getrandbits(2)):
         data[1 + int(rng.random() * 71)] = rng.getrandbits(8)
@@ -45,7 +45,7 @@ def ncom_block(seed: int) -> list[bytes]:
 
 
 def fuzz_packets(seed: int, seconds: float) -> dict:
-    """The whole block is one finding; replay it with ncom_block(seed)."""
+    """Process blocks of packets; a failure counts once per block and is replayed with ncom_block(seed)."""
     started, inputs, found = processor_seconds(), 0, {}
     base, accepted = packets(), 0
     while processor_seconds() - started < seconds:
@@ -82,7 +82,7 @@ def bulk_block(seed: int, base: np.ndarray) -> bytes:
 
 
 def fuzz_bulk(seed: int, seconds: float) -> dict:
-    """Checks that the parser accounts for every byte, and that both decoders agree."""
+    """Check that the parser accounts for every byte and that both decoders agree."""
     base = np.frombuffer(b"".join(packets()), np.uint8).reshape(-1, PACKET_SIZE)
     started, blocks, accepted, found = processor_seconds(), 0, 0, {}
     while processor_seconds() - started < seconds and blocks * BLOCK < MOST_BULK:

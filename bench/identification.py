@@ -29,7 +29,7 @@ KNOWN = {"steered_drive_force": {"share": 1.0}}  # front-wheel drive, and nothin
 
 
 def run() -> dict:
-    """All parts, some ten minutes."""
+    """Run all parts, which takes about ten minutes."""
     return {"seeds": seeds(), "noise-free": noise_free(), "realistic car": realistic(), "speed": speed(),
             "genesis": genesis(), "chain": chain()}
 
@@ -41,7 +41,7 @@ def wrong(car: VehicleParameters) -> VehicleParameters:
 
 
 def one_seed(seed: int, car: VehicleParameters) -> dict[str, tuple[Identification, dict[str, float]]]:
-    """{method: (outcome, truth)} of one measurement of all drives."""
+    """Result and true values by method, for one noise seed of all drives."""
     logs = record_all("ideal", seed)
     start = wrong(car)
     offset = identify_steering_offset(logs["straight"], start)

@@ -19,7 +19,7 @@ from st_msgs.msg import Ncom, Prediction, Steering
 from st_ros.polling import PolledSubscription, to_nanoseconds
 
 MODELS = ("kinematic", "linear", "nonlinear")
-PERIOD = 0.05  # s; messages wait in the middleware, each with the time it arrived
+PERIOD = 0.05  # s; until then, messages wait in the middleware with their time of arrival
 
 
 class Listener(Node):
@@ -93,7 +93,7 @@ def cpu_seconds(pid: int) -> float:
 
 
 def hops_of(node: Listener) -> dict[str, dict[str, float]]:
-    """Durations of the hops [ms], of the ticks of which every sample and prediction was received."""
+    """Durations of the hops [ms] in ticks of which all samples and predictions were received."""
     packets = decode_file(b"".join(raw for _, raw in node.packets))
     kernel = dict(zip(packets.utc_ns.tolist(), (stamp for stamp, _ in node.packets), strict=True))
     ins = Stream(*np.array([(stamp, kernel[stamp], *later) for stamp, *later in sorted(node.odometry)
@@ -118,7 +118,7 @@ def latencies(node: Listener) -> tuple[list[float], list[float]]:
         # stamp it carries, and the first steering angle of then or later.
         packet = int(np.searchsorted(packets.utc_ns, start))
         angle = int(np.searchsorted(node.steering, start))
-        # Row 0 may be only the first that was received.
+        # Row 0 is the first that was received, not necessarily the first that was sent.
         if len(three) == len(MODELS) and 0 < packet < len(kernel) and 0 < angle < len(node.steering):
             known = max(kernel[packet], node.steering[angle])
             to_published.append((max(issued for issued, _ in three) - known) * 1e-6)

@@ -97,7 +97,7 @@ def _values(effect: FoundEffect) -> dict[str, list[float]]:
 
 
 def in_fair_order(set_: str, counts: dict[str, int], part: tuple[int, int] = (0, 1)) -> Iterator[Question]:
-    """All blocks side by side: wherever it is stopped, each is about equally far.
+    """Cases of all blocks interleaved, so that all blocks are about equally complete when a run is stopped.
 
     part: (k, n), every n-th group from the k-th on, for one of n processes. What shares a reference stays together; the
     real drives as they are come first.
