@@ -71,5 +71,5 @@ def test_steering_recomputed_from_the_wheel() -> None:
     leaf = VehicleParameters.from_yaml((ROOT / "config/vehicle/leaf.yaml").read_text(), "leaf.yaml")
     log = make_log().with_steering(leaf)
     np.testing.assert_allclose(log.road_wheel_angle, (log.steering_wheel_angle + np.radians(2.7)) / 17.3, rtol=1e-12)
-    with pytest.raises(StCoreError, match="no steering wheel angle"):
+    with pytest.raises(StCoreError, match="without a steering wheel angle"):
         dataclasses.replace(log, steering_wheel_angle=None).with_steering(leaf)
