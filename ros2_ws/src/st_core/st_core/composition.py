@@ -242,7 +242,7 @@ def _prepared(layouts: list[_Layout], signals: tuple[str, ...]):
     for layout in layouts:
         if layout.effect.prepare or layout.effect.signals:
             prepared = _add_prepared(prepared, layout.effect.prepare or _pass_signals, layout.index,
-                               _pick(signals, layout.effect.signals))
+                                     _pick(signals, layout.effect.signals))
     return prepared
 
 

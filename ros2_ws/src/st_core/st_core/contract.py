@@ -27,7 +27,7 @@ STANDSTILL_SPEEDS = (-1.0, 0.0, 1e-9, 0.5, 2.0)  # m/s
 ROUNDING = 1e-9  # largest difference between backends, relative to max(1, |value|)
 # Largest residual after `correct`, relative to the change by `observe`; not 0, since `correct` starts from the reading.
 CORRECTION_RESIDUAL = 0.05
-GROWTH_RATE = 0.1  # 1/s, largest increase of the growth rate of a mode over that of the base
+GROWTH_RATE = 0.1  # 1/s, by which an effect may increase the growth rate of a mode
 MIRROR_SIGNS = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])  # of the states
 ODD_READINGS = ("y", "yaw", "velocity_y", "yaw_rate", "acceleration_y", "yaw_acceleration")
 READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)

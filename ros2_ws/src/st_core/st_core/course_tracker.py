@@ -220,7 +220,7 @@ class CourseTracker:
         path = np.array([[ego.x, ego.y]]) + cumulative_trapezoid(np.stack([np.cos(heading), np.sin(heading)], 1),
                                                                  dx=SPACING, axis=0, initial=0.0)
         curvature_shares, speed_shares = (errors**-2.0 / (errors**-2.0).sum()
-                                for errors in (self._curvature_errors, self._speed_errors))
+                                          for errors in (self._curvature_errors, self._speed_errors))
         self._pending.append(_PendingForecast(ego.time_ns + self._horizon_ns, self._distance, ego, distances, path))
         speed = speed_shares @ options
         distance = cumulative_trapezoid(speed, dx=float(t[1]), initial=0.0)

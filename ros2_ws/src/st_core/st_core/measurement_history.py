@@ -26,22 +26,22 @@ from .timeseries import NANOSECOND, TimeSeries, low_pass_step
 from .types import ControlInput, InsSample
 from .vehicle import VehicleParameters
 
-# Unexplained displacement allowed at any distance [m]: RTK positions have 2 cm of noise, those of an INS far less from
+# Unexplained displacement allowed at any distance [m]: RTK positions have 2 cm of noise, INS positions far less from
 # sample to sample.
 POSITION_TOLERANCE = 0.3
-# Allowed in addition, as a fraction of the distance driven: due to scale of the velocity or heading error.
+# Allowed in addition, as a fraction of the distance driven, for errors of velocity scale and heading.
 DISTANCE_TOLERANCE = 0.1
 # Largest acceleration on tyres [m/s^2]: bounds the error of the trapezoidal rule over longer steps.
 MAX_ACCELERATION = 10.0
 # Longer gaps are not examined, since the motion in them is unknown [s].
 MAX_EXAMINED_GAP = 10.0
-# Positions may be noisier than those of RTK: a jump also exceeds NOISE_FACTOR times the median of the steps before it
-# (MIN_NOISE_STEPS to NOISE_STEPS of them) ...
+# Positions may be noisier than RTK positions: a jump must also exceed NOISE_FACTOR times the median of the last
+# MIN_NOISE_STEPS to NOISE_STEPS steps, or MAX_NOISE [m].
 NOISE_STEPS, MIN_NOISE_STEPS, NOISE_FACTOR = 20, 5, 6.0
-# ... or exceeds any noise [m].
 MAX_NOISE = 5.0
 
-# delta' of a frozen angle varies by more than this [rad], about 20 deg of the steering wheel, plus this fraction of it.
+# A constant angle is frozen if delta' varies by more than the first value [rad], about 20 deg at the steering wheel, plus
+# the second one times the angle.
 FROZEN_MIN_VARIATION, FROZEN_RELATIVE_VARIATION = 0.02, 0.3
 FROZEN_MIN_SPEED = 3.0  # m/s; below it the noise of the yaw rate gives large angles
 FROZEN_TIME_CONSTANT = 0.2  # s, of the low-pass on delta'

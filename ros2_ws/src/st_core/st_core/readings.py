@@ -120,14 +120,14 @@ def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveL
 
 
 def predict_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
-             p: Any = None) -> Measured:
+                     p: Any = None) -> Measured:
     """Readings of the INS in the given states: `predict_faultless_readings` with the sensor effects applied."""
     true = predict_faultless_readings(model, vehicle, states, w, p)
     return model.observe(true) if isinstance(model, AugmentedModel) else true
 
 
 def predict_faultless_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
-                       p: Any = None) -> Measured:
+                               p: Any = None) -> Measured:
     """Readings of a faultless INS in the given states, at the INS point.
 
     states: (x, y, velocity_x, velocity_y, yaw, yaw_rate, extra states ...) at the CG, floats or arrays of equal shape.

@@ -17,7 +17,7 @@ STATE_NAMES = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
 STATE_UNITS = ("m", "m", "m/s", "m/s", "rad", "rad/s")
 
 Number: TypeAlias = Any
-"""A float or an array; a function returns the kind it is given."""
+"""A float or an array; functions return the kind of their arguments."""
 StateTuple = tuple[float, float, float, float, float, float]
 
 
