@@ -40,7 +40,7 @@ MAX_EXAMINED_GAP = 10.0
 NOISE_STEPS, MIN_NOISE_STEPS, NOISE_FACTOR = 20, 5, 6.0
 MAX_NOISE = 5.0
 
-# A constant angle is frozen if delta' varies by more than the first value [rad], about 20 deg at the steering wheel, plus
+# A constant angle is frozen if delta' varies by more than the first value [rad], about 20 deg at the wheel, plus
 # the second one times the angle.
 FROZEN_MIN_VARIATION, FROZEN_RELATIVE_VARIATION = 0.02, 0.3
 FROZEN_MIN_SPEED = 3.0  # m/s; below it the noise of the yaw rate gives large angles
