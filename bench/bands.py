@@ -187,7 +187,7 @@ def corrected() -> dict[str, Row]:
     name = model.name
     found = held_out("virtual, corrected by st discover, by seed", after, _folds(after), name, tuple(WAYS))
     renamed = {key: ErrorSamples(one.name, one.conditions, {("nonlinear", mode): one.errors[name, mode]
-                                                          for mode in MODES}) for key, one in after.items()}
+                                                            for mode in MODES}) for key, one in after.items()}
     return found \
         | transferred("virtual, bands of the healthy car on the corrected one", healthy, renamed, "nonlinear") \
         | transferred("virtual, bands of the uncorrected car on the corrected one", before, renamed, "nonlinear")

@@ -76,7 +76,7 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
     candidates = [CandidateEffect(e.name, e.kind, {k: p.value for k, p in e.parameters.items()}, 0.3, "named", "p = 0")
                   for e in effects]
     candidates.append(CandidateEffect("mass", "vehicle parameters", {"factor": 1.02}, 0.006, "worth",
-                                "takes away 0.6 % of the size of the errors, 2.5 % are asked for"))
+                                      "takes away 0.6 % of the size of the errors, 2.5 % are asked for"))
     return Discovery(
         outcome=outcome, effects=tuple(effects), minor=(), varying=tuple(varying), steps=tuple(waterfall),
         errors=errors, budget=budget,

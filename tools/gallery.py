@@ -132,7 +132,7 @@ def animate(run: Path, car: VehicleParameters, file: Path, first: float, last: f
 
 
 def _draw_frame(results: Results, predictions: dict[str, Predictions], car: VehicleParameters, begin_ns: int,
-           seconds: float, first: float, last: float) -> Image.Image:
+                seconds: float, first: float, last: float) -> Image.Image:
     figure, (scene, errors) = plt.subplots(1, 2, figsize=SIZE, dpi=DPI, width_ratios=(1.0, 1.0))
     now_ns = begin_ns + round(seconds * 1e9)
     track = results.track

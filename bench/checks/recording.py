@@ -98,7 +98,7 @@ def with_good_quality(recording: Recording) -> Recording:
     time = recording.log.ins_time_ns
     level = np.ones(len(time))
     return recording.with_auxiliary(quality=InsQuality(time, LOCKED * level, RTK_INTEGER * level, 0.01 * level,
-                                                    0.001 * level))
+                                                       0.001 * level))
 
 
 def with_wheel_speed(recording: Recording) -> Recording:

@@ -112,7 +112,7 @@ def _factors(draw: np.random.Generator) -> tuple[float, float]:
 def _held_out(case: Case, vehicle: VehicleParameters, settings: Settings) -> list[DriveLog]:
     return [driven(case.car.plant, vehicle, Order(
         f"held_out_{i + 1}", (*case.car.number, 200 + i), settings, factors=((1.0, 0.9)[i], 1.0)))
-        for i in range(HELD_OUT)]
+            for i in range(HELD_OUT)]
 
 
 @lru_cache(maxsize=2)

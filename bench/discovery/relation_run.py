@@ -32,7 +32,7 @@ def run_case(case: LawCase, whole: bool = True) -> Record:
     vehicle, settings = drives.vehicle, case.settings
     begin = time.process_time()
     sensors = pool_estimates([{n: v for n, v in check(log, vehicle).estimates.items() if np.isfinite(v).all()}
-                      for log in drives.suspect])
+                              for log in drives.suspect])
     found = discover(drives.suspect, vehicle, "nonlinear", (), settings, sensor_estimates=sensors)
     middle = time.process_time()
     search = find_relation(found, drives.suspect, vehicle, settings) if needs_search(found) else RelationSearch(

@@ -126,7 +126,7 @@ def scores(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
         row("... by a proposal, or as the outcome *unknown*", share(map(proposed_or_unknown, hidden))),
         row("... where the library leaves something", share(map(noticed, matter))),
         row("... on the virtual Leaf, where nothing else is missing", share(noticed(r) for r in hidden
-                                                                          if r["plant"] == LEAF)),
+                                                                            if r["plant"] == LEAF)),
         row("right slot, or a set that contains it, of proposals", share(map(slot_right, proposed)), "80 %", "90 %"),
         row("... the proposal's own place", share(map(place_right, proposed))),
         row("... where the library leaves something", share(slot_right(r) for r in matter if r["law"])),

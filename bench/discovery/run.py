@@ -63,7 +63,7 @@ def _timed(suspect, vehicle, reference, settings: DiscoverySettings) -> tuple[Di
     begin = time.process_time()
     sensors = pool_estimates([{name: value for name, value in check(log, vehicle).estimates.items()
                                if np.isfinite(value).all()}
-                      for log in suspect])
+                              for log in suspect])
     found = discover(suspect, vehicle, "nonlinear", reference, settings, sensor_estimates=sensors)
     return found, round(time.process_time() - begin, 2)
 

@@ -122,10 +122,10 @@ SEALED = (
     Stranger("crossover", FOUR_WHEELS, "mass, wheelbase, ratio, weight split: opendbc, Toyota Yaris Cross; TMeasy",
              Numbers(
         1386.0, 2050.0, 2.62, 1.15, 0.60, 1.52, 92e3, 104e3, 0.92, TMEASY, 1.0, load_loss=0.2, ackermann=0.5),
-        17.0, -0.35, 50, 50, 0.5),
+             17.0, -0.35, 50, 50, 0.5),
     Stranger("luxury_ev", FOUR_WHEELS, "mass, wheelbase, ratio, weight split: opendbc, BYD Han; brush tyres", Numbers(
         2150.0, 3950.0, 2.92, 1.285, 0.53, 1.64, 165e3, 190e3, 1.0, BRUSH, 0.4, sliding=0.9, ackermann=0.7),
-        14.8, -0.60, 100, 100, 0.1),
+             14.8, -0.60, 100, 100, 0.1),
     Stranger("leaf_2018", ELASTIC, "mass, wheelbase, ratio, weight split: opendbc, Nissan Leaf 2018; brush tyres",
              Numbers(
         1594.0, 2450.0, 2.70, 1.377, 0.53, 1.54, 110e3, 160e3, 0.92, BRUSH, 1.0, sliding=0.8, steer_lag=0.02,

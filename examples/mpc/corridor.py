@@ -140,7 +140,7 @@ def drive(controller: Controller, car: Car, vehicle: VehicleParameters, gates: S
 
 
 def _compute_margin(tightening: Margin, state: Sequence[float], angles: Sequence[float], acceleration: float,
-            step: float) -> np.ndarray | None:
+                    step: float) -> np.ndarray | None:
     """Distance to keep from posts at the end of each step [m]; None outside the calibrated conditions."""
     last_second = np.interp(np.arange(-1.0, 0.01, 0.05), step * np.arange(-10, 1), angles[-11:])
     activity = float(steering_activity(last_second))
@@ -183,8 +183,8 @@ def compare(seeds: int, model: str) -> dict[str, dict[str, float]]:
     (band, domain), summaries = calibrate_band(controller, car, vehicle, model), {}
     narrow, wide = (make_half_width_function(band, level, vehicle) for level in LEVELS)
     variants = {"as it is": None, "tightened": Margin(narrow, domain, HORIZON),
-            f"tightened as {NEAR:g} s ahead": Margin(narrow, domain, NEAR),
-            f"{LEVELS[1]:.0%} band, as {NEAR:g} s ahead": Margin(wide, domain, NEAR)}
+                f"tightened as {NEAR:g} s ahead": Margin(narrow, domain, NEAR),
+                f"{LEVELS[1]:.0%} band, as {NEAR:g} s ahead": Margin(wide, domain, NEAR)}
     for name, margin in variants.items():
         summaries[name] = summarise([drive(controller, car, vehicle, make_gates(), seed, margin)
                                      for seed in range(seeds)])

@@ -185,7 +185,7 @@ class OxtsBridge(LifecycleNode):
         if (event := self._events.detect(received)) is not None:
             pose = (position, motion) if event.has_pose else (None, None)
             publishers.publish_trigger(make_trigger(unix_nanoseconds(event.gps_ns, self._parser.utc_offset),
-                                            self._settings.map_frame, event.channel, event.count, *pose))
+                                                    self._settings.map_frame, event.channel, event.count, *pose))
         if in_series:
             self._continuity.update(received.packet)
             self._statistics.add(received)
@@ -224,7 +224,7 @@ class OxtsBridge(LifecycleNode):
             return
         self._reported, self._reported_at = state, now
         publishers.publish_status(make_status(stamp, self._settings.ins_frame, self._health.navigation_status or 0,
-                                      self._status, self._parser.counters, self._parser.time_jumps))
+                                              self._status, self._parser.counters, self._parser.time_jumps))
 
 
 def check(settings: SimpleNamespace, node_name: str) -> None:

@@ -109,7 +109,7 @@ def test_bands_are_written_as_functions_of_state_and_inputs(tmp_path):
     draw = np.random.default_rng(1)
     time = 0.5 * np.arange(1, 11)
     runs = [ErrorSamples(f"run {k}", draw.uniform(0.0, (26.0, 8.0, 6.0, 1.0), (400, 4)),
-                       {("linear", "hindsight"): 0.1 * draw.standard_normal((400, 1, 3)) * time[:, None]})
+                         {("linear", "hindsight"): 0.1 * draw.standard_normal((400, 1, 3)) * time[:, None]})
             for k in range(10)]
     settings, question = EvaluationSettings(PredictionSettings(step=0.5)), ("linear", "hindsight")
     bands = Bands(vehicle().name, vehicle().hash, settings.as_dict(), {"drawn": "0" * 64}, len(runs),

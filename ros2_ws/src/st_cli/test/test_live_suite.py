@@ -218,7 +218,7 @@ def test_faults_are_printed_below_the_table_worst_first() -> None:
     health = [Status("a: one", 1, "not so good", now), Status("b: two", 2, "[bad]", now),
               Status("c: three", 0, "fine", now)]
     lines = lines_of(SuiteState(ErrorSummary(statistics=[ErrorStatistics(model="linear", mode="forecast")]), None,
-                           {s.name: s for s in health}))
+                                {s.name: s for s in health}))
     assert lines[1:6] == ["no prediction yet", "waiting for the first complete horizon", "predictor: no status yet",
                           "error: b: two: [bad]", "warning: a: one: not so good"]
 

@@ -282,7 +282,7 @@ def test_the_leaf_is_not_taken_silently_for_a_recording_without_a_car(live, tmp_
     for number, (verb, recording) in enumerate((("verify", bag), ("check", bag), ("check", drive))):
         output = [] if verb == "verify" else ["--output", str(tmp_path / str(number))]
         silent = CliRunner().invoke(app, [verb, str(recording), "--car", "leaf", *(f"{o}-named" if "/" in o else o
-                                                                                 for o in output)])
+                                                                                   for o in output)])
         assert "no car was named" not in silent.stderr and silent.exit_code in (0, 1), silent.output
         text = CliRunner().invoke(app, [verb, str(recording), *output]).stderr
         assert text.count("no car was named") == 1 and "car/leaf/vehicle.yaml" in text and "--car" in text

@@ -102,7 +102,7 @@ def test_a_standing_car_that_claims_to_move(leaf):
     standing = exact_drive(leaf, speed=Sines(1e-9, ()), turning=STANDING)
     findings = {one.channels: one for one in check(replace(
         standing, velocity_x=standing.velocity_x + 0.3, yaw_rate=standing.yaw_rate - 0.02), leaf).findings
-        if one.name == "standstill_motion"}
+                if one.name == "standstill_motion"}
     assert findings["velocity_x",].value == pytest.approx(0.3, abs=0.01)
     assert findings["yaw_rate",].value == pytest.approx(-0.02, abs=0.001)
 

@@ -142,7 +142,7 @@ def test_accelerations_that_are_not_known_stay_so() -> None:
     log = drive()
     some = np.where(np.arange(len(log.x)) % 50 == 7, np.nan, log.acceleration_y)
     corrected = apply_corrections(replace(log, acceleration_y=some),
-                               {"acceleration_y": Correction(scale=9.81, earlier=0.005)})
+                                  {"acceleration_y": Correction(scale=9.81, earlier=0.005)})
     assert len(corrected.x) == len(log.x)
     assert np.isnan(corrected.acceleration_y).sum() == 2 * 40 + 1
 
@@ -177,5 +177,5 @@ def test_nothing_left_is_said() -> None:
 
 def test_words() -> None:
     assert describe_corrections({"yaw_rate": Correction(0.0174533, -0.004, 0.31), "position": Correction(ahead=-1.5),
-                     "road_wheel_angle": Correction(scale=-1.0)}) == (
+                                 "road_wheel_angle": Correction(scale=-1.0)}) == (
         "yaw_rate x 0.0174533 - 0.004 rad/s, 0.31 s earlier", "position, 1.5 m behind", "road_wheel_angle x -1")

@@ -261,7 +261,7 @@ TURNED = {
     "min_relative_size": (lambda limits: judge(replace(SENSED, size=0.4), limits).rule, 1e-9, IRRELEVANT, ACCEPTED),
     "negligible": (lambda limits: judge(SMALL, limits).rule, 1e-9, NEGLIGIBLE, ACCEPTED),
     "min_rival_gain": (lambda limits: judge_alternative(replace(EQUAL, share=0.4), limits).rule, 1e-9, "explains less",
-              "alternative"),
+                       "alternative"),
     "min_peak_force": (lambda limits: naming_verdict(GOOD, limits, Checks(peak_force_share=0.5)).rule, 1e-9, MINOR,
                        NAMED),
     "max_file_deviation": (lambda limits: judge(HEAVY, limits).rule, 1e9, FILE, ACCEPTED),

@@ -15,7 +15,7 @@ from st_core.types import ControlInput, VehicleState
 
 STATE, HELD = VehicleState(0.0, 0.0, 12.0, 0.1, 0.3, 0.2), ControlInput(0.08, -0.5)
 PROVENANCE = ModelProvenance("2026-11-21", "0.1.0", {"run one.ncom": "ab12", 'with "quotes".mf4': "cd34"},
-                        "fitted: 7 runs, ü")
+                             "fitted: 7 runs, ü")
 
 
 def written(leaf, embed=True) -> ModelFile:

@@ -67,7 +67,7 @@ def test_curve_of_the_equations_is_that_of_the_splines(parity):
     c = Candidate("yaw_moment", "yaw_rate", parity, -0.5, 0.5)
     heights = np.random.default_rng(1).normal(size=SPLINES)
     theta = RelationEffect.Theta(**{p.name: p.null for p in RelationEffect.parameters} | c.constants
-                      | {f"c{k}": h for k, h in enumerate(heights)}, constants=())
+                                 | {f"c{k}": h for k, h in enumerate(heights)}, constants=())
     u = np.linspace(-0.8, 0.8, 33)
     assert TYPICAL_SIZES["yaw_moment"] * curve(u, theta) == pytest.approx(heights @ c.splines(u), abs=1e-12)
     if parity:

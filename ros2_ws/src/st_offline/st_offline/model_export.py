@@ -41,7 +41,7 @@ def load_model(name: str, vehicle: VehicleParameters, origin: str, requested: bo
 
 
 def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format, substeps: int = 1,
-           free: Iterable[str] = (), bands: Bands | None = None) -> list[Path]:
+                 free: Iterable[str] = (), bands: Bands | None = None) -> list[Path]:
     """Write the functions of a model into an existing folder, with model.json and README.md; returns the files.
 
     free: parameters that stay arguments of the functions. bands: their half-widths are also written, as a CasADi
@@ -134,7 +134,7 @@ MAX_LOG_SCALE = 60.0
 
 
 def make_half_width_function(band: Band, level: float, vehicle: VehicleParameters,
-                        name: str = "half_widths") -> casadi.Function:
+                             name: str = "half_widths") -> casadi.Function:
     """CasADi function of the half-widths of a band, (points of the horizon, 3): along, across [m] and yaw [rad].
 
     Its arguments are x: the six states at the CG; u: road_wheel_angle [rad], velocity_x_dot [m/s^2]; and

@@ -35,7 +35,7 @@ def header(time_ns: int, frame: str) -> Any:
 
 def odometry(time_ns: int, x: float) -> Any:
     point, turn = make("geometry_msgs/msg/Point", x=x, y=0.0, z=0.0), make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0,
-                                                                        z=0.0, w=1.0)
+                                                                           z=0.0, w=1.0)
     linear, still = (make("geometry_msgs/msg/Vector3", x=v, y=0.0, z=0.0) for v in (10.0, 0.0))
     pose = make("geometry_msgs/msg/Pose", position=point, orientation=turn)
     twist = make("geometry_msgs/msg/Twist", linear=linear, angular=still)

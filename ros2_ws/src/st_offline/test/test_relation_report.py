@@ -167,7 +167,7 @@ def test_without_a_proposal_the_reason_is_told(tmp_path):
     groups = [("proposal", ["none: no relation is significant"])]
     assert relation_report(said, ANSWER, CAR, "out") == RelationReport(groups)
     said = RelationSearch(None, "the curve of side_force over speed runs into its bound",
-                     {"side_force over speed": (0.1, 0.2)})
+                          {"side_force over speed": (0.1, 0.2)})
     assert "none: the curve of side force on the body as a function of the speed runs into its bound" in text_of(said)
     assert relation_document(said)["proposal"] is None
 

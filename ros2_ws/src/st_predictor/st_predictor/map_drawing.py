@@ -47,7 +47,7 @@ class Ribbon:
 
 
 def make_ribbon(level: float, pose: tuple[np.ndarray, np.ndarray, np.ndarray], along: np.ndarray,
-           across: np.ndarray) -> Ribbon:
+                across: np.ndarray) -> Ribbon:
     """The band around a path of poses x, y [m], yaw [rad] with half-widths along and across [m], all (n,).
 
     It ends `along[-1]` beyond the end of the path.

@@ -105,7 +105,7 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
     # name, text, encoding, warning expected
     ("plain.csv", lambda log: csv(rows(log)), "utf-8", ""),
     ("cp1252.csv", lambda log: degrees(log, "t [s],x [m],y [m],yaw [°],vx [m/s],vy [m/s],yaw rate [°/s],"
-                               "steering wheel angle [°]"), "cp1252", ""),
+                                       "steering wheel angle [°]"), "cp1252", ""),
     ("utf16.csv", lambda log: csv(rows(log)), "utf-16", ""),
     ("sep.csv", lambda log: "sep=;\n" + csv(rows(log), ";".join(NAMES), ";"), "utf-8", ""),
     ("pipes.csv", lambda log: csv(rows(log), "|".join(NAMES), "|"), "utf-8", ""),
@@ -373,7 +373,7 @@ def test_milliseconds_of_the_day_in_a_vbo_are_questioned_and_a_compressed_log_is
     head, _, data = vbo(drive[1], last_wrong=False).partition("[data]\n")
     file = tmp_path / "drive.vbo"
     file.write_text(head + "[data]\n" + "\n".join(" ".join([row.split(" ")[0], str(43200000 + 10 * k),
-                                                          *row.split(" ")[2:]]) for k, row in
+                                                            *row.split(" ")[2:]]) for k, row in
                                                  enumerate(data.splitlines())) + "\n")
     assert any("units: {t: ms}" in warning for warning in read(find_runs([file])[0], CAR, WHEEL).warnings)
     folder = tmp_path / "run"

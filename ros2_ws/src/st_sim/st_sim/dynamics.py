@@ -136,7 +136,7 @@ def lateral_share(longitudinal: float, peak: float) -> float:
 
 
 def wheel_forces(contact: tuple[float, float, float], tyre: TyreCoefficients, friction: float, load: float, slip: float,
-          across: float, along: float, drive: float) -> tuple[float, float, float]:
+                 across: float, along: float, drive: float) -> tuple[float, float, float]:
     """Lateral and longitudinal force of one wheel [N], and the time derivative of its delayed slip [1/s].
 
     contact: relaxation length [m], weight of combined slip, largest relaxation rate [1/s]. friction: factor on the

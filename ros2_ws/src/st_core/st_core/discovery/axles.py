@@ -123,7 +123,7 @@ class Axles:
                 if of_run.sum() < 100:
                     continue
                 samples = replace(regression.samples, **{name: getattr(regression.samples, name)[of_run]
-                                                  for name in ("slip", "force", "run_of", "time", "used")})
+                                                         for name in ("slip", "force", "run_of", "time", "used")})
                 without = self.model.with_values(leave_one_out.get(run.name, {}))
                 sums += [force_error(m, self.vehicle, samples) ** 2 for m in (without, base)]
             if sums[0] > sums[1]:

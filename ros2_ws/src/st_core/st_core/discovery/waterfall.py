@@ -157,7 +157,7 @@ def channel_errors(errors: HorizonErrors, base: Fit, final: Fit, floor: Mapping[
         noise = floor.get(channel, 0.0)
         worst = max(new, key=new.__getitem__, default="")
         result[channel] = ChannelError(change.base, change.augmented, change.interval, change.unit, noise, worst,
-                              new.get(worst, 0.0), tuple(n for n in new if new[n] > old[n] + noise))
+                                       new.get(worst, 0.0), tuple(n for n in new if new[n] > old[n] + noise))
     return result
 
 

@@ -124,7 +124,7 @@ def slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     indices = {name: fit.names.index(name) for name in STIFFNESSES}
     return {name: extrapolation_uncertainty(*(
         (float(result.values[k]), float(result.spread.covariance[k, k]), result.acceleration) for result in (fit, low)))
-        for name, k in indices.items()}
+            for name, k in indices.items()}
 
 
 def driven_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings) -> np.ndarray:

@@ -177,7 +177,7 @@ def _ordered(found: Sequence[FittedShape]) -> Sequence[FittedShape]:
     """The preferred shape first, the others by held-out loss."""
     order = sorted((shape for shape in found if not any(
         len(o.numbers) < len(shape.numbers) and o.explained > shape.explained - MIN_EXPLAINED_MORE for o in found)),
-        key=lambda shape: float(shape.held_out.sum()))
+                   key=lambda shape: float(shape.held_out.sum()))
     if not order:
         return ()
     best = order[0]

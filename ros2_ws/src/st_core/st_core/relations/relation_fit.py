@@ -91,7 +91,7 @@ class RelationFits:
         self.problem = Problem(self.loss, self.start, windows.block)
         self.block, self.blocks, self.fold = windows.block, self.problem.blocks, self.problem.held_out_groups
         car_effects = [n for n in self.space.hypotheses
-               if get_effect(n).kind == "vehicle parameters" and not get_effect(n).members]
+                       if get_effect(n).kind == "vehicle parameters" and not get_effect(n).members]
         always = (GAIN,) if "acceleration_y" in windows.columns else ()
         self.refitted = self.space.indices(*names, *always)
         self.car = np.setdiff1d(self.space.indices(*car_effects), self.refitted)

@@ -13,7 +13,7 @@ Sums = dict[str, Any]
 MIN_STARTS = 200  # of a cell; with fewer, the standard error of a coverage of 90 % exceeds 2 percentage points
 LEVELS = (0.5, 0.9)  # coverage levels in reports
 CONDITION_EDGES = {"speed": (SPEED_EDGES, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION_EDGES, "m/s²"),
-         "steering_activity": (STEERING_RATE_EDGES, "rad/s")}
+                   "steering_activity": (STEERING_RATE_EDGES, "rad/s")}
 _PROBABILITIES = np.concatenate([0.5 - 0.5 * np.array(RELIABILITY)[::-1], [0.5], 0.5 + 0.5 * np.array(RELIABILITY)])
 
 

@@ -218,7 +218,7 @@ def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str,
                 "name": comparison.name, "title": comparison.title, "unit": comparison.unit,
                 "samples": len(comparison.time), "residual_rms": residual_rms(comparison),
                 "findings": list(comparison.findings)})
-                for comparison in run.checked.comparisons],
+                            for comparison in run.checked.comparisons],
             "warnings": list(run.warnings), "files": dict(run.files), "alignment": json_ready(dict(run.alignment)),
         } for run in good},
         "together": [json_ready(quantity.as_dict()) for quantity in compare_runs([run.checked for run in good])],

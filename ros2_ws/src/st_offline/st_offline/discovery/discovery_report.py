@@ -211,7 +211,7 @@ MAX_ADVICE = 3  # sentences on the terminal; the page contains all
 
 
 def print_result(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive], files: Mapping[str, Path],
-         from_cache: bool, console: Console, relation: RelationReport | None = None) -> None:
+                 from_cache: bool, console: Console, relation: RelationReport | None = None) -> None:
     """Print the result, the values of its effects, what to do, and the files.
 
     recordings: all runs, including those that could not be used. from_cache: whether the result is from the cache.

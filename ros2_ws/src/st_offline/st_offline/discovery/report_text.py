@@ -59,7 +59,7 @@ def name_with_alternatives(found: Discovery, effect: FoundEffect, short: str = "
     """
     numbers = {c.name: c.parameters for c in found.candidates}
     prefix = {name: "up to " for name in effect.alternatives
-            if any(p.deviation < math.inf for p in get_effect(name).parameters)}
+              if any(p.deviation < math.inf for p in get_effect(name).parameters)}
     others = (f"{to_words(name)} {prefix.get(name, '')}{format_fitted(name, numbers.get(name, {}))}".strip()
               for name in effect.alternatives)
     return " or ".join((short or f"{to_words(effect.name)} {format_briefly(effect.name, effect.parameters)}", *others))

@@ -227,7 +227,7 @@ def _final_errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Seq
 
 
 def _confidence_interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
-              key: str) -> tuple[float, float]:
+                         key: str) -> tuple[float, float]:
     """95 % interval of an entry of the file, from the intervals of the folded effects, assumed to be independent."""
     assert found.named is not None  # it contains the effects
     values = {name: dict(entry) for name, entry in found.named.values.items()}

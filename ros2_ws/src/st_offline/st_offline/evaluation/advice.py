@@ -54,7 +54,7 @@ class Cost:
 
 
 def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
-          settings: Mapping[float, EvaluationSettings]) -> dict[tuple[str, float], Cost]:
+                  settings: Mapping[float, EvaluationSettings]) -> dict[tuple[str, float], Cost]:
     """Cost by model and step [s], measured with the inputs of one drive. settings: by step."""
     calls: dict[tuple[str, float, str], tuple[Call, int]] = {}
     for step, one in settings.items():
@@ -151,7 +151,7 @@ def processor_time(cost: Cost) -> float:
 
 
 def find_cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
-             tolerance: float) -> dict[float, tuple[Key | None, ...]]:
+                  tolerance: float) -> dict[float, tuple[Key | None, ...]]:
     """For each speed bin (lower edge [m/s]) and second ahead, the (model, step) with the least processor time whose
     lateral error is within the tolerance [m] in WITHIN_SHARE of the starts; None if there is none."""
     order = sorted(accuracies, key=lambda key: processor_time(costs[key]))

@@ -109,7 +109,7 @@ class WorkersError(RuntimeError):
 
 
 def evaluate_runs(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
-            progress: Callable[[RunSource], Progress] | None = None) -> Iterator[RunReport]:
+                  progress: Callable[[RunSource], Progress] | None = None) -> Iterator[RunReport]:
     """Yield the report of each run: without Dask in the order of the sources, else in the order of completion.
 
     scheduler: address of a Dask scheduler whose workers can read the files under the same paths. Raises WorkersError.

@@ -64,7 +64,7 @@ def choose_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarr
 
 
 def add_legend(figure: plt.Figure, drawing: Drawing, extra: Sequence[Line2D], solid: bool = False,
-           models: Sequence[Model] | None = None) -> None:
+               models: Sequence[Model] | None = None) -> None:
     """Add a legend of the models and extra lines below the figure. solid: whether all models have solid lines."""
     handles = [Line2D([], [], **drawing.line(m.name) | ({"ls": "solid"} if solid else {}), label=m.name)
                for m in (drawing.models if models is None else models)]
@@ -260,7 +260,7 @@ def draw_slip_and_forces(drawing: Drawing) -> PageFigure | None:
 
 
 def _slip_and_forces(model: Model, vehicle: VehicleParameters, states: np.ndarray, angle: np.ndarray,
-                 acceleration: np.ndarray) -> tuple[tuple, tuple]:
+                     acceleration: np.ndarray) -> tuple[tuple, tuple]:
     """((front, rear) slip angles [rad], (front, rear) axle forces [N]) of a model for states (n, 6)."""
     p = model.parameters(vehicle)
     w = model.inputs(angle, acceleration, p)

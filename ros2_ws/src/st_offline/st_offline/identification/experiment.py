@@ -138,7 +138,7 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
 
 
 def _find_columns(file: Path, header: Sequence[str], known: Mapping[str, Sequence[str]],
-             texts: Sequence[str]) -> dict[str, tuple[int, str]]:
+                  texts: Sequence[str]) -> dict[str, tuple[int, str]]:
     columns: dict[str, tuple[int, str]] = {}
     for column, title in enumerate(header):
         name, _, unit = title.rpartition("_")

@@ -62,7 +62,7 @@ def run_command(job: IdentificationJob, console: Console) -> int:
     with console.status(f"identifying: {job.experiment.what}"):
         found = tuple(replace(outcome, warnings=(*outcome.warnings, *filter(None, (
             compare_with_file(job.setup.vehicle, estimate) for estimate in outcome.estimates))))
-            for outcome in run_experiment(job))
+                      for outcome in run_experiment(job))
     now = datetime.now(UTC)
     car = apply_to_vehicle(job.setup.vehicle, found, f"{now:%Y-%m-%d}")
     found = (replace(found[0], warnings=(*found[0].warnings, *objections(car, job.setup.vehicle))), *found[1:])
@@ -179,7 +179,7 @@ def experiment_details(found: Identification) -> dict[str, Any]:
 
 
 def render_page(found: Sequence[Identification], figures: Sequence[PageFigure | None], vehicle: VehicleParameters,
-         facts: dict[str, Any]) -> str:
+                facts: dict[str, Any]) -> str:
     """Content of report.html."""
     values = [f"{name.replace('_', ' ')} "
               + (status if status == "unidentifiable" else f"{value} {unit}".removesuffix(" 1") + f" ({status})")

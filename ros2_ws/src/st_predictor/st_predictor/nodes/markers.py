@@ -77,15 +77,15 @@ class MarkersNode(Node):
         markers = [
             self._make_line("track", 0, now_ns, track[:, 0], track[:, 1], MEASURED_COLOUR, TRACK_WIDTH, 0.5, z=-0.2),
             self._make_line("car", 0, now_ns, *car_outline((sample.x, sample.y, sample.yaw), self._car), "#141414",
-                       CAR_WIDTH),
+                            CAR_WIDTH),
         ]
         for number, model in enumerate(self._history.models):
             markers += [self._make_line("ghosts", 10 * number + round(age), now_ns, ghost.x, ghost.y, colour_of(model),
-                                   GHOST_WIDTH, GHOST_ALPHA, z=-0.1)
+                                        GHOST_WIDTH, GHOST_ALPHA, z=-0.1)
                         for age, ghost in self._history.ghosts(model, now_ns)]
             if point := self._history.predicted_position(model, now_ns):
                 markers.append(self._make_line("errors", number, now_ns, [sample.x, point[0]], [sample.y, point[1]],
-                                          colour_of(model), ERROR_WIDTH, z=0.1))
+                                               colour_of(model), ERROR_WIDTH, z=0.1))
             if path := self._history.newest(model, now_ns):
                 markers.append(self._make_name(number, now_ns, model, path))
         return markers
@@ -116,7 +116,7 @@ class MarkersNode(Node):
         return marker
 
     def _make_line(self, space: str, number: int, time_ns: int, x, y, colour: str, width: float, alpha: float = 1.0,
-              z: float = 0.0) -> Marker:
+                   z: float = 0.0) -> Marker:
         """A line through map points [m]. z: height above the map [m], which determines what is drawn above what."""
         marker = self._make_marker(Marker.LINE_STRIP, space, number, time_ns, colour, alpha)
         marker.scale.x = width

@@ -247,7 +247,7 @@ FORMATS = (
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _read_blf),
     Format("PEAK trace", (".trc",), lambda head: b";$FILEVERSION" in head or (
         head.lstrip().startswith(b";") and (b"Start time:" in head or b"Message Number" in head)),
-        _make_text_reader(_read_trc)),
+           _make_text_reader(_read_trc)),
 )
 EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *VENDOR_SUFFIXES}
 
