@@ -26,7 +26,7 @@ PLAUSIBILITY_FRAMES, MAX_IMPLAUSIBLE = 100, 10
 class Decoded:
     """One decoded frame.
 
-    values: by canonical name, in SI units. valid: false if a counter or checksum in mode `warn` was wrong, see fault.
+    values: by canonical name, in SI units. valid: false if a counter or checksum in mode `warn` was wrong. fault: why.
     """
 
     message: str
@@ -67,7 +67,7 @@ class Plausibility:
     """
 
     def __init__(self, spec: SignalSpec, period: float, timeout: float):
-        """period: time between frames [s]. timeout: values further apart in time are not compared [s]."""
+        """period: time between frames [s]. timeout: largest time between two values that are compared [s]."""
         self._spec = spec
         self._period = period
         self._timeout_ns = int(timeout * 1e9)
@@ -80,7 +80,7 @@ class Plausibility:
     def accepts(self, si: float, time_ns: int) -> bool:
         """Whether this value [SI] is in range and reachable from the previous value or from the last plausible one.
 
-        A single outlier therefore costs one frame, as does a true step. No value is compared with one out of range.
+        A single outlier or a true step therefore invalidates only one frame. Values out of range are never a reference.
         """
         value = si / self._spec.factor
         in_range = self._spec.minimum <= value <= self._spec.maximum
@@ -130,7 +130,7 @@ class Decoder:
 
     def __init__(self, dbc_file: str | Path, signals_file: str | Path, needed: Iterable[str] = (),
                  checks: Mapping[str, str] | None = None):
-        """checks: overrides of the table, `MESSAGE`, `MESSAGE.counter` or `MESSAGE.checksum` -> off, warn or drop."""
+        """checks: override the table; `MESSAGE`, `MESSAGE.counter` or `MESSAGE.checksum` -> off, warn or drop."""
         self.table: SignalTable = load_table(dbc_file, signals_file, needed)
         self.modes = _select_modes(self.table, checks or {})
         self.frames = FrameStatistics()
@@ -199,7 +199,7 @@ class Decoder:
         return [check.fault for row in self._rows.values() for _, check in row.plausibility if check.fault]
 
     def _check(self, row: _Row, data: bytes, time_ns: int) -> tuple[str, bool]:
-        """Fault of the counter or the checksum, empty if none; and whether to drop the frame."""
+        """(fault of the counter or checksum, empty if none; whether to drop the frame)."""
         spec, statistics = row.spec, row.statistics
         counter_mode, checksum_mode = self.modes[spec.name]
         if spec.checksum is not None and spec.checksum.rule is not None and checksum_mode is not Mode.OFF:
@@ -221,9 +221,9 @@ class Decoder:
     def encode(self, message: str, values: Mapping[str, float], counter: int = 0) -> can.Message:
         """A frame with correct counter and checksum.
 
-        message: any message of the DBC. values: by canonical name in SI units, or by DBC name in the DBC's unit;
-        ins_unix_time for a time frame. Other signals get the `fill` value of the table, or raw 0. A value outside the
-        signal's range is clipped, as by a sensor; angles of the INS are wrapped into the range.
+        message: any message of the DBC. values: by canonical name in SI units, or by DBC name in the DBC's unit; a
+        message with date and time takes `ins_unix_time`. Other signals get the `fill` value of the table, or raw 0. A
+        value outside the signal's range is clipped, as by a sensor; angles of the INS are wrapped into the range.
         Raises KeyError for an unknown message or signal, ValueError for a value that is not finite.
         """
         dbc = self.table.database.get_message_by_name(message)
@@ -312,11 +312,11 @@ class SteeringCalibration:
     steering_ratio: float
 
     def steering_wheel_angle(self, sensor: Number) -> Number:
-        """Steering wheel angle [rad], left +, including the offset."""
+        """Steering wheel angle [rad], left +, from which the offset is not subtracted."""
         return self.steering_sign * sensor
 
     def road_wheel_angle(self, sensor: Number) -> Number:
-        """Road wheel angle [rad], left +, mean of the front axle."""
+        """Road wheel angle [rad], left +, mean of both front wheels."""
         angle = self.steering_wheel_angle(sensor)
         return vehicle.road_wheel_angle(angle, self.steering_wheel_offset, self.steering_ratio)
 

@@ -1,4 +1,4 @@
-"""Reads the YAML table that gives DBC signals their canonical name, sign and SI unit, and checks it against the DBC."""
+"""Reads the YAML table that assigns a canonical name, sign and unit to DBC signals, and checks it against the DBC."""
 
 import math
 import re
@@ -28,13 +28,13 @@ CANONICAL_SIGNALS = {
 }
 ANGLES = frozenset({"ins_yaw"})
 MAX_SCALING = 1e12  # largest plausible factor or offset of a DBC signal
-# Angle to each side that a steering wheel sensor must reach if the table gives no range [rad].
+# Steering wheel angle [rad] that the sensor must cover to either side if the table gives no range.
 MIN_STEERING_SPAN = math.radians(180)
 
 _MESSAGE = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n(?:[ \t]+SG_.*\n|[ \t]*\n(?=[ \t]+SG_))*", re.MULTILINE)
 _SIGNAL_ATTRIBUTE = re.compile(r"^(?:SIG_VALTYPE_|SG_MUL_VAL_) +(?P<id>\d+) .*;", re.MULTILINE)
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFFFFFF
-# DBC unit -> (SI unit, factor), and its other spellings in DBC files, case ignored.
+# UNITS: unit -> (SI unit, factor). _SPELLINGS: unit -> other spellings in DBC files, case ignored.
 UNITS = {
     "": ("", 1.0), "deg": ("rad", math.pi / 180), "rad": ("rad", 1.0), "deg/s": ("rad/s", math.pi / 180),
     "rad/s": ("rad/s", 1.0), "km/h": ("m/s", 1 / 3.6), "m/s": ("m/s", 1.0), "mph": ("m/s", 0.44704), "s": ("s", 1.0),
@@ -56,10 +56,10 @@ def find_unit(text: str | None) -> str | None:
 
 @dataclass(frozen=True)
 class SignalSpec:
-    """One DBC signal and its conversion: si = gain * physical + bias, physical in the DBC's unit.
+    """One DBC signal and its conversion: si = gain * physical + bias, with `physical` in the unit of the DBC.
 
-    unit: of the table, factor: this unit in SI. minimum, maximum: possible range in this unit. max_rate: largest
-    possible rate of change [unit/s]. sign_signal: signal whose value 1 makes `physical` negative, for a sensor that
+    unit: as in the table. factor: converts this unit to SI. minimum, maximum: possible range [unit]. max_rate: largest
+    possible rate of change [unit/s]. sign_signal: signal that makes `physical` negative if it is 1, for a sensor that
     sends magnitude and sign separately.
     """
 
@@ -75,7 +75,7 @@ class SignalSpec:
     sign_signal: DbcSignal | None = None
 
     def to_si(self, physical: Mapping[str, Any]) -> Any:
-        """The signal's value in SI units, or a column of them, from the physical values of a frame by DBC name."""
+        """The signal's value (number or array) in SI units. physical: values of a message by DBC name."""
         value = physical[self.dbc.name]
         if self.sign_signal is not None:
             value = value * (1 - 2 * (physical.get(self.sign_signal.name, 0) != 0))
@@ -121,7 +121,7 @@ class MessageSpec:
 
 @dataclass(frozen=True)
 class SignalTable:
-    """Checked contents of both files. messages: those in the DBC. absent: optional messages that the DBC lacks."""
+    """Checked contents of a DBC and its YAML table. absent: optional messages of the table that the DBC lacks."""
 
     dbc_file: Path
     signals_file: Path

@@ -1,4 +1,4 @@
-"""Layout, decoding and encoding of the NCOM status channels: byte 62 numbers the channel, batch S holds its 8 bytes.
+"""Layout, decoding and encoding of the NCOM status channels: byte 62 is the channel number, batch S its 8 bytes.
 
 Field names are the vendor's, as in tests/golden/data/ncom. Angles are in degrees, as in the vendor's tools.
 Source: NCOM manual 260702 and the behaviour of the vendor's public decoder. Checked by:
@@ -22,7 +22,7 @@ LONG_RANGE_CHANNEL = 57
 TRIGGER_CHANNELS = {24: "TrigTime", 43: "Trig2Time", 65: "DigitalOutTime", 79: "Trig3Time", 80: "Trig4Time",
                     81: "DigitalOut2Time"}
 
-# Batch S with every flag byte valid, for the validity rules while encoding.
+# Batch S in which all flag bytes declare their fields valid; the encoder tests raw numbers with it.
 _VALID_FLAGS = bytes(6) + b"\0\x01"
 _F32 = struct.Struct("<f")
 _INTEGER_FORMATS = {"shifted": "i8", "digits6": "i24", "lo4": "bits0+4", "hi4": "bits4+4"}
@@ -51,11 +51,11 @@ ALWAYS = Validity("always", lambda raw, data: True, invalid_raw=0)
 class Field:
     """One value of a status channel: physical value = raw number * scale + offset.
 
-    name: the vendor's, or the project's where the vendor gives none. at: index of the first byte. unit: of the
-    physical value. cyclic: width [bits] of a counter that wraps; status.StatusTracker unwraps it.
+    name: from the vendor, or from this project if the vendor gives none. at: index of the first byte. unit: unit of
+    the physical value. cyclic: width [bits] of a counter that wraps; status.StatusTracker unwraps it.
     kind: format of the raw number:
         u8 to u64, i8 to i32, f32: unsigned or signed integer or float, little-endian
-        bits<first>+<count>, lo4, hi4: bits of one byte, its lower half, its upper half; ibits: inverted bits
+        bits<first>+<count>, lo4, hi4: bits of one byte, its lower nibble, its upper nibble; ibits: inverted bits
         shifted: signed 7-bit number above a validity bit; digits6: i24, decoded to six digits of text
         text<n>: n characters; constant: implied by the channel, its value is the offset
     """
@@ -85,7 +85,7 @@ class Field:
         return 8 * self.at, (1 << width) - 1, 0, 1 << width - 1 if kind[0] == "i" else 0
 
     def make_decoder(self) -> Callable[[int, bytes], Value]:
-        """A function that decodes the field; None if invalid. Its arguments: the 8 bytes as `word`, and as bytes."""
+        """A function that decodes the field from the 8 bytes, given as an integer and as bytes; None if invalid."""
         at, scale, offset, accepts = self.at, self.scale, self.offset, self.validity.accepts
         if self.kind == "constant":
             return lambda word, data: int(offset)
@@ -173,15 +173,15 @@ def unless(*codes: int) -> Validity:
 
 
 def fresh_unless(*codes: int) -> Validity:
-    """As unless(), and valid only while the age in byte 6 is below 150."""
+    """Like unless(), but valid only while the age in byte 6 is below 150."""
     return Validity(f"{_FRESH_TEXT} and not {', '.join(map(str, codes))}",
                     lambda raw, data: data[6] < 150 and raw not in codes, codes[0])
 
 
 BYTE = unless(0xFF)
 WORD = unless(0xFFFF)
-# Units send 0x8000 for an unknown undulation. The manual prints 0xFFFF, but that is also a valid -5 mm: it is taken as
-# unknown only while HDOP and PDOP are invalid too.
+# Units send 0x8000 for an unknown undulation. The manual gives 0xFFFF, which is also a valid -5 mm: it means unknown
+# only while HDOP and PDOP are invalid too.
 UNDULATION = Validity("not -32768, and not -1 while HDOP and PDOP are invalid",
                       lambda raw, data: raw != -0x8000 and (raw != -1 or data[2:4] != b"\xff\xff"), -0x8000)
 NIBBLE = unless(0xF)
@@ -215,7 +215,7 @@ def _angles(prefix: str) -> list[Field]:
 
 
 def _innovations(*names: str, first: int = 0) -> list[Field]:
-    """Kalman filter innovations divided by their standard deviation [1]."""
+    """Kalman filter innovations, normalised by their standard deviation."""
     return [F(name, "shifted", first + i, "sigma", 0.1, 0, BIT0_SET) for i, name in enumerate(names)]
 
 
@@ -241,7 +241,7 @@ def _nibbles(at: int, low: str, high: str) -> list[Field]:
 
 
 def _trigger(channel: int) -> list[Field]:
-    """GPS time of an event (minutes * 60 s + ms + fine) and its count; see trigger_nanoseconds()."""
+    """GPS time of an event (minutes, milliseconds and units of 4 us) and its count; see trigger_nanoseconds()."""
     name = TRIGGER_CHANNELS[channel].removesuffix("Time")
     return [F(f"{name}Minutes", "i32", 0, "min", validity=POSITIVE), F(f"{name}Milliseconds", "u16", 4, "ms"),
             F(f"{name}Fine", "i8", 6, "4 us"), F(f"{name}Count", "u8", 7, validity=POSITIVE)]
@@ -266,7 +266,7 @@ TABLE: dict[int, list[Field]] = {
         *_nibbles(7, "GpsExternal.NumGpsL1", "GpsExternal.NumGpsL2")],
     9: [*_xyz(("WxBiasAcc", "WyBiasAcc", "WzBiasAcc"), "u16", degrees(1e-6), "deg/s", FRESH),
         *_nibbles(7, "GpsPrimary.NumGloL1", "GpsPrimary.NumGloL2")],
-    # The manual swaps L1 and L2 in channel 10 alone; this is taken as a misprint.
+    # The manual swaps L1 and L2 in channel 10 only, which is probably a misprint.
     10: [*_xyz(("AxBiasAcc", "AyBiasAcc", "AzBiasAcc"), "u16", 1e-5, "m/s^2", FRESH),
          *_nibbles(7, "GpsSecondary.NumGloL1", "GpsSecondary.NumGloL2")],
     11: [*_xyz(("WxSfAcc", "WySfAcc", "WzSfAcc"), "u16", 1e-6, "1", FRESH),
@@ -351,7 +351,7 @@ TABLE: dict[int, list[Field]] = {
     **{channel: _lever_arm(f"SlipPoint{i}") for i, channel in enumerate((51, 52, 53, 54, 68, 69, 70, 71), 1)},
     55: _receiver_status("GpsPrimary"),
     56: _receiver_status("GpsSecondary"),
-    57: _xyz(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", LONG_RANGE),  # times b7, see decode_channel()
+    57: _xyz(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", LONG_RANGE),  # multiplied by byte 7, see decode_channel()
     58: _angles("VehicleToOutput"),
     59: [F("ImuMissedPkts", "u16", 0, cyclic=16), F("ImuResetCount", "u8", 2, cyclic=8),
          F("ImuErrorCount", "u8", 3, cyclic=8), _word("ImuCalibrationDay", 4, "day"),
@@ -418,7 +418,7 @@ def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
     """
     word = int.from_bytes(data, "little")
     values = {name: decode(word, data) for name, decode in _DECODERS.get(channel, ())}
-    # Byte 7 is the factor of all three lengths; 0xFF means that they are saturated and have no factor.
+    # Byte 7 multiplies all three lengths; 0xFF means that they are saturated and not multiplied.
     if channel == LONG_RANGE_CHANNEL and values["GAPx"] is not None and data[7] != 0xFF:
         values = {name: value * data[7] for name, value in values.items()}
     return values
@@ -445,7 +445,7 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
     """The 8 bytes of a channel.
 
     A missing field, None or NaN is encoded as invalid, or as 0 where the format has no code for it. Raises NcomError
-    for an unknown channel or field, a value out of range, and an incomplete group of fields with one flag byte.
+    for an unknown channel or field, a value out of range, and an incomplete group of fields that share a flag byte.
     """
     fields = FIELDS.get(channel)
     if fields is None:

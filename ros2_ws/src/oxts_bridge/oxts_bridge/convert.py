@@ -1,7 +1,7 @@
 """Converts the motion and status of the INS to ROS messages and publishes them. Frames, signs and units: REP-103.
 
-Frequent messages are filled in place and published again: publishing copies them, and constructing an Odometry costs
-more than all other work on a packet.
+Frequent messages are reused, because publishing copies them and constructing an Odometry takes longer than all other
+work on a packet.
 """
 
 from math import degrees, isfinite
@@ -38,7 +38,7 @@ TYPES = {"ncom": Ncom, "odometry": Odometry, "imu": Imu, "nav_sat_fix": NavSatFi
 class Publishers:
     """Publishes all topics of the bridge; frequent messages are filled only while their topic has subscribers.
 
-    stamp_ns, utc_ns: [ns since 1970]; now: monotonic clock [s].
+    Arguments of the methods: stamp_ns, utc_ns [ns since 1970]; now: monotonic clock [s].
     """
 
     def __init__(self, node: Node, settings: SimpleNamespace):
@@ -145,9 +145,9 @@ class Publishers:
 
     def publish_imu(self, stamp_ns: int, received: Received, motion: Motion | None, accuracy: Accuracy,
                     now: float) -> None:
-        """sensor_msgs/Imu; motion: None without a valid attitude.
+        """Publish sensor_msgs/Imu. motion: None without a valid attitude.
 
-        Its orientation covariance is zero if unknown; -1 in the first element means that there is no orientation.
+        The orientation covariance is zero if unknown; -1 in its first element means that the orientation is unknown.
         """
         packet, covariance = received.packet, self._imu.orientation_covariance
         is_valid = isfinite(sum(packet.acceleration) + sum(packet.angular_rate))

@@ -1,7 +1,7 @@
 """Decodes a whole NCOM file into numpy columns, 30 times as fast as stream.NcomParser and with equal results.
 
-Uninterrupted runs of packets are decoded together; after a fault, next_packet() finds the next packet and GpsClock
-its time, as in the parser. Checked by: tests/golden and test_stream.py, which compare both decoders.
+Contiguous packets are decoded together; after a fault, next_packet() finds the next packet and GpsClock determines its
+time, as in the parser. Checked by: tests/golden and test_stream.py, which compare both decoders.
 """
 
 from collections import deque
@@ -33,7 +33,7 @@ _FIELDS = np.dtype({
                 ncom.CHANNEL_AT, ncom.BATCH_S_AT),
     "itemsize": PACKET_SIZE})
 
-# The rules as arrays, indexed by navigation status.
+# ncom.BY_STATUS as arrays, indexed by navigation status.
 _KIND = np.array([KINDS.index(rule.kind) for rule in BY_STATUS], np.int8)
 _HAS_TIME, _HAS_IMU, _HAS_STATUS, _IS_KNOWN = (
     np.array([getattr(rule, part) for rule in BY_STATUS]) for part in ("time", "imu", "status", "known"))
@@ -213,7 +213,7 @@ def packet_times(ms: np.ndarray, minutes: np.ndarray,
                  hints: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray, int]:
     """GPS time [ms] (-1 unknown) and order (NEW, SAME, LATE) of packets, and the number of time jumps.
 
-    The results are those of a GpsClock stepped through all packets. Once the clock has settled, times follow from
+    The results equal those of a GpsClock stepped through all packets. Once the clock has settled, times follow from
     counting minute rollovers up to the next late packet or the next transmitted minute that differs from the count;
     from there the clock is stepped again.
 

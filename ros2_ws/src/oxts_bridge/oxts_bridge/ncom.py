@@ -86,7 +86,7 @@ RULES: dict[int, Rule] = {
     22: Rule("trigger while locked", False, True, "valid", True, "trigger"),
 }
 BY_STATUS: tuple[Rule, ...] = tuple(RULES.get(n, Rule(f"reserved ({n})", known=False)) for n in range(256))
-# Statuses in which channel 0 sets the GPS minute. Status-only packets are included because files start with them, raw
+# Statuses in which channel 0 sets the GPS minute. Status-only packets are included because files start with them; raw
 # IMU (status 1) is excluded because the unit's clock is not set yet.
 MINUTE_STATUSES = frozenset((INITIALISING, LOCKING, LOCKED, STATUS_ONLY))
 
@@ -262,11 +262,11 @@ class Counters:
 
 
 def next_packet(data: bytes, at: int, in_sync: bool, counters: Counters) -> tuple[int, bool]:
-    """Index of the next whole packet, or else of the first byte to keep; and whether a packet is expected there.
+    """(index of the next whole packet, or else of the first byte to keep; whether a packet is expected there).
 
     in_sync: a packet is expected at `at`. Counts checksum_errors and skipped_bytes. Out of sync, a packet is accepted
     only if all three checksums are correct and its navigation status is known, because checksum 3 alone matches by
-    chance after one in 256 false sync bytes.
+    chance for one in 256 false sync bytes.
     """
     while at < len(data):
         if data[at] == SYNC:

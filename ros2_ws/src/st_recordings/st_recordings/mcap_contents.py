@@ -1,7 +1,7 @@
 """Keeps an inventory of the records in an MCAP file, and writes the index section that closes the file.
 
-The layout is specified at https://mcap.dev/spec. A file that a crash or a full disk cut off has all its chunks but no
-index, and the writer of the mcap library cannot add one.
+The layout is specified at https://mcap.dev/spec. A file truncated by a crash or a full disk has chunks but no index,
+and the writer of the mcap library cannot add one.
 """
 
 import struct
@@ -67,7 +67,7 @@ def _serialise(*records: McapRecord) -> bytes:
 
 
 def read_records(stream: BinaryIO, size: int, offset: int = len(MAGIC)) -> Iterator[Record]:
-    """Yields the whole records of a file of `size` bytes from `offset` on; stops silently where the file is cut."""
+    """Yields the complete records of a file of `size` bytes from `offset` on; ends silently at a truncated record."""
     stream.seek(offset)
     while offset + _HEAD.size <= size:
         opcode, length = _HEAD.unpack(stream.read(_HEAD.size))
@@ -122,7 +122,7 @@ class Contents:
         return (min(times), max(times)) if times else (0, 0)
 
     def add(self, record: Record, offset: int) -> None:
-        """Adds one record of the data section. offset: position of the record in the file whose index will be written.
+        """Adds one record of the data section. offset: position of the record in the file that will get the index.
 
         Raises DamagedError for invalid content, which is not added.
         """
@@ -191,7 +191,7 @@ class Contents:
 
     def _add_chunk(self, chunk: Chunk, messages: dict[int, MessageIndex], offset: int, length: int) -> None:
         if self._chunks:
-            self._chunks[-1].messages = {}  # its index is in the file; only the newest chunk's may be incomplete
+            self._chunks[-1].messages = {}  # its indexes are in the file; only those of the newest may be missing
         index = ChunkIndex(
             chunk_length=length, chunk_start_offset=offset,
             compression=chunk.compression, compressed_size=len(chunk.data),

@@ -45,7 +45,7 @@ KNOWN_TOPICS = ("/ins/", "/vehicle/", "/can/", "/predictor/", "/evaluator/", "/i
 SUITE_RECORDS = {"recording", "configuration"}  # metadata records that recorder and evaluator write first
 CLOSING_RECORD = "rosbag2"  # metadata record that a recorder writes when it closes a recording
 PREFERRED_TOPICS = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}
-"""Type -> end of the topic name that is preferred among several topics of this type."""
+"""Type -> ending of the topic name that is preferred if several topics have this type."""
 _ODOMETRY_FIELDS = ("header.stamp", "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation.x",
                     "pose.pose.orientation.y", "pose.pose.orientation.z", "pose.pose.orientation.w",
                     "twist.twist.linear.x", "twist.twist.linear.y", "twist.twist.angular.z")
@@ -92,7 +92,7 @@ def has_odometry(path: Path) -> bool:
 
 
 def lacks_steering(path: Path) -> bool:
-    """Whether a bag contains odometry but no steering of the suite, which may then be in a CAN log."""
+    """Whether a bag contains odometry but no steering topic of the suite; the steering may then be in a CAN log."""
     try:
         types = {t.type_name for t in open_bag(path).topics() if t.count}
     except RunError:

@@ -58,7 +58,7 @@ class Storage(ABC):
         return (data for _, data in self.timed_messages(topic))
 
     def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
-        """Numeric fields (cdr.Layout) of all messages, by name of topic and field. Topics whose messages have different
+        """Numeric fields (cdr.Layout) of all messages, by topic name and field. Topics with messages of different
         layouts are omitted."""
         found = {}
         for topic, names in fields.items():
@@ -98,8 +98,8 @@ def storage_files(directory: Path) -> list[Path]:
 
 
 def describe_missing_files(path: Path) -> list[str]:
-    """A note on missing files: those that the metadata.yaml of a bag directory lists, or the files of a numbered
-    recording before a given file. Empty if none is missing."""
+    """A note on missing files: files listed in the metadata.yaml of a bag directory or, for a single file of a numbered
+    recording, the files before it. Empty if none is missing."""
     listed = _read_listed_files(path)
     missing = [name for name in listed if not (path / name).is_file()]
     if missing:
@@ -221,7 +221,7 @@ class McapStorage(Storage):
             remaining = {number: summary.statistics.channel_message_counts.get(number, 0) for number in channels}
             publishers = Counter(summary.channels[number].topic for number, count in remaining.items() if count)
             for topic, count in publishers.items():
-                by_topic[topic].is_uniform &= count == 1  # messages of several publishers alternate, unlike the blocks
+                by_topic[topic].is_uniform &= count == 1  # blocks of several publishers are not in order
             for number, block in self._blocks(file, summary, channels):
                 remaining[number] -= len(block.starts)
                 channels[number].add(block.buffer, block.starts, block.sizes)
@@ -329,6 +329,6 @@ def recorded_parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, d
 def recorded_text(records: Mapping[str, Mapping[str, str]], file: str) -> str | None:
     """Text of a configuration file that the parameters name; None if the recording does not contain it."""
     parts = Path("/", file).parts
-    # In the records, the key of a file is the shortest end of its path that is unique.
+    # In the records, the key of a file is the shortest unique trailing part of its path.
     return next((text for key, text in records.get("configuration", {}).items()
                  if file and parts[-len(Path(key).parts):] == Path(key).parts), None)

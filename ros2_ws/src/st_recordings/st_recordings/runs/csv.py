@@ -1,4 +1,4 @@
-"""Converts tables of channels (columns.py) to drives, or to INS logs for a run whose steering is in a CAN log."""
+"""Converts tables of channels (columns.py) to drives, or to INS logs for runs with the steering in a CAN log."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -28,14 +28,14 @@ COMPUTED_FROM = {"time": "t", "x": "longitude", "y": "latitude", "yaw": COMPASS}
 """Channel -> channel from which it is computed if the table has no column for it."""
 QUATERNION_CHANNELS = [f"orientation_{axis}" for axis in "xyzw"]
 MIN_COURSE_SPEED = 1.0
-"""Lowest speed [m/s] at which the course is used; there, velocity noise of 0.05 m/s changes it by 3 degrees."""
+"""Lowest speed [m/s] at which the course is used; here, velocity noise of 0.05 m/s is a course noise of 3 degrees."""
 MIN_DISTANCE_SAMPLES = 20
 """Minimum number of samples for comparing the distance between positions with the integrated speed."""
 MAX_HELD_SHARE = 0.3
-"""If the position is unchanged in a larger fraction of the rows in which the car moves, positions have a lower rate
-than the rows."""
+"""If the position repeats the previous one in a larger fraction of the rows in which the car moves, its rate is lower
+than the rate of the rows."""
 MIN_INTERVAL_RATIO = 1.5
-"""A channel has a lower rate than another if the ratio of their median sample intervals is larger."""
+"""A channel has a lower rate than another if the ratio of their median sample intervals exceeds this value."""
 MIN_LOST_INTERVAL = 2.5
 """Rows are missing between two rows if their time difference exceeds this multiple of the median."""
 MAX_AFTER_GAP_SHARE = 0.1
@@ -63,11 +63,11 @@ def add_steering_column(layout: Layout, steering: SteeringField | None) -> Layou
 
 def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: float = 1.0,
                 steering: SteeringField | None = None) -> LoadedRun:
-    """Builds the drive of a table. Raises RunError.
+    """Builds a drive from a table. Raises RunError.
 
     A row without a number in an INS channel is left out of the INS samples but not of the steering samples, and vice
     versa; a missing acceleration becomes NaN. vehicle: required for a table with only the steering wheel angle.
-    yaw_scale: correction factor of yaw, applied before unwrapping. steering: gives the sign of its column.
+    yaw_scale: correction factor of yaw, applied before unwrapping. steering: column that an option names, and its sign.
     """
     file = table.file
     _require_columns(table, (*INS_SIGNALS, ROAD_WHEEL))
@@ -147,7 +147,7 @@ def _missing_in_header(file: Path) -> list[str]:
 
 
 def looks_like_a_drive(file: Path) -> bool:
-    """Whether the header names a position and all or all but one of the INS channels."""
+    """Whether the header names a position and lacks at most one INS channel."""
     names = read_header(file)
     missing = _missing_channels(find_columns(file, names, Layout()), names, INS_SIGNALS, completed=False)
     return len(missing) <= 1 and not {"x", "y"} & set(missing)
@@ -155,7 +155,7 @@ def looks_like_a_drive(file: Path) -> bool:
 
 def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iterable[str],
                       completed: bool = True) -> list[str]:
-    """The needed channels without a column that cannot be derived; completed: by `_complete_motion` as well."""
+    """The needed channels that have no column and cannot be derived; completed: nor by `_complete_motion`."""
     found = set(sources)
     if found & {COMPASS, COURSE} or found.issuperset(QUATERNION_CHANNELS):
         found.add("yaw")
@@ -244,7 +244,7 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
     """Raises RunError if latitude and longitude are in radians without a stated unit, or interchanged.
 
     They are interchanged if they agree with the integrated speed and the heading only the other way round. Distances
-    are compared over steps of one second, which are long compared with the noise of the receiver.
+    are compared over steps of one second, so that they are large compared with the noise of the receiver.
     """
     if "velocity_x" not in columns:
         return
@@ -263,7 +263,7 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
     heading = next((angle[rows[::step]][:-1] for angle in ([columns["yaw"]] if "yaw" in columns else turned)), None)
 
     def compare(latitude: np.ndarray, longitude: np.ndarray) -> tuple[float, float]:
-        """Medians over steps: (ratio of position distance to driven distance, angle of course to heading [rad])."""
+        """Medians over steps: (ratio of position distance to driven distance, |course - heading| [rad])."""
         origin, at = (float(latitude[rows[0]]), float(longitude[rows[0]]), 0.0), rows[::step]
         east, north, _ = (np.diff(v) for v in to_enu(origin, latitude[at], longitude[at], np.zeros(len(at))))
         ratio = np.median((np.hypot(east, north) / np.maximum(np.diff(driven), 1e-9))[moving])
@@ -362,7 +362,7 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[s
 
 
 def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Interpolates positions that have a lower rate than the rows and are held until the next one."""
+    """Interpolates positions that have a lower rate than the rows and are repeated until the next measurement."""
     if not columns.keys() >= {"x", "y", "velocity_x"}:
         return
     rows = np.flatnonzero(table.used & all_finite(columns, ("x", "y", "velocity_x")))

@@ -1,4 +1,4 @@
-"""Reads the channels of a CSV file with any delimiter, decimal mark, encoding or missing-value marker, in SI units."""
+"""Reads a CSV file with any delimiter, decimal mark, encoding or missing-value marker into channels in SI units."""
 
 import csv
 import io
@@ -28,14 +28,14 @@ from .errors import RunError, check_readable, format_share, shorten
 from .ins_log import LATEST_TIME, select_usable_rows
 
 MAX_UNIT_ROWS = 5  # largest number of rows without numbers (units, sources, types) below the header
-MAX_HEADER_LINES = 60  # the header is sought in these first lines, because loggers write metadata before it
+MAX_HEADER_LINES = 60  # lines at the start of the file searched for the header; loggers write metadata before it
 MISSING = frozenset(("", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "none", "inf", "-inf", "+inf", "nil"))
 _GROUPED = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for mark in ",."}
 _GROUPED_CELL = re.compile(r"(?:^|[;\t])\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+\s*(?=[;\t\r\n]|$)", re.MULTILINE)
 _GROUPED_POINTS = re.compile(r"\.(?<=\d.)\d{3}\.\d{3}(?!\d)")  # 1.234.567; fast because it starts with a literal
 _NUMERIC = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
 # 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12.5 PM. Spreadsheets
-# write minutes and seconds as 11:12.5. A date such as 05/04/2026 is not interpreted, since it is in April or in May.
+# write minutes and seconds as 11:12.5. A date such as 05/04/2026 is ignored, because it may be in April or in May.
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
                     r"(?:0 days )?(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
                     r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
@@ -44,10 +44,10 @@ _NAMED_MONTH = re.compile(r"(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4})(?!\d)"
 _WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-].*)")  # 0.02 sec, 12 km/h
 _FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # 1.5D-03
 DAY, HOUR = 86400.0, 3600.0  # s
-MAX_RADIANS = 6.4  # if the first heading has a larger magnitude, the column is in degrees
+MAX_RADIANS = 6.4  # rad; a column of headings is in degrees if its first value has a larger magnitude
 MAX_YAW_RATE = 3.0  # rad/s; a column with larger values is in deg/s
 ROLLOVER_STEP = 60.0  # s, longest gap between two rows across midnight or across the end of a GPS week
-_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # (day number of 1970-01-01, program that counts so)
+_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # (number of the day 1970-01-01, its program)
 _PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
 _THOUSANDS_SPACES = re.compile(r"[\u00a0\u202f\u2009'](?<=\d.)(?=\d{3}(?!\d))")
@@ -55,7 +55,7 @@ _THOUSANDS_SPACES = re.compile(r"[\u00a0\u202f\u2009'](?<=\d.)(?=\d{3}(?!\d))")
 
 @dataclass(frozen=True)
 class Table:
-    """The channels of a table, in the order of the file, without the rows that have no time."""
+    """Channels of a table; rows are in the order of the file, and rows without a time are left out."""
 
     file: Path
     names: tuple[str, ...]  # of all columns
@@ -74,7 +74,7 @@ class Table:
 
 
 def read_text(file: Path, size: int = -1) -> str:
-    """Reads a UTF-8, UTF-16 (some spreadsheets) or Windows-1252 file; its lines end with \\n.
+    """Reads a text file in UTF-8, UTF-16 (from some spreadsheets) or Windows-1252; converts line ends to \\n.
 
     size: number of bytes to read, -1 for all. Raises RunError for a binary file.
     """
@@ -123,7 +123,7 @@ def read_table(file: Path, layout: Layout) -> Table:
 
 
 def join_tables(tables: Sequence[Table]) -> Table:
-    """Joins the parts of a recording in the order of their first times, with the channels that all parts have.
+    """Joins the parts of a recording in the order of their start times, with the channels that all parts have.
 
     Raises RunError for parts that overlap in time, because their clocks then differ.
     """
@@ -202,7 +202,7 @@ def _add_nanoseconds(rows: np.ndarray, names: list[str], column: int) -> np.ndar
 
 def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layout: Layout,
                   warnings: list[str]) -> dict[str, ColumnSource]:
-    """Finds the channels in a header. A first column of times without a name is time: the index of a data frame."""
+    """Finds the column of each channel; an unnamed first column of times (index of a data frame) is the time."""
     plain = {normalise(name) for name in names}
     sources = find_columns(file, names, layout)
     if (plain & {"id", "canid", "arbitrationid"} and plain & {"dlc", "len", "length"}
@@ -217,13 +217,13 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
 
 def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[str, np.ndarray], time_ns: np.ndarray,
                   warnings: list[str]) -> dict[str, ColumnSource]:
-    """Converts angles in degrees whose header states no unit, and returns the updated sources.
+    """Converts angles that are in degrees although the header states no unit; returns the updated sources.
 
-    Compass heading, course and yaw are in degrees if they lie between -180 and 360, and either wrap by 360 or begin
-    above 2 pi, unless their change agrees with the yaw rate in rad/s.
+    Angles are in degrees if they lie between -180 and 360 and either wrap by 360, or begin above 2 pi in magnitude and
+    their change does not agree with the integrated yaw rate [rad/s].
     """
     degree = UNITS["angle"]["deg"][0]
-    # With a yaw rate column, a yaw in degrees contradicts it and is reported; a derived yaw rate would hide the error.
+    # The checks report a yaw in degrees that contradicts the yaw rate column; a derived yaw rate would hide the error.
     for channel in ("compass_heading", "course", *(() if "yaw_rate" in sources else ("yaw",))):
         source = sources.get(channel)
         if source is None or source.stated or source.unit != "rad":
@@ -246,7 +246,7 @@ def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[st
 
 def _select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_time: str | None,
                          warnings: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(whether each row has a time, these times [ns], whether each is used). Raises RunError without readable times."""
+    """(whether each row has a time, the times [ns], whether each is used). Raises RunError if no time is readable."""
     has_time = np.abs(seconds) <= LATEST_TIME
     if first_time is not None and len(seconds) and not np.isfinite(seconds).any():
         raise RunError(file, f"no time in column {source.name} can be read; the first is {first_time!r}",
@@ -310,10 +310,10 @@ def _split_header(header: str) -> tuple[list[str], str]:
 
 def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequence[str], body: str, delimiter: str,
                     layout: Layout) -> tuple[dict[str, ColumnSource], str]:
-    """(sources with units from a row above or below the names, the body from its first row of data).
+    """(sources with units from a row above or below the names, the body from its first row of data on).
 
-    The first row below the names whose cells are all units of their channels gives the units; other rows without
-    numbers are types or sources. Raises RunError if there are such rows but none of them gives the units.
+    The units are in the first row in which all cells are units of their channels; other rows without numbers contain
+    types or sources. Raises RunError if there are such rows below the names but no row of units.
     """
     def texts(line: str) -> dict[str, str]:
         cells = [cell.strip(' \r"') for cell in line.split(delimiter)]
@@ -344,7 +344,7 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
 
 
 def _apply_units(sources: dict[str, ColumnSource], texts: Mapping[str, str], layout: Layout) -> dict[str, ColumnSource]:
-    """Sets the units that `texts` gives by channel, except those that the layout gives."""
+    """Sets the units in `texts` (by channel), except for channels with a unit in the layout."""
     return {**sources, **{channel: replace(sources[channel], unit=unit, stated=True) for channel, text in texts.items()
                           if channel not in layout.units and (unit := find_unit(COLUMNS[channel].kind, text))}}
 
@@ -417,8 +417,8 @@ def _replace_month_name(date: re.Match[str]) -> str:
 
 
 def _parse_stamp(text: str) -> tuple[float, float] | None:
-    """(seconds since 1970, midnight or the full hour, period [s] after which they restart or 0) of a time; None for
-    another text. A time without time zone is UTC."""
+    """(seconds since 1970, midnight or the full hour; period [s] after which they restart, 0 if never) of a time.
+    A time without time zone is UTC. None for a text that is not a time."""
     match = _STAMP.fullmatch(text)
     if match is None:
         return None
@@ -469,7 +469,7 @@ def _convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, war
 
 
 def _is_hhmmss(times: np.ndarray) -> bool:
-    """Whether numbers are HHMMSS.ss: minutes and seconds below 60, and a step to a full minute that is larger by 40."""
+    """Whether numbers are HHMMSS.ss: minutes and seconds are below 60, and the step to a new minute is larger by 40."""
     if len(times) < 3 or times.min() < 0.0 or times.max() >= 240000.0 or (times % 100 >= 60.0).any() or (
             times // 100 % 100 >= 60).any():
         return False
@@ -481,8 +481,8 @@ def _is_hhmmss(times: np.ndarray) -> bool:
 def _use_decimal_points(file: Path, body: str, delimiter: str) -> str:
     """Writes all numbers with decimal points and without thousands separators.
 
-    Cells of the whole file determine whether comma or point is the decimal mark. Raises RunError if a cell remains
-    ambiguous: 1,234 may be 1.234 or 1234.
+    All cells of the file together determine whether comma or point is the decimal mark. Raises RunError if a cell
+    remains ambiguous: 1,234 may be 1.234 or 1234.
     """
     body = _THOUSANDS_SPACES.sub("", body)
     quoted = delimiter == "," and '"' in body
@@ -494,15 +494,15 @@ def _use_decimal_points(file: Path, body: str, delimiter: str) -> str:
     cells = {cell.strip(' \r"') for row in table for cell in row}
     commas = {cell for cell in cells if "," in cell}
     points = {cell for cell in cells if "." in cell}
-    # The decimal mark is the last of the two marks in 1.234,5, ...
+    # If a cell contains both marks, as 1.234,5 does, the last one is the decimal mark.
     marks = {"," if cell.rfind(",") > cell.rfind(".") else "." for cell in commas & points}
     for mark, cells_with_mark, other in ((",", commas, "."), (".", points, ",")):
         single = {cell for cell in cells_with_mark if other not in cell}
         if any(cell.count(mark) == 1 and not _GROUPED[mark].fullmatch(cell) and
                np.isfinite(_parse_number(cell.replace(",", "."))) for cell in single):
-            marks.add(mark)  # ... the only mark in 12,5, ...
+            marks.add(mark)  # a single mark, as in 12,5, is the decimal mark
         elif any(cell.count(mark) > 1 for cell in single if _GROUPED[mark].fullmatch(cell)):
-            marks.add(other)  # ... and not the mark in 1,234,567.
+            marks.add(other)  # a repeated mark, as in 1,234,567, is not
     doubtful = sorted(cell for cell in commas | points if any(form.fullmatch(cell) for form in _GROUPED.values()))
     if doubtful and (len(marks) > 1 or not marks):
         why = "the file has decimal commas and decimal points" if marks else "no other cell shows which"
@@ -525,8 +525,8 @@ def _split_cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[
 
 
 def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
-    """Parses the rows to (n, width), NaN for missing numbers. Rows with another number of cells are left out; raises
-    RunError if these are half of the rows or more."""
+    """Parses the rows to an array (n, width) with NaN for missing numbers. Rows with another number of cells are left
+    out; raises RunError if these are half of the rows or more."""
     lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}') and not _is_comment(line, delimiter)]
     try:
         return _parse_rows(lines, delimiter, width)
@@ -580,7 +580,7 @@ def all_finite(columns: Mapping[str, np.ndarray], names: Iterable[str]) -> np.nd
 
 
 def differentiate_yaw(table: Table, angle: np.ndarray) -> np.ndarray:
-    """Yaw rate [rad/s] from a yaw angle [rad] at the used rows; NaN at others, and if fewer than 3 have an angle."""
+    """Derivative [rad/s] of a yaw angle [rad] at the used rows; NaN elsewhere, and if fewer than 3 have an angle."""
     rate = np.full(len(angle), np.nan)
     rows = np.flatnonzero(table.used & np.isfinite(angle))
     if len(rows) > 2:

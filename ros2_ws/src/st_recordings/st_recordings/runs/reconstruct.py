@@ -123,7 +123,7 @@ class Reconstruction:
                            f"a vehicle file: {error}", "also record vehicle/steering") from None
 
     def speeds(self) -> tuple[Series | None, Series | None]:
-        """See `can_signals.collect_speeds`."""
+        """(wheel speed, INS speed on CAN) [m/s] from raw CAN frames; None for a missing one."""
         from .can_signals import collect_speeds
 
         return collect_speeds(self._signals)
@@ -147,7 +147,7 @@ class Reconstruction:
 
     @cached_property
     def _signals(self) -> Any:
-        from .can_signals import decode_signals  # importing the CAN libraries takes a second, and most bags need none
+        from .can_signals import decode_signals  # importing the CAN libraries takes a second; few bags need them
         from .frames import read_frames
 
         table = self._table
@@ -202,7 +202,7 @@ def _compute_wheel_speed(columns: Mapping[str, np.ndarray]) -> Series | None:
 
 
 def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
-    """(quality, forward speed) in raw packets; None for what they do not contain."""
+    """(INS quality, forward speed [m/s]) from raw packets; None for a quantity that they do not contain."""
     try:
         columns = file_decoder.decode_file(np.ascontiguousarray(raw, np.uint8).tobytes())
     except NcomError:
@@ -220,7 +220,7 @@ def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
 
 
 def _read_reported_quality(storage: Storage, topic: Topic, store: Typestore) -> InsQuality | None:
-    """Quality of the INS in messages of st_msgs/InsStatus, which are read one by one because of their texts."""
+    """INS quality from st_msgs/InsStatus messages; their texts vary in length, so they are read one by one."""
     try:
         rows = [[get_field(message, field) for field in _STATUS_FIELDS]
                 for _, message in deserialise("", storage, topic, store)]
@@ -295,7 +295,7 @@ def deserialise(where: Any, storage: Storage, topic: Topic, store: Typestore) ->
 def read_steering_columns(where: Any, storage: Storage, topic: Topic, steering: SteeringField,
                           store: Typestore) -> dict[str, np.ndarray]:
     """Columns of st_msgs/Steering, read from a topic of another type. Raises RunError."""
-    # With the steering wheel angle, the road wheel angle is a placeholder that DriveLog.with_steering replaces.
+    # For a steering wheel angle, the road wheel angle is a placeholder that DriveLog.with_steering replaces.
     stamps, angles = [], []
     for log_ns, message in deserialise(where, storage, topic, store):
         stamps.append(get_stamp(message, log_ns))
