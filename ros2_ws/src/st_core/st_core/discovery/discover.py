@@ -1,4 +1,4 @@
-"""Discovery of effects that a model lacks, from recorded drives: named effects, their values and the residual."""
+"""Discovery of the effects that a model lacks, with their values and the remaining residual, from recorded drives."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -62,14 +62,14 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
              clocks: Mapping[str, float] | None = None) -> Discovery:
     """Find the effects that the base model lacks to explain the runs.
 
-    runs: suspect drives. vehicle: values of the vehicle file, where the search starts. reference: drives of the healthy
-    car; with them the search starts from the values fitted to them and finds changes since then. sensor_estimates:
-    (value, low, high) from redundant sensors, by the name of the estimate in `st_core.checks`. parallel: number of
-    threads. clocks: standard deviation of the steering clock [s] by run; the time stamps of other runs are taken as
-    exact. progress(stage, done, total): called during the work.
+    runs: suspect drives. vehicle: parameters of the vehicle file, from which the search starts. reference: drives of
+    the healthy car; with them the search starts from the values fitted to these drives and finds later changes.
+    sensor_estimates: (value, low, high) from redundant sensors, by the name of the estimate in `st_core.checks`.
+    parallel: number of threads. clocks: by run, standard deviation of the error of the steering clock [s]; clocks of
+    other runs count as exact. progress(stage, done, total): called regularly.
 
     Raises StCoreError if the runs contain no usable prediction, ConfigurationError for settings that are not valid for
-    the base. Checked by: test_discovery*.py, bench/discovery.
+    the base model. Checked by: test_discovery*.py, bench/discovery.
     """
     return _Analysis(runs, vehicle, base, reference, settings or DiscoverySettings(), progress, sensor_estimates or {},
                      parallel, clocks or {}).result()
@@ -93,8 +93,8 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
 
 
 class _JudgedEffects(NamedTuple):
-    """The effects of the final fit by verdict. minor: in the model, but not named. contradicted: by the measured axle
-    forces, or because the car would be implausible. leave_one_out: see `Discovery`."""
+    """The effects of the final fit, by verdict. minor: in the model, but not named. contradicted: refuted by the
+    measured axle forces, or leading to an implausible car. leave_one_out: see `Discovery`."""
 
     named: tuple[FoundEffect, ...]
     minor: tuple[FoundEffect, ...]
@@ -106,7 +106,7 @@ class _JudgedEffects(NamedTuple):
 
 
 class _Analysis:
-    """One discovery: its inputs, and the steps from the search to the result."""
+    """Inputs of one discovery, and the steps from the search to the result."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
                  reference: Sequence[DriveLog], settings: DiscoverySettings, progress: Progress | None,
@@ -176,7 +176,7 @@ class _Analysis:
                        floor: Mapping[str, float]) -> _JudgedEffects:
         """Judge the effects found by the search; add the force curves and the parameter combinations of the axles."""
         problem = self.problem
-        # All other parameters of the library are free as well: intervals include their possible contribution.
+        # All other parameters of the library are free as well, so intervals include their possible contribution.
         joint_fit = joint(problem, found.fit) if problem.prior is None else None
         position = problem.position_error(problem.held_out_rows(found.fit))
         unexplained = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
@@ -199,8 +199,8 @@ class _Analysis:
     def _decide_outcome(self, found: Found, effects: Sequence[FoundEffect], untestable: Sequence[NotTestable],
                         residual: float, varying_effects: int, unattributed: Sequence[Combination],
                         ) -> tuple[Outcome, Reason]:
-        """residual [1]: position error divided by the noise. varying_effects: number that vary. unattributed:
-        combinations that differ from the vehicle file although no named effect changes them."""
+        """Outcome and reason. residual [1]: ratio of position error to noise. varying_effects: number of varying
+        effects. unattributed: combinations that differ from the vehicle file, but that no named effect changes."""
         hypotheses = self.space.hypotheses
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         refused = [evidence for evidence, *_ in found.refused.values()]
@@ -210,8 +210,8 @@ class _Analysis:
         return decision.decide(result, self.limits)
 
     def _add_corrections(self, found: Found, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:
-        """(problem, fit) of the effects found plus effective corrections, without the priors of the vehicle file. Both
-        are returned unchanged if the gain is too small, or with reference drives, which replace these priors."""
+        """(problem, fit) with effective corrections in addition to the effects found, without the priors of the vehicle
+        file; those of the search if the gain is too small, or if reference drives replace these priors."""
         problem, scale = self.problem, self.problem.loss.scale
         if problem.prior is not None:
             return problem, found.fit
@@ -229,7 +229,7 @@ class _Analysis:
     # Inputs
 
     def _make_problem(self) -> tuple[Problem, dict[str, float]]:
-        """The problem, which starts from the fit to the reference if there is one, and the noise by column."""
+        """(problem, noise by column). With a reference, the problem starts from the fit to the reference drives."""
         settings, space = self.settings, self.space
         start, prior, gain_between_drives, by_column = space.null, None, 0.0, noise_floor(self.windows)
         if self.reference:
@@ -254,7 +254,7 @@ class _Analysis:
         return [run for run in runs if run.overlap >= needed]
 
     def _correct_clocks(self, runs: list[DriveLog], deviations: Mapping[str, float]) -> list[DriveLog]:
-        """The runs with corrected steering stamps; warns if the steering clock of a run is uncertain."""
+        """The runs with corrected steering time stamps; warns if the steering clock of a run is uncertain."""
         uncertain = [s for run in runs if (s := deviations.get(run.name, 0.0)) > MAX_CLOCK_DEVIATION]
         if not uncertain:
             return runs
@@ -273,7 +273,7 @@ class _Analysis:
         return apply_clock_corrections(runs, corrections)
 
     def _select_channels(self, settings: DiscoverySettings) -> DiscoverySettings:
-        """The settings, with only the channels that are measured in all runs; warns about the others."""
+        """The settings with only the channels that are measured in all runs; warns about the others."""
         logs = [*self.runs, *self.reference]
         left_out = [c for c in settings.channels if not all(CHANNELS[c].is_measured_in(log) for log in logs)]
         if left_out:
@@ -326,9 +326,9 @@ class _Analysis:
 
     def _analyse_axles(self, found: Found, joint_fit: Joint | None,
                        unexplained: float) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[Combination, ...]]:
-        """(axle forces of the final model, force curves, combinations); None and empty for a base without tyres,
-        driving without slip, or values so uncertain that they exceed the limits of a vehicle file. With a reference
-        there are no combinations, because these are compared with the vehicle file, not with the healthy car."""
+        """(axle forces of the final model, force curves, combinations); (None, (), ()) for a base model without tyres,
+        for driving without slip, and for values so uncertain that they exceed the limits of a vehicle file. With a
+        reference, combinations are left out: they are compared with the vehicle file, not with the healthy car."""
         base = self.space.at(self.problem.start)
         try:
             axles = Axles(self.problem, found.fit, joint_fit, self.runs, self.vehicle, unexplained,
@@ -339,8 +339,8 @@ class _Analysis:
 
     def _name_effects(self, found: Found, effects: Sequence[FoundEffect], axles: Axles | None,
                       leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Reason]:
-        """The verdict on each effect of the final fit. With a reference, verdicts do not use intervals, which
-        would include the uncertainty of the healthy car."""
+        """Verdict on each effect of the final fit. With a reference, intervals include the uncertainty of the healthy
+        car, so verdicts do not use them."""
         worse_axle: dict[str, str] = {}
         objection: dict[str, str] = {}
         reached_force_ratio, names = 1.0, [e.name for e in effects]
@@ -358,15 +358,15 @@ class _Analysis:
             objection.get(e.name, ""))) for e in effects}
 
     def _list_corrections(self, problem: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
-        """The effective corrections: effects of `fit` that are not in `found.fit`."""
+        """Effective corrections: the effects of `fit` that are not in `found.fit`."""
         horizon_errors = waterfall.HorizonErrors(problem, self.settings.seed)
         return tuple(FoundEffect(n, get_effect(n).kind, waterfall.parameters(problem, fit, n, {}), (),
                                  horizon_errors.position_without(fit, n), {})
                      for n in fit.names if n not in found.fit.names)
 
     def _find_varying(self, found: Found, parts: Mapping[str, Partition]) -> list[tuple[VaryingEffect, Fit | None]]:
-        """Find at most one significant effect that varies between parts of the drives, and its fit: one that the search
-        rejected because it varies, otherwise the one that varies most."""
+        """Find at most one significant effect that varies between parts of the drives: one that the search rejected for
+        this reason, with its fit, otherwise the one with the largest gain from separate values, without a fit."""
         collected: list[tuple[VaryingEffect, Fit | None]] = []
         # An effect of the final fit, or an alternative to one, is not also reported as varying.
         rivals = [r for others in found.rivals.values() for r in others]
@@ -390,7 +390,7 @@ class _Analysis:
         return collected
 
     def _as_varying_effect(self, v: Varying, position: float) -> VaryingEffect:
-        """v in the form of the result. position [m]: reduction of the mean position error after 5 s."""
+        """Convert v for the result. position [m]: reduction of the mean position error after 5 s."""
         free = next(f for f in self.space.free if (f.effect, f.parameter) == (v.name, v.parameter))
         value, spread = max(v.values.values(), key=lambda each: abs(each[0] - free.null))
         change = value - free.null or free.scale
@@ -405,7 +405,7 @@ class _Analysis:
                 *(verdict for _, verdict, _ in found.refused.values())]
 
     def _list_candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[CandidateEffect, ...]:
-        """Every effect of the library with its gain and verdict, largest gain first."""
+        """Every effect of the library with its gain and verdict, in order of decreasing gain."""
         problem, space, rows = self.problem, self.space, []
         # An effect that was tried in place of several others is listed with the one that it replaces best.
         rivals = {r.name: r for r in sorted((r for others in found.rivals.values() for r in others),
@@ -438,7 +438,7 @@ class _Analysis:
         return tuple(sorted(rows, key=lambda c: -c.gain))
 
     def _simulate_catalogue(self, found: Found, effects: Sequence[FoundEffect]) -> Catalogue | None:
-        """The simulated manoeuvres; None if they are not needed."""
+        """Simulate the manoeuvres of the catalogue; None if they are not needed."""
         if not self.settings.where and not any(e.alternatives for e in effects):
             return None
         self._ticker("next drive")()
@@ -446,7 +446,7 @@ class _Analysis:
 
     def _find_untestable(self, found: Found, power: Certificate, judged: _JudgedEffects,
                          manoeuvres: Catalogue | None) -> tuple[NotTestable, ...]:
-        """Effects that are not detectable in these drives, with the reason and a manoeuvre that would show each."""
+        """Effects that these drives cannot show, each with the reason and a manoeuvre that would show it."""
         listed = {*(name for e in judged.named for name in (e.name, *e.alternatives)), *(e.name for e in judged.minor)}
         collected = []
         problem, scores = self.problem, found.scores
@@ -469,7 +469,7 @@ class _Analysis:
 
     @staticmethod
     def _channel_noise(by_column: Mapping[str, float]) -> dict[str, float]:
-        """Noise of each channel at the end of the horizon, and mean position error due to noise alone."""
+        """Noise of each channel at the end of the horizon [SI], and mean position error due to noise alone [m]."""
         result: dict[str, float] = {}
         for column, value in by_column.items():
             channel = CHANNEL_OF_COLUMN[column].name if column in CHANNEL_OF_COLUMN else column
@@ -480,7 +480,7 @@ class _Analysis:
         return result
 
     def _describe_residual(self, residual: float, statements: Sequence[ErrorCondition]) -> tuple[str, ...]:
-        """Description of the residual; empty if it is near the noise."""
+        """Description of the residual; empty if the residual is near the noise."""
         if residual <= self.limits.max_noise_ratio:
             return ()
         return (f"errors are up to {residual:.1f} times the noise",
@@ -500,7 +500,7 @@ class _Analysis:
                 *(Run(log.name, "reference", log.overlap, 0, 0) for log in self.reference))
 
     def _ticker(self, stage: str) -> Callable[[], None]:
-        """A function that reports progress in a stage."""
+        """A function that reports the progress of a stage."""
         def tick() -> None:
             self._count += 1
             if self._progress:
@@ -514,21 +514,21 @@ def _local_estimates(evidence: Evidence) -> dict[str, tuple[LocalEstimate, ...]]
 
 
 def _noise_ratio(errors: Mapping[str, ChannelError], floor: Mapping[str, float]) -> float:
-    """Ratio of the position error after 5 s to the noise [1]; 1 if position is not a channel."""
+    """Ratio of the position error after 5 s to the error due to noise [1]; 1 if position is not a channel."""
     if "position_5s" not in errors:
         return 1.0
     return errors["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
 
 
 def _find_summed_delays(name: str, names: Sequence[str]) -> tuple[str, ...]:
-    """The other effects whose delays add to that of `name`: only the total delay is identifiable."""
+    """The other effects that delay the steering, if `name` does: only the total delay is identifiable."""
     parts = [n for n in names if TOTAL_DELAY in get_effect(n).combinations]
     return tuple(n for n in parts if n != name) if name in parts else ()
 
 
 def find_parameter_across_bound(effect: FoundEffect) -> str:
-    """Name of a parameter with an interval that crosses a bound; "" without one. Bounds at the null, at the theoretical
-    value and on the shape of a curve do not count."""
+    """Name of a parameter with an interval that crosses a bound; "" if there is none. Ignores bounds that equal the
+    null or the theoretical value, and bounds of shape parameters."""
     for p in get_effect(effect.name).parameters:
         fitted = effect.parameters.get(p.name)
         if fitted is not None and not p.shape and any(
@@ -538,13 +538,13 @@ def find_parameter_across_bound(effect: FoundEffect) -> str:
 
 
 def excludes_null(effect: FoundEffect) -> bool:
-    """Whether the interval of one of the values excludes the null."""
+    """Whether the interval of at least one value excludes the null."""
     return any(not p.interval[0] <= p.null <= p.interval[1] for p in effect.parameters.values())
 
 
 def with_sensor_interval(fitted: FittedParameter, known: tuple[float, float, float] | None) -> FittedParameter:
-    """The fitted value, with an interval as wide as that from redundant sensors (value, low, high) if the sensors agree
-    with the value and exclude the null, while the fitted interval contains the null."""
+    """The fitted value. Its interval becomes as wide as that of the redundant sensors, `known` (value, low, high), if
+    the fitted interval contains the null, and the sensors agree with the value and exclude the null."""
     _, low, high = known or (0.0, -np.inf, np.inf)
     contains_null = fitted.interval[0] <= fitted.null <= fitted.interval[1]
     if not contains_null or not low <= fitted.value <= high or low <= fitted.null <= high:

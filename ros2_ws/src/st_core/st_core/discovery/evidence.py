@@ -13,19 +13,19 @@ from .loss import Quadratic
 from .partitions import Partition
 from .space import Space
 
-FLIPS = 400  # draws of random signs of all blocks; they resolve a p-value of 0.01
+FLIPS = 400  # draws of random block signs, enough to resolve a p-value of 0.01
 TWO_SIDED = float(stats.norm.ppf(0.975))
-MIN_CURVATURE = 0.3  # minimum ratio of the curvature of the robust loss to that of the reweighted squares
-PART_PRIOR = 0.05  # prior curvature of the other parameters in a part of the driving, relative to the overall one
-UNSELECTED_DEVIATION = 0.5  # parameter scales: prior standard deviation of effects outside the set, for intervals
+MIN_CURVATURE = 0.3  # minimum ratio of the curvature of the robust loss to that of the reweighted least squares
+PART_PRIOR = 0.05  # prior curvature of the other parameters in one part, relative to the mean curvature of all parts
+UNSELECTED_DEVIATION = 0.5  # prior standard deviation of effects outside the set, for intervals [parameter scales]
 MIN_INFORMATION_SHARE = 0.02  # fraction of the information in all driving; a part with less is ignored
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of the parts of the driving (runs, sites, ...) on an effect. ratios: by part, (local divided by overall
-    value, standard deviation). p_equal [1]: p-value of the hypothesis of equal values in all parts. p_absent [1]:
-    probability that the effect is absent or of opposite sign in a new part."""
+    """Consistency of an effect across the parts of the driving (runs, sites, ...). ratios: by part, (local divided by
+    overall value, standard deviation). p_equal [1]: p-value of the hypothesis of equal values in all parts. p_absent
+    [1]: probability that the effect is absent or of opposite sign in a new part."""
 
     ratios: Mapping[str, tuple[float, float]]
     p_equal: float
@@ -34,8 +34,8 @@ class Agreement:
 
 @dataclass(frozen=True)
 class AgainstFile:
-    """A quantity of the vehicle file that an effect changes. value: with the effect; file, standard_deviation: in the
-    vehicle file [unit]. z_score [1]: distance of the two values in standard deviations."""
+    """A quantity of the vehicle file that an effect changes. value: with the effect [unit]; file, standard_deviation:
+    from the vehicle file [unit]. z_score [1]: difference of the two values in standard deviations."""
 
     key: str
     unit: str
@@ -51,14 +51,14 @@ class Evidence:
 
     gain [1]: reduction of the held-out loss per residual, about the relative reduction of the RMS error; the smaller of
     two values, with blocks and with whole runs held out. healthy_gain [1]: the largest gain between drives of the
-    healthy car. p_value [1]: of the gain, corrected for the whole library. null_p_value [1]: of the null value. shares
-    [1]: by column, (error reduction divided by the baseline error, error without the effect divided by the noise).
-    position [m]: reduction of the mean held-out position error at the end of the horizon. position_somewhere [m]: the
-    same in the driving condition where it is largest (lower 95 % bound). noise_ratio [1]: error with the effect divided
-    by the noise, in the column where this is largest. bound_distance [1]: distance to the nearest bound; size [1]:
-    distance from the null, both in parameter scales. sensors_p_value, sensors_null_p_value [1]: of the fitted value and
-    of the null, given redundant sensor measurements; None without any. against_file: the quantity that the effect moves
-    furthest from the vehicle file; None without one. agreement: by partition.
+    healthy car. p_value [1]: of the gain, corrected for the whole library. null_p_value [1]: of the start values.
+    shares [1]: by column, (error reduction divided by the baseline error, error without the effect divided by the
+    noise). position [m]: reduction of the mean held-out position error at the end of the horizon. position_somewhere
+    [m]: lower 95 % bound of this reduction in the driving condition where it is largest. noise_ratio [1]: error with
+    the effect divided by the noise, largest of all columns. bound_distance [1]: distance to the nearest bound; size
+    [1]: distance from the null, both in parameter scales. sensors_p_value, sensors_null_p_value [1]: of the fitted
+    value and of the null, given redundant sensors, or None. against_file: the quantity that the effect moves furthest
+    from the vehicle file, or None. agreement: by partition.
     """
 
     name: str
@@ -92,7 +92,7 @@ def share_of(gain: float) -> float:
 class Scores:
     """Efficient scores of all effects of the library that are not in a fit.
 
-    by_effect: (b, k) scores by effect. largest: (FLIPS,) largest statistic of the library under random block signs.
+    by_effect: (b, k) scores by effect. largest: (draws,) largest statistic of the library under random block signs.
     design_effect [1]: factor by which dependent windows increase the variance of a score (median of the library).
     gains: by effect, ((b,) gain from the quadratic approximation, vector at the optimum of the approximation).
     """
@@ -106,7 +106,7 @@ class Scores:
 def score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str,
           prior_gradient: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """((b, k) score, (k,) information) of an effect, with the effects `names` projected out. q: by block, in all
-    parameters. prior_gradient: (p,) half the gradient of the prior; needed if the quadratic is about a fit."""
+    parameters. prior_gradient: (p,) half the gradient of the prior, needed if q is about a fit."""
     new = problem.space.indices(effect)
     indices = np.setdiff1d(problem.free_indices(names), new)
     h = q.hessian.sum(axis=0) + problem.prior_curvature((*names, effect), np.arange(len(problem.space)))
@@ -119,7 +119,7 @@ def score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str,
 
 
 def statistic(scores: np.ndarray) -> float:
-    """Score statistic s' (sum of s_b s_b')^-1 s with s = sum of s_b, of the scores (b, k) of the blocks."""
+    """Score statistic s' (sum_b s_b s_b')^-1 s with s = sum_b s_b. scores: (b, k), s_b of the blocks."""
     total = scores.sum(axis=0)
     return float(total @ np.linalg.pinv(scores.T @ scores) @ total)
 
@@ -162,8 +162,8 @@ def library_p_value(best: np.ndarray, gain: np.ndarray, scores: Scores, library:
 
     Sign flips: the score statistic is compared with the largest of the library under random signs of the blocks, and
     the mean gain of the blocks is tested against zero; the larger p-value counts. Likelihood ratio: twice the gain
-    divided by the design effect, with Bonferroni's factor for the library; it detects effects that act in few blocks.
-    Its distribution is Fisher's F instead of chi-square, because the design effect is estimated from the blocks.
+    divided by the design effect, with a Bonferroni correction; it detects effects that act in few blocks. Its null
+    distribution is F instead of chi-square, because the design effect is estimated. library: number of effects.
     """
     blocks, values = best.shape
     if blocks < 2:
@@ -185,7 +185,7 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
         block_scores = score_of(problem, without, effect, fit.sensitivities)
     rows, after = problem.held_out_rows(without), problem.held_out_rows(fit)
     reduction = problem.position_error(rows) - problem.position_error(after)
-    if problem.prior is not None:  # the values of the healthy car are known, so none compensates the effect
+    if problem.prior is not None:  # the other values are known from the healthy car, so they do not compensate
         rows = problem.errors.at(problem.vector_without(fit, effect))
     overall, somewhere = error_reductions(reduction, partitions.get("condition"))
     return Evidence(effect, min(float(gain.sum()) / problem.residual_count, problem.held_out_gain(without, fit)),
@@ -198,8 +198,8 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
 
 
 def residual_over_noise(problem: Problem, rows: np.ndarray) -> float:
-    """Largest ratio of error to noise of all columns; 1 with a reference: the healthy car has the same unexplained
-    residual, which therefore imitates no change of the car."""
+    """Largest ratio of error to noise of all columns; 1 with a reference, because the healthy car has the same
+    residual, which therefore cannot imitate a change of the car."""
     if problem.prior is not None:
         return 1.0
     return float((problem.column_rms(rows) / np.maximum(problem.noise, 1e-12)).max())
@@ -228,8 +228,8 @@ def score_of(problem: Problem, fit: Fit, effect: str, sensitivities: Sensitiviti
 
 
 def error_reductions(reduction: np.ndarray, condition: Partition | None) -> tuple[float, float]:
-    """(mean reduction of an error, largest lower 95 % bound of the reduction in one driving condition). reduction: (n,)
-    in each window."""
+    """(mean reduction of an error, largest lower 95 % bound of the mean in one driving condition). reduction: (n,) by
+    window."""
     known = np.isfinite(reduction)
     if not known.any():
         return 0.0, 0.0
@@ -242,8 +242,8 @@ def error_reductions(reduction: np.ndarray, condition: Partition | None) -> tupl
 
 
 def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
-    """Distance of the effect's values to their nearest bounds, in parameter scales. Bounds at the null, at the
-    theoretical value and on the shape of a curve do not count."""
+    """Distance of the effect's values to their nearest bound, in parameter scales. Ignores bounds that equal the null
+    or the theoretical value, and bounds of shape parameters."""
     space, nearest = problem.space, np.inf
     for i in space.indices(effect):
         null, shape = next((p.null, p.shape) for p in get_effect(effect).parameters
@@ -263,7 +263,7 @@ def effect_size(problem: Problem, fit: Fit, effect: str) -> float:
 
 
 def against_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:
-    """The quantity that an effect moves furthest from its value in the vehicle file, in standard deviations."""
+    """The quantity that an effect moves furthest from the vehicle file in standard deviations; None without one."""
     found = []
     for i in problem.space.indices(effect) if problem.prior is None else ():
         known, change = problem.quantities[i], float(fit.vector[i] - problem.space.null[i])
@@ -274,7 +274,7 @@ def against_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:
 
 
 def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -> tuple[float | None, float | None]:
-    """p-values of the fitted value and of the null, given redundant sensor measurements; None without any."""
+    """p-values of the fitted value and of the null, given redundant sensors; None if not measured."""
     deviations = dict(zip(problem.space.indices(effect), deviation(problem, fit, effect), strict=True))
     values = [_two_sided(fit.vector[i] - value, np.hypot(spread, deviations[i]))
               for i, value, spread in _sensor_estimates(problem.space, effect, sensors)]
@@ -284,7 +284,7 @@ def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -
 
 
 def null_by_sensors(space: Space, effect: str, sensors: Mapping) -> float | None:
-    """p-value of the null, given redundant sensor measurements; None without any."""
+    """p-value of the null, given redundant sensors; None if not measured."""
     return min((_two_sided(space.free[i].null - value, spread)
                 for i, value, spread in _sensor_estimates(space, effect, sensors)), default=None)
 
@@ -296,7 +296,7 @@ def _sensor_estimates(space: Space, effect: str, sensors: Mapping) -> list[tuple
 
 
 def _two_sided(distance: float, spread: float) -> float:
-    """Two-sided p-value of a distance with this standard deviation, normal distribution."""
+    """Two-sided p-value of a normally distributed distance with the standard deviation `spread`."""
     return 2.0 * float(stats.norm.sf(abs(distance) / max(spread, 1e-12)))
 
 
@@ -318,14 +318,14 @@ def deviation(problem: Problem, fit: Fit, effect: str) -> np.ndarray:
 
 
 def covariance(problem: Problem, fit: Fit) -> np.ndarray:
-    """(a, a) sandwich covariance of the fitted parameters, in parameter scales: H^-1 S H^-1, with S the scatter matrix
-    of the scores by block, H half the second derivative of the loss."""
+    """(a, a) sandwich covariance H^-1 S H^-1 of the fitted parameters, in parameter scales; S is the scatter matrix of
+    the block scores, H half the second derivative of the loss."""
     q = fit.quadratic.summed(problem.block, problem.blocks)
     curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.sensitivities.of(fit.indices))
     h = inverse(_raised(curvature, q.hessian.sum(axis=0)) + problem.prior_curvature(fit.names, fit.indices))
     centred = q.gradient - q.gradient.mean(axis=0)  # at the optimum the sum equals the gradient of the prior
     scatter = centred.T @ centred * problem.blocks / max(problem.blocks - 1, 1)
-    if problem.prior is None:  # the values of the vehicle file are uncertain, hence also the gradient of the prior
+    if problem.prior is None:  # the values of the vehicle file are uncertain, and so is the gradient of the prior
         scatter = scatter + np.diag(0.5 * problem.design_effect * problem.file_curvature[fit.indices])
     return h @ scatter @ h
 
@@ -340,20 +340,20 @@ class Joint:
     shift: np.ndarray
 
     def of(self, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(standard deviations, shifts) of some of the parameters, in parameter scales."""
+        """(standard deviations, shifts) of the parameters `indices`, in parameter scales."""
         place = np.searchsorted(self.indices, indices)
         return np.sqrt(np.maximum(np.diag(self.covariance)[place], 0.0)), self.shift[place]
 
 
 def joint(problem: Problem, fit: Fit) -> Joint:
-    """Covariance with the uncertainties of the vehicle file, and with all other effects free, with a prior standard
-    deviation of UNSELECTED_DEVIATION.
+    """Covariance with the uncertainties of the vehicle file and with all other effects free; these have a prior
+    standard deviation of UNSELECTED_DEVIATION.
 
-        covariance = (D / 2) (H + K)^-1,   K: curvature of the priors,   D: the design effect
+        covariance = (D / 2) (H + K)^-1,   H, K: curvature of the loss and of the priors,   D: design effect
 
     An effect that was not selected may still be present; the covariance includes its possible contribution.
-    Source: Laplace approximation of the posterior; Pauli and others, composite likelihoods with a curvature adjusted by
-    the design effect, Statistica Sinica 21 (2011).
+    Source: Laplace approximation of the posterior, with the composite likelihood adjusted by the design effect: Pauli,
+    Racugno and Ventura, Statistica Sinica 21 (2011).
     """
     space, names = problem.space, fit.names
     others = [n for n in space.hypotheses if not space.overlaps(n, names) and not get_effect(n).members]
@@ -370,7 +370,7 @@ def joint(problem: Problem, fit: Fit) -> Joint:
 
 
 def _raised(curvature: np.ndarray, reweighted: np.ndarray) -> np.ndarray:
-    """The curvature, raised in every direction to at least MIN_CURVATURE times that of the reweighted squares."""
+    """The curvature, raised in every direction to at least MIN_CURVATURE times the curvature `reweighted`."""
     if not len(curvature):
         return curvature
     root = np.linalg.cholesky(_regular(reweighted))
@@ -380,7 +380,7 @@ def _raised(curvature: np.ndarray, reweighted: np.ndarray) -> np.ndarray:
 
 
 def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
-    """p-value of the start values of an effect, by Hotelling's T^2 test with the sandwich covariance."""
+    """p-value of an effect's start values as null hypothesis: Hotelling's T^2 test with the sandwich covariance."""
     indices = problem.space.indices(effect)
     columns = np.searchsorted(fit.indices, indices)
     variance = covariance(problem, fit)[np.ix_(columns, columns)]
@@ -396,8 +396,8 @@ def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
 def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: list[str]) -> Agreement:
     """Compare the values of an effect in the parts of the driving by a random-effects model.
 
-    The ratio of a part is 1 plus the Newton step along the fitted values with the loss of this part alone; the other
-    fitted parameters are free, with a weak prior (PART_PRIOR). Variances include the design effect.
+    The ratio of a part is 1 plus the Newton step of its loss in the direction of the fitted values; the other fitted
+    parameters are free, with a weak prior (PART_PRIOR). Variances include the design effect.
     """
     columns = np.searchsorted(fit.indices, problem.space.indices(effect))
     others = np.setdiff1d(np.arange(len(fit.indices)), columns)

@@ -1,4 +1,4 @@
-"""Joint fits of sets of effects by simulation, and their loss on held-out driving."""
+"""Joint fits of sets of effects by simulation, and their held-out loss."""
 
 from collections.abc import Callable, Iterable
 from copy import copy
@@ -12,14 +12,14 @@ from .loss import Loss, Quadratic, rho
 from .space import GAIN, Quantities, prior_deviations
 
 ITERATIONS, STEP_SHARES = 5, (1.0, 0.5, 0.2)  # maximum number; fractions of a step, tried until the loss decreases
-MAX_REUSE_DISTANCE = 0.25  # parameter scales; up to it, cached sensitivities are updated instead of recomputed
-SENSITIVITY_CACHE_SIZE = 4  # vectors
-MIN_LOSS_FALL = 2e-4  # per residual; a fit ends at a smaller reduction of the loss
+MAX_REUSE_DISTANCE = 0.25  # parameter scales; below it, cached sensitivities are updated instead of recomputed
+SENSITIVITY_CACHE_SIZE = 4  # number of vectors
+MIN_LOSS_FALL = 2e-4  # per residual; a fit ends when a step reduces the loss by less
 FOLDS = 8  # groups of blocks, each held out once
-MAX_SCALED = 5.0  # clip limit of a residual, in robust scales of the baseline residuals; limits single windows
-DIVERGED = 100.0  # m: position error of a prediction that diverges
+MAX_SCALED = 5.0  # clip limit of residuals, in robust scales of the baseline; limits the influence of single windows
+DIVERGED = 100.0  # m, position error assigned to a prediction that diverges
 MAX_QUADRATIC_RISE = 0.05  # per residual; at a larger predicted increase of the loss, held-out folds are simulated
-RIDGE = 1e-6  # fraction of the mean curvature added to the diagonal, for finite steps without information
+RIDGE = 1e-6  # fraction of the mean curvature, added to the diagonal to keep steps finite without information
 
 
 def minimise_bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -52,8 +52,8 @@ def minimise_bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.nda
 
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
-    """Sensitivities of the residuals, their negative Jacobian. values: (a, n, m) reduction of the m residuals of n
-    windows per parameter scale of the a parameters `indices`, at `vector`."""
+    """Sensitivities of the residuals at `vector`, i.e. their negative Jacobian. values: (a, n, m) reduction of the m
+    residuals of n windows per parameter scale, for the a parameters `indices`."""
 
     vector: np.ndarray
     indices: np.ndarray
@@ -82,8 +82,8 @@ class Sensitivities:
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A set of effects with fitted values. indices: (a,) free parameters. sensitivities: to at least these parameters.
-    quadratic: approximation of the loss of each window in these parameters. held_out: (b,) loss of each block at the
-    values fitted without its fold."""
+    quadratic: approximation of the loss of each window in these parameters. held_out: (b,) loss of each block at values
+    fitted without its fold."""
 
     names: tuple[str, ...]
     vector: np.ndarray
@@ -104,10 +104,10 @@ def marginalise(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
 
 
 class Problem:
-    """A loss with its priors, and the fits of sets of effects to it.
+    """A loss with its priors, and the fits of sets of effects that minimise it.
 
     start: (p,) initial vector of a search. prior: (p, p) curvature about `start`, from reference drives, for the
-    parameters of effects outside the fitted set; None: these keep their start values, except the gain of the
+    parameters of effects outside the fitted set; if None, these keep their start values, except the gain of the
     accelerometer. block: (n,) number of the block of each window. noise: (c,) error of each column due to noise alone
     [SI]. healthy_gain: largest gain per residual between drives of the healthy car.
 
@@ -152,7 +152,7 @@ class Problem:
 
     @cached_property
     def held_out_groups(self) -> np.ndarray:
-        """(b,) group of each block for reported held-out errors: its run if there are over three, else its fold."""
+        """(b,) group of each block for reported held-out errors: its run, or its fold with at most three runs."""
         return self.run_of_block if len(np.unique(self.run_of_block)) > 3 else self.fold
 
     @cached_property
@@ -163,7 +163,7 @@ class Problem:
         return run
 
     def without_file(self) -> "Problem":
-        """The problem without the priors of the vehicle file: its fits predict best, but may be implausible."""
+        """The problem without the priors of the vehicle file. Its fits predict best, but may be implausible."""
         other = copy(self)
         other.set_quantities((None,) * len(self.space))
         return other
@@ -181,24 +181,24 @@ class Problem:
         return self.space.indices(*names, *always)
 
     def prior_curvature(self, names: Iterable[str], indices: np.ndarray) -> np.ndarray:
-        """(a, a) curvature of the prior about the start: from the vehicle file or, with a reference, its drives, for
-        all parameters except those of the effects `names`."""
+        """(a, a) curvature of the prior about the start: from the vehicle file, or from the reference drives for all
+        parameters except those of the effects `names`."""
         if self.prior is None:
             return np.diag(self.file_curvature[indices])
         return marginalise(self.prior, self.space.indices(*names))
 
     @property
     def file_curvature(self) -> np.ndarray:
-        """(p,) curvature of the prior of the vehicle file."""
+        """(p,) curvature of the prior from the vehicle file."""
         return 0.5 * self.design_effect / np.square(self._deviation)
 
     def prior_gradient(self, vector: np.ndarray) -> np.ndarray:
-        """(p,) half gradient of the prior of the vehicle file at a vector."""
+        """(p,) half the gradient of the prior from the vehicle file, at a vector."""
         return self.file_curvature * (vector - self.start) / self.space.scale
 
     def update_design_effect(self, vector: np.ndarray) -> None:
         """Estimate the design effect from the residuals at a vector: variance of the scores between blocks, or between
-        runs if larger, divided by that of independent residuals; median over the library, at least 1.
+        runs if larger, divided by the variance for independent residuals; median of all parameters, at least 1.
 
             D = 2 n var(g_k) / H,   g_k: half the gradient of the loss in part k of n, H: half its second derivative
 
@@ -226,12 +226,12 @@ class Problem:
         return (low / self.space.scale)[indices], (high / self.space.scale)[indices]
 
     def solve(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
-        """(a,) step from `vector` to the minimum, within the bounds, of the quadratic q, which is given by window."""
+        """(a,) step from `vector` to the minimum of the quadratic q plus the prior within the bounds."""
         return self.stepper(names, vector, indices)(q.hessian.sum(axis=0), q.gradient.sum(axis=0))
 
     def stepper(self, names: Iterable[str], vector: np.ndarray,
                 indices: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        """A function (Hessian (a, a), gradient (a,)) -> best step (a,) from the vector."""
+        """A function that computes the best step (a,) from the vector for a Hessian (a, a) and a gradient (a,)."""
         prior, limits = self.prior_curvature(names, indices), self.distance_to_bounds(vector, indices)
         prior_gradient = prior @ self.distance(vector)[indices]
 
@@ -242,12 +242,12 @@ class Problem:
         return best_step
 
     def cost(self, names: Iterable[str], vector: np.ndarray, indices: np.ndarray) -> float:
-        """The loss plus the prior."""
+        """The loss plus the cost of the prior."""
         distance = self.distance(vector)[indices]
         return self.loss.total(vector) + float(distance @ self.prior_curvature(names, indices) @ distance)
 
     def all_sensitivities(self, vector: np.ndarray) -> Sensitivities:
-        """Sensitivities to all parameters: those cached for a nearby vector, updated for the step, or new ones."""
+        """Sensitivities to all parameters: cached for a nearby vector and updated for the step, or computed."""
         for known in reversed(self._cached_sensitivities):
             if np.abs((vector - known.vector) / self.space.scale).max() < MAX_REUSE_DISTANCE:
                 return self._sensitivities_at(known, vector, np.zeros(0, int))
@@ -275,7 +275,7 @@ class Problem:
     def fit(self, names: Iterable[str], sensitivities: Sensitivities, vector: np.ndarray | None = None,
             fresh: Iterable[str] = (), iterations: int = ITERATIONS) -> Fit:
         """Fit a set of effects by robust Gauss-Newton. sensitivities: to at least the free parameters, at a nearby
-        vector; updated at each step. vector: initial vector, default the one of the sensitivities. fresh: effects with
+        vector; updated at each step. vector: initial vector, by default that of the sensitivities. fresh: effects with
         sensitivities that are recomputed at each step."""
         names = tuple(names)
         indices, new = self.free_indices(names), self.space.indices(*fresh)
@@ -300,7 +300,7 @@ class Problem:
         return self.fit_at(names, vector, indices, sensitivities)
 
     def refit(self, fit: Fit, iterations: int = 2) -> Fit:
-        """The fit, continued with recomputed sensitivities."""
+        """Continue a fit with recomputed sensitivities."""
         fitted = np.union1d(self.space.indices(*fit.names), self.space.indices(GAIN))
         fresh = Sensitivities(fit.vector, fit.sensitivities.indices, fit.sensitivities.values)
         if len(fitted):
@@ -360,7 +360,7 @@ class Problem:
         return steps, held_out
 
     def _robust(self, rise: np.ndarray, blocks: np.ndarray) -> np.ndarray:
-        """Increase of the robust loss for an increase of the quadratic one: logarithmic above 1 per residual."""
+        """Increase of the robust loss for a `rise` of its quadratic approximation: logarithmic above 1 per residual."""
         count = np.maximum(self._residual_counts[blocks], 1)
         return np.where(rise > count, count * (1.0 + np.log(np.maximum(rise / count, 1.0))), rise)
 
@@ -370,7 +370,7 @@ class Problem:
         return np.bincount(self.block, self.loss.known.sum(axis=1), self.blocks)
 
     def leave_out_of(self, fit: Fit, groups: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
-        """`leave_out`, linearised at a fit. groups: (b,) group of each block."""
+        """`leave_out` for the optimum of a fit. groups: (b,) group of each block."""
         q = fit.quadratic.summed(self.block, self.blocks)
         return self.leave_out(q, fit.names, fit.vector, fit.indices, groups, at_optimum=True)
 
@@ -390,7 +390,7 @@ class Problem:
 
     def held_out_gain(self, without: Fit, fit: Fit) -> float:
         """Reduction of the held-out loss per residual from a fit without some of the effects to the fit with them.
-        Whole `held_out_groups` are held out."""
+        Each of the `held_out_groups` is held out as a whole."""
         before, after = (self.held_out_loss(each, self.held_out_groups) for each in (without, fit))
         return float((before - after).sum()) / self.residual_count
 

@@ -12,12 +12,12 @@ from ..effects import EFFECT_KINDS
 from .settings import Limits
 
 Outcome = Literal["none", "named", "ambiguous", "several", "varying", "unknown", "not_testable"]
-# Factor from the half-width of a 95 % interval to that at significance level `false_alarm`, for a normal distribution.
+# Half-width of an interval at significance level `false_alarm` divided by that of a 95 % interval, normal distribution.
 WIDENING = float(stats.norm.isf(0.5 * Limits().false_alarm) / stats.norm.isf(0.025))
 OUTCOMES: tuple[Outcome, ...] = ("none", "named", "ambiguous", "several", "varying", "unknown", "not_testable")
 EFFECTIVE = "effective corrections"
 PARTS = (*EFFECT_KINDS, EFFECTIVE, "place or time", "unexplained")
-"""Kinds of cause that the baseline error is divided into (`BudgetLine`)."""
+"""Kinds of cause to which the baseline error is attributed (`BudgetLine`)."""
 Interval = tuple[float, float]
 MODELS = ("base", "model", "named")
 """Fields of `Discovery` that are models and not part of discovery.json."""
@@ -35,7 +35,7 @@ class FittedParameter:
 
 @dataclass(frozen=True)
 class Change:
-    """A held-out error before (base) and after (augmented) a step [unit]. interval: 95 %, of base - augmented."""
+    """A held-out error before (base) and after (augmented) a step [unit]. interval: 95 %, for base - augmented."""
 
     base: float
     augmented: float
@@ -47,7 +47,7 @@ class Change:
 class Step:
     """One step of the waterfall, which adds an effect. parameters: values of this effect after the step. position_5s:
     change of the mean position error after 5 s [m]. channels: change of the root mean square error at the end of the
-    horizon. runs: mean position error after 5 s of each run [m], before and after. All errors are held-out errors."""
+    horizon. runs: mean position error after 5 s by run, before and after the step [m]. All errors are held out."""
 
     effect: str
     kind: str
@@ -59,9 +59,9 @@ class Step:
 
 @dataclass(frozen=True)
 class LocalEstimate:
-    """Estimate of an effect in one run, site, time, place or condition. ratio [1]: this estimate divided by the overall
-    one, possibly negative or above 1; in a `VaryingEffect`, divided by the estimate that differs most from the null.
-    deviation: standard deviation of the ratio."""
+    """Estimate of an effect in one run, site, time, place or condition. ratio [1]: change from the null relative to the
+    overall change, possibly negative or above 1; in a `VaryingEffect`, relative to the largest local change. deviation:
+    standard deviation of the ratio."""
 
     where: str
     ratio: float
@@ -73,8 +73,8 @@ class FoundEffect:
     """One effect of the result. kind: one of EFFECT_KINDS. alternatives: names of effects that the data do not separate
     from it, best first. position_5s_increase [m]: increase of the mean position error after 5 s without it. agreement:
     by partition (run, site, time, place, condition), its value in each part. joint: other effects of the result that
-    cancel it; only the combination of their values is identifiable. channel: the one with the largest relative error
-    reduction, "" if no error is above the noise. share [1]: this reduction divided by the baseline error."""
+    cancel it; only the combination of their values is identifiable. channel: channel with the largest error reduction
+    relative to its baseline error, "" if no error is above the noise. share [1]: this relative reduction."""
 
     name: str
     kind: str
@@ -90,7 +90,7 @@ class FoundEffect:
 @dataclass(frozen=True)
 class Assumed:
     """A quantity of the vehicle file used as a prior: value and standard deviation [unit]. stated: whether the file
-    states the standard deviation; otherwise it is the default of the quantity."""
+    states the standard deviation; otherwise it is the default for the quantity."""
 
     key: str
     unit: str
@@ -125,9 +125,9 @@ class Combination:
 
 @dataclass(frozen=True)
 class ForceCurve:
-    """Lateral force of an axle versus slip angle, within the driven range. slip [rad], >= 0; force, 90 % band low to
-    high, and force of the vehicle file [N]: positive when it opposes positive slip. density: fraction of the driving
-    between two values of slip."""
+    """Lateral force of an axle versus slip angle, within the driven range. slip: slip angle, >= 0 [rad]. force, low,
+    high, file: force, its 90 % band, and force of the vehicle file, positive against the slip [N]. density: fraction of
+    the driving between neighbouring values of slip."""
 
     axle: str
     slip: tuple[float, ...]
@@ -193,7 +193,7 @@ class BudgetLine:
 @dataclass(frozen=True)
 class Power:
     """Probability [1] of detecting an effect of a given size [unit] in these drives. simulated_drives: number of drives
-    simulated for the estimate; 0 for a prediction without simulation."""
+    simulated to estimate it; 0 if it is predicted without simulation."""
 
     effect: str
     parameter: str
@@ -217,9 +217,9 @@ class Certificate:
 
 @dataclass(frozen=True)
 class ErrorCondition:
-    """Condition, time or place in which the error exceeds the floor: the error in the reference drives, or that due to
-    noise alone. channel: one of CHANNELS. excess [1]: ratio of the root mean square error to the floor; interval: 95 %.
-    """
+    """Condition, time or place in which the error exceeds the floor, which is the error in the reference drives or the
+    error due to noise. channel: one of CHANNELS. excess [1]: ratio of the root mean square error to the floor;
+    interval: 95 %."""
 
     channel: str
     condition: str
@@ -247,7 +247,7 @@ class ChannelError:
 @dataclass(frozen=True)
 class NotTestable:
     """An effect that is not detectable in these drives. manoeuvre: a manoeuvre of the catalogue that would show it; ""
-    for none."""
+    if there is none."""
 
     name: str
     reason: str
@@ -256,10 +256,10 @@ class NotTestable:
 
 @dataclass(frozen=True)
 class NextManoeuvre:
-    """The manoeuvre that best separates an effect from its alternatives. name: in the catalogue, and of the scenario of
-    the virtual car. separates: the pair of effects with the smallest separation. strength: separation of this pair
-    [standard deviations] expected after `times` further drives of the manoeuvre. options: strength by manoeuvre.
-    duration [s], speed [m/s]: of one drive."""
+    """The manoeuvre that best separates an effect from its alternatives. name: name in the catalogue, and of the
+    scenario of the virtual car. separates: the pair of effects with the smallest separation. strength: separation of
+    this pair [standard deviations] expected after `times` further drives of the manoeuvre. options: strength by
+    manoeuvre. duration [s], speed [m/s]: of one drive."""
 
     name: str
     separates: tuple[str, str]
@@ -273,8 +273,8 @@ class NextManoeuvre:
 
 @dataclass(frozen=True)
 class Separability:
-    """Separability of two effects in these drives. cosine [1]: cosine similarity of their changes of the errors.
-    strength: size of the part of the first that the second does not explain [standard deviations]."""
+    """Separability of two effects in these drives. cosine [1]: cosine similarity of the error changes that they cause.
+    strength: size of the component of the first that the second does not explain [standard deviations]."""
 
     first: str
     second: str
@@ -301,19 +301,18 @@ class Discovery:
     outcome: none = the residual is near the noise, or not significant; named = one effect; ambiguous = one effect with
     alternatives, or a combination (`known_together`); several = more than one effect; varying = significant, but
     specific to a run, place, time or condition; unknown = a significant residual that no effect of the library
-    explains; not_testable = too little excitation. start: of the search. minor: effects that are in the model, to avoid
-    a bias of the other values, but are not named. varying: significant effects that vary between parts of the drives.
-    effective: corrections that improve predictions without being properties of the car, despite their names; part of
-    the model, never of a vehicle file.
+    explains; not_testable = too little excitation. start: origin of the values at which the search starts. minor:
+    effects that are in the model, to avoid a bias of the other values, but are not named. varying: significant effects
+    that vary between parts of the drives. effective: corrections that improve predictions without being properties of
+    the car, despite their names; part of the model, never of a vehicle file.
 
-    base: the model at the start. model: the one with all effects, which predicts best; None if no effect was found.
-    named: the one with named and minor effects only, at the reported values. steps: from the base to the named effects.
-    errors: of base and best model, by channel and for position_5s. named_errors: the same without the effective
-    corrections. reasons: every rule that decided. leave_one_out: values of the effects by the run left out of the fit.
-    acceleration_gain [1]: relative excess of the measured lateral specific force over that of the motion, due to body
-    roll. noise: error of the best model at the end of the horizon, by channel [SI]. signature: description of the
-    residual. clock_errors: correction of the steering stamps by run [s], see `clocks.clock_corrections`; runs without a
-    correction are not listed.
+    base: the model at the start. model: the model with all effects, which predicts best; None if no effect was found.
+    named: the model with named and minor effects only, at the reported values. steps: from the base to all effects
+    found. errors: errors of the base and the best model, by channel and for position_5s. named_errors: the same
+    without the effective corrections. reasons: all decisions. leave_one_out: values of the effects, by the run left out
+    of the fit. acceleration_gain [1]: relative excess of the measured lateral specific force over the value from the
+    motion, due to body roll. noise: error of the best model at the end of the horizon, by channel [SI]. signature:
+    description of the residual. clock_errors: correction of the steering time stamps [s] of the corrected runs.
     """
 
     outcome: Outcome
@@ -357,13 +356,13 @@ class Discovery:
         return known_together(self.combinations, self.effects)
 
     def document(self) -> dict[str, Any]:
-        """The body of discovery.json: dicts, lists, texts and numbers only."""
+        """The body of discovery.json: only dicts, lists, strings and numbers."""
         return {f.name: plain_data(getattr(self, f.name)) for f in fields(self) if f.name not in MODELS}
 
 
 def known_together(combinations: Sequence[Combination], named: Sequence[FoundEffect]) -> tuple[Combination, ...]:
     """Combinations that differ significantly from the vehicle file and that no named effect changes: all ratios of
-    stiffness to mass; if there are none, the first of understeer gradient and yaw gain; and the total delay."""
+    stiffness to mass or, without any, the first of stability factor and yaw gain; and the total delay."""
     names = {name for e in named for name in (e.name, *e.alternatives)}
     found = [c for c in combinations if c.differs and not names.intersection(c.effects)]
     delay = [c for c in found if c.is_time]

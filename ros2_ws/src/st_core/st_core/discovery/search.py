@@ -19,20 +19,20 @@ from .settings import Limits
 
 CONTENDERS = 4  # effects refitted by simulation in one step
 CONTENDER_SHARE = 0.5  # fraction of the best gain; effects with a smaller gain are not refitted
-JOINT_DEVIATION = 3.0  # parameter scales: prior standard deviation where many effects are fitted at once
+JOINT_DEVIATION = 3.0  # prior standard deviation in a joint fit of many effects [parameter scales]
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
-JOINT_FITS, JOINT_STEP = 4, 0.1  # maximum number of joint fits; they stop at a smaller step [parameter scales]
+JOINT_FITS, JOINT_STEP = 4, 0.1  # maximum number of joint fits; largest step at convergence [parameter scales]
 MAX_EXCHANGES = 3
 
-Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
+Near = tuple[tuple[str, ...], np.ndarray]  # (names of the effects in a set, vector of its fit)
 
 
 @dataclass
 class Found:
-    """State of the search. fit: of the current set. order: names in order of selection. evidence, without, rivals:
-    by effect of the set, its evidence, the fit without it, and the effects tried in its place. refused: by effect tried
-    in addition, (evidence, verdict, fit). cached_scores: of the other effects of the library. near: sets
-    that fit nearly as well, see `_near_sets`.
+    """State of the search. fit: fit of the current set. order: names in order of selection. evidence: by effect of the
+    set. without: fit without each effect of the set. rivals: effects tried in place of each effect of the set. refused:
+    (evidence, verdict, fit) of each effect that was tried in addition and rejected. cached_scores: scores of the
+    effects outside the set. near: sets that fit nearly as well, see `_near_sets`.
     """
 
     fit: Fit
@@ -51,8 +51,8 @@ class Found:
 
 
 class Search:
-    """A search from several starts. partitions: of the driving. sensors: (value, low, high) from redundant sensors, by
-    "effect.parameter". tick: called at every refit. judge: function that gives the verdict on an effect."""
+    """A search from several starts. partitions: partitions of the driving. sensors: (value, low, high) from redundant
+    sensors, by "effect.parameter". tick: called at every refit. judge: function that gives the verdict on an effect."""
 
     def __init__(self, problem: Problem, limits: Limits, partitions: Mapping[str, Partition], sensors: Mapping,
                  seed: int = 0, tick: Callable[[], None] = lambda: None,
@@ -65,7 +65,7 @@ class Search:
         self._fits_tried: list[tuple[np.ndarray, Near, float]] = []
 
     def run(self) -> Found:
-        """Find the best set from three starts: the empty set; the set found from that plus all physical effects; the
+        """Find the best set from three starts: the empty set, the set found from it plus all physical effects, and the
         whole library."""
         p = self.problem
         p.update_design_effect(p.start)
@@ -88,11 +88,11 @@ class Search:
         return found
 
     def _add_partial_rivals(self, found: Found) -> None:
-        """Add a load as a rival that explains a part of softer tyres: drives show only the ratio of stiffness to mass.
+        """Add a load as a rival of lower tyre stiffness, since drives show only the ratio of stiffness to mass.
 
-        The load becomes an alternative to the effects with values nearer to the vehicle file with a load, unless the
-        drives exclude it. Loads tried: the prior standard deviation, then `limits.min_relative_size` parameter scales.
-        Bands of axle forces include the laden car; intervals of values do not, since they apply without a load.
+        Unless the drives exclude the load, it becomes an alternative to each effect that it moves nearer to the vehicle
+        file. Loads tried: the prior standard deviation, then `limits.min_relative_size` parameter scales. Bands of axle
+        forces include the laden car; intervals of values do not, since they apply to the car without a load.
         """
         p, names = self.problem, found.fit.names
         for other in (n for n in p.space.additions if names and n not in names and not p.space.overlaps(n, names)):
@@ -112,8 +112,8 @@ class Search:
                     break
 
     def _with_other(self, fit: Fit, name: str, size: np.ndarray | float) -> Fit:
-        """The fit of the same set with another effect fixed at `size` parameter scales from its start value; with a
-        reference, which frees all parameters, that value is the prior mean."""
+        """The fit of the same set with another effect fixed at `size` parameter scales above its start value. With a
+        reference all parameters are free, and this value is the prior mean."""
         p, own = copy(self.problem), self.problem.space.indices(name)
         p.start = p.start.copy()
         p.start[own] += size * p.space.scale[own]
@@ -123,7 +123,7 @@ class Search:
         return p.refit(p.fit(fit.names, p.all_sensitivities(vector), vector))
 
     def corrections(self, fit: Fit) -> Fit:
-        """The best fit with all effects of `fit`, a fit of another problem, and further ones."""
+        """The best fit with all effects of `fit`, which is from another problem, and further effects."""
         self._required = frozenset(fit.names)
         p = self.problem
         found = self._step_from(p.fit(fit.names, p.all_sensitivities(fit.vector), fit.vector))
@@ -131,8 +131,8 @@ class Search:
         return self._drop_rejected(found).fit
 
     def _near_sets(self, found: Found) -> list[Near]:
-        """Sets that were tried and are worse than the final one by less than the fraction `limits.unexplained_share` of
-        the residual; none if the residual is near the noise."""
+        """Sets tried with a held-out loss per residual less than `limits.unexplained_share` above that of the final
+        set; none if the residual is near the noise."""
         p, limits = self.problem, self.limits
         if max((e.noise_ratio for e in found.evidence.values()), default=0.0) <= limits.max_noise_ratio:
             return []
@@ -140,8 +140,8 @@ class Search:
         return [near for scale, near, loss in self._fits_tried if scale is p.loss.scale and loss < limit]
 
     def _step_from(self, fit: Fit, revisit: bool = False) -> Found | None:
-        """Forward and backward steps until no effect is accepted. None if they lead to a set that another start
-        visited, unless `revisit`."""
+        """Take forward and backward steps until no further effect is accepted. Returns None if they lead to a set that
+        was visited from another start, unless `revisit`."""
         found = Found(fit, list(fit.names))
         path: set[frozenset[str]] = set()
         while True:
@@ -155,20 +155,20 @@ class Search:
             scale = self.problem.loss.scale
             added = self._forward(found) if len(found.fit.names) < self.limits.max_effects else None
             if added is None:
-                self.problem.loss.scale = scale  # as in `found`; refused effects may have changed it
+                self.problem.loss.scale = scale  # `_forward` may have changed it for effects that it refused
                 return found
             found.fit = self._rescale(self._backward(added, found.scores))
             found.order = [n for n in dict.fromkeys((*found.order, *added.names)) if n in found.fit.names]
             found.cached_scores = None
 
     def _rescale(self, fit: Fit) -> Fit:
-        """The fit, repeated with the residual scale and the design effect estimated from its own residuals."""
+        """Repeat a fit with the residual scale and the design effect estimated from its own residuals."""
         self.problem.loss.rescale(fit.vector)
         self.problem.update_design_effect(fit.vector)
         return self.problem.refit(fit)
 
     def _drop_failing(self, fit: Fit) -> Fit:
-        """The fit without the effects that fail the test, removed weakest first."""
+        """Remove the effects that fail the test from a fit, weakest first."""
         while fit.names:
             found = Found(fit, list(fit.names), cached_scores=self._scores(fit))
             weakest = self._weakest_failing(found, self.limits.relevant)
@@ -190,8 +190,8 @@ class Search:
         return fit
 
     def _select(self, candidates: list[Found]) -> Found:
-        """The set with the lowest held-out loss plus `limits.negligible` per effect, at the residual
-        scale and the design effect of the set with the smallest errors."""
+        """The set with the lowest held-out loss plus a penalty of `limits.negligible` per effect and residual, at the
+        residual scale and the design effect of the set with the smallest errors."""
         p = self.problem
         if len(candidates) > 1:
             smallest = min(candidates, key=lambda a: float(np.log(p.loss.scale_of(a.fit.vector)).sum()))
@@ -203,17 +203,17 @@ class Search:
         return min(candidates, key=lambda a: float(a.fit.held_out.sum()) + price * len(a.fit.names))
 
     def _forward(self, found: Found) -> Fit | None:
-        """The fit with the best further effect that is accepted; None if there is none."""
+        """The fit with the best further effect that passes the test; None if there is none."""
         p, limits = self.problem, self.limits
         self.tick()
         found.cached_scores = found.cached_scores or self._scores(found.fit)
         gains = found.scores.gains
         largest = max((gain.sum() for gain, _ in gains.values()), default=0.0)
         relevant = max(limits.negligible * p.residual_count, CONTENDER_SHARE * largest)
-        # A load is tried only in place of an effect that changes predictions similarly.
+        # Additions, such as a load, are tried only as rivals of effects already in the set.
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
                   if gains[e][0].sum() > CONTENDER_SHARE * relevant and e not in p.space.additions]
-        # Significant effects come first: with much noise, others gain more by chance.
+        # Significant effects are preferred: with much noise, others can gain more by chance.
         library = len(p.space.hypotheses)
         significant = [e for e in ranked
                        if library_p_value(found.scores.by_effect[e], gains[e][0], found.scores,
@@ -239,7 +239,7 @@ class Search:
         return self._add_confirmed(found, without, [n for n in gains if n not in fits])
 
     def _add_confirmed(self, found: Found, without: Fit, names: list[str]) -> Fit | None:
-        """The fit with a further effect that redundant sensors confirm, however small its gain; None without one."""
+        """The fit with a further effect that redundant sensors confirm, whatever its gain; None if there is none."""
         for effect in names:
             null = null_by_sensors(self.problem.space, effect, self.sensors)
             if self.problem.prior is not None or null is None or null > self.limits.false_alarm:
@@ -250,8 +250,8 @@ class Search:
         return None
 
     def _refit_with(self, fit: Fit, effect: str, start: np.ndarray, around: Sensitivities | None = None) -> Fit:
-        """A fit with a further effect, from the initial vector `start`, or that of `fit` if its loss is lower. around:
-        sensitivities to use, default those at `fit`."""
+        """A fit with a further effect, from the initial vector with the lower loss: `start` or that of `fit`. around:
+        sensitivities to use, by default those at `fit`."""
         p = self.problem
         self.tick()
         better = p.loss.total(start) < p.loss.total(fit.vector)
@@ -263,7 +263,7 @@ class Search:
         return float((without.held_out - fit.held_out).sum())
 
     def _members_first(self, fits: Mapping[str, Fit], without: Fit) -> list[str]:
-        """Names by gain; a member precedes its composite effect unless the composite is clearly better."""
+        """Names by decreasing gain; a member precedes its composite effect unless the composite is clearly better."""
         gain = {e: self._gain(without, f) for e, f in fits.items()}
         order = sorted(fits, key=lambda e: -gain[e])
         for name in [e for e in order if get_effect(e).members]:
@@ -290,7 +290,7 @@ class Search:
         return evidence(self.problem, without, fit, effect, scores, self.partitions, self.sensors)
 
     def _backward(self, fit: Fit, scores: Scores) -> Fit:
-        """The fit without the effects that are redundant with the others."""
+        """Remove the effects that the others make redundant from a fit."""
         p = self.problem
         while len(fit.names) > max(len(self._required), 1):
             rise = {n: self.predicted_rise(fit, n) for n in fit.names if n not in self._required}
@@ -304,8 +304,8 @@ class Search:
         return fit
 
     def predicted_rise(self, fit: Fit, *names: str, fixed: tuple[str, ...] = ()) -> float:
-        """Increase of the loss if effects are removed from a fit, from the quadratic approximation. fixed: effects that
-        keep their values; the others are refitted."""
+        """Increase of the loss if the effects `names` are removed from a fit, from the quadratic approximation. fixed:
+        effects that keep their values; the others are refitted."""
         p = self.problem
         remaining = tuple(n for n in fit.names if n not in names)
         removed = np.isin(fit.indices, np.setdiff1d(p.space.indices(*names), p.space.indices(*remaining)))
@@ -314,16 +314,16 @@ class Search:
         return _constrained_step(p, fit.quadratic, fit.vector, fit.indices, step, free)[0]
 
     def cancelling(self, fit: Fit, name: str) -> tuple[str, ...]:
-        """Effects of a fit that cancel `name`; the drives show only the sum. Without both, the loss increases by
-        less than `limits.min_rival_gain` times its increase without one of them while the other keeps its value."""
+        """Effects of a fit that cancel `name`, so that the drives show only the sum. Without both, the loss increases
+        by less than `limits.min_rival_gain` times its increase without one while the other keeps its value."""
         def cancels(other: str) -> bool:
             alone = min(self.predicted_rise(fit, name, fixed=(other,)), self.predicted_rise(fit, other, fixed=(name,)))
             return self.predicted_rise(fit, name, other) < self.limits.min_rival_gain * alone
         return tuple(n for n in fit.names if n != name and cancels(n))
 
     def _prune(self, vector: np.ndarray, names: list[str]) -> Fit | None:
-        """Eliminate effects backwards from a joint fit of many effects with a weak prior; None if no effect remains, or
-        if the remaining set was visited before."""
+        """Backward elimination from a joint fit of many effects with a weak prior; None if no effect remains, or if the
+        remaining set was visited before."""
         p = self.problem
         free = np.isin(np.arange(len(p.space)), p.free_indices(names))
         curvature = np.where(free, np.maximum(JOINT_DEVIATION**-2, p.file_curvature), FIXED_CURVATURE)
@@ -362,7 +362,7 @@ class Search:
             if better is None:
                 return found
             further = self._step_from(self._rescale(better), revisit=True)
-            assert further is not None  # may revisit
+            assert further is not None  # because of `revisit`
             further.order = [n for n in dict.fromkeys((*found.order, *further.fit.names)) if n in further.fit.names]
             found = further
         return self._drop_rejected(found)
@@ -378,7 +378,7 @@ class Search:
     def _weakest_failing(self, found: Found, required: float = np.inf) -> str:
         """Fill in `evidence` and `without`, and return the weakest effect that fails the test; "" if none fails.
 
-        required: an effect passes without a refit if its removal raises the loss per residual by three times this.
+        required: an effect passes without a refit if its removal raises the loss per residual by over three times this.
         """
         p = self.problem
         found.cached_scores = found.cached_scores or self._scores(found.fit)
@@ -396,7 +396,7 @@ class Search:
         return min(failing, key=lambda n: found.evidence[n].gain, default="")
 
     def _exchange(self, found: Found) -> Fit | None:
-        """Fill in `rivals`, and return the best fit with one effect exchanged; None if none is significantly better."""
+        """Fill in `rivals`, and return the best significantly better fit with one effect exchanged, else `_merge`."""
         p, better = self.problem, None
         around = p.all_sensitivities(found.fit.vector)
         q = p.quadratic_of_all(found.fit.vector)
@@ -426,8 +426,8 @@ class Search:
         return better or self._merge(found, alternatives)
 
     def _merge(self, found: Found, alternatives: Mapping[str, list[Fit]]) -> Fit | None:
-        """The fit with one effect in place of several, if it explains as much; each effect costs `limits.negligible`.
-        None without one. alternatives: by effect, the fits in which it replaces one other effect."""
+        """The fit with one effect in place of several, if the held-out loss per residual rises by less than
+        `limits.negligible` per effect saved. alternatives: by effect, the fits in which it replaces another effect."""
         for fits in alternatives.values():
             fit = min(fits, key=lambda fit: float(fit.held_out.sum()))
             if len(fits) > 1 and frozenset(fit.names) not in self._visited:
@@ -439,7 +439,7 @@ class Search:
         return None
 
     def _exchange_step(self, q: Quadratic, fit: Fit, names: tuple[str, ...], other: str) -> tuple[float, np.ndarray]:
-        """(increase of the loss, vector) with the effects `names` and `other`, from the quadratic about the fit."""
+        """(increase of the loss, vector) for the effects `names` and `other`, from the quadratic q about the fit."""
         p = self.problem
         indices = np.arange(len(p.space))
         free = np.isin(indices, p.free_indices((*names, other)))
@@ -450,8 +450,8 @@ class Search:
 
 def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, indices: np.ndarray, fixed: np.ndarray,
                       free: np.ndarray) -> tuple[float, np.ndarray]:
-    """(increase of the loss, best step) with the components `free` of the step free and the others as in `fixed`. q:
-    quadratic about the vector, in the parameters `indices`."""
+    """(increase of the loss, best step), with the components `free` of the step optimised and the others as in `fixed`.
+    q: quadratic approximation of the loss about the vector, in the parameters `indices`."""
     d = np.array(fixed)
     h = q.hessian.sum(axis=0) + np.diag(problem.file_curvature[indices])
     g = q.gradient.sum(axis=0) - problem.prior_gradient(vector)[indices]
@@ -463,6 +463,6 @@ def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, indice
 
 
 def no_worse(difference: np.ndarray) -> float:
-    """p-value of the hypothesis that a loss is not higher than another. difference: (b,) of the losses by block."""
+    """p-value of the hypothesis that one loss is not higher than another. difference: (b,) by block."""
     spread = float(difference.std(ddof=1)) * np.sqrt(len(difference)) if len(difference) > 1 else np.inf
     return float(stats.norm.sf(difference.sum() / max(spread, 1e-12)))
