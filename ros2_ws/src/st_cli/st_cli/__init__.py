@@ -1,1 +1,1 @@
-"""The st command: options and messages only."""
+"""The program `st`: commands, options and error messages."""

@@ -1,4 +1,4 @@
-"""Entry point of `st`, which Ctrl-C ends without a traceback even while modules are imported."""
+"""Entry point of `st`; Ctrl-C ends it without a traceback, even while modules are being imported."""
 
 import signal
 

@@ -40,7 +40,7 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
     mapped = alignment.to_reference_ns(signal.other_time_ns - round(signal.latency * 1e9))
     reference, other = (signal.reference_time_ns - zero) * 1e-9, (mapped - zero) * 1e-9
     values = signal.other
-    if "curvature" in signal.name:  # only proportional to the reference, so it is scaled
+    if "curvature" in signal.name:  # a linear function of the reference, to which it is fitted
         known = np.isfinite(signal.reference)
         values = np.polyval(np.polyfit(np.interp(reference[known], other, values), signal.reference[known], 1), values)
     start = -np.inf if whole else _find_most_active(reference, signal.reference, other)

@@ -130,7 +130,7 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
 
 
 MAX_LOG_SCALE = 60.0
-"""Limit of the logarithm of a squared scale, which is finite in floats and far above any prediction error."""
+"""Limit of |log(scale^2)|; scales at the upper limit are finite in floats and far above any prediction error."""
 
 
 def make_half_width_function(band: Band, level: float, vehicle: VehicleParameters,

@@ -1,4 +1,4 @@
-"""Renders the report pages, which load no other file and escape every name."""
+"""Renders the self-contained report pages, in which all names are escaped."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ def columns(head: Sequence[str], rows: Iterable[Sequence[Any]], names: int) -> l
 def template(name: str, **filters: Callable) -> jinja2.Template:
     """Load a template, by its path in this package.
 
-    filters: in addition to `drawing`, an SVG unescaped, and `cells`, the values of a row.
+    filters: added to the filters `drawing`, which inserts an SVG unescaped, and `cells`, the values of a row.
     """
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True,
                                      undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)

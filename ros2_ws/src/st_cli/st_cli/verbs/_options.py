@@ -1,4 +1,4 @@
-"""Defines the options shared by the commands, resolves the car that they name, and reports errors in one line."""
+"""Defines the options shared by the commands, resolves the car from them, and reports errors in one line."""
 
 import inspect
 from collections.abc import Callable, Iterator
@@ -143,7 +143,7 @@ class ReadOptions:
 
     @property
     def steering(self) -> "SteeringField | None":
-        """Place of the steering angle in an external bag or a table; None if no option names it."""
+        """Location and unit of the steering angle in an external bag or a table; None if no option names it."""
         from st_recordings.runs.run_types import SteeringField
 
         if self.steering_topic is None and self.steering_field is None:

@@ -48,7 +48,7 @@ def effects(
 
 
 def _print_library(console: Console) -> None:
-    """One paragraph per effect: a table of eight columns does not fit a terminal."""
+    """Print one paragraph per effect, because a table of eight columns does not fit a terminal."""
     from rich.markup import escape
     from rich.padding import Padding
     from st_core.effects import EFFECTS, confounded_effects

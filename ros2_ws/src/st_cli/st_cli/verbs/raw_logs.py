@@ -62,7 +62,7 @@ def describe_alignment(alignment, start_ns: int, absolute: bool) -> str:
 
 
 def print_alignment(pair, console) -> None:
-    """Print the result: verdict, offset, drift, their deviations, and the signals."""
+    """Print the verdict, offset and drift with their standard deviations, and the signals."""
     from rich.table import Table
     from st_offline.terminal import print_line
 
@@ -104,7 +104,7 @@ def print_alignment(pair, console) -> None:
 
 
 def _seconds(nanoseconds: int) -> str:
-    """Signed seconds with microseconds, without the rounding of a float for an offset of years."""
+    """Signed seconds with six decimals; a float would round an offset of years."""
     seconds, remainder = divmod(abs(nanoseconds), 10**9)
     return f"{'-' if nanoseconds < 0 else '+'}{seconds}.{remainder // 1000:06d}"
 

@@ -1,4 +1,4 @@
-"""Reports tested bands, and the decomposition of the error into causes, as tables and figures."""
+"""Reports the scores of bands, and the shares of causes in the prediction error, as tables and figures."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -106,7 +106,7 @@ def _terminal_tables(top: str) -> dict[str, tuple[str, ...]]:
 
 
 def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Console) -> None:
-    """Print the tables for all runs pooled, in a width of 80 columns.
+    """Print the tables for all runs pooled.
 
     sums: one entry for each run. tested, adaptive: whether bands and adaptive bands were scored.
     """

@@ -34,8 +34,8 @@ from ..terminal import print_line
 
 @dataclass(frozen=True)
 class CalibrationJob:
-    """Options of `st calibrate`. task: car, models and settings of the predictions. levels: probabilities. together:
-    whether the similar recordings of one entry of `runs` count as one run."""
+    """Options of `st calibrate`. task: car, models and settings of the predictions. levels: nominal coverages.
+    together: whether the recordings in one entry of `runs` are dependent and count as one run."""
 
     runs: Sequence[Path]
     task: Task
@@ -71,7 +71,7 @@ def run_command(job: CalibrationJob, console: Console) -> int:
 
 def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Model], recordings: dict[str, str],
                    problems: list[str], console: Console) -> list[ErrorSamples]:
-    """Prediction errors of each run. A run that cannot be used is printed, added to `problems` and left out.
+    """Prediction errors of each run. An unusable run is left out; its problem is printed and added to `problems`.
 
     The files of the used runs are added to `recordings` (sha256 by name).
     """
@@ -115,7 +115,7 @@ def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Mod
 
 
 def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:
-    """Raise RunError if the recording is of a car with another name; its values may have been updated since."""
+    """Raise RunError if the recording is of a car with another name; other values may have been updated."""
     text = recorded_configuration(run.provenance.get("recorded", {})).vehicle
     if text is None:
         return

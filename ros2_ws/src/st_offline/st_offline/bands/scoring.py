@@ -1,4 +1,4 @@
-"""Scores bands with the errors of runs: coverage, interval score, CRPS, sharpness."""
+"""Scores bands against the prediction errors of runs: coverage, interval score, CRPS, half-width."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,7 +10,7 @@ from st_core.log_evaluation import AXES, Block
 from st_core.log_signals import LogSignals
 
 Sums = dict[str, Any]
-MIN_STARTS = 200  # of a cell; with fewer, the standard error of a coverage of 90 % exceeds 2 percentage points
+MIN_STARTS = 200  # in a cell, for a standard error of about 2 percentage points at a coverage of 90 %
 LEVELS = (0.5, 0.9)  # coverage levels in reports
 CONDITION_EDGES = {"speed": (SPEED_EDGES, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION_EDGES, "m/s²"),
                    "steering_activity": (STEERING_RATE_EDGES, "rad/s")}
@@ -18,7 +18,7 @@ _PROBABILITIES = np.concatenate([0.5 - 0.5 * np.array(RELIABILITY)[::-1], [0.5],
 
 
 class Scorer:
-    """Sums of scores of the bands on one run. Errors are rotated into the predicted frame, in which bands are given."""
+    """Accumulates the scores of bands on one run; errors are rotated into the predicted frame of the bands."""
 
     def __init__(self, bands: Bands, signals: LogSignals):
         self._bands, self._signals = bands, signals
@@ -39,14 +39,14 @@ class Scorer:
             self._sums.append({"models": {model: {mode: entry}}})
 
     def sums(self, files: Mapping[str, str]) -> Sums:
-        """Sums over all blocks; known_recordings: files of the run used for calibration. files: sha256 by path."""
+        """Sums over all blocks; known_recordings: files that were used in the calibration. files: sha256 by path."""
         known = set(self._bands.recordings.values())
         return pool_sums([*self._sums, {"known_recordings": [name for name, digest in files.items()
                                                                if digest in known]}])
 
 
 class AdaptiveScorer:
-    """Sums of the coverage of adaptive bands on one run. bands: calibrated bands from which they start, or None."""
+    """Accumulates the coverage of adaptive bands on one run. bands: calibrated bands from which they start, or None."""
 
     LATE = 120.0  # s after the first start; coverage from then on is counted separately
 
@@ -57,7 +57,7 @@ class AdaptiveScorer:
         self._sums: list[Sums] = []
 
     def add(self, starts_ns: np.ndarray, block: Block) -> None:
-        """Add one block of an evaluation; blocks must be added in the order of time."""
+        """Add one block of an evaluation; blocks must be added in time order."""
         if not len(starts_ns):
             return
         self._first = int(starts_ns[0]) if self._first is None else self._first
@@ -91,17 +91,17 @@ def summarise_adaptive(sums: Sums) -> dict[str, Any]:
 
 
 def scored_levels(band: Band) -> list[float]:
-    """Levels to score: LEVELS, or if the runs are too few for the last one, the highest level of the band instead."""
+    """Levels to score: the LEVELS of the band, and its highest level up to the last of LEVELS."""
     return sorted({*(level for level in LEVELS if level in band.factors),
                    max(level for level in band.factors if level <= LEVELS[-1])})
 
 
 def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
-    """Sums over starts with a band. conditions: (n, 4). errors: (n, points after the start, 3), in the predicted frame.
+    """Sums over starts with a band. conditions: (n, 4). errors: (n, points, 3) [m, m, rad], in the predicted frame.
 
-    coverage: number of paths entirely inside, by level; axes: for each axis alone; seconds: inside throughout each
-    second; cells: by speed, lateral acceleration and second. interval_score [m, m, rad]: mean over the horizon, by
-    level and axis. crps [m, m, rad]: mean over the whole seconds. half_width [m, m, rad]: by level, second and axis.
+    coverage: number of paths entirely inside, by level; axes: the same for each axis alone; seconds: number inside
+    throughout each second; cells: the same by speed, lateral acceleration and second. Each [m, m, rad]: interval_score,
+    mean over the horizon; crps, mean over the whole seconds; half_width, at the whole seconds.
     """
     import scoringrules  # slow to import, and needed only where bands are scored
 
@@ -189,7 +189,7 @@ def _add_sums(total: Sums, one: Mapping[str, Any]) -> None:
 
 
 def summarise_bands(sums: Sums) -> dict[str, Any]:
-    """{model: {mode: shares and means}}, None where no start had a band; and the recordings used for calibration."""
+    """models: shares and means by model and mode, None without scored starts; known_recordings: as in `Scorer.sums`."""
     return {"known_recordings": sums.get("known_recordings", []),
             "models": {model: {mode: _summarise_scores(one) for mode, one in modes.items()}
                        for model, modes in sums.get("models", {}).items()}}
@@ -219,7 +219,7 @@ def top_level(by_level: Mapping[str, Any]) -> str:
 
 
 def worst_cell(cells: Mapping[str, Mapping[str, Any]], level: str) -> dict[str, Any] | None:
-    """The cell with at least MIN_STARTS and the lowest coverage at a level; None if there is none."""
+    """The cell with at least MIN_STARTS and the lowest coverage at a level; None without such a cell."""
     known = [(counts["coverage"][level] / counts["starts"], name, counts["starts"]) for name, counts in cells.items()
              if counts["starts"] >= MIN_STARTS and level in counts["coverage"]]
     if not known:

@@ -1,1 +1,1 @@
-"""Checks of recordings: the gate before every verb, and the command `st check`."""
+"""Checks of recordings: the command `st check`, and the check before other commands use a recording."""

@@ -30,7 +30,7 @@ class CheckJob:
     """Options of `st check`.
 
     vehicle: read from vehicle_file; vehicle_is_given: whether the user named that file. output: folder, None for
-    runs/check-<time>. json: replaces check.json in that folder. correction_file: run.yaml to write.
+    runs/check-<time>. json: file instead of check.json in that folder. correction_file: run.yaml to write.
     """
 
     paths: Sequence[Path]

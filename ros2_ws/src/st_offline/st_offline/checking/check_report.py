@@ -1,4 +1,4 @@
-"""Formats the findings of the checks as text, on the terminal, and in check.json (docs/manual/checks.md)."""
+"""Formats the findings of the checks as text, for the terminal and for check.json (docs/manual/checks.md)."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,7 +19,7 @@ from st_recordings.runs.raw import summarise_alignment
 
 from ..terminal import print_line
 
-MAX_ZONE_DEVIATION = 120.0  # s, from a multiple of half an hour, for an offset explained by time zones
+MAX_ZONE_DEVIATION = 120.0  # s; an offset this close to a multiple of half an hour is due to time zones
 MAX_STRETCHES = 4  # time intervals of a finding that are listed
 MAX_LISTED = 3  # findings in a headline
 MAX_RUNS = 8  # runs that are printed one by one; with more, each finding is printed once
@@ -34,7 +34,7 @@ ADVICE_PLACE = {"run.yaml": "in its run.yaml: ", "vehicle": "in the vehicle file
 
 
 def severity_rank(finding: Finding) -> int:
-    """Sort key: errors first; findings of one severity keep their order."""
+    """Sort key of findings: errors, then warnings, then notes."""
     return SEVERITY_ORDER.index(finding.severity)
 
 
@@ -85,7 +85,7 @@ def format_estimate(value: float | None, interval: Sequence[float] | None = None
 
 
 def format_quantity(name: str, value: Sequence[float]) -> str:
-    """Text of an estimate (value, low, high). name: of the finding for this quantity."""
+    """Text of an estimate (value, low, high). name: of the estimate, such as yaw_rate_lag; determines the unit."""
     kind = name.rpartition("_")[2]
     unit = QUANTITY_UNITS.get(name, "s" if kind == "lag" else "1")
     return format_estimate(value[0], value[1:], unit)
@@ -131,7 +131,7 @@ def advise_steering_sign(findings: Iterable[Finding], source: str = "RUN", can: 
 
 
 def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
-    """Sentence on the steering clocks of several runs; for more than two runs, with the range of the offsets."""
+    """Text on the steering clock of each run; the range of the offsets, if more than two are estimated."""
     estimated = [alignment for alignment in alignments.values() if alignment["method"] not in ("none", "by hand")]
     if len(estimated) <= 2:
         return "; ".join(f"{name}: {text}" for name, alignment in alignments.items()
@@ -148,7 +148,7 @@ def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def describe_clock(alignment: Mapping[str, Any]) -> str:
-    """Sentence on the steering clock of a run, from its `summarise_alignment`; empty if there is only one clock."""
+    """Text on the steering clock of a run, from the result of `summarise_alignment`; empty for a single clock."""
     if alignment["method"] == "none":
         return ""
     origin = "set by hand" if alignment["method"] == "by hand" else (
@@ -169,8 +169,8 @@ def _zone_note(offset: float) -> str:
 class CheckedRun:
     """One run of `st check`.
 
-    vehicle_from: file or recording. warnings: of the reader, including the corrections that it applied. files: sha256
-    by name. alignment: from `summarise_alignment`. where: files, folder or run.yaml, as given by the user.
+    vehicle_from: file or recording with the vehicle parameters. duration: [s]. warnings: of the reader, including its
+    corrections. files: sha256 by name. alignment: from `summarise_alignment`. where: files or folder given by the user.
     """
 
     name: str
@@ -185,7 +185,7 @@ class CheckedRun:
 
 
 def findings_as_json(findings: Sequence[Finding]) -> list[dict[str, Any]]:
-    """Findings as JSON values."""
+    """Findings as dicts for a JSON file."""
     return [json_ready(finding.as_dict()) for finding in findings]
 
 
@@ -204,7 +204,7 @@ def _finding_from_json(entry: Mapping[str, Any]) -> Finding:
 
 
 def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str, Any]:
-    """The content of check.json. failed: problem of each run that could not be read."""
+    """The content of check.json. failed: problem by name of each run that could not be read."""
     return {
         "schema": SCHEMA,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -257,7 +257,7 @@ def print_run(run: CheckedRun, console: Console) -> None:
 
 
 def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
-    """Print the runs one by one; of more than MAX_RUNS, print each finding once, with the names of its runs."""
+    """Print each run; for more than MAX_RUNS, print each finding once, with the names of its runs."""
     if len(runs) <= MAX_RUNS:
         for run in runs:
             print_run(run, console)
@@ -276,7 +276,7 @@ def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
 def group_by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
     """Group the findings of several runs: (finding with the largest effect, names of the runs), most severe first.
 
-    A group has one name, one set of channels and one sign, because the text states the side.
+    The findings of a group have the same name, channels and sign of the value, because the text states the sign.
     """
     by_key: dict[tuple[str, tuple[str, ...], bool], list[tuple[Finding, str]]] = {}
     for name, findings in runs.items():

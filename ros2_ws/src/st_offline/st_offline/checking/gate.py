@@ -40,7 +40,7 @@ class RefusedRunError(RunError):
 
 def check_log(log: DriveLog, vehicle: VehicleParameters, auxiliary: AuxiliaryData | None,
               models: Sequence[str | Model] = (), step: float = STEP) -> Checked:
-    """Check a drive. models: are also checked for stable integration with `step` [s]; empty without predictions."""
+    """Check a drive. models: checked for stable integration with `step` [s]; empty if nothing is predicted."""
     checked = check(log, vehicle, auxiliary)
     too_long = step_too_long(models, vehicle, log, step) if models else None
     if too_long is None:
@@ -72,7 +72,7 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
     """
     run = read(RunSource(bag.stem, "bag", (bag,)), settings=settings)
     car, recorded, _ = find_configuration(run.provenance["recorded"], vehicle)
-    # The steering ratio is unknown here, so the steering wheel angle is read with ratio 1 and converted below.
+    # The bag is read before its vehicle is known: a steering wheel angle is read with ratio 1 and converted here.
     steering = settings.steering if settings else None
     log = run.log.with_steering(car) if steering is not None and steering.quantity == "wheel" else run.log
     predictor = recorded.nodes.get("predictor", {})

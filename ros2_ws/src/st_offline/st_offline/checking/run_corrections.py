@@ -33,7 +33,7 @@ def check_file_name(file: Path) -> None:
 def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
     """Text of a run.yaml: comments with the findings, the run as it was read, and its corrections.
 
-    Other advice, and corrections of notes, which are negligible, are only comments. Paths are relative to `file`.
+    Advice of other kinds and for notes, which are negligible, appears in comments only. Paths are relative to `file`.
     """
     corrections: dict[str, Any] = {}
     lines = [HEADER]

@@ -1,1 +1,1 @@
-"""`st discover`: the physical effects that the model lacks, found in recordings; a model file and a page."""
+"""`st discover`: identifies physical effects missing from the model, and writes vehicle file, model file and page."""

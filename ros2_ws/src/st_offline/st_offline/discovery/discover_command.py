@@ -104,7 +104,7 @@ def load_base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) ->
 
 
 def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive]]:
-    """(suspect, reference) drives. Raises ConfigurationError if no suspect drive or no given reference can be used."""
+    """(suspect, reference) drives. Raises ConfigurationError if no suspect, or no given reference, can be used."""
     sources = find_runs(request.runs)
     reference_sources = find_runs(request.reference) if request.reference else []
     if not sources:

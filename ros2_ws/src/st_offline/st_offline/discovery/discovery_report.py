@@ -1,4 +1,4 @@
-"""Writes the results of a discovery: discovery.json (docs/manual/discovery.md), model.yaml, page and terminal."""
+"""Formats the results of a discovery as discovery.json (docs/manual/discovery.md), model.yaml, page and text."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -46,7 +46,7 @@ def document(found: Discovery, request: Request, update: VehicleUpdate | None,
 
 
 def provenance(found: Discovery, request: Request, seconds: Mapping[str, float]) -> dict[str, Any]:
-    """Inputs, settings and versions from which the discovery can be repeated."""
+    """Inputs, settings and versions needed to repeat the discovery."""
     return {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "vehicle": {"name": request.vehicle.name, "file": request.vehicle_file, "hash": request.vehicle.hash},
@@ -66,14 +66,14 @@ def provenance(found: Discovery, request: Request, seconds: Mapping[str, float])
 
 
 def build_model_file(found: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
-    """Model file of the effects that are not in vehicle.yaml; None without any. Effects at neutral values are omitted.
+    """Model file with the effects of `update.model` that are not at their neutral values; None without any.
 
-    If a value is the change from the reference drives, its interval is shifted to the total value.
+    An interval of the change from the reference drives is shifted to the total value.
     """
     intervals: dict[tuple[str, str], Interval] = {}
     for one in found.effects:
         for name, p in one.parameters.items():
-            assert found.named is not None  # it contains the effects
+            assert found.named is not None  # because there are named effects
             total = found.named.values[one.name][name]
             low, high = (total + edge - p.value for edge in p.interval)
             intervals[one.name, name] = (min(low, total), max(high, total))
@@ -212,7 +212,7 @@ MAX_ADVICE = 3  # sentences on the terminal; the page contains all
 
 def print_result(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive], files: Mapping[str, Path],
                  from_cache: bool, console: Console, relation: RelationReport | None = None) -> None:
-    """Print the result, the values of its effects, what to do, and the files.
+    """Print the result, the values of its effects, recommendations, and the files.
 
     recordings: all runs, including those that could not be used. from_cache: whether the result is from the cache.
     relation: result of the search for a relation beyond the library.

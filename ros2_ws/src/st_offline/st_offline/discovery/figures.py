@@ -24,7 +24,7 @@ from .relation_files import full_title
 
 AFTER = MODEL_COLOUR["augmented"]
 HALF_WIDTH = 6.8  # inch; for two figures side by side on the page
-MIN_ASPECT = 0.3  # width / length of a track; for narrower ones, the axes have different scales
+MIN_ASPECT = 0.3  # width / length of a track; the axes of narrower tracks have different scales
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Scene:
 
     @property
     def channel(self) -> str:
-        """Channel whose error exceeds the expected error most."""
+        """Channel with the largest significant excess over the expected error."""
         return report_text.worst_channel(self.found, list(self.before.squares))
 
 
@@ -130,7 +130,7 @@ def draw_axle_curves(scene: Scene) -> PageFigure | None:
 
 
 def draw_maps(scene: Scene) -> PageFigure | None:
-    """Draw the track of one run, coloured by the error of `scene.channel` with the base and the complete model."""
+    """Draw the track of the worst run, and its predictions with base and complete model, coloured by their error."""
     run, errors = _find_worst_run(scene)
     if run is None:
         return None
@@ -277,5 +277,5 @@ def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
 
 
 def display_unit(unit: str) -> tuple[float, str]:
-    """(factor from SI, unit) in which a curve is drawn."""
+    """(factor from SI, unit) for the axis of a curve."""
     return (100.0, "%") if unit == "1" else (quantities.display_factor(unit), quantities.display_unit(unit))

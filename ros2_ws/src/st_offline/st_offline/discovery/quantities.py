@@ -26,7 +26,7 @@ def display_unit(unit: str) -> str:
 
 
 def channel_label(name: str) -> str:
-    """Name of a channel used in reports."""
+    """Name of a channel in reports."""
     return LABELS.get(name, to_words(name))
 
 
@@ -97,7 +97,7 @@ def format_briefly(effect: str, parameters: Mapping[str, FittedParameter]) -> st
 
 
 def format_fitted(name: str, numbers: Mapping[str, float]) -> str:
-    """Values of an effect of unknown uncertainty, to about two significant digits of the deviation from neutral."""
+    """Values of an effect without intervals, to about two significant digits of the deviation from neutral."""
     known = {p.name: p for p in EFFECTS[name].parameters} if name in EFFECTS else {}
     texts = []
     for key, number in numbers.items():
@@ -149,7 +149,7 @@ def axis_label(c: Candidate) -> str:
 
 
 def explain_unit(c: Candidate, vehicle: VehicleParameters) -> str:
-    """Force or moment on this car that corresponds to one unit of y; "" for other terms."""
+    """Force or moment on this car that corresponds to one unit of y; "" if none does."""
     sizes = {"yaw_moment": ("1 rad/s²", f"moment of {vehicle.yaw_inertia:.4g} N m", "yaw inertia"),
              "side_force": ("1 m/s²", f"force of {vehicle.mass:.4g} N", "mass"),
              "front_force": ("1", f"force of {2.0 * vehicle.static_tyre_load_front:.4g} N", "axle load"),

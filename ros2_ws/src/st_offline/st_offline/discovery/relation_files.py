@@ -1,4 +1,4 @@
-"""Writes a proposed relation as an effect file, a model file that uses it, and a part of discovery.json."""
+"""Formats a proposed relation as an effect file, a model file that uses it, and an entry of discovery.json."""
 
 import shutil
 from collections.abc import Sequence
@@ -29,12 +29,12 @@ READING_EXPRESSIONS = {"acceleration_y": "measured.velocity_x * measured.yaw_rat
                        "yaw_rate": "measured.yaw_rate"}
 READING_FIELDS = {"sensor_yaw_rate": "yaw_rate", "sensor_acceleration_y": "acceleration_y",
                  "sensor_velocity_y": "velocity_y", "sensor_heading": "yaw"}
-MAP_QUANTITIES = ("north", "east", "position_x", "position_y")  # fixed to the map
+MAP_QUANTITIES = ("north", "east", "position_x", "position_y")  # relative to the map, not the car
 IMPORTED_OPS = {"east": "absolute, cos, maximum, minimum", "north": "absolute, maximum, minimum, sin"}
 SLIP_HOOK = "slip_angles(slip_front, slip_rear, extra, instant, prepared, theta)"
 FORCE_HOOK = "axle_forces(forces, slip_front, slip_rear, instant, prepared, theta)"
 COMPUTE_FORCES = "front, rear = forces(slip_front, slip_rear, instant)\n        "
-HOOKS = {  # (signature, body) by term
+HOOKS = {  # (signature, body) of the effect's method, by term
     # Steering a wheel to the left reduces its slip to the left.
     "front_steer": (SLIP_HOOK, "return slip_front - {y}, slip_rear"),
     "rear_steer": (SLIP_HOOK, "return slip_front, slip_rear - {y}"),
@@ -188,7 +188,7 @@ def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequenc
                 digests: dict[str, str], folder: Path) -> dict[str, Path]:
     """Write the effect file and the model file that uses it; returns the paths by kind, empty without a relation.
 
-    A relation with the time in the run is not written, because it does not apply to other drives. User-defined effects
+    A relation to the time in the run is not written, because it does not apply to other drives. User-defined effects
     of the model are copied, because a command accepts only one folder of effects.
     """
     relation = found.relation
@@ -214,12 +214,12 @@ def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequenc
     try:
         (folder / "proposed.yaml").write_text(model.to_yaml(), encoding="utf-8")
     finally:
-        unload_folder(str(effects.absolute()))  # a later search of this process does not include it
+        unload_folder(str(effects.absolute()))  # a later search in this process must not include it
     return {"effects": file, "proposed.yaml": folder / "proposed.yaml"}
 
 
 def relation_document(found: RelationSearch) -> dict:
-    """The part `relation` of discovery.json (schema in docs/manual/discovery.md)."""
+    """The entry `relation` of discovery.json (schema in docs/manual/discovery.md)."""
     relation = found.relation
     tried = [{"relation": name, "gain": gain, "p_value": p_value, "detection_limit": found.detection_limits.get(name)}
              for name, (gain, p_value) in found.tried.items()]

@@ -38,9 +38,9 @@ from .vehicle_update import SLIP_SPEED_KEY, VehicleUpdate
 MAX_PARTS = 6  # local estimates of a varying effect listed in a sentence
 MAX_UNDETECTABLE = 4  # effects listed in a sentence; the table contains all
 MAX_KEYS = 3  # keys of a vehicle file listed in a sentence; the table contains all
-MIN_CHANGE = 0.005  # m; if the position error changes less, the channel with the largest change is reported instead
+MIN_CHANGE = 0.005  # m; if the position error changes less, the most reduced channel error is reported instead
 MAX_SEPARATION = 10.0  # standard deviations; larger separations are outside the linear range of the prediction
-MAX_RATIO = 1000.0  # times the expected error; predictions with larger errors have diverged
+MAX_RATIO = 1000.0  # of an error to the expected error; predictions above it have diverged
 Z95 = 1.96
 LIMITS = Limits()
 EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it", "reduces most", "significant in")
@@ -53,7 +53,7 @@ EFFECT_NOTE = ("Errors are those of the complete model on held-out drives; \"wit
 
 
 def name_with_alternatives(found: Discovery, effect: FoundEffect, short: str = "") -> str:
-    """Name and value of an effect and of the alternatives fitted in its place; an added load has an upper limit.
+    """Name and value of an effect and of its alternatives; the value of an added load is reported as an upper limit.
 
     short: replaces the name and value of the effect.
     """
@@ -79,7 +79,7 @@ def effect_rows(found: Discovery) -> list[tuple[str, str, str, str, str]]:
 
 
 def most_reduced_channel(step: Step) -> str:
-    """Text on the channel whose error a step reduces most; "" without a channel."""
+    """The channel with the largest relative error reduction in a step, and the reduction; "" without a channel."""
     ratios = {key: one.augmented / one.base for key, one in step.channels.items() if one.base > 0}
     best = min(ratios, key=ratios.__getitem__, default=None)
     return f"{channel_label(best)} error {100 * (ratios[best] - 1.0):+.0f} %".replace("-", "−") if best else ""
@@ -133,7 +133,7 @@ def _describe_errors(found: Discovery) -> str:
 
 def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[str, Sequence[Finding]]
             ) -> list[tuple[str, str]]:
-    """(heading, text) below the title: residual, inseparable and undetectable effects, recordings, recommendations.
+    """(heading, text) pairs: combinations; residual, inseparable and undetectable effects; recordings; recommendations.
 
     findings: results of the checks, by run.
     """
@@ -156,7 +156,7 @@ def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[st
 
 
 def describe_drives(found: Discovery) -> list[tuple[str, str]]:
-    """(role, names and durations of its runs), for suspect and reference runs."""
+    """(role, text) for suspect and reference runs; the text lists their names and durations."""
     lines = []
     for role in ("suspect", "reference"):
         runs = [run for run in found.runs if run.role == role]
@@ -169,7 +169,7 @@ def describe_drives(found: Discovery) -> list[tuple[str, str]]:
 
 
 def explain_effects(found: Discovery) -> list[str]:
-    """Equation of each effect, with the quantities and effects on which its value depends."""
+    """Equation and signs of each effect, with the quantities and effects on which its value depends."""
     lines = []
     for effect in sort_by_size(found.effects):
         kind = EFFECTS.get(effect.name)
@@ -217,7 +217,7 @@ def describe_certainty(found: Discovery) -> list[str]:
 
 
 def describe_residual(found: Discovery) -> str:
-    """Residual position error, noise floor, and the runs with the largest or increased errors."""
+    """Residual position error, noise floor, the run with the largest error, and the runs with increased errors."""
     position = found.errors.get("position_5s")
     if position is None:
         return ""
@@ -321,7 +321,7 @@ def describe_next_drive(found: Discovery) -> str:
 
 
 def list_priors(found: Discovery) -> list[str]:
-    """Quantities of the vehicle file used as priors, with their standard deviations."""
+    """Quantities of the vehicle file used as priors, except tyre parameters, with their standard deviations."""
     priors = [f"{a.key} {format_estimate(a.value, (a.value - a.deviation, a.value + a.deviation), a.unit)}"
               f"{'' if a.stated else ' (default uncertainty)'}"
               for a in found.assumed if not a.key.startswith("tyre_")]
@@ -330,13 +330,13 @@ def list_priors(found: Discovery) -> list[str]:
 
 
 def format_force_ratio(curve: ForceCurve) -> str:
-    """Ratio of the fitted force to the force of the vehicle file at the largest driven slip, with its 90 % interval."""
+    """Ratio of fitted force to vehicle file force at the largest slip angle driven, with its 90 % interval."""
     force, low, high = (force_curve[-1] / curve.file[-1] for force_curve in (curve.force, curve.low, curve.high))
     return f"{force:.2f} (90 %: {low:.2f} to {high:.2f}) times the vehicle file at {math.degrees(curve.slip[-1]):.1f}°"
 
 
 def describe_effective(found: Discovery) -> list[str]:
-    """Sentence on the effective corrections of the model; none without them."""
+    """Sentence on the effective corrections of the model; empty without any."""
     if not found.effective:
         return []
     position, named = (one.get("position_5s") for one in (found.errors, found.named_errors))
@@ -422,7 +422,7 @@ def recommend(found: Discovery, update: VehicleUpdate | None) -> list[str]:
 
 
 def format_changes(changes: Mapping[str, Sequence[float]]) -> str:
-    """Entries of a vehicle file before and after; in SI units, which are given because the file may use others."""
+    """Entries of a vehicle file before and after a change; with SI units, because the file may use other units."""
     units = {key: VEHICLE_QUANTITIES[key].si_unit.removesuffix("1") for key in changes if key in VEHICLE_QUANTITIES}
     numbers = {key: [f"{x:.0f}" if abs(x) >= 1000.0 else f"{x:.4g}" for x in pair[:2]] for key, pair in changes.items()}
     return ", ".join(f"{key} {' → '.join(pair)} {units.get(key, '')}".rstrip() for key, pair in numbers.items())
@@ -452,6 +452,6 @@ def describe_condition(error: ErrorCondition) -> tuple[str, str]:
 
 
 def worst_channel(found: Discovery, channels: Sequence[str]) -> str:
-    """The channel whose error exceeds the expected error most."""
+    """The channel with the largest significant excess over the expected error; default the first of `channels`."""
     known = [w for w in found.where if w.channel in channels]
     return max(known, key=lambda w: w.interval[0]).channel if known else channels[0]

@@ -1,4 +1,4 @@
-"""Writes the named effects of a discovery into the user's vehicle file, as far as its entries can express them."""
+"""Folds the named effects of a discovery into the entries of the user's vehicle file that can express them."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -28,8 +28,8 @@ from st_recordings.car_skeleton import STABILITY_SPEEDS
 from .drives import Request
 
 HORIZON, STEP = 5.0, 0.05  # s, of the predictions that are compared
-START_INTERVAL = 5.0  # s, between their starts
-MIN_SPEED = 1.5  # m/s, at a start
+START_INTERVAL = 5.0  # s, between prediction starts
+MIN_SPEED = 1.5  # m/s, at the start of a prediction
 POSE_TOLERANCE = 1e-3  # m, rad; predictions that differ less at the end of the horizon count as equal
 MAX_POSITION_DIFFERENCE = 0.02  # m; with a larger mean difference, the effective corrections are dropped
 SIGNIFICANCE_LEVEL = 0.05  # of a paired t-test over the predictions of a drive, which do not overlap
@@ -44,9 +44,9 @@ class VehicleUpdate:
     """A vehicle file with effects folded into its entries, and the model for it.
 
     vehicle, text: updated car and content of vehicle.yaml; original car and "" if vehicle.yaml is not written.
-    model: effects for `vehicle`; a folded effect keeps only a remainder that improves the prediction.
-    folded: effects in vehicle.yaml. not_folded: effects that change predictions when folded, with (before, after) by
-    key. changes: (before, after, low, high) by key, SI.
+    model: augmented model for `vehicle`; a folded effect keeps only its effective correction beyond the named value.
+    folded: effects in vehicle.yaml. not_folded: changes (before, after), by key, of each effect that is not folded
+    because folding would change predictions. changes: (before, after, low, high) by key, SI.
     error: mean held-out position error of the base model after 5 s, (original file, updated file) [m].
     worse: drives with a significantly larger error with the updated file. objections: implausible values of the car.
     required_slip_speed: minimum_slip_speed that the model needs [m/s], 0 if the value in the file is sufficient.
@@ -70,7 +70,7 @@ class VehicleUpdate:
 
 
 def update_vehicle(found: Discovery, request: Request) -> VehicleUpdate | None:
-    """Update from `fold_named_effects` if it improves held-out predictions, else with the original file; None without a
+    """Update from `fold_named_effects`, but with the original file if the updated one predicts worse; None without a
     model."""
     update = fold_named_effects(found, request)
     if update is None or not update.text or update.improves:
@@ -99,7 +99,7 @@ def fold_named_effects(found: Discovery, request: Request) -> VehicleUpdate | No
         try:
             car = fold(request.vehicle, candidate, found.named.values)
             errors = _final_errors(without_effects(found.named, candidate), car, drives)
-        except StCoreError:  # outside the limits of a vehicle file, or not predictable
+        except StCoreError:  # values outside the limits of a vehicle file, or failed predictions
             continue
         if all(a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=POSE_TOLERANCE, equal_nan=True)
                for a, b in zip(errors, expected, strict=True)):
@@ -213,7 +213,7 @@ def without_effects(model: AugmentedModel, effects: Iterable[type[Effect]]) -> A
 
 
 def _final_errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Sequence[DriveLog]) -> list[np.ndarray]:
-    """Pose errors (starts, 3) of each drive at the end of the horizon; `vehicle` converts the steering wheel angle."""
+    """Errors (starts, 3) [m, m, rad] of each drive at the end of the horizon; `vehicle` also converts steering."""
     errors = []
     for drive in drives:
         log = drive
@@ -229,7 +229,7 @@ def _final_errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Seq
 def _confidence_interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                          key: str) -> tuple[float, float]:
     """95 % interval of an entry of the file, from the intervals of the folded effects, assumed to be independent."""
-    assert found.named is not None  # it contains the effects
+    assert found.named is not None  # because there are named effects
     values = {name: dict(entry) for name, entry in found.named.values.items()}
     centre = value_of(fold(vehicle, folded, values), key)
     below = above = 0.0
@@ -251,8 +251,8 @@ def updated_vehicle_text(request: Request, car: VehicleParameters, changes: Mapp
                          source: str, about: Provenance) -> str:
     """The user's vehicle file with these keys replaced; comments and all other entries are unchanged.
 
-    A derived lambda_ky is written only if the edited file would give another value. If no edit of the file yields
-    `car`, the whole file is written anew.
+    A derived lambda_ky is written only if the edited file would result in another value. If the edited file does not
+    load as `car`, a new file is written.
     """
     original = yaml.safe_load(request.vehicle_text)
     derived = [f"{tyre}.lambda_ky" for tyre in TYRES if "lambda_ky" not in original[tyre]]
@@ -274,7 +274,7 @@ def updated_vehicle_text(request: Request, car: VehicleParameters, changes: Mapp
 
 def edit_or_rewrite(text: str, entries: Mapping[str, Callable[[str, float], str]], car: VehicleParameters,
                     tolerance: float) -> str:
-    """A vehicle file with these entries replaced; a new file if the edited one would not be read as `car`.
+    """A vehicle file with these entries replaced; a new file if the edited one does not load as `car`.
 
     tolerance: largest relative difference of a value.
     """
@@ -318,14 +318,14 @@ def _locate_edit(root: yaml.Node, key: str, entry: Callable[[str, float], str]) 
     """(start, end, replacement) of one entry in the text of the file."""
     tyre, _, name = key.rpartition(".")
     section, known = _find_entry(root, tyre) if tyre else root, quantity(key)
-    assert isinstance(section, yaml.MappingNode) and known is not None  # it was read as a vehicle file
+    assert isinstance(section, yaml.MappingNode) and known is not None  # parsed before as a vehicle file
     units, node = known.units, _find_entry(section, name)
     if node is None:
         first = section.value[0][0].start_mark
         unit = next(iter(units))
         gap = ", " if section.flow_style else "\n" + " " * first.column
         return first.index, first.index, f"{name}: {entry(unit, units[unit])}{gap}"
-    # YAML ends a block at the next key; the end of its last value leaves the comments in between untouched.
+    # A YAML block ends at the next key; the edit ends at its last value, to preserve the comments in between.
     last = node if node.flow_style else node.value[-1][1]
     unit = next(value.value for name, value in node.value if name.value == "unit")
     return node.start_mark.index, last.end_mark.index, entry(unit, units[unit])

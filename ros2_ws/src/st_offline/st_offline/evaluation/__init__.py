@@ -1,1 +1,1 @@
-"""`st evaluate`: recordings in, the paper's table and figures out."""
+"""`st evaluate`: makes the table and figures of the paper from recordings."""

@@ -34,7 +34,7 @@ from ..terminal import list_files, print_line, rows_table
 
 REPETITIONS = 5  # measurements of each call
 MIN_MEASUREMENT_TIME = 0.02  # s, processor time
-MAX_BATCH = 960  # predictions; 20 groups of the compiled lanes
+MAX_BATCH = 960  # predictions: 20 groups of the 48 that compiled code advances together
 
 Call = Callable[[], object]
 CallKey = tuple[str, float, str]
@@ -96,7 +96,7 @@ def measure_median_times(calls: Mapping[CallKey, tuple[Call, int]]) -> dict[Call
 LATERAL = 1  # index in (longitudinal, lateral, yaw)
 BAND_LEVELS = (0.9, 0.5)
 WITHIN_SHARE = 0.9  # fraction of the starts that must be within the tolerance
-MIN_STARTS = 100  # of a speed bin, ten seconds of driving at 10 Hz
+MIN_STARTS = 100  # in a speed bin; ten seconds of driving at 10 Hz
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def model_accuracy(runs: Sequence[ErrorSamples], model: str, settings: Evaluatio
     level = next((one for one in BAND_LEVELS if len(runs) >= MIN_RUNS and one <= highest_level(len(runs)) + 1e-9), None)
     width = None
     if level is not None:
-        # The mean includes starts outside the calibration domain.
+        # Starts outside the calibration domain are included in the mean.
         band = calibrate(runs, pair, time, (level,))
         width = tuple(np.mean([band.half_widths(run.conditions, level)[:, at, LATERAL].mean(axis=0) for run in runs],
                               axis=0).tolist())
@@ -152,8 +152,8 @@ def processor_time(cost: Cost) -> float:
 
 def find_cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
                   tolerance: float) -> dict[float, tuple[Key | None, ...]]:
-    """For each speed bin (lower edge [m/s]) and second ahead, the (model, step) with the least processor time whose
-    lateral error is within the tolerance [m] in WITHIN_SHARE of the starts; None if there is none."""
+    """The (model, step) with the least processor time and a lateral error within the tolerance [m] in WITHIN_SHARE of
+    the starts, by speed bin (lower edge [m/s]) for each second ahead; None if no model and step reach it."""
     order = sorted(accuracies, key=lambda key: processor_time(costs[key]))
     speeds = sorted({low for one in accuracies.values() for low in one.within})
     seconds = max((len(one.second) for one in accuracies.values()), default=0)
@@ -175,7 +175,7 @@ class Advice:
 
 
 def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
-    """Print the tables and write advice.csv. Runs that cannot be used are skipped: the evaluation reported them."""
+    """Print the tables and write advice.csv. Unusable runs are skipped; the evaluation has already reported them."""
     with console.status("cost and accuracy of each model and step"):
         advice = measure_runs(sources, task)
     rows = advice_rows(advice.costs, advice.accuracies)
@@ -247,7 +247,7 @@ def vary_step(settings: EvaluationSettings) -> list[EvaluationSettings]:
 
 
 def advice_rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy]) -> list[dict[str, str]]:
-    """One row for each model and step. Costs are also multiples of the lowest cost of the column."""
+    """One row for each model and step. Each cost is followed by its ratio to the lowest cost of the column."""
     least = {kind: min(v for v in (getattr(one, kind) for one in costs.values()) if v is not None)
              for kind in ("floats", "compiled", "batch") if any(getattr(one, kind) for one in costs.values())}
     seconds = max((one.second for one in accuracies.values()), default=())

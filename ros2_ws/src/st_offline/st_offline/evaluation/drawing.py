@@ -69,11 +69,11 @@ def style():
 
 
 def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, caption: str) -> PageFigure:
-    """Save the figure as files, which contain the title, and as SVG for the page, without it; close the figure."""
+    """Save the figure as files with its title and as SVG for the page without it, and close the figure."""
     lines = textwrap.wrap(title, round(TITLE_CHARACTERS * figure.get_figwidth() / WIDTH))
     heading = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontweight="bold", fontsize=10)
-    # The layout is computed once, because it takes longer than the drawing. The engine "none" would still run before
-    # each file, and without an engine the style would set one again.
+    # The layout is computed once, because it takes longer than the drawing. The context and `None` remove the layout
+    # engine, so that it does not run again for each file.
     figure.draw_without_rendering()
     with plt.rc_context({"figure.constrained_layout.use": False}):
         figure.set_layout_engine(None)
@@ -117,7 +117,7 @@ def _round_number(number: re.Match) -> str:
 
 
 def reduce_points(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Reduce a line to at most MAX_POINTS that look the same: the smallest and largest value of each section."""
+    """Reduce a line to at most MAX_POINTS points: the smallest and largest value of each section."""
     if len(time) <= MAX_POINTS:
         return time, values
     edges = np.linspace(0, len(time), MAX_POINTS // 2 + 1).astype(int)

@@ -1,4 +1,4 @@
-"""Divides a drive into its labelled parts, or into detected turns, circles, straights and brakings."""
+"""Divides a drive into its labelled parts, or into detected turns, circles, straights and braking phases."""
 
 import itertools
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from st_core.log import DriveLog
 from st_recordings.runs import Label
 
 GRID_STEP = 0.1  # s
-SMOOTHING = 1.0  # s, moving average; short enough for both sides of a double lane change
+SMOOTHING = 1.0  # s, moving average; short enough to resolve both halves of a double lane change
 STANDSTILL_SPEED = 0.5  # m/s
 # A bend begins above the first limit of curvature or lateral acceleration, and ends below the second limits of both.
 CURVATURE_LIMITS = (0.01, 0.005)  # 1/m

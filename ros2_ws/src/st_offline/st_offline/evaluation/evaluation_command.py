@@ -33,7 +33,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
                 scheduler: str | None, console: Console, tolerance: float | None = None) -> int:
     """Run the command; returns the exit status: 0 if every run was evaluated, else 1.
 
-    over: means or samples, in the table. tolerance: lateral error [m] for the advice on models; None for no advice.
+    over: means or samples, for the table. tolerance: lateral error [m] for the advice on models; None for no advice.
     Raises ConfigurationError, OutputError.
     """
     check_formats(task.formats)
@@ -54,7 +54,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
         print_line(f"[dim]{key}: {escape(value)}[/dim]", console)
     print_tables([report.bands for report in good], task.bands is not None, task.adaptive, console)
     if tolerance is not None:
-        from .advice import advise  # imports take half a second and are needed for advice only
+        from .advice import advise  # the import takes half a second
 
         advise([s for s, report in zip(sources, found, strict=True) if not report.problem], task, tolerance, console)
     for report in good:

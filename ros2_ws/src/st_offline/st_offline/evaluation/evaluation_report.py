@@ -33,7 +33,7 @@ MAX_RUNS = 40  # in the overview figure
 
 @dataclass(frozen=True)
 class Choices:
-    """Settings of the report. over: whether the table is over means or samples."""
+    """Settings of the report. over: means or samples, the statistics in the table."""
 
     task: Task
     over: str
@@ -125,7 +125,7 @@ def write_results(reports: Sequence[RunReport], choices: Choices, title: str) ->
 
 
 def _json_by_line(content: dict[str, Any]) -> str:
-    # A line for each key and each entry of its lists; the `indent` of the json module would be ten times slower.
+    # One line for each key and each list entry; the option `indent` of the json module is ten times slower.
     def line(value: Any) -> str:
         return json.dumps(value, allow_nan=False, ensure_ascii=False)
 
@@ -160,7 +160,7 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
 
 
 def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> PageFigure | None:
-    """Draw the RMSE in hindsight of each model and run, of at most MAX_RUNS with the largest lateral errors."""
+    """Draw the hindsight RMSE of each model, for at most MAX_RUNS runs, those with the largest lateral errors."""
     if not reports:
         return None
     models = list(dict.fromkeys(m for r in reports for m in r.models))
@@ -183,7 +183,7 @@ def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput)
                 sizes = [rmse(report, model, axis) for model in models if model in report.models]
                 axes.plot([min(sizes), max(sizes)], [row, row], color=TEXT, lw=0.6, alpha=0.5, zorder=1)
                 for k, model in enumerate(m for m in models if m in report.models):
-                    # The size of the markers decreases, so that equal values remain visible.
+                    # The marker size decreases from model to model, so that equal values remain visible.
                     axes.plot(sizes[k], row, "o", ms=8 - 2 * k, color=MODEL_COLOUR.get(model, TEXT), mew=0, zorder=2)
             axes.set_xlim(left=0)
             axes.set_xlabel(f"{axis} RMSE, m")
@@ -210,7 +210,7 @@ FORECAST_LABELS = {"forecast": "", "plan": "with the inputs of the plan ", "cour
 
 
 def summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str]:
-    """At most three paragraphs: the errors, the findings of the checks, the clock of the steering."""
+    """At most three paragraphs: the errors, the findings of the checks, the steering clock."""
     models = pool_models([r.models for r in reports])
     best = min(models, key=lambda m: axis_statistics(models, m, "hindsight", "lateral", over)["rmse"] or math.inf)
     held, *ahead = (f"{words}{format_metres(axis_statistics(models, best, mode, 'lateral', over)['rmse'])} m"

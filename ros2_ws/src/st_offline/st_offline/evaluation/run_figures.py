@@ -22,7 +22,7 @@ from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, break_at_gaps, reduc
 POSITIVE_SIDE = {"longitudinal": "ahead", "lateral": "left"}
 AXIS_LABEL = {axis: f"{axis} error, m\n(+ = predicted {side})" for axis, side in POSITIVE_SIDE.items()}
 AXLES = ("front", "rear")
-NOTICEABLE_ERROR = 0.5  # m, the free width on each side of a car in the middle of its lane
+NOTICEABLE_ERROR = 0.5  # m, the lateral clearance of a car in the middle of its lane
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def completed_by_all(evaluation: LogEvaluation) -> np.ndarray:
 
 
 def choose_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarray:
-    """Rows of the complete starts nearest to the times [s]; without times, of four evenly spaced ones."""
+    """Rows of the complete starts nearest to the times [s]; without times, rows of four evenly spaced starts."""
     complete = np.flatnonzero(completed_by_all(evaluation))
     if not len(complete):
         return complete
@@ -153,7 +153,7 @@ def draw_horizon_means(drawing: Drawing) -> PageFigure:
         axes.axhline(0, color=TEXT, lw=0.6)
         for model in drawing.models:
             line = evaluation.errors[model.name, "hindsight"].mean[:, k]
-            # The lines of the linear and the nonlinear model often coincide; the wider one remains visible below.
+            # The linear and nonlinear models often coincide; the wider line of the linear model remains visible.
             width = 2.4 if model.name == "linear" else 1.0
             axes.plot(*_reduce_over_time(evaluation, line), **drawing.line(model.name) | {"ls": "-", "lw": width})
         axes.set_ylabel(AXIS_LABEL[axis])
@@ -187,7 +187,7 @@ def draw_error_against_horizon(drawing: Drawing) -> PageFigure:
                 line = drawing.line(model.name) | ({"ls": ":"} if mode == "forecast" else {})
                 profile = evaluation.errors[model.name, mode].profile_rmse[:, k]
                 axes.plot(evaluation.horizon, profile, **line, lw=width, alpha=alpha)
-        # Logarithmic, because errors of the forecast are many times those in hindsight.
+        # Logarithmic, because forecast errors are many times larger than hindsight errors.
         axes.set_yscale("log")
         axes.set_ylim(bottom=0.01)
         axes.set(xlim=(0, evaluation.horizon[-1]), xlabel="horizon, s", ylabel=f"{axis} RMSE, m")

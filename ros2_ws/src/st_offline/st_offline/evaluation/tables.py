@@ -24,7 +24,7 @@ Entry = dict[str, Any]
 
 
 def summarise_errors(errors: ModelErrors, select: np.ndarray | slice = ALL_ROWS) -> Entry:
-    """Statistics of the means over each horizon and, in `samples`, of all points; None if no start was scored."""
+    """Statistics of the horizon means and, in `samples`, of all points; values are None if no start was scored."""
     complete = errors.complete[select]
     count = int(complete.sum())
     return {
@@ -103,7 +103,7 @@ def _statistics(*values: float) -> Entry:
 
 
 DECIMALS = 2  # centimetres, as in the paper
-MIN_FORECAST_WIDTH = 100  # characters; the table in a narrower terminal has no forecasts
+MIN_FORECAST_WIDTH = 100  # characters; a narrower terminal shows no forecasts
 REPORTED_AXES = ("longitudinal", "lateral")
 NOTE = "mean | max | RMSE over {what}, m; bold: smallest magnitude of each run"
 OVER_LABELS = {"means": "the horizon means", "samples": "all samples of all horizons"}
@@ -197,7 +197,7 @@ Row = dict[str, Any]
 
 
 def write_csv(file: Path, rows: Iterator[Row]) -> None:
-    """Write rows with equal keys; numbers are not rounded, and a cell is empty for None."""
+    """Write rows that have the same keys; numbers are not rounded, and None is written as an empty cell."""
     with file.open("w", newline="") as stream:
         writer = csv.writer(stream)
         for number, row in enumerate(rows):
@@ -205,7 +205,7 @@ def write_csv(file: Path, rows: Iterator[Row]) -> None:
 
 
 def csv_rows(reports: Sequence[Any]) -> dict[str, Iterator[Row]]:
-    """Rows for each run, model and mode, by file name: of the table, and by second, bin and part of the drive."""
+    """Rows of each CSV file by its name: errors by run, model and mode, overall and by second, bin and drive part."""
     bins = (({"run": r.name, "quantity": one["quantity"], "bin": one["label"], "low": one["low"], "high": one["high"]},
              one["models"]) for r in reports for one in r.bins)
     parts = (({"run": r.name, "manoeuvre": one["name"], "start_s": round(one["start"], 3),

@@ -46,7 +46,7 @@ class Task:
     """Settings of an evaluation.
 
     models: by name, or (file name, content) of a model.yaml. starts: times of the predictions drawn in detail [s], ()
-    for automatic ones. folder: of the results; None: nothing is written. formats: of the figures. force: whether to
+    for automatic ones. folder: for the results; None for no files. formats: of the figures. force: whether to
     evaluate runs in which the checks find errors. bands, course: (file name, content). adaptive: whether to test
     adaptive bands. effects: folder of user-defined effects in the model files.
     """
@@ -71,7 +71,7 @@ class RunReport:
 
     problem: why the run was not evaluated; `about` then contains at most the findings of the checks. finding: ranking
     of the models in one sentence. about: provenance, counts, alignment, warnings, findings of the checks. bands: sums
-    of bands.scoring. seconds: wall time by part.
+    of bands.scoring. seconds: wall time [s] of reading, predicting and drawing.
     """
 
     name: str
@@ -177,7 +177,7 @@ def _check_run(source: RunSource, run: LoadedRun, task: Task,
 
 
 def load_models(task: Task) -> list[Model]:
-    """Models of a task. Raises ConfigurationError for an unknown model, an invalid file, or two models of one name."""
+    """Models of a task. Raises ConfigurationError for an unknown model, an invalid file, or a duplicate model name."""
     models: list[Model] = []
     if task.effects:
         load_folder(str(task.effects.absolute()))
@@ -222,7 +222,7 @@ def model_hashes(task: Task, models: Sequence[Model]) -> dict[str, str]:
 
 
 def to_file_name(name: str) -> str:
-    """A name in which all characters other than letters, digits, dot, dash and underscore are replaced."""
+    """The name with characters other than ASCII letters, digits, dot, dash and underscore replaced by underscores."""
     return re.sub(r"[^\w.-]+", "_", name, flags=re.ASCII).strip(".") or "run"
 
 

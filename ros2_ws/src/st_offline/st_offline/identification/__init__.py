@@ -1,1 +1,1 @@
-"""`st identify`: data files in, parameters with uncertainty, figures and a vehicle file out."""
+"""`st identify`: identifies parameters with uncertainty from data files, and writes figures and a vehicle file."""

@@ -1,4 +1,4 @@
-"""Experiments of `st identify` from driving: steering offset and ratio, INS mounting, stiffness, yaw inertia."""
+"""Experiments of `st identify` on recorded drives: steering, INS mounting, cornering stiffness, yaw inertia."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -24,7 +24,7 @@ from ..checking.gate import check_log, refuse_errors
 from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
 from .experiment import Experiment, Setup, format_rounded
 
-MAX_POINTS = 4000  # in a scatter plot; more only make it darker
+MAX_POINTS = 4000  # in a scatter plot; more points would only overlap
 PAPER_COLOUR, FIT_COLOUR = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
 DEG = np.rad2deg(1.0)
 DISPLAY_UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
@@ -79,7 +79,7 @@ def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
 
 
 def draw_stiffness(found: Identification, output: FigureOutput) -> PageFigure:
-    """Draw axle force versus slip angle, as in the paper; for a fit by prediction, also the slopes and 95 % regions."""
+    """Draw axle force versus slip angle as in the paper; for a fit by prediction, also the joint 95 % region."""
     paper = found.figure.get("paper")
     both = ", ".join(f"{axle} {_format_estimate(found[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
     points = "force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
@@ -213,7 +213,7 @@ def drive_experiment(name: str, what: str, needs: str, compute: Callable[..., Id
                      predicts: bool = False) -> Experiment:
     """Experiment that uses recorded drives.
 
-    compute: called with (logs, vehicle), and with the argument `base`, a model, if `predicts`.
+    compute: called with (logs, vehicle) and, if `predicts`, with the model as keyword argument `base`.
     """
     def identify(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
         if not predicts and setup.model is not MODELS["nonlinear"]:
@@ -258,7 +258,7 @@ def compare_stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identif
             comparisons.append(f"The paper's regression gives no {name}: {other.verdict}")
             continue
         text = describe_contradiction(estimate, other.value, other.standard_uncertainty, "the paper's regression")
-        # The regression averages over the curve of the tyre, so a difference of a few per cent is expected.
+        # The regression averages over the nonlinear force curve, so a difference of a few per cent is expected.
         if text and abs(estimate.value - other.value) > MAX_DISAGREEMENT * other.value:
             text += f" {STIFFNESS_ADVICE}"
             verdict = f"{estimate.verdict} Doubtful: {STIFFNESS_ADVICE}"

@@ -1,4 +1,4 @@
-"""Experiments of `st identify`: reading their tables (units in the header, SI inside) and formatting their results."""
+"""Defines the experiments of `st identify`, reads their CSV tables into SI units, and formats their estimates."""
 
 import csv
 import math
@@ -86,7 +86,7 @@ SI_FACTORS = {"kg": 1.0, "n": 1.0, "kn": 1000.0, "m": 1.0, "mm": 0.001, "rad": 1
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of a table by name. numbers: (n,) SI, NaN where a cell is empty. units: in the header. texts: as read."""
+    """Columns of a table by name. numbers: (n,) SI, NaN for an empty cell. units: as in the header. texts: as read."""
 
     file: Path
     numbers: Mapping[str, np.ndarray]

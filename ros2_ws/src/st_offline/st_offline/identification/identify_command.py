@@ -55,7 +55,7 @@ class IdentificationJob:
 
 
 def run_command(job: IdentificationJob, console: Console) -> int:
-    """Run the command; returns the exit status: 0 if something was identified, else 1.
+    """Run the command; returns the exit status: 0 if at least one parameter was identified, else 1.
 
     Raises StCoreError, RunError, OutputError.
     """
@@ -77,7 +77,7 @@ def run_command(job: IdentificationJob, console: Console) -> int:
 
 
 def run_experiment(job: IdentificationJob) -> tuple[Identification, ...]:
-    """Results of the experiment. Messages of errors in the data begin with the files."""
+    """Run the experiment; messages of errors in the data begin with the file names."""
     if job.experiment.files_needed and not job.files:
         raise IdentificationError(f"no files were given; {job.experiment.name} needs {job.experiment.files}")
     try:
@@ -114,7 +114,7 @@ def findings_by_drive(found: Sequence[Identification]) -> dict[str, tuple[Findin
 def provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
     """Provenance of the values: time, experiment, vehicle, files, versions."""
     data = list(job.files)
-    if job.experiment.drives:  # replaces folders by the recordings in them
+    if job.experiment.drives:  # the recordings instead of their folders
         data = [file for source in find_runs(job.files) for file in (*source.files, *source.can)]
     return {
         "created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name,
@@ -143,7 +143,7 @@ def write_results(job: IdentificationJob, found: Sequence[Identification], car: 
 def updated_vehicle_text(file: Path, car: VehicleParameters, found: Sequence[Identification]) -> str:
     """The user's vehicle file with the identified entries replaced; comments and other entries are unchanged.
 
-    If the edited file would not be read as `car`, for example because a derived scale changes, a new file is written.
+    If the edited file does not load as `car`, for example because a derived scale changes, a new file is written.
     """
     keys = [e.parameter for outcome in found for e in outcome.estimates
             if quantity(e.parameter) is not None and e.status != "unidentifiable"]

@@ -174,7 +174,7 @@ def _read_pitch(table: Table, wheelbase: float) -> np.ndarray:
 
 
 def draw_height(found: Identification, output: FigureOutput) -> PageFigure:
-    """Draw rear load versus pitch with the fitted line, and the CG height computed from each row alone."""
+    """Draw rear load versus pitch with the fitted curve, and the CG height computed from each row alone."""
     data, estimate = found.figure, found.estimates[0]
     pitch, lifts = np.degrees(data["pitch"]), np.asarray(data["lifts"])
     with style():
@@ -207,12 +207,12 @@ CG_HEIGHT = Experiment("cg-height", "CG height from the axle-lift test (ISO 1039
 
 
 TYRE_COLUMNS = {"load": ("n", "kn", "kg"), "slip_angle": ("deg", "rad"), "lateral_force": ("n", "kn")}
-# Colours of three loads as in the paper, but darker on white, and of further loads.
+# The first three colours are those of the paper, darkened for a white background.
 LOAD_COLOURS = ("#3baa32", "#1792b5", "#d1048b", "#8c6d1f", "#5a5a5a", "#7e2f8e")
 
 
 def identify_lambda(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
-    """Identify the stiffness scale lambda_ky. files: flat-plank tables for the uncertainty of the tyre, or none."""
+    """Identify the stiffness scale lambda_ky. files: flat-plank tables for the tyre uncertainty, or none."""
     uncertainties = {}
     for table in read_tyre_tables(files) if files else ():
         axle = table.tyre.removeprefix("tyre_")
