@@ -31,7 +31,7 @@ class BusState(StrEnum):
 
     OK = "ok"                        # frames are received
     SILENT = "silent"                # open, no error, but no frame for a while
-    ERROR_PASSIVE = "error-passive"  # after many errors, the controller no longer signals errors on the bus
+    ERROR_PASSIVE = "error-passive"  # after many errors, the controller no longer sends active error flags
     BUS_OFF = "bus-off"              # the controller has disconnected itself
     DOWN = "down"                    # the interface exists but is switched off
     GONE = "gone"                    # no such interface, or it cannot be opened
@@ -65,7 +65,7 @@ class Receiver:
     silence: seconds without a frame after which an open bus counts as silent.
     network_interface: name of the interface, observed because not every socket reports that it is down or removed; ""
     for a bus without one.
-    on_error: called with every exception that a callback or closing the bus raises; none ends the thread.
+    on_error: called with every exception raised by a callback or by closing the bus; such errors do not end the thread.
     """
 
     def __init__(self, open_bus: Callable[[], can.BusABC], on_frame: Callable[[can.Message, int], None], *,

@@ -16,7 +16,7 @@ from .ncom import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS
 EARTH_RATE = 7.2921151467e-5  # rad/s
 # Accuracy of the horizontal speed until the unit sends one [m/s].
 UNKNOWN_SPEED_ACCURACY = 0.14
-# Distance is not integrated across a backward or a longer step of the packet time [s] (joined files, a changed clock).
+# Distance is not integrated across a step of the packet time that is backward or longer than this [s] (joined files).
 LONGEST_STEP = 10.0
 # Two successive steps give the sampling rate if they differ by less than this fraction.
 _STEP_TOLERANCE = 0.01
@@ -24,7 +24,7 @@ _STEP_TOLERANCE = 0.01
 
 @dataclass
 class Settings:
-    """Status values that derived columns depend on, as pairs (index of the first packet they apply to, value).
+    """Status values that derived columns depend on, as pairs (index of the first packet to which it applies, value).
 
     speed_accuracy: 2 sqrt(north^2 + east^2) of the velocity accuracies [m/s], NaN if unknown.  acceleration_filter,
     rate_filter: (cutoff [Hz], damping ratio).
@@ -171,7 +171,7 @@ def _add_filtered(out: dict, columns: Columns, seconds: np.ndarray, settings: Se
 
 def low_pass(seconds: np.ndarray, values: np.ndarray,
              settings: Sequence[tuple[int, float | None, float | None]]) -> np.ndarray:
-    """Values filtered by the second-order low-pass whose settings the unit sends in channels 63 and 74.
+    """Values filtered by the second-order low-pass that the unit configures in channels 63 and 74.
 
         b = (K^2, 2 K^2, K^2) / D,  a = (1, 2 (K^2 - 1) / D, (K^2 - 2 z K + 1) / D),
         K = tan(pi fc / fs),  D = K^2 + 2 z K + 1
@@ -213,7 +213,7 @@ def _without_gravity(columns: Columns, velocity: np.ndarray, heading: np.ndarray
                      acceleration: np.ndarray) -> np.ndarray:
     """Acceleration relative to the ground [m/s^2], vehicle axes (FRD): a = A + R_no^T (g - (2 w_ie + w_en) x v).
 
-    A: specific force. g: gravity. w_ie: angular rate of the earth. w_en: of the local frame moving over the earth.
+    A: specific force. g: gravity. w_ie: earth rate. w_en: transport rate, of the local frame relative to the earth.
     """
     latitude, height = columns.latitude, columns.altitude
     north, east, _ = velocity

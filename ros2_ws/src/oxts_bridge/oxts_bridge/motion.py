@@ -24,7 +24,7 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 FIRST_FIX, GIVEN, UNIT = "first_fix", "given", "unit"
-# A unit sends its local frame about every 200 packets; if none has arrived within this time, it has none [ns].
+# A unit with a local frame sends it about every 200 packets; after this time without one, it is not expected [ns].
 LOCAL_FRAME_TIMEOUT_NS = 10_000_000_000
 
 
@@ -94,7 +94,7 @@ class Attitude:
 
 
 def flu_from_frd(frd: Vector) -> Vector:
-    """A vector given as (forward, right, down) as (forward, left, up)."""
+    """Converts a vector from (forward, right, down) to (forward, left, up)."""
     return frd[0], -frd[1], -frd[2]
 
 

@@ -147,7 +147,7 @@ class OxtsBridge(LifecycleNode):
             self._source.stop()
             self._source = None
 
-    # Packets; everything below runs in the thread of the source.
+    # Packets; the following methods run in the thread of the source.
 
     def _on_data(self, data: bytes, received_ns: int, publish: bool) -> int:
         # A replay sets its own pace, so its receive times do not indicate gaps in the recording.
@@ -228,7 +228,7 @@ class OxtsBridge(LifecycleNode):
 
 
 def check(settings: SimpleNamespace, node_name: str) -> None:
-    """Raises ConfigurationError for a parameter whose value is invalid although it is within its declared range."""
+    """Raises ConfigurationError for a parameter value that is invalid although it is within its declared range."""
 
     def reject(key: str, reason: str) -> None:
         raise ConfigurationError(f"{node_name}.{key}: {reason}")

@@ -1,4 +1,4 @@
-"""Reads NCOM bytes in a thread of its own, from a UDP port or from a file replayed with its recorded timing."""
+"""Reads NCOM bytes in a separate thread, from a UDP port or from a file replayed with its recorded timing."""
 
 import ipaddress
 import socket
@@ -28,7 +28,7 @@ RETRY_PERIOD = 1.0  # s
 # Another sender is accepted after the one in use has been silent for this time [s].
 SENDER_TIMEOUT = 2.0
 _MAX_SENDERS_COUNTED = 16
-# A replay skips longer steps of the recorded time, which come from joined files or a clock that was set [ns].
+# A replay does not wait for longer steps of the recorded time, which come from joined files or a clock change [ns].
 LONGEST_PAUSE_NS = 60_000_000_000
 # A datagram from another port continues the stream only within this time [ms].
 LONGEST_CONTINUATION_MS = 1_000
@@ -114,9 +114,9 @@ class Source(ABC):
 class UdpSource(Source):
     """Receives the datagrams of a UDP port; a port that cannot be opened is retried every second.
 
-    Without a filter, only the first address that sends NCOM is used, so that two units on one network do not mix.
-    Likewise only the first port of that address; datagrams from another port are accepted if they continue the stream
-    (a sender that opens a port per datagram, a restarted relay).
+    Without a filter, only the first address that sends NCOM is used, so that two units on one network do not mix. Of
+    this address, only the first port is used; datagrams from another port are accepted if they continue the stream
+    (from a sender that opens a port per datagram, or a restarted relay).
     """
 
     def __init__(self, address: str, port: int, sender_filter: str, on_data: OnData, on_change: Callable[[], None],

@@ -125,7 +125,7 @@ class NcomParser:
         return None if gps_ms is None else gps_ms * 1_000_000, order
 
     def _event_time(self, packet: Packet, raw: bytes) -> tuple[int | None, int]:
-        """GPS time [ns] of an event, None if the packet has none; and the packet's order."""
+        """GPS time [ns] of an event, None if the packet contains none, and order of the packet."""
         self.counters.triggers += 1
         before, self._last_trigger = self._last_trigger, raw
         gps_ns = channels.trigger_nanoseconds(packet.batch_s) if packet.channel in TRIGGER_CHANNELS else None

@@ -27,7 +27,7 @@ from .runs.errors import RunError
 from .runs.ins_log import SPEEDS
 
 FILL_IN = "FILL_IN"
-"""Placeholder for values that only the owner of the car knows; commands reject files that contain it."""
+"""Placeholder for values that only the owner of the car can give; commands reject files that contain it."""
 MEASUREMENT_HINTS = {
     "mass": "four wheel scales, with driver and equipment",
     "yaw_inertia": "at first from a comparable car, later identified",
@@ -254,7 +254,7 @@ def _find_unfilled_keys(document: Any, top_key: str = "") -> Iterator[str]:
 
 
 def _make_template_row(line: str) -> str:
-    """Makes a line of the vehicle file of a new car from the same line in the file of the Leaf."""
+    """Converts a line of the vehicle file of the Leaf to the template for a new car."""
     row = _VEHICLE_ROW.match(line)
     if row is None:
         return line

@@ -30,9 +30,9 @@ __all__ = ["BagWriter", "Qos", "RecoveryError", "RecoveryReport", "recover"]
 CHUNK_SIZE = 1024 * 1024
 """Bytes that are compressed together; at high data rates a chunk is full before FLUSH_PERIOD has passed."""
 FLUSH_PERIOD = 0.5
-"""Period [s] of writes. A killed process loses at most one second of data, half of it due to delays of the caller."""
+"""Period [s] of writes. A killed process loses up to 1 s of data: this period, plus 0.5 s until the next call."""
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Errors after which the newest chunks are dropped until the index fits; other errors keep all written data."""
+"""Errors after which the newest chunks are dropped until the index fits; after others, all written data are kept."""
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 _MESSAGE_HEAD_LENGTH = 22  # bytes of the head after opcode and length
 
@@ -40,9 +40,9 @@ _MESSAGE_HEAD_LENGTH = 22  # bytes of the head after opcode and length
 class BagWriter:
     """Writes one bag.
 
-    A full or failing disk does not raise an error: the bag is closed at its last whole chunk, `error` gives the reason,
-    and later messages are counted in `lost`. If the directory is renamed or deleted, the file is closed with its index,
-    `error` reports this, and `moved` is set. syncer: synchronises the file with the disk; None without synchronisation.
+    A full or failing disk does not raise an error: the bag is closed after its last complete chunk, `error` gives the
+    reason, and later messages are counted in `lost`. If the directory is renamed or deleted, the file is closed with
+    its index, `error` reports this, and `moved` is set. syncer: synchronises file and disk; None if not requested.
     """
 
     def __init__(self, directory: Path | str, records: Mapping[str, Mapping[str, str]] | None = None,
@@ -53,8 +53,8 @@ class BagWriter:
             directory: must be empty or not exist; nothing is ever overwritten.
             records: MCAP metadata records, name -> {key: text}; short one-line texts also go to `custom_data` of
                 metadata.yaml as "name.key".
-            synced: a separate thread synchronises each chunk with the disk at once, so that a power failure costs
-                only the last second. For live recordings.
+            synced: a separate thread synchronises each chunk with the disk at once, so that a power failure
+                loses only the last second; for live recordings.
 
         Raises:
             OSError: the directory cannot be created, or is not empty (FileExistsError).
@@ -207,14 +207,14 @@ class BagWriter:
         self.error = f"recording stopped: {self.directory} was {state}"
         if folder is None:
             self.lost += self.message_count
-        with contextlib.suppress(OSError):  # `recover` repairs what is missing
+        with contextlib.suppress(OSError):  # `recover` writes a missing index
             if self._messages:
                 self._write_chunk()
             self._finish(folder)
         self._close_file()
 
     def _stop(self, error: OSError) -> None:
-        """Closes the bag at its last whole chunk, and drops more chunks until index and metadata.yaml fit."""
+        """Closes the bag after its last complete chunk, and drops chunks until index and metadata.yaml fit."""
         self.error = f"recording stopped: {error.strerror or error} ({self.path})"
         written = self.message_count
         length = max(self._header_length, self._contents.end_offset())
@@ -246,8 +246,8 @@ class _LockedFile:
 
     def __init__(self, path: Path):
         self.descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
-        # The lock is held until the process ends: `recover` refuses a bag that is still being written.
-        # Some network and USB file systems have no locks; recording continues without one.
+        # The lock lasts until the file is closed or the process ends; `recover` refuses a locked bag.
+        # Some network and USB file systems do not support locks; recording then continues without a lock.
         with contextlib.suppress(OSError):
             fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._length = 0

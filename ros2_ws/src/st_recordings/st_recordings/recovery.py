@@ -1,4 +1,4 @@
-"""Repairs a bag or an MCAP file that a crash, a kill or a full disk cut off.
+"""Repairs a bag or an MCAP file that was truncated by a crash, a killed process or a full disk.
 
 Every complete chunk is kept byte for byte. Missing indexes, summary, footer and metadata.yaml are rebuilt.
 The original is kept as NAME.mcap.cut. A bag that needs no repair is not changed.
@@ -222,7 +222,7 @@ def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, fou
         names = (source.with_name(f"{source.name}.cut{number if number > 1 else ''}") for number in count(1))
         found.original = next(name for name in names if not name.exists())
         try:
-            os.link(source, found.original)  # so that NAME.mcap exists at every moment
+            os.link(source, found.original)  # so that NAME.mcap exists at all times
         except OSError:
             source.rename(found.original)  # no hard links on this file system
     temporary.replace(target)

@@ -22,7 +22,7 @@ _MONTHS = {"jan": 1, "gen": 1, "feb": 2, "fév": 2, "fev": 2, "mar": 3, "mär": 
            "sep": 9, "set": 9, "oct": 10, "okt": 10, "ott": 10, "out": 10, "nov": 11, "dec": 12, "dez": 12, "déc": 12,
            "dic": 12, "juin": 6, "juil": 7}
 _ENGLISH_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
-# A line of candump without -l: " (1436509052.249713)  can0  RX - -  044   [8]  2A 36"; stamps of -t a, -t z or -t A.
+# A line of candump without -l: " (1436509052.249713)  can0  RX - -  044   [8]  2A 36"; stamped by -t a, -t z or -t A.
 _SCREEN_LINE = re.compile(
     r"\s*\((?:(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+)|(\d+\.\d+))\)\s+(\S+)\s+(?:(RX|TX)\s+\S+\s+\S+\s+)?"
     r"([0-9A-F]{3}|[0-9A-F]{8})\s+\[(\d+)\]\s*((?:[0-9A-F]{2}\s*)*|remote request\s*)(?:'.*')?\s*$")
@@ -136,7 +136,7 @@ def _read_asc(lines: Lines, notes: list[str]) -> Any:
     class Reader(base):
         def _extract_header(self) -> None:
             super()._extract_header()
-            if _ASC_STAMP.match(lines.last):  # the header has no last line, so the first frame was consumed
+            if _ASC_STAMP.match(lines.last):  # the end of the header is not marked, so the first frame was consumed
                 lines.unread(lines.last)
 
         def _datetime_to_timestamp(self, text: str) -> float:
@@ -253,7 +253,7 @@ EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSI
 
 
 def is_can_log(file: Path) -> bool:
-    """Whether a file is a CAN log, because other programs also write .log files; True if undecided."""
+    """Whether a file is a CAN log and not a .log file of another program; True if undecided."""
     if file.suffix.lower() != ".log":
         return True
     try:

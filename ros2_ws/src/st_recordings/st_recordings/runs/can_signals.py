@@ -34,7 +34,7 @@ class CanSignals:
     """Decoded signals of a log."""
 
     signals: Mapping[tuple[str, str], Signal]  # by names of signal and message
-    faults: Mapping[str, str]  # message -> description of its faults, with their numbers
+    faults: Mapping[str, str]  # message -> description of its faults, with their counts
     rejected: Mapping[str, np.ndarray] = field(default_factory=dict)  # message -> log times [ns] of rejected frames
 
     def all_of(self, name: str) -> list[Signal]:
@@ -102,7 +102,7 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
 
 
 def _describe_length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: int) -> str:
-    """Describes the frames whose length is not that in the DBC; empty if there are none."""
+    """Describes the frames that do not have the length in the DBC; empty if there are none."""
     found = [f"{format_share(int(count), len(lengths), 'frames')} have {size} bytes"
              for size, count in zip(*np.unique(lengths, return_counts=True), strict=True) if size != spec.dbc.length]
     if not found:
@@ -129,9 +129,9 @@ def find_steering(signals: CanSignals, file: Path | str, table: SignalTable) -> 
 
 def collect_speeds(signals: CanSignals, to_reference: Callable[[np.ndarray], np.ndarray] = np.asarray
                    ) -> tuple[Series | None, Series | None]:
-    """(speed of the car from its wheels, forward speed that the INS sends on CAN); None for a missing one.
+    """(speed of the car from its wheels, forward speed that the INS sends on CAN) [m/s]; None for a missing one.
 
-    to_reference: converts log times to times of the result.
+    to_reference: converts log times [ns] to the clock of the result [ns].
     """
     wheels = {name: (to_reference(signal.time_ns[signal.valid]), signal.values[signal.valid])
               for name in SPEEDS if (signal := signals.first_of(name)) is not None}
@@ -160,7 +160,7 @@ def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
                  values: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, str]:
     """(whether to use each frame of a message, whether each frame is valid, description of the faults).
 
-    payload: (n, 8) bytes. time_ns: log times (n,). values: SI values (n,) by signal of the suite.
+    payload: (n, 8) bytes or wider. time_ns: log times (n,). values: SI values (n,) by canonical signal name.
     """
     n = len(payload)
     keep, valid = np.ones(n, dtype=bool), np.ones(n, dtype=bool)
@@ -198,7 +198,7 @@ def find_plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, v
     in_range = (physical >= signal.minimum) & (physical <= signal.maximum)
 
     def within_reach(frame: np.ndarray | int, reference: np.ndarray | int) -> tuple[np.ndarray, np.ndarray]:
-        """(whether the two frames are close enough in time to be compared, whether they are then within the limit)."""
+        """(whether two frames are close enough in time to be compared, whether they also obey the rate limit)."""
         elapsed_ns = time_ns[frame] - time_ns[reference]
         comparable = (elapsed_ns > 0) & (elapsed_ns <= int(spec.timeout * 1e9))
         reach = signal.max_rate * np.maximum(elapsed_ns * 1e-9, spec.period)

@@ -1,7 +1,7 @@
 """Converts ROS messages between columns of numbers and serialised bytes (CDR), and reads messages of an MCAP file.
 
-Messages of one type have the same byte layout if their texts and the lengths of their sequences are equal. The offset
-of each number follows from the definition and one example, so no Python object per message is needed.
+Messages of one type have the same byte layout if their strings and the lengths of their sequences are equal. The offset
+of each number then follows from the definition and one example, so no Python object per message is needed.
 """
 
 import os
@@ -101,7 +101,7 @@ class Field:
 
 
 class Layout:
-    """Byte layout of the messages of one type that have the texts and sequence lengths of an example.
+    """Byte layout of the messages of one type that have the strings and sequence lengths of an example.
 
     template: the serialised example. fields: path, such as "pose.pose.position.x" -> position of the number. A time is
     one field ("header.stamp"): nanoseconds in columns, sec and nanosec in the message.
@@ -121,7 +121,7 @@ class Layout:
             self._fixed[field.offset : field.offset + field.width] = False
 
     def _walk(self, type_name: str, value: Any, path: str, at: int) -> int:
-        """Adds the fields of a (nested) message at byte `at` of the body; returns the byte of the body at its end."""
+        """Adds the fields of a (nested) message at byte `at` of the body; returns the byte after its end."""
         if type_name in ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"):
             at = _align(at, 4)
             self.fields[path] = Field(at + _ENCAPSULATION, "<i4", 2)
@@ -153,7 +153,7 @@ class Layout:
         return field.offset - _ENCAPSULATION + field.width
 
     def rows(self, n: int, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Serialises n messages, (n, length) uint8; fields without a column have the values of the example.
+        """Serialises n messages to (n, length) uint8; fields without a column have the values of the example.
 
         columns: path -> (n,) or (n, count); times in ns.
         """
@@ -237,7 +237,7 @@ def read_blocks(path: Path, summary: Summary, channels: Collection[int]) -> Iter
 
 
 def _decompress_chunks(stream: BinaryIO, chunks: Sequence[ChunkIndex]) -> Iterator[tuple[ChunkIndex, bytes]]:
-    """Yields chunks with their content. A thread decompresses the next chunk, which releases the GIL."""
+    """Yields chunks with their content while a thread decompresses the next one; decompression releases the GIL."""
     with ThreadPoolExecutor(1) as pool:
         pending: deque[tuple[ChunkIndex, Future[bytes]]] = deque()
         for chunk in chunks:

@@ -36,7 +36,7 @@ UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
 
 
 def normalise(text: str) -> str:
-    """Normal form of a name or unit for comparison: lower case, letters, digits and ° only."""
+    """Normal form of a name or unit for comparison: only lower-case ASCII letters, digits and °."""
     return re.sub(r"[^a-z0-9°]", "", text.lower().replace("µ", "u").replace("μ", "u").replace("²", "2")
                   .replace("º", "°").replace("˚", "°"))
 
@@ -180,7 +180,7 @@ class ColumnSource:
 def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, ColumnSource]:
     """Finds the channels in a header. Raises RunError if a column that the layout names is missing."""
     found: dict[str, tuple[int, ColumnSource]] = {}
-    ambiguous: set[str] = set()  # channels of which two topics have an equally ranked column
+    ambiguous: set[str] = set()  # channels for which two topics have equally ranked columns
     for number, name in enumerate(names):
         if meaning := _identify_channel(name):
             channel, rank, unit = meaning
@@ -210,7 +210,7 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
 
 
 def find_stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
-    """Finds the columns of a ROS stamp: (number of header.stamp.sec or secs, number of nanosec or nsecs); None if there
+    """Finds the columns of a ROS stamp: (index of header.stamp.sec or secs, index of nanosec or nsecs); None if there
     is no such pair."""
     plain = [normalise(name) for name in names]
     for number, name in enumerate(plain):
@@ -222,7 +222,7 @@ def find_stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
 
 
 def _find_column(names: Sequence[str], named: str) -> int | None:
-    """Finds the number of a column by its name: an exact match, or else one that ignores case, then also punctuation,
+    """Finds the index of a column by its name: an exact match, or else one that ignores case, then also punctuation,
     then also the unit. Returns None without a match."""
     for form in (str, str.lower, normalise, lambda name: normalise(_split_name_and_unit(name)[0][0])):
         for number, name in enumerate(names):
@@ -253,7 +253,7 @@ def _make_source(number: int, name: str, channel: str, unit: str | None) -> Colu
 
 
 def _identify_channel(name: str) -> tuple[str, int, str | None] | None:
-    """(channel, rank of the name among those of the channel, stated unit) of a column; None if it is no channel."""
+    """(channel, rank of the name among the names of the channel, stated unit) of a column; None for other columns."""
     # "%time" and "field.x" from `rostopic echo -p`, "vx\\CCP:1" from ETAS, "Speed (m/s) *gps" from RaceChrono
     name = re.sub(r"\\.*$| \*\w+$", "", name.lstrip("%# ").removeprefix("field."))
     for base, unit in _split_name_and_unit(name):
@@ -271,7 +271,7 @@ def _identify_channel(name: str) -> tuple[str, int, str | None] | None:
 
 
 def describe_unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSource]) -> dict[str, str]:
-    """Channel -> message, for each channel whose column is not used because its unit is unknown."""
+    """Channel -> message, for each channel with a column that is not used because its unit is unknown."""
     messages = {}
     for name in names:
         base, unit = _split_name_and_unit(name)[0]

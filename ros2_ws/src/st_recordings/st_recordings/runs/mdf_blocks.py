@@ -43,7 +43,7 @@ class Layout:
     """Layout of the records in an unsorted data group."""
 
     start: int  # position of the first record
-    id_size: int  # bytes of an identifier
+    id_size: int  # bytes of a record identifier
     fixed: dict[int, tuple[int, bool]]  # identifier -> (size [bytes], whether the payload is in a separate record)
     variable: set[int]  # identifiers of these payload records
 
@@ -69,7 +69,7 @@ class _BlockWalk:
     def __init__(self, data: Buffer):
         self._data, self._size = data, len(data)
         self._is_unfinished = data[:8] == _UNFINISHED_MARK
-        # Since MDF 4.10 flags mark the unfinished parts, and asammdf completes these.
+        # Since MDF 4.10, flags mark the unfinished parts, which asammdf completes.
         self._unfinished_parts = struct.unpack_from("<H", data, 60)[0] if data[8:12] >= b"4.10" else 0
         self._visited: set[int] = set()
         self.layouts: list[Layout | None] = []  # one per data group
@@ -81,7 +81,7 @@ class _BlockWalk:
             at = self._data_group(at)
 
     def _block(self, at: int, names: tuple[bytes, ...], links: int = 0, content: int = 0) -> _Block:
-        """Reads the block at a byte. links, content: minimum number of its links and of the bytes of its content."""
+        """Reads the block at byte `at`. links: minimum number of links. content: minimum size of the content [byte]."""
         if at + _HEADER > self._size:
             raise DamageError(f"a block refers to byte {at}, but the file ends at byte {self._size}")
         self._mark_visited(at)
@@ -105,7 +105,7 @@ class _BlockWalk:
         self._visited.add(at)
 
     def _chain(self, at: int, name: bytes) -> None:
-        """Rejects a circular chain of blocks whose content is not read."""
+        """Rejects a circular chain of blocks; follows only the links and does not read the content."""
         while at and at + _HEADER + 8 <= self._size and self._data[at : at + 4] == name:
             self._mark_visited(at)
             at = struct.unpack_from("<Q", self._data, at + _HEADER)[0]
@@ -129,7 +129,7 @@ class _BlockWalk:
         return block.links[0]
 
     def _channel_group(self, at: int, layout: Layout) -> tuple[int, int]:
-        """Adds a channel group to the layout; returns (position of the next group, bytes of the records of this)."""
+        """Adds a channel group to the layout; returns (position of the next group, bytes of its own records)."""
         block = self._block(at, (b"##CG",), links=6, content=32)
         record, count, flags, _, _, size, invalid = struct.unpack_from("<QQHHIII", self._data, block.content)
         if record in layout.fixed or record in layout.variable:
@@ -233,7 +233,7 @@ class _BlockWalk:
 
 
 def end_of_last_frame(data: Buffer, layout: Layout) -> int | None:
-    """Position after the last record of an unfinalised file whose payload is complete; None if there is no such record.
+    """Position after the last record with a complete payload in an unfinalised file; None if there is no such record.
 
     A record consists of an identifier and a fixed number of bytes, or of an identifier, a length and that many bytes.
     """

@@ -1,8 +1,8 @@
 """Reads CANedge2 logs (MDF 4.11) with asammdf, finalised or not, complete or truncated.
 
 There are two layouts. In layout 1 (seen with firmware 01.04), one group contains all buses, each record contains its
-bus, and payloads are in a hidden group (VLSD). In layout 2 (from firmware 01.07), each bus and kind of frame has a
-group, and the records contain the payloads of classic frames.
+bus number, and payloads are in a hidden group (VLSD). In layout 2 (from firmware 01.07), there is a group for each bus
+and kind of frame, and the records contain the payloads of classic frames.
 """
 
 import io
@@ -262,7 +262,7 @@ def _build_frames(name: str, signal: Any, bus: int, start_ns: int, channels: Map
 
 
 def _convert_lengths(stored: np.ndarray, channel: Any) -> np.ndarray:
-    """Converts stored lengths to bytes; the stored number is one of bytes, or a code for a CAN FD length."""
+    """Converts stored lengths, which are numbers of bytes or CAN FD length codes, to numbers of bytes."""
     if channel.conversion is None or not len(stored):
         return FD_LENGTHS[stored & 15] if channel.bit_count <= 4 else stored
     length = np.asarray(channel.conversion.convert(stored.astype(np.int64)))

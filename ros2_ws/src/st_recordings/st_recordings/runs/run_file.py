@@ -73,7 +73,7 @@ def _parse_single_run(path: Path, content: Mapping[str, Any]) -> RunSource:
 
 
 def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
-    """One run per file, with the CAN logs of its stem. NAME.run.yaml has priority for a file NAME.csv."""
+    """One run per file, with the CAN logs of the same stem. NAME.run.yaml has priority for a file NAME.csv."""
     if keys := [key for key in content if key in _KEYS_OF_ONE_RUN]:
         raise RunError(path, f"key {keys[0]} describes one run, but `each` describes several",
                        "write a NAME.run.yaml for this run")

@@ -197,7 +197,7 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
 
 
 def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
-    """Groups bag files drive_0, drive_1, ... of which each begins where the previous one ends."""
+    """Groups bag files drive_0, drive_1, ... if each begins where the previous one ends."""
     groups: list[list[Path]] = []
     for file in sorted(files, key=lambda f: (f.parent, natural_sort_key(f))):
         if groups and _is_continuation(groups[-1][-1], file):
