@@ -50,12 +50,12 @@ class AcrossRuns:
                 "load or the day, or some of the runs are faulty")
 
     def as_dict(self) -> dict[str, Any]:
-        """The content of check.json."""
+        """The entry of this quantity in check.json."""
         return {**asdict(self), "text": self.text}
 
 
 def compare_runs(runs: Sequence[Checked]) -> list[AcrossRuns]:
-    """Comparison of the findings of any run with estimates in at least MIN_RUNS runs, the most frequent first."""
+    """Comparison of the quantities in the findings with estimates in at least MIN_RUNS runs, most reported first."""
     units = {finding.name: finding.unit for run in runs for finding in run.findings if finding.interval is not None}
     compared = []
     for name, unit in units.items():

@@ -52,7 +52,7 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
     """Agreement of two estimates of a quantity; None if they overlap by less than MIN_COMMON_TIME or are constant.
 
     time, measured_time: ascending [s]; values NaN where unknown. cutoff: of the low-pass filter [Hz]. derived_is_angle:
-    whether to compare the rate of `derived`. biased: whether to estimate a bias. expected_lag: without a fault [s].
+    whether to compare the rate of `derived`. biased: whether to estimate a bias. expected_lag: lag without a fault [s].
     """
     if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > MAX_SPAN:
         return None

@@ -1,4 +1,4 @@
-"""Runs all checks of a recording, in an order in which each fault gives one finding."""
+"""Runs all checks of a recording, in an order in which each fault yields only one finding."""
 
 from dataclasses import replace
 
@@ -30,8 +30,8 @@ SensorResult = tuple[Motion, list[Finding], dict[str, Estimate], list[Comparison
 def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: AuxiliaryData | None = None) -> Checked:
     """Findings of one recording.
 
-    The order is: sampling; units, signs and axes; identities that hold for any vehicle (position, yaw, velocity,
-    accelerations, other speeds); comparison with the vehicle. Each check works on a copy without the faults found.
+    The order is: sampling; units, signs and axes; relations valid for any vehicle (position, yaw, velocity,
+    accelerations, other speeds); comparison with the vehicle. Each check works on a copy without the faults already found.
 
     vehicle: None skips the comparison with the vehicle. auxiliary: data recorded in addition to the drive. Never raises
     for the content of a recording: a channel that is too short or too inaccurate gives no finding.
@@ -113,8 +113,8 @@ def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: 
 def _without_sideslip(finding: Finding, motion: Motion) -> Finding:
     """The finding of a drive without velocity_y, without a correction if the unmeasured sideslip explains it.
 
-    Yaw may then be the course. The sideslip at a point l ahead of the rear axle is tau r with tau = l/v - K v, so the
-    yaw rate r lags the course by tau. `sideslip.with_steady_sideslip` corrects that, if l and K are correct.
+    Yaw may then be the course. The sideslip at a point l ahead of the rear axle, which slips by K per lateral
+    acceleration, is tau r with tau = l/v - K v: the yaw rate r lags the course by tau (`sideslip` corrects that).
     """
     if finding.name not in CHANGED_BY_SIDESLIP:
         return finding
@@ -148,7 +148,7 @@ def _check_sensors_at_true_rate(motion: Motion, time_unit: Finding | None,
 
 
 def _check_sensors(motion: Motion, removed: dict[str, float]) -> SensorResult:
-    """Check the identities that hold for any vehicle. removed: see `_removed_factors`."""
+    """Check the relations that are valid for any vehicle. removed: see `_removed_factors`."""
     panels = [position.distance_panel(motion, removed)]
     motion, findings = position.check_lateral_sign(motion)
     found, tolerances = inertial.compare_yaw_rate(motion)
@@ -247,7 +247,7 @@ def _removed_factors(gross: list[Finding]) -> dict[str, float]:
 
 
 def _merge_gross_and_fine(gross: list[Finding], fine: list[Finding], estimates: dict[str, Estimate]) -> list[Finding]:
-    """The findings `gross` of `correct_units` with values refined by the identities, and the other findings `fine`."""
+    """The findings `gross` of `correct_units` with refined values, and the findings `fine` that have other names."""
     fine_names = {finding.name for finding in fine}
     findings = []
     for finding in gross:
@@ -256,7 +256,7 @@ def _merge_gross_and_fine(gross: list[Finding], fine: list[Finding], estimates: 
             findings.append(finding)
             continue
         if advice and finding.name in fine_names:
-            # One correction replaces both: that of the unit or offset, and that of the refined value.
+            # One correction replaces the correction of the unit or offset and its refinement.
             (channel, (key,)), = advice.entry["correct"].items()
             correction = 1.0 / estimate.value if key == "scale" else -estimate.value
             advice = Advice.correct(channel, **{key: float(f"{correction:.6g}")})

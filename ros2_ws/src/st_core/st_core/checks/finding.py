@@ -67,7 +67,7 @@ class Finding:
                 and all(channel.startswith("acceleration") for channel in self.channels))
 
     def as_dict(self) -> dict[str, Any]:
-        """The content of check.json."""
+        """The entry of this finding in check.json."""
         return {**asdict(self), "severity": self.severity.value}
 
 

@@ -1,4 +1,4 @@
-"""Checks of channels against others by kinematic relations that hold for any vehicle.
+"""Checks of each channel against others by kinematic relations that are valid for any vehicle.
 
     r = d(yaw)/dt        a_x = dv_x/dt - v_y r        a_y = dv_y/dt + v_x r
 
@@ -156,14 +156,14 @@ def agreement_panel(found: Agreement | None, tolerances: Tolerances, title: str,
 
 GRAVITY = 9.80665
 GYRO_CUTOFF, ACCELERATION_CUTOFF, SPEED_CUTOFF = 4.0, 1.5, 1.5  # Hz
-GYRO_CORRELATION = 0.9  # of yaw rate and change of yaw; lower if yaw is too coarse to be differentiated
+GYRO_CORRELATION = 0.9  # minimum correlation of yaw rate and change of yaw; it is lower if yaw is coarse
 GYRO_SCALE = 0.02  # 1; the scale of a gyroscope is accurate to 1 %
 GYRO_BIAS = 0.001  # rad/s; twice the bias of a faultless INS
 ACCELERATION_SCALE = 0.35  # 1; roll and pitch of the body change the scale by up to a third
 ACCELERATION_LAG = 0.12  # s; filters of accelerometers cause delays of up to 0.1 s
 ACCELEROMETER_ARM = 1.5  # m between accelerometer and INS point
-SEVERE_ACCELERATION = 0.3  # m/s^2; a road's crossfall of 2.5 % is 0.25
-SPEED_SPREAD = 0.5  # m/s; at constant speed, only slip and noise would be compared
+SEVERE_ACCELERATION = 0.3  # m/s^2; a crossfall of 2.5 % causes a bias of 0.25
+SPEED_SPREAD = 0.5  # m/s; minimum standard deviation; at constant speed, only slip and noise would be compared
 WHEEL_LAG = 0.15  # s; wheel speed signals are averaged over time
 ACCELERATION_FACTORS = {1.0 / GRAVITY: "is its unit g"}
 SPEED_FACTORS = {3.6: "is its unit km/h", 2.23694: "is its unit mph", 1.0 / 3.6: "was it divided by 3.6 twice"}

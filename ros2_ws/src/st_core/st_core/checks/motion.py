@@ -15,8 +15,8 @@ MAX_GAP = 0.25  # s; nothing is integrated across a longer interval between samp
 MOVING = 1.0  # m/s; slower driving is not used
 MIN_DRIVEN_WINDOWS = 5
 MIN_COHERENCE = 0.5  # cosine of the angle between successive displacements: 1 on a straight, 0 for a random walk
-MIN_SPEED_VARIATION = 0.1  # standard deviation of the speed divided by its mean
-MIN_SIGNAL_TO_NOISE = 10.0  # forward velocity divided by the standard deviation of its noise
+MIN_SPEED_VARIATION = 0.1  # minimum standard deviation of the speed divided by its mean
+MIN_SIGNAL_TO_NOISE = 10.0  # minimum forward velocity divided by the standard deviation of its noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +81,8 @@ class Motion:
 
 
 def is_driven(motion: Motion) -> bool:
-    """Whether the car drives, in any units: the direction of travel persists, or the forward velocity far exceeds its
-    noise, and one of the two exceeds MOVING. A parked car with drifting positions meets neither condition."""
+    """Whether the car drives, in any units: the speed from positions or velocity exceeds MOVING, and the direction of
+    travel persists or the forward velocity far exceeds its noise, unlike for a parked car with drifting positions."""
     length = max(1.0, 5.0 * float(np.median(np.diff(motion.time))))
     over = windows(motion.time, length, max(MAX_GAP, 0.5 * length))
     if len(over) < MIN_DRIVEN_WINDOWS:
@@ -218,7 +218,7 @@ def _fit_slope(top: np.ndarray, bottom: np.ndarray) -> float:
             float(np.std(larger)) < 0.5 * abs(float(np.mean(larger)))):
         return float("nan")  # the smaller turn is only bias or noise
     weights, slope = np.ones(len(top)), float("nan")
-    # The prior keeps the intercept small, which a circle does not determine.
+    # The prior limits the intercept, which a drive on a circle does not determine.
     prior = (len(top) * MIN_TURN**2) / max(float(np.square(bottom).mean()), 1e-300)
     for _ in range(8):
         rows = np.array([[weights @ bottom**2, weights @ bottom], [weights @ bottom, weights.sum() + prior]])

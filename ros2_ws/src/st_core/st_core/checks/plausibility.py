@@ -20,17 +20,17 @@ from .finding import Advice, Finding, Severity, merge_findings
 from .motion import MAX_GAP, spans, stretches
 
 STEP_MEDIAN_RATIO = 20.0  # ratio of a large step to the median step; noise and quantisation cause smaller steps
-HALF_WINDOW = 0.1  # s before and after a sample, in which its neighbours lie; at least two updates
+HALF_WINDOW = 0.1  # s; half-width of the window that contains a sample's neighbours; at least 2.5 updates
 MIN_SENTINEL_SAMPLES = 3  # minimum number of samples of one value between two large steps
 MIN_ZERO_TIME = 0.2  # s; minimum duration of the value 0 as a sentinel
-SENTINEL_HOLD_RATIO = 3.0  # ratio of the samples of a sentinel 0 to those for which the channel usually holds a value
+SENTINEL_HOLD_RATIO = 3.0  # minimum number of samples of a sentinel 0, divided by the usual number of equal samples
 MIN_MOVING_SPEED = 1.0  # m/s
 MAX_BAD_SHARE = 0.5  # fraction of implausible samples above which the channel is unusable, and no sample is left out
 NOTE_SHARE = 0.01  # largest fraction of spikes that is reported as a note only
-WRAP_LIMIT = 0.3  # ratio to the largest plausible step; smaller wraps cannot be distinguished from real changes
-WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # of the size of a wrap: largest deviation of a step, and largest sum of its ends
+WRAP_LIMIT = 0.3  # minimum wrap, divided by the largest plausible step; smaller wraps resemble real changes
+WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # largest deviation of a step, and largest sum of its ends, divided by the wrap
 MAX_WRAPPED_SHARE = 0.2  # fraction of wrapped samples above which the true range is uncertain
-MAX_NET_CHANGE = 0.5  # ratio of net change to sum of |steps| of a stretch: 1 for a turn in another unit, 0 for noise
+MAX_NET_CHANGE = 0.5  # largest ratio of net change to sum of |steps| in noise; 1 for a turn in another unit
 JUMP_RATIO = 30.0  # ratio of a jump to the 90th percentile of all steps; at most 15 in seventeen real drives
 MAX_REVERSAL_ERROR = 0.3  # rad; largest difference of a yaw jump from pi that counts as a reversal of the heading
 MIN_SAMPLES = 20
@@ -63,9 +63,9 @@ CHANNELS: Mapping[str, ChannelLimits] = {
 
 @dataclass(frozen=True)
 class _Channel:
-    """One channel without NaN samples. rows: indices of its samples in the log. step: |change| from each sample to the
-    next. median_step: median of the steps that are not 0. gap: whether a gap precedes the next sample. update: usual
-    time between changes of the value [s]."""
+    """One channel without NaN samples. rows: indices (n,) of its samples in the log. step: |change| from each sample to
+    the next, (n - 1,). median_step: median of the steps that are not 0. gap: whether each step spans a gap, (n - 1,).
+    update: usual time between changes of the value [s]."""
 
     name: str
     limits: ChannelLimits
@@ -129,8 +129,8 @@ def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
     """(mask (n,) of the samples of one channel to leave out, the findings).
 
     name: a key of CHANNELS. time: (n,) ascending [s], with the zero of the times in the findings. values: (n,), NaN
-    where unknown; yaw unwrapped. moving: (n,) whether the car moves. The mask is empty if more than half the samples
-    are implausible.
+    where unknown; yaw unwrapped. moving: (n,) whether the car moves. The mask is False throughout if more than
+    half the samples are implausible.
     """
     bad = np.zeros(len(values), bool)
     channel = _make_channel(name, time, values)
@@ -197,8 +197,8 @@ def _find_jumps(channel: _Channel, large: np.ndarray, implausible: np.ndarray) -
 
 
 def _find_wraps(channel: _Channel) -> np.ndarray:
-    """Samples on the wrong side of wrap-arounds, which are steps of one size R from about R/2 to about -R/2 or back. On
-    the right side the channel is nearest to 0."""
+    """Samples displaced by wrap-arounds, which are steps of one size R from about R/2 to about -R/2 or back. The level
+    nearest to 0 is taken as the true one."""
     smallest = max(WRAP_LIMIT * channel.limits.step, STEP_MEDIAN_RATIO * channel.median_step)
     places = np.flatnonzero((channel.step > smallest) & ~channel.gap)
     if len(places) < 2:

@@ -1,4 +1,4 @@
-"""Checks of positions against velocity and yaw, by an identity that holds for any vehicle:
+"""Checks of positions against velocity and yaw, by an identity that is valid for any vehicle:
 
     p(t2) - p(t1) = integral of R(yaw) v dt
 
@@ -29,7 +29,7 @@ ITERATIONS = 3
 MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25
 MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations above which the one with the smaller loss is preferred
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign: RTK noise is 1 cm
-MAX_SIGN_MISFIT_RATIO = 1.2  # ratio of the misfits of both explanations, opposite sign and other cause, if both fit
+MAX_SIGN_MISFIT_RATIO = 1.2  # largest ratio of the misfits with opposite sign and with another cause, if both fit
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a projection on a spherical earth
 MIN_VELOCITY_BIAS = 0.05  # m/s; INS velocities are accurate to 0.03
@@ -84,10 +84,10 @@ def residual_regression(motion: Motion) -> Regression:
 
 
 def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
-    """(motion corrected for the causes found, the findings, an estimate of every cause as the value of its finding)."""
+    """(motion corrected for the causes found, the findings, an estimate of every cause as its finding reports it)."""
     found: dict[str, Estimate] = {}
     corrected = motion
-    for _ in range(ITERATIONS):  # a large cause is nonlinear and biases the others until it is corrected
+    for _ in range(ITERATIONS):  # the effect of a large cause is nonlinear and biases the other estimates
         problem = residual_regression(corrected)
         if len(problem.time) < MIN_WINDOWS:
             return motion, [], {}
@@ -151,7 +151,7 @@ def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
     misfits = []
     for name in problem.columns.keys() - {*AXES, *BIASES, "velocity_scale"}:
         theta, scale, _ = problem.fit(("x_scale", "y_scale", name))
-        # v_y is mostly d times the yaw rate, so a wrong sign resembles a reference point 2 d away.
+        # v_y is mostly the yaw rate times a distance d, so a wrong sign resembles a reference point 2 d away.
         size, along = abs(reference), theta[name] * np.sign(reference)
         if name != "position_reference" or not 0.75 * size < along < 1.33 * size:
             misfits.append(scale)
@@ -208,7 +208,7 @@ def _find_causes(problem: Regression, free: dict[str, float], always: tuple[str,
 
 
 def _combine_scales(problem: Regression, causes: dict[str, Estimate], always: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of the causes, with equal scales of both axes, or of the only axis driven, attributed to the velocity.
+    """Names of the causes, with equal scales of both axes, or that of the only axis driven, attributed to velocity.
 
     An equal scale error of both axes of satellite positions is far rarer than a scale error of the velocity.
     """
@@ -227,7 +227,7 @@ def _combine_scales(problem: Regression, causes: dict[str, Estimate], always: tu
 
 
 def _estimate_all(problem: Regression, found: dict[str, Estimate]) -> dict[str, Estimate]:
-    """Estimate of each cause, fitted together with the causes found, as the value of its finding."""
+    """Estimate of each cause, fitted together with the causes found, as its finding reports it."""
     estimates = {}
     for name in problem.columns:
         alongside = tuple(other for other in found if other != name and other not in CONFOUNDED.get(name, ()))
@@ -254,7 +254,7 @@ def _make_finding(name: str, cause: Estimate, problem: Regression) -> Finding:
 
 
 def _as_reported(name: str, cause: Estimate) -> Estimate:
-    """Estimate of a cause as the value of its finding (a faultless scale is 1), systematic uncertainty included."""
+    """Estimate of a cause as its finding reports it: a faultless scale is 1; systematic uncertainty is included."""
     if name == "velocity_scale":
         return with_systematic(name, cause.shifted(1.0).inverse())
     return with_systematic(name, cause.shifted(1.0) if name.endswith("_scale") else cause)

@@ -1,4 +1,4 @@
-"""Checks of how each channel was sampled: time stamps, gaps, held, frozen, clipped and rounded values, INS status."""
+"""Checks of sampling (time stamps, gaps, held, frozen, clipped and rounded values) and of the INS status."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -13,20 +13,20 @@ UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
 STEERING = ("road_wheel_angle", "steering_wheel_angle")
 STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}
-"""Channels affected by wrong time stamps of a signal."""
-MIN_HELD_SHARE = 0.7  # minimum fraction of the samples held for the usual number of samples, in a held channel
+"""Channels that wrong time stamps affect, by signal."""
+MIN_HELD_SHARE = 0.7  # minimum fraction of a held channel's samples that lie in runs of the usual length
 MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, and by 0.5 m on average
 NOTE_SHARE = 0.01  # largest fraction of faulty rows that is reported as a note only
-MAX_GAP_SHARE = 0.05  # fraction of the time lost in gaps; above it, whole driving conditions may be missing
+MAX_GAP_SHARE = 0.05  # fraction of the time in gaps above which whole driving conditions may be missing
 MIN_ROWS_PER_SAMPLE = 1.5  # minimum sampling interval, in rows, of a sensor that is slower than the rows
-SPACING_TOLERANCE = 0.05  # relative error of such a sensor's mean sampling interval; a gap would increase the mean
+SPACING_TOLERANCE = 0.05  # largest relative error of such a sensor's mean sampling interval; gaps increase the mean
 MIN_FREEZE_TIME = 1.5  # s; minimum duration of a frozen value
 MIN_CLIP_TIME = 0.3  # s; minimum duration of a clipped value
-MIN_CURVATURE_CHANGE = 0.1  # relative change of the curvature while a clipped steering angle is constant
-CLIP_RATIO = 8.0  # number of samples at the clipped value divided by the number at each adjacent value
-FREEZE_PAUSE_RATIO = 10.0  # duration of a frozen value divided by the channel's usual time without a change
+MIN_CURVATURE_CHANGE = 0.1  # minimum relative change of the curvature while a clipped steering angle is constant
+CLIP_RATIO = 8.0  # minimum number of samples at a clipped value, divided by the number at each adjacent value
+FREEZE_PAUSE_RATIO = 10.0  # minimum duration of a frozen value, divided by the channel's usual time without a change
 DISPENSABLE_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # not needed to score predicted paths
-MAX_STEP_RATIO = 1.5  # sampling interval divided by its median; in a longer interval a sample is lost
+MAX_STEP_RATIO = 1.5  # largest ratio of a sampling interval to the median; in a longer interval a sample was lost
 MAX_GYRO_BIAS = 0.02  # rad/s; a constant yaw counts as frozen only if the yaw rate is larger
 
 
@@ -58,7 +58,7 @@ def _channel_series(motion: Motion, name: str) -> tuple[np.ndarray, np.ndarray |
 def resolution(time: np.ndarray, values: np.ndarray) -> float:
     """Quantisation step of values, in their unit; 0 if they are not quantised. time: ascending [s].
 
-    Steps across lost samples are ignored, because in a uniform motion they are multiples of one step.
+    Steps across lost samples are ignored, because in uniform motion they are multiples of a step without quantisation.
     """
     if len(values) < 2:
         return 0.0
@@ -69,7 +69,7 @@ def resolution(time: np.ndarray, values: np.ndarray) -> float:
         return 0.0
     smallest = float(np.percentile(steps, 2))
     multiples = steps / smallest
-    # A uniform motion without noise has equal steps, too; rounded values also repeat, or step by different multiples.
+    # Uniform motion without noise also has equal steps, but rounded values repeat or step by different multiples.
     if all_change and float(np.ptp(multiples)) < 0.5:
         return 0.0
     grid = np.abs(multiples - np.round(multiples)) < 0.1
@@ -80,7 +80,7 @@ def resolution(time: np.ndarray, values: np.ndarray) -> float:
 def check_timing(motion: Motion, auxiliary: AuxiliaryData, left_out: Sequence[Finding] = ()) -> list[Finding]:
     """Findings about time stamps, gaps and missing values.
 
-    left_out: findings about samples that were removed; the intervals without them do not count as gaps.
+    left_out: findings about samples that were left out; the resulting intervals do not count as gaps.
     """
     findings = []
     for signal, stamps in auxiliary.stamps.items():
@@ -95,7 +95,7 @@ def check_timing(motion: Motion, auxiliary: AuxiliaryData, left_out: Sequence[Fi
 def _missing_values_finding(channel: str, count: int, motion: Motion, auxiliary: AuxiliaryData) -> Finding:
     time, signal = (motion.steering_time, "steering") if channel in STEERING else (motion.time, "INS")
     rows = auxiliary.stamps.get(signal, auxiliary.stamps.get("INS", np.zeros(0)))
-    if channel.startswith("acceleration"):  # rows without an acceleration are kept, rows without another value are not
+    if channel.startswith("acceleration"):  # a row that lacks only an acceleration is kept
         share, rate = count / max(len(time), 1), 0.0
     else:
         share = count / max(len(time) + count, 1)
@@ -204,7 +204,7 @@ def find_stuck_channels(motion: Motion, channels: Mapping[str, Channel]) -> list
 
 
 def find_coarse_channels(motion: Motion, stuck: Sequence[Finding]) -> list[Finding]:
-    """Findings of channels rounded so coarsely that initial states have a relevant error, except held channels."""
+    """Findings of channels, other than held ones, rounded so coarsely that the initial state has a relevant error."""
     held = {channel for finding in stuck if finding.name == "samples_repeated" for channel in finding.channels}
     speed = float(np.median(motion.speed))
     return merge_findings([finding for name in POSITION_EFFECT if name not in held
@@ -236,7 +236,7 @@ def _check_held(name: str, time: np.ndarray, values: np.ndarray) -> list[Finding
 def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, step: float) -> list[Finding]:
     """Finding of a channel that stays at its largest or smallest value several times, while other channels change.
 
-    A rounded maximum is reached slowly: the value below it is held almost as long.
+    A rounded signal also repeats its maximum, but repeats the adjacent value almost as often.
     """
     first, lengths = _constant_runs(values)
     last = first + lengths - 1
@@ -311,11 +311,11 @@ def _smooth_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.concatenate([rate, np.full(len(time) - len(rate), rate[-1] if len(rate) else 0.0)])
 
 
-# Position error after the horizon per unit of error of the initial state, and whether the speed multiplies it.
+# Position error [m] after the horizon per unit of error of the initial state, and whether the speed multiplies it.
 POSITION_EFFECT = {
     "x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
     "velocity_y": (LIMITS.settling * HORIZON, False), "yaw_rate": (LIMITS.settling * HORIZON, True)}
-# By channel: a quantity computed from other channels, and its change [unit] above which the channel must change too.
+# By channel: a quantity derived from other channels, and its change [SI] above which the channel must change too.
 RELATED_RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
     "velocity_x": (lambda m: np.hypot(_smooth_rate(m.time, m.x), _smooth_rate(m.time, m.y)), 0.3),
     "velocity_y": (lambda m: m.yaw_rate, 0.05),

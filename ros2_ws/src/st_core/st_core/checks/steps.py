@@ -69,11 +69,11 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     spread = SIGMA_PER_MAD * float(np.median(np.abs(age[known][small]))) if small.any() else np.inf
     speed = motion.speed[1:]
     across = np.sqrt(np.maximum(np.abs(errors) ** 2 - np.where(known, along * speed, 0.0) ** 2, 0.0))
-    # At low speed, noise of the position is an age of many milliseconds. It is as large across the track as along it.
+    # At low speed, position noise resembles an age of many milliseconds, but is as large across the track as along it.
     noise = SIGMA_PER_MAD * float(np.median(across[known]))
     large = (known & (np.abs(age) > max(OUTLIER_SIGMAS * spread, 0.15 * spacing))
              & (np.abs(age) * speed > OUTLIER_SIGMAS * noise))
-    # Stale samples cause steps along the track only, jumps in any direction.
+    # Stale samples cause steps along the track only, whereas jumps have any direction.
     if large.sum() < MIN_STALE_SAMPLES or np.median(across[large]) > MAX_CROSS_TRACK_SHARE * np.median(
             np.abs(errors[large])):
         return none, []

@@ -96,7 +96,7 @@ def _is_worse(before: float, after: float) -> bool:
 
 
 def _prediction_error(state: State | None) -> float | None:
-    """Prediction error of the module docstring, root mean square [m]; None if nothing can be predicted."""
+    """Root mean square of the prediction error in the module docstring [m]; None if nothing can be predicted."""
     if state is None:
         return None
     log, vehicle = state
@@ -122,7 +122,7 @@ def _prediction_error(state: State | None) -> float | None:
 
 
 def _apply_advice(state: State, advice: Advice | None) -> State | None:
-    """The run with a correction; None without one, and if it fails."""
+    """The run with the correction applied; None if there is no correction to apply, or if it fails."""
     log, vehicle = state
     if advice is None or not advice.entry:
         return None

@@ -1,7 +1,7 @@
-"""Checks of units, signs and axes: a wrong one changes a channel by more than any calibration error.
+"""Checks for wrong units, signs and axes, which change a channel by more than any calibration error.
 
-The change of yaw has three estimates (yaw, integrated yaw rate, course over ground), and the outlier is wrong. Distance
-has two (change of position, integrated velocity). The ratios of these estimates reveal the cause:
+The change of yaw is estimated from yaw, integrated yaw rate and course over ground, and the outlier is wrong. Distance
+is estimated from positions and from integrated velocity. The ratios of these estimates reveal the cause:
 
     yaw / course = f, yaw / rate = f, rate / course = 1      -> yaw is f times too large
     position / velocity = 1 / f, yaw / rate = 1 / f          -> the stamps run f times too fast
@@ -31,9 +31,9 @@ from .regression import Estimate
 
 MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw during the drive
 MAX_CONSISTENT_MISFIT = 0.02  # largest misfit of consistent positions, yaw and velocities, divided by the distance
-MAX_MAP_MISFIT = 0.1  # largest misfit of velocities in map axes, divided by the distance or the misfit in body axes
+MAX_MAP_MISFIT = 0.1  # largest ratio of the misfit in map axes to the distance, and to the misfit in body axes
 MAX_SCALE_ERROR = 0.005  # relative scale error of a faultless gyroscope or projection
-MIN_RATE_ERROR = 0.005  # smallest reported relative error of the time; a crystal is accurate to 0.0001
+MIN_RATE_ERROR = 0.005  # smallest reported relative error of the sampling rate; a crystal is accurate to 0.0001
 CLEAR_MISFIT_RATIO = 0.8  # ratio of two misfits below which the smaller one is clearly better
 TIE_MISFIT_RATIO = 0.97  # ratio of two misfits above which velocity_y is too small to determine its own unit
 DEGREE, GON = 180.0 / np.pi, 200.0 / np.pi
@@ -42,7 +42,7 @@ SPEEDS = {3.6: "km/h", 2.23694: "mph", 1.94384: "knots"}
 LENGTHS = {1000.0: "millimetres", 100.0: "centimetres", 3.28084: "feet", 0.001: "kilometres"}
 MAX_DEGREE_RATIO = 1e-4  # ratio to the distance below which positions are angles: a degree of latitude is 111 km
 TIMES = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanoseconds", "ns")}
-MIN_WRAP_STEP = 0.01  # rad; smallest step taken for a wrap: 360 is 1.86 more than a whole multiple of 2 pi
+MIN_WRAP_STEP = 0.01  # rad; smallest step that counts as a wrap; 360 unwrapped as rad leaves a step of 1.86
 Corrected = tuple[Motion, Finding | None]
 
 
@@ -62,7 +62,7 @@ def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def _merge_yaw_findings(findings: list[Finding]) -> list[Finding]:
-    """One finding for a yaw that counts clockwise and not from north: each correction alone would leave an error."""
+    """The findings, with only one for a yaw that counts clockwise, but not from north: both corrections are needed."""
     by_name = {finding.name: finding for finding in findings}
     if not {"yaw_convention", "yaw_offset"} <= by_name.keys():
         return findings
@@ -86,7 +86,7 @@ def _make_error(name: str, channels: tuple[str, ...], text: str, value: float | 
 
 
 def check_time_unit(motion: Motion) -> Corrected:
-    """Correct a unit of time, such as milliseconds read as seconds, by comparison with positions and yaw."""
+    """Correct a wrong unit of time, such as milliseconds read as seconds, by comparison with positions and yaw."""
     if len(motion.time) < 20:
         return motion, None
     spacing = float(np.median(np.diff(motion.time)))
@@ -146,7 +146,7 @@ def _correct_both_turns(motion: Motion) -> Corrected:
 
 
 def _correct_turns(motion: Motion) -> Corrected:
-    """Correct unit and sign of yaw or yaw rate: the one that disagrees with the other estimates of the turn."""
+    """Correct unit and sign of yaw or yaw rate, whichever disagrees with the other estimates of the turn."""
     r = ratios(motion)
     if not np.isfinite(r.yaw_rate) or 1 / LIMITS.unit < r.yaw_rate < LIMITS.unit:
         return motion, None
@@ -190,7 +190,7 @@ def _common_sign(values: np.ndarray, turn: np.ndarray) -> int:
 
 
 def _positions_follow_yaw(motion: Motion) -> bool:
-    """Whether positions agree with yaw and velocity, apart from a constant rotation and a unit of velocity."""
+    """Whether positions agree with yaw and velocity, apart from a constant rotation and a scale of velocity."""
     over = windows(motion.time, 1.0)
     distance = np.hypot(over.change(motion.x), over.change(motion.y))
     integrated = over.change(integral(motion.time, motion.speed))
@@ -234,7 +234,7 @@ def _angle_unit(factor: float, within: float = 1.06) -> float:
 
 
 def _without_wraps(motion: Motion, yaw: np.ndarray) -> np.ndarray:
-    """The yaw with steps that are left after unwrapping another unit as rad replaced by the integrated yaw rate."""
+    """The yaw, with the integrated yaw rate in place of steps left by unwrapping an angle in another unit as rad."""
     step = np.diff(yaw)
     expected = np.diff(integral(motion.time, motion.yaw_rate))
     error = np.abs(step - expected)
@@ -315,7 +315,7 @@ def _misfit(motion: Motion) -> float:
 
 
 def _correct_velocity_axes(motion: Motion) -> Corrected:
-    """Correct velocities in the map frame, which agree with positions without rotation by yaw, or exchanged ones."""
+    """Correct exchanged velocities, or velocities in the map frame, which agree with positions without rotation."""
     over, measured, unrotated = _displacements(motion, motion.velocity_x, motion.velocity_y)
     misfits = [float(np.median(np.abs(measured - integrated))) if len(over) else 0.0
                for integrated in (unrotated, 1j * unrotated.conj())]
@@ -345,7 +345,7 @@ def _correct_velocity_axes(motion: Motion) -> Corrected:
 
 
 def _correct_yaw_offset(motion: Motion) -> Corrected:
-    """Correct a yaw that is counted from another axis or reversed, by comparison with the direction of travel."""
+    """Correct a yaw counted from another axis, or a reversed yaw or velocity_x, by the direction of travel."""
     over, measured, derived = _displacements(motion, *motion.velocity_map)
     total, size = np.sum(derived * np.conj(measured)), float(np.abs(measured * derived).sum())
     if len(over) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or abs(np.angle(total)) < 0.35:

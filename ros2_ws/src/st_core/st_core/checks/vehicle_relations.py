@@ -7,8 +7,8 @@ Rear axle: at low speed it moves in the direction of the heading, so the lateral
 
     v_y = -a v_x + d r - s v_x^2 r - e d(v_x r)/dt
 
-a: misalignment, + if the heading points too far left; d: distance of the point ahead of the rear axle; s: slip of the
-rear axle; e: lateral shift of the point by body roll, per lateral acceleration (a delay of the slip resembles it).
+a: misalignment [rad], + if the heading points too far left; d: distance of the point ahead of the rear axle [m]; s, e:
+slip of the rear axle [s^2/m] and lateral shift of the point by body roll [s^2] per lateral acceleration.
 """
 
 from dataclasses import replace
@@ -25,19 +25,19 @@ from .position import lateral_sign_finding
 from .regression import Estimate, Regression, with_systematic
 
 CUTOFF = 1.5  # Hz
-MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; limits within which an axle's slip is linear
+MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; range of linear rear slip
 DEGREE = 180.0 / np.pi
 WINDOW = 0.5  # s
 MAX_COSINE = 0.9  # cosine similarity of speed and yaw rate; 1 on a circle, where heading and point are confounded
-MIN_STEERING_ANGLE = 0.01  # rad, root mean square, that determines the steering gain
-MIN_ANGLE_FOR_SIGN = 0.003  # rad, root mean square; fast wide bends determine the sign of the gain, not its size
+MIN_STEERING_ANGLE = 0.01  # rad; minimum root mean square that determines the steering gain
+MIN_ANGLE_FOR_SIGN = 0.003  # rad; minimum root mean square; fast wide bends determine only the sign of the gain
 MAX_OPPOSITE_CORRELATION = -0.8  # correlation of steering and curvature below which the steering has the opposite sign
 MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels; minimum standard deviation of measured and derived steering
 MIN_GAIN = 1e-6  # ratio of steering to curvature below which the steering is constant, which is reported as frozen
 
 
 def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: bool) -> CheckResult:
-    """Compare steering with curvature. wheel_measured: whether the steering wheel angle was recorded, whose offset is
+    """Compare steering with curvature. wheel_measured: whether the steering wheel angle was recorded; its offset is
     in the vehicle file."""
     moving = motion.velocity_x > MIN_SPEED
     curvature = np.where(moving, motion.yaw_rate / np.maximum(motion.velocity_x, MOVING), np.nan)
@@ -61,7 +61,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     findings = [_unit_finding(gain, understeer, vehicle, wheel_measured),
                 _offset_finding(found, speed, vehicle, wheel_measured)]
     estimates = {"steering_scale": gain, "steering_sign": gain}
-    # A correlation of the opposite sign to the gain is a reaction to another yaw moment and determines no lag.
+    # If correlation and gain differ in sign, the steering reacts to another yaw moment and determines no lag.
     if found.correlation * gain.value >= 0.0:
         findings.insert(1, _lag_finding(late, found, speed, vehicle, format_alternative_lags(found, response)))
         estimates |= {"steering_lag": late} if found.determines_lag else {}
@@ -82,7 +82,7 @@ def _unrelated_finding(found: Agreement) -> Finding:
 
 def _estimate_steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | None:
     """Ratio of the measured road wheel angle to the angle derived from curvature, fitted without an offset; None if the
-    car hardly turns. Smaller angles suffice for a negative gain, of which only the sign is reported."""
+    car hardly turns. Smaller angles suffice for a negative gain, since only its sign is reported."""
     angle = motion.steering_at_ins()
     known = np.flatnonzero(np.isfinite(derived) & np.isfinite(angle))[::10]
     size = float(np.sqrt(np.mean(derived[known] ** 2))) if len(known) >= 50 else 0.0
@@ -157,7 +157,7 @@ def _lag_finding(late: Estimate, found: Agreement, speed: float, vehicle: Vehicl
                  alternatives: str) -> Finding | None:
     if not late.significant or not found.is_late or abs(late.value) < LIMITS.steering_lag:
         return None
-    # The path turns by the steering angle that is missed during the lag.
+    # The steering missed during the lag [rad s] shifts the position like a constant error of 2 missed / HORIZON.
     missed = abs(late.value) * float(np.std(found.derived)) * np.sqrt(2.0)
     effect = _compute_lateral_shift(missed / HORIZON * 2.0, speed, vehicle)
     text = (f"the steering {'lags' if late.value > 0.0 else 'leads'} the car's motion by {format_magnitude(late)} s"
@@ -216,7 +216,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     heading = with_systematic("heading_misaligned", found["heading"])
     point = with_systematic("measuring_point", found["point"].shifted(-declared))
     low, high = (declared + end for end in point.interval)
-    # With the opposite sign of v_y, the point appears as far behind the axle as it is ahead, with a negative slip.
+    # If v_y has the opposite sign, the point appears as far behind the axle as it is ahead, and the slip is negative.
     is_mirrored = low < -declared < high and declared > LIMITS.mounting and found["slip"].interval[1] < 0.0
     point_or_sign = lateral_sign_finding() if is_mirrored else _point_finding(point, motion, vehicle)
     findings = [finding for finding in (_heading_finding(heading, forward), point_or_sign) if finding]

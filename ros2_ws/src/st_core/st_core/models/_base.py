@@ -11,7 +11,7 @@ from ..vehicle import VehicleParameters
 
 @dataclass(frozen=True)
 class Axles:
-    """The rhs of a dynamic model in three parts: slip angles, axle forces, motion. Together they equal it exactly.
+    """The rhs of a dynamic model as three functions: slip angles, axle forces, motion. Their composition is the rhs.
 
     slip_angles(state, w, p) -> (front, rear) [rad], forces(slip_front, slip_rear, w, p) -> (front, rear) [N],
     motion(state, force_front, force_rear, w, p) -> time derivative of the state.

@@ -4,7 +4,7 @@
     beta = atan(l_r / l tan(delta))
 
 v_x is the speed of the CG along its path. v_y and yaw_rate do not occur in the equations; their derivatives are zero,
-so a trajectory contains their initial values. Source: paper, kinematic model.
+so they keep their initial values. Source: paper, kinematic model.
 """
 
 from typing import NamedTuple

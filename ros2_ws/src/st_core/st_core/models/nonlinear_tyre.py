@@ -15,7 +15,7 @@ from ._base import Axles, Model, axle_slip_angles, motion
 
 
 class Parameters(NamedTuple):
-    """mass [kg], yaw_inertia [kg m^2], lengths [m], minimum_slip_speed [m/s]; one tyre per axle."""
+    """mass [kg], yaw_inertia [kg m^2], lengths [m], minimum_slip_speed [m/s]; coefficients of one tyre per axle."""
 
     mass: float
     yaw_inertia: float
