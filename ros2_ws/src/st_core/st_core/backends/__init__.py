@@ -5,7 +5,7 @@ A backend is a module with
     LANES                                                       number of columns advanced together
     advance(model, p, start, w, offsets, step, points) -> out   RK4 of all columns
 
-    p: `model.parameters(vehicle)`. start: (states, n), n a multiple of LANES. w: (fields, m), as `model.inputs` gives.
+    p: `model.parameters(vehicle)`. start: (states, n), n a multiple of LANES. w: (fields, m), from `model.inputs`.
     offsets: (2 * steps + 1,); column i has w[:, offsets[k] + i] at time k * step / 2. points: step numbers, increasing.
     out: (len(points), 6, n), states at these steps. NaN in a column makes only that column NaN.
 

@@ -33,7 +33,7 @@ for _kind in (casadi.SX, casadi.MX, casadi.DM):
 class Variable:
     """One entry of x, u or p. lower, upper: range of validity of the model [unit], infinite if unlimited.
 
-    value: of a parameter, from vehicle and model; NaN if the caller must supply it.
+    value: known value of a parameter, from vehicle and model; NaN if the caller must supply it.
     """
 
     name: str
@@ -54,8 +54,8 @@ class SymbolicModel:
 
         dynamics(x, u) -> x_dot
         step(x, u, h) -> x_next             RK4 with constant u; h [s] in `substeps` equal parts
-        dynamics_jacobian(x, u) -> A, B     of x_dot by x and by u
-        step_jacobian(x, u, h) -> A, B      of x_next by x and by u
+        dynamics_jacobian(x, u) -> A, B     d(x_dot)/dx and d(x_dot)/du
+        step_jacobian(x, u, h) -> A, B      d(x_next)/dx and d(x_next)/du
         start(x_six, u) -> x                initial state: the six states and the extra ones
 
     If `parameters` is not empty, each function has p as last argument: the free parameters, then the signals of the

@@ -1,4 +1,4 @@
-"""Backend compiled by numba from the functions of the model: predictions (lanes) in parallel in vector registers.
+"""Backend that numba compiles from the functions of a model, with predictions (lanes) in parallel in vector registers.
 
 All functions of a model are inlined into one loop over lanes, which contains a whole Runge-Kutta step and is vectorised
 by LLVM. Three vectors are interleaved, because each operation within a vector waits for the previous one.
@@ -123,7 +123,7 @@ def _make_kernel(model: Model, shape, fields: int, states: int):
 
 @contextmanager
 def _interleave_vectors() -> Iterator[None]:
-    # By default LLVM uses one vector, on Intel server processors of half the width, which is 40 % slower. The options
+    # By default LLVM uses one vector, and half its width on Intel server processors, which is 40 % slower. The options
     # apply to the whole process and are therefore reset.
     _, _, features = cpu_target.target_context.codegen().magic_tuple()
     for option, value in (("interleave", INTERLEAVE), ("width", 8 if "+avx512f" in features else 0)):

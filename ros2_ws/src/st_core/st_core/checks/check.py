@@ -31,7 +31,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     """Findings of one recording.
 
     The order is: sampling; units, signs and axes; relations valid for any vehicle (position, yaw, velocity,
-    accelerations, other speeds); comparison with the vehicle. Each check works on a copy without the faults already found.
+    accelerations, other speeds); comparison with the vehicle. Each check works on a copy without the known faults.
 
     vehicle: None skips the comparison with the vehicle. auxiliary: data recorded in addition to the drive. Never raises
     for the content of a recording: a channel that is too short or too inaccurate gives no finding.

@@ -84,7 +84,7 @@ def _package(path: str) -> tuple[FileFinder, str]:
     finder = pkgutil.get_importer(str(path))
     if not isinstance(finder, FileFinder):
         raise ConfigurationError(f"{path}: not a folder of effects")
-    # The same folder has the same package name in every process: compiled kernels are cached by it.
+    # A folder has the same package name in every process, because it is part of the key of cached kernels.
     return finder, "st_effects_" + hashlib.sha256(finder.path.encode()).hexdigest()[:12]
 
 

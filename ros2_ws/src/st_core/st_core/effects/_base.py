@@ -26,7 +26,7 @@ TOTAL_DELAY = "total delay of the steering"  # dead time plus lag, which a fit d
 COMBINATIONS = {"front cornering stiffness over mass": "N/(rad kg)", "rear cornering stiffness over mass": "N/(rad kg)",
                 "stability factor K": "s^2/m^2", "steady-state yaw gain at 20 m/s": "1/s",
                 TOTAL_DELAY: "s"}
-"""Unit by name of the combinations of vehicle parameters that predictions depend on; the parameters in one combination
+"""Combinations of vehicle parameters that predictions depend on, with their units; the parameters in one combination
 are not separable. Yaw inertia over mass is left out, because delays and relaxation have a similar influence: four of
 six intervals for cars with other dynamics did not contain the true value."""
 
@@ -133,9 +133,9 @@ class Effect:
         fold(vehicle, theta) -> VehicleParameters that contain the effect exactly, for a vehicle file; default `vehicle`
         steering(time, angle, begins, theta) -> changed (time [s], road wheel angle [rad]); arrays of a whole
             recording, for effects with memory; begins: True at the start and after each gap, where memory is reset
-        inputs(road_wheel_angle, velocity_x_dot, signals, theta) -> both changed; called once per instant
+        inputs(road_wheel_angle, velocity_x_dot, signals, theta) -> (angle, acceleration), changed; once per instant
         prepare(road_wheel_angle, velocity_x_dot, signals, theta) -> tuple named by `prepared`; called once per instant
-        slip_angles(slip_front, slip_rear, extra, instant, prepared, theta) -> both changed
+        slip_angles(slip_front, slip_rear, extra, instant, prepared, theta) -> changed (slip_front, slip_rear)
         axle_forces(forces, slip_front, slip_rear, instant, prepared, theta) -> (front, rear) [N]
             forces(slip_front, slip_rear, instant) -> (front, rear) [N] without the effect
         acceleration(instant, prepared, theta) -> added (along x [m/s^2], along y [m/s^2], of yaw [rad/s^2])
@@ -144,12 +144,12 @@ class Effect:
             the geometry [rad] and the forces [N]
         specific_force(instant, prepared, theta) -> (a_x, a_y) [m/s^2] that an accelerometer at the CG reads in
             addition to the acceleration of the car
-        observe(measured, theta) -> readings for true values; correct(measured, theta): the inverse; both of Measured
+        observe(measured, theta) -> readings for true values, a Measured; correct(measured, theta): the inverse
 
     name: unique. physics: the equation in one line, with the sign. excited_by: driving that makes it observable. kind:
     one of EFFECT_KINDS. slot: one of SLOTS, where it acts. confounded_with: effects that are hard to separate from it
     (one of the two may name the other), by sensitivity vectors of a single-track car on circle, step, sweep and limit.
-    needs: channels required to observe and separate it. members: effects that it combines. combinations: those of
+    needs: channels required to observe and separate it. members: effects that it combines. combinations: keys of
     COMBINATIONS that it changes. ratio_to: key of the vehicle file; only the ratio of the effect's quantity to this one
     is observable. at_peak_force: whether it is observable only near the peak force of an axle. applies_to: base models.
     converts: (from, to) base model, if it turns one into another. extra_units: units of `extra_states`. costly: whether
@@ -211,7 +211,7 @@ def register(effect: type[Effect]) -> type[Effect]:
 
 
 def register_unlisted(effect: type[Effect]) -> type[Effect]:
-    """Class decorator: as `register`, but adds the effect to UNLISTED."""
+    """Class decorator like `register`, but adds the effect to UNLISTED."""
     return _add(effect, UNLISTED)
 
 
@@ -226,7 +226,7 @@ def _add(effect: type[Effect], registry: dict[str, type[Effect]]) -> type[Effect
         raise ConfigurationError(f"effect {name}: {problem}")
     names = [*(p.name for p in effect.parameters), "constants"]
     theta = namedtuple("Theta", names, module=effect.__module__)  # type: ignore[misc]  # names known at run time only
-    theta.__qualname__ = f"{effect.__qualname__}.Theta"  # the key of compiled kernels is the type, pickled by its path
+    theta.__qualname__ = f"{effect.__qualname__}.Theta"  # kernels are cached by the type, pickled by its path
     effect.Theta = theta
     if effect.fold is None and effect.vehicle:
         effect.fold = staticmethod(effect.vehicle)
@@ -293,7 +293,7 @@ def source_file(effect: type[Effect]) -> str:
 
 
 def get_effect(name: str) -> type[Effect]:
-    """The effect of that name; raises ConfigurationError naming the nearest known one."""
+    """The effect with this name; raises ConfigurationError, naming the nearest known one."""
     if name in UNLISTED:
         return UNLISTED[name]
     if name not in EFFECTS:

@@ -1,4 +1,4 @@
-"""Error of the longitudinal CG position in the vehicle file; axles and INS do not move in the body."""
+"""Error of the longitudinal CG position in the vehicle file; axles and INS do not move relative to the body."""
 
 from dataclasses import replace
 

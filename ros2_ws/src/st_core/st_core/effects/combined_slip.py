@@ -1,4 +1,4 @@
-"""Reduction of the lateral force of an axle by drive and brake forces: friction ellipse.
+"""Reduction of the lateral force of an axle by drive and brake forces, as a friction ellipse.
 
     F_y = F_y0 (1 - share + share sqrt(1 - (F_x / D)^2))
 

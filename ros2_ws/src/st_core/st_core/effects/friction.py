@@ -1,4 +1,4 @@
-"""Error of the friction in the tyre data: wet or cold road, other tyres."""
+"""Error of the friction in the tyre data, due to a wet or cold road or to other tyres."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Plane road that is tilted in the map, so that gravity acts in one direction, whatever the heading.
+"""Planar road inclined in the map frame, on which gravity pulls in the same map direction at any heading.
 
     a_y = -g (sin(slope_y) cos(yaw) - sin(slope_x) sin(yaw))
 

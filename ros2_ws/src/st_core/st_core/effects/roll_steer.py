@@ -1,6 +1,6 @@
 """Roll steer of the front wheels: delta = delta_measured - gradient lean.
 
-lean is the lateral acceleration filtered by the roll motion of the body, of second order:
+lean is the lateral acceleration filtered by the second-order roll motion of the body:
 
     lean_ddot = (2 pi f)^2 (a_y - lean) - 2 zeta 2 pi f lean_dot,   a_y = (F_f cos delta + F_r) / m
 

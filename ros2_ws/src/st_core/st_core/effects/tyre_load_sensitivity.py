@@ -1,6 +1,6 @@
 """Load dependence of the cornering stiffness of both axles, with an unchanged stiffness at the static load of the file.
 
-    K(F_z) = K_0 sin(p_ky4 atan(F_z / (factor p_ky2 F_z0))),   K_0: leaves K at the static load of one tyre unchanged
+    K(F_z) = K_0 sin(p_ky4 atan(F_z / (factor p_ky2 F_z0))),   K_0 keeps K at the static load of one tyre unchanged
 
 With factor > 1 the stiffness has its maximum at a higher load, so K is more nearly proportional to the load. Source:
 paper, appendix.
@@ -32,7 +32,7 @@ class TyreLoadSensitivity(Effect):
     kind, slot = "vehicle parameters", "both axles"
     confounded_with = ("longitudinal_load_transfer", "lateral_load_transfer", "mass")
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no dependence on load
-    order = 40  # before mass and cg_position, because the file's stiffness belongs to the file's load
+    order = 40  # before mass and cg_position, because the file's stiffness applies at the file's load
     parameters = (
         Parameter("factor", "1", null=1.0, initial=1.8, bounds=(0.5, 5.0),
                   meaning="ratio of the load at maximum stiffness to the file's",

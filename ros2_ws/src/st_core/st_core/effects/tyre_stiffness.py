@@ -1,4 +1,4 @@
-"""Error of both cornering stiffnesses in the vehicle file by a common factor: another set of tyres."""
+"""Error of both cornering stiffnesses in the vehicle file by a common factor, as with other tyres."""
 
 from ._base import Effect, register
 from .front_stiffness import stiffness_factor, with_stiffness

@@ -3,9 +3,9 @@
     F(alpha) = (F_model(-alpha) - F_model(alpha)) / 2,   alpha >= 0
 
 F_model is the axle force in the model's equations of motion in steady cornering with equal slip of both axles, without
-forward acceleration. It includes every effect that acts in that state; offsets cancel. The slip angle is computed from
-the measured steering, as in the regression, so compliance and roll steer change the curve. The curve ends at the driven
-slip. Checked by: test_axle_curve.py.
+forward acceleration. It includes every effect that acts in that state, except on the steering; offsets cancel. The slip
+angle is computed from the measured steering, as in the regression, so compliance and roll steer change the curve. The
+curve ends at the driven slip. Checked by: test_axle_curve.py.
 """
 
 from collections.abc import Iterable
@@ -21,7 +21,7 @@ from .cornering_stiffness import DRIVEN_QUANTILE, AxleSamples
 
 SPEED = 20.0  # m/s, at which the curve is evaluated; above every minimum_slip_speed
 MIN_DRAWS = 20
-SECANT_STEPS = 6  # of the lateral acceleration; its error is below 0.1 % at the bounds of roll steer
+SECANT_STEPS = 6  # for the lateral acceleration; the error is below 0.1 % at the bounds of roll steer
 BAND = (0.05, 0.95)  # quantiles of the draws
 
 
@@ -71,7 +71,7 @@ def _find_steady_forces(model: Model, vehicle: VehicleParameters, slip: np.ndarr
     zero = np.zeros_like(slip)
 
     def accelerations(a_y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lateral [m/s^2] and yaw [rad/s^2] acceleration by the model in a turn of this a_y; road wheel angle [rad]."""
+        """(v_y_dot + v_x r [m/s^2], r_dot [rad/s^2], road wheel angle [rad]) of the model in a turn with this a_y."""
         r = a_y / SPEED
         v_y = car.cg_to_rear_axle * r + SPEED * np.tan(slip)
         angle = np.arctan((v_y + car.cg_to_front_axle * r) / SPEED) - slip
@@ -99,7 +99,7 @@ def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven
                also: Iterable[Model] = ()) -> AxleCurve:
     """The force curve of one axle with its band, at 41 slip angles up to the driven slip.
 
-    driven_slip: (n,) measured slip angles of the axle [rad], either sign. draws: models of `draw_models`; the band is
+    driven_slip: (n,) measured slip angles of the axle [rad], either sign. draws: models from `draw_models`; the band is
     their central 90 % at each slip, extended to the curves of the models `also`. original: model of the vehicle file,
     by default the base model without effects. Raises StCoreError for fewer than two driven slip angles.
     """

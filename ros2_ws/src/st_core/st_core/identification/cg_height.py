@@ -1,8 +1,8 @@
 """Height of the centre of gravity (CG) from the axle-lift test: rear load versus pitch with the front axle lifted.
 
 The car rests on free-rolling wheels with locked suspension, so each ground force is vertical and passes through the
-centre of its wheel. Moments about the front wheel centres, with pitch theta (nose up), wheelbase l, and the height r of
-the line between the wheel centres below the CG of the level car:
+centre of its wheel. Moments about the front wheel centres, with pitch theta (nose up), wheelbase l, and, for the level
+car, the height r of the line between the wheel centres at the CG:
 
     m_r(theta) l cos(theta) = m (l_f cos(theta) + (h - r) sin(theta))
     m_r(theta) = m_r(0) + m (h - r) / l tan(theta)
@@ -10,9 +10,9 @@ the line between the wheel centres below the CG of the level car:
     all:         h = r + l b / m,  b: slope of m_r versus tan(theta), with a separate intercept for each lift
     r = r_front (1 - l_f / l) + r_rear l_f / l
 
-r is computed from the loaded wheel radii of the level car, because h is its height. The deflection of the rear tyres
-when lifted does not change h, since the force still passes through the wheel centre, but it changes the pitch computed
-from the lift: sin(theta + theta_0) = (lift + r_front - r_rear) / l with the radii when lifted.
+r is computed from the wheel radii of the level car, because h is the CG height of the level car. The deflection of the
+rear tyres when lifted does not change h, since the force still passes through the wheel centre, but it changes the
+pitch computed from the lift: sin(theta + theta_0) = (lift + r_front - r_rear) / l with the radii when lifted.
 
     u(h)^2 = (l / m)^2 u(b)^2 + (h - r)^2 (u(m)^2 / m^2 + u(l)^2 / l^2) + u(r)^2
 
@@ -34,7 +34,7 @@ MIN_PITCH_RANGE = math.radians(3.0)  # in a smaller range the load changes by le
 MAX_PITCH = math.radians(45.0)
 BIN = math.radians(3.0)
 RADIUS_UNCERTAINTY = 0.003  # m; standard uncertainty of a wheel radius read from a ruler
-MAX_LOAD_DIFFERENCE = 0.02  # fraction of the mass; between measured and expected rear load of the level car
+MAX_LOAD_DIFFERENCE = 0.02  # largest error of the rear load of the level car, divided by the mass
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Lift:
 
 @dataclass(frozen=True)
 class LiftedCar:
-    """The car as it was lifted: mass [kg], wheelbase [m], cg_to_front_axle [m], and standard uncertainties."""
+    """The car in the state of the test: mass [kg], wheelbase [m], cg_to_front_axle [m], and standard uncertainties."""
 
     mass: float
     wheelbase: float
@@ -69,7 +69,7 @@ def pitch_from_lift(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.
 
         theta_k = asin((lift_k + r_front,k - r_rear,k) / l),    pitch_k = theta_k - theta_0
 
-    Raises IdentificationError.
+    Raises IdentificationError for a missing radius or too large a pitch.
     """
     rise = (lift + front_radius - rear_radius) / wheelbase
     if not np.isfinite(rise).all() or np.abs(rise).max() >= math.sin(MAX_PITCH):
@@ -170,8 +170,8 @@ def _compute_radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float
 
 def _compute_single_heights(data: Lift, car: LiftedCar, level: np.ndarray, radius: float,
                             line: Line) -> tuple[np.ndarray, np.ndarray]:
-    """(height from each single row (n,), mask of the rows that determine one). The level load of a lift is the mean of
-    its level rows."""
+    """(height from each single row (n,), mask of the rows that determine a height). The level load of a lift is the
+    mean of its level rows."""
     groups = np.asarray(data.lifts)
     zero = np.array([data.rear_load[level & (groups == name)].mean() if (level & (groups == name)).any()
                      else line.intercepts[name] for name in data.lifts])

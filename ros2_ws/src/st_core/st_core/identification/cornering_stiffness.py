@@ -66,8 +66,8 @@ class AxleSamples:
     def bin_forces(self) -> tuple[np.ndarray, np.ndarray]:
         """(mean slip, mean force opposing it) in each bin of |slip|, (b,) each.
 
-        The slip at zero force, which is due to offsets of steering and INS, is subtracted first. Bins with less than
-        1 % of the samples of a uniform distribution are left out.
+        The slip at zero force, which is due to offsets of steering and INS, is subtracted first. Bins are left out
+        if they have less than 1 % of the samples that a uniform distribution would have there.
         """
         slip = self.slip - self.zero_force_slip()
         size, force = np.abs(slip), -self.force * np.sign(slip)
@@ -227,7 +227,7 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[C
 
 
 def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
-    """Both stiffnesses by regression, with a covariance from the variation between runs, or blocks of few runs.
+    """Both stiffnesses by regression, with a covariance from the variation between runs, or blocks if runs are few.
 
     vehicle: as for `axle_regressions`. A stiffness whose interval contains zero is NaN and unidentifiable, with the
     reason as its verdict. Raises IdentificationError for too little excitation.

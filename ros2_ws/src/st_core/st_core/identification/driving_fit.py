@@ -38,7 +38,7 @@ from .result import IdentificationError
 
 MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name
 MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
-"""Largest number of fits, each with the error scale of the previous one, and its relative change at convergence."""
+"""Largest number of fits, each with the error scale of the previous one; relative change of the scale if converged."""
 BOUND_TOLERANCE = 1e-3
 """Largest distance from a bound of a value at that bound, as a fraction of the range between both bounds."""
 MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
@@ -235,7 +235,7 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     if np.linalg.cond(total / np.outer(size, size)) > MAX_CONDITION:
         raise IdentificationError(f"the drives do not determine {', '.join(names)} together: drive more different "
                                   "speeds and bends, or fit fewer parameters")
-    # The Gauss-Newton approximation overestimates the curvature of the loss by this ratio, which would underestimate
+    # Ratio of the curvature of the loss to its Gauss-Newton approximation, which is too large and would underestimate
     # the influence of each block.
     ratio = np.clip((np.diag(problem.loss.curvature(rows, slopes)) / np.diag(total)).mean(), MIN_CURVATURE_RATIO, 1.0)
     influence = group.leave_out(ratio * hessian, gradient)

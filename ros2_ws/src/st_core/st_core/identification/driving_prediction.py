@@ -1,6 +1,6 @@
 """Stiffnesses, steering and yaw inertia from multi-step predictions of several drives at once.
 
-Steering offset and INS misalignment are always fitted too, since their errors resemble errors of the tyres.
+Steering offset and INS misalignment are fitted too, since their errors resemble errors of the tyres.
 Stiffness: the nonlinear model yields the slope at small slip at the static load, given the tyre curve of the vehicle
 file, and the linear model the secant that predicts best in the driven slip range. For a tyre with another curve the
 value depends on the slip range, which the interval includes: the fit is repeated with windows of low lateral
@@ -18,8 +18,8 @@ Yaw inertia, from transients: I_z r_dot = l_f F_f cos(delta) - l_r F_r. In stead
 fits. Steering dynamics, wrong time stamps and tyre relaxation delay the response as inertia does, so dead time and
 relaxation length are fitted too; without relaxation, the inertia of a car with a relaxation length of 0.4 m is
 estimated 17 % too small. The delay between an angle and its time stamp, up to one sampling interval T, differs between
-the N drives, which adds T / sqrt(12 N) to the uncertainty of their common dead time, and thereby to that of the
-inertia. Checked by: test_identification_driving.py.
+the N drives, which adds T / sqrt(12 N) to the uncertainty of their common dead time and thereby increases the
+uncertainty of the inertia. Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Mapping, Sequence
@@ -80,7 +80,7 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
                       nuisance: Sequence[str] = NUISANCE) -> Identification:
     """Both stiffnesses, with an uncertainty from the variation between runs.
 
-    vehicle: all other values, and the start values of the fit. base: linear, nonlinear, or one of these with known
+    vehicle: source of all other values and of the start values. base: linear, nonlinear, or one of these with known
     effects (`augment`), such as the drive force on steered wheels. also: further parameters to fit and report, from
     `driving_fit.FREE_PARAMETERS` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). nuisance:
     parameters that are fitted but not reported. Raises IdentificationError for too little excitation.
@@ -220,7 +220,7 @@ def make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivin
 
 
 def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:
-    """(verdict, with uncertainty and number of predictions; status)."""
+    """(verdict with uncertainty and number of predictions, status)."""
     name, value = fit.names[index], fit.values[index]
     basis = f"{fit.prediction_count} predictions in {fit.spread.basis[index]}"
     if name in fit.at_bound:

@@ -108,7 +108,7 @@ def _estimate_lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.nd
         forward = speed + rate * d_y
         kinematic = np.arctan(vehicle.wheelbase * rate / forward)
         slope = -vehicle.wheelbase * rate**2 / (forward**2 + (vehicle.wheelbase * rate) ** 2)
-        # delta_file = f (kinematic + slope (d_y' - d_y) + K v r) + o
+        # delta_file = f (kinematic + c kinematic^3 + slope (d_y' - d_y) + K v r) + o
         regressors = np.stack([kinematic, slope, speed * rate, np.ones_like(speed), kinematic**3], axis=1)
         theta, spread, _ = group.regression(regressors, angle)
         d_y += float(theta[1] / theta[0])

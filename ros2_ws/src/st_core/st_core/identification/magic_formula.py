@@ -1,6 +1,6 @@
 """Identification of one tyre's Magic Formula from flat-plank tables: lateral force versus slip angle at several loads.
 
-The equations are in `tyres.py`, with scale factors lambda of 1 and p_ey3 of the vehicle file (the paper: symmetric). A
+The equations are in `tyres.py`, with scale factors lambda of 1 and p_ey3 from the vehicle file (0 in the paper). A
 shift s of the slip angle, common to all loads, absorbs conicity and plysteer and is then dropped:
 
     F_y(F_z, alpha) = D sin(C atan(B x - E (B x - atan(B x)))),   x = alpha + s
@@ -8,7 +8,7 @@ shift s of the slip angle, common to all loads, absorbs conicity and plysteer an
 Stage 1, at the load nearest to nominal_load, fits p_cy1, p_dy1, p_ey1 and the stiffness K. Stage 2 fixes these and fits
 their load dependence p_dy2, p_ey2, p_ky2, p_ky4 (p_ky1 follows from K), as in the paper. Stage 2 would treat the values
 of stage 1 as exact, so a simultaneous fit, started from the result, yields the values and intervals. With two loads,
-p_ky4 is taken from the vehicle file; with one load, the whole load dependence is.
+p_ky4 is taken from the vehicle file; with one load, so are p_dy2, p_ey2 and p_ky2.
 
 Slip angle [rad] and force [N] of one tyre in steady state may have either sign convention; `check_table` converts them
 to a force that opposes the slip angle, as in `tyres.py`. Source: paper, parameter identification and appendix. Checked
@@ -134,7 +134,7 @@ MEANING = {"p_cy1": "shape", "p_dy1": "peak friction", "p_dy2": "load dependence
 
 @dataclass(frozen=True)
 class TyreFit:
-    """Result of the fit of a tyre. tyre: with the fitted values. names: fitted parameters, SHIFT last. fit: the
+    """Result of the fit of a tyre. tyre: its fitted Magic Formula. names: fitted parameters, SHIFT last. fit: the
     simultaneous fit, with the parameters in this order. staged: the tyre after the paper's two stages. levels: mean
     load of each level [N]. level: index of the level of each row. flipped: whether the sign of the slip angle was
     changed."""
@@ -278,7 +278,7 @@ def _with_values(tyre: MagicFormula, names: Sequence[str], values: Any) -> Magic
 
 
 def _get_bounds(names: Sequence[str]) -> tuple[list[float], list[float]]:
-    """Lower and upper bounds: those of FIT_BOUNDS, or else of the vehicle file."""
+    """Lower and upper bounds from FIT_BOUNDS, or else from the vehicle file."""
     limits = [FIT_BOUNDS.get(name) or (TYRE_QUANTITIES[name].minimum, TYRE_QUANTITIES[name].maximum) for name in names]
     return [low for low, _ in limits], [high for _, high in limits]
 

@@ -22,15 +22,15 @@ from ..regression import correlation_matrix, effective_degrees_of_freedom, symme
 from .result import Estimate, Identification, IdentificationError
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
-SCALE_UNCERTAINTY = 0.5  # kg; standard uncertainty of one scale: class III pads of 500 kg in steps of 0.5 kg
-MAX_SIDE_DIFFERENCE = 0.2  # fraction of the axle load, between left and right; below 0.12 with one person in the car
-MAX_MASS_RANGE = 0.02  # fraction of the mass, between weighings of one loading
+SCALE_UNCERTAINTY = 0.5  # kg; standard uncertainty of one scale: class III wheel pads with steps of 0.5 kg
+MAX_SIDE_DIFFERENCE = 0.2  # left-right difference divided by the axle load; below 0.12 with one person in the car
+MAX_MASS_RANGE = 0.02  # largest relative range of the mass over weighings of one loading
 
 
 @dataclass(frozen=True)
 class Weighings:
-    """n weighings with readings (n, 4) [kg], columns as WHEELS. names: (n,) of the weighings. loads: (n,) text on the
-    loading of the car. scale_uncertainty: standard uncertainty of one scale [kg]."""
+    """n weighings with readings (n, 4) [kg], columns as WHEELS. names, loads: (n,) names of the weighings and texts on
+    the loading of the car. scale_uncertainty: standard uncertainty of one scale [kg]."""
 
     readings: np.ndarray
     names: tuple[str, ...]

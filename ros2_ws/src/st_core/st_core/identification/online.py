@@ -4,8 +4,8 @@ The last BUFFER seconds of INS and steering samples of a moving car are stored. 
 driving, both stiffnesses, ratio, offset, INS misalignment, dead time of the steering and relaxation of the tyres are
 fitted together, so that delay and transients do not bias the ratio. The standard deviation adds two parts in
 quadrature: the variation between blocks of driving, as a normal distribution with the same 95 % interval, and
-SYSTEMATIC, the error of the single-track model. A value is estimated once there is enough excitation
-(`_missing_driving`) and its deviation is below MAX_DEVIATIONS. It is invalid if it is implausible for the car or if the
+SYSTEMATIC, the error of the single-track model. A value is estimated after sufficient excitation
+(`_missing_driving`) if its deviation is below MAX_DEVIATIONS. It is invalid if it is implausible for the car or if the
 residual of the model is too large. Valid for |a_y| <= 4 m/s^2 on dry, level roads. Checked by: test_online.py.
 """
 

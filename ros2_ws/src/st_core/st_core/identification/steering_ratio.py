@@ -81,7 +81,7 @@ def _subtract_means(values: np.ndarray, members: Iterable[np.ndarray]) -> np.nda
 
 
 MIN_ROWS = 5
-MIN_RANGE = math.radians(90.0)  # of the steering wheel
+MIN_RANGE = math.radians(90.0)  # minimum range of the steering wheel angle
 MAX_STEERING_ANGLE = math.radians(1200.0)
 MAX_WHEEL_ANGLE = math.radians(60.0)
 BIN = math.radians(90.0)
