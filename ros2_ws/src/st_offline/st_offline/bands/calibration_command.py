@@ -115,7 +115,7 @@ def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Mod
 
 
 def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:
-    """Raise RunError if the recording is of a car with another name; other values may have been updated."""
+    """Raise RunError if the recorded car has another name; its other parameters may differ, as updates change them."""
     text = recorded_configuration(run.provenance.get("recorded", {})).vehicle
     if text is None:
         return

@@ -66,7 +66,7 @@ def make_run_check(where: Path | str, vehicle: VehicleParameters,
 
 
 def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings | None = None) -> list[Finding]:
-    """Check a bag with the vehicle, models and step that are stored in it, if any.
+    """Check a bag with `vehicle`, else the vehicle stored in it, and with the stored models and step.
 
     Raises RefusedRunError, and RunError for a bag that cannot be read.
     """

@@ -178,7 +178,7 @@ def sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, f
 def draw(found: Discovery, request: Request, output: FigureOutput) -> list[PageFigure]:
     """The figures, in the order of the page."""
     runs = _logs(request.drives)
-    # found.errors contains only channels that are in all runs.
+    # found.errors contains only the channels that all runs have.
     settings = replace(request.settings, channels=tuple(c for c in found.errors if c in request.settings.channels))
 
     def errors(model):

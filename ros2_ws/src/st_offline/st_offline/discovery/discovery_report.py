@@ -1,4 +1,4 @@
-"""Formats the results of a discovery as discovery.json (docs/manual/discovery.md), model.yaml, page and text."""
+"""Formats the results of a discovery for discovery.json (docs/manual/discovery.md), model.yaml, page and terminal."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -68,7 +68,7 @@ def provenance(found: Discovery, request: Request, seconds: Mapping[str, float])
 def build_model_file(found: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
     """Model file with the effects of `update.model` that are not at their neutral values; None without any.
 
-    An interval of the change from the reference drives is shifted to the total value.
+    Intervals of changes from the reference drives are shifted to the total values.
     """
     intervals: dict[tuple[str, str], Interval] = {}
     for one in found.effects:

@@ -49,7 +49,7 @@ class Scene:
 
 
 def draw_waterfall(scene: Scene) -> PageFigure | None:
-    """Draw the held-out position error after 5 s at each step of the search; None if the position is not a channel."""
+    """Draw the held-out position error after 5 s at each step of the search; None without steps or position errors."""
     steps = scene.found.steps
     if not steps or not all(np.isfinite((s.position_5s.base, s.position_5s.augmented)).all() for s in steps):
         return None

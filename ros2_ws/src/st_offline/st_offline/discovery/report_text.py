@@ -231,7 +231,7 @@ def describe_residual(found: Discovery) -> str:
 
 
 def format_combination(combination: Combination) -> str:
-    """A delay [s], or the ratio of another combination to its value in the vehicle file, with the 95 % interval."""
+    """Name and value of a combination with 95 % interval: a delay in s, others relative to the vehicle file."""
     low, high = combination.interval
     if combination.is_time:
         return f"{combination.name} {combination.value:.3f} s ({low:.3f} to {high:.3f})"

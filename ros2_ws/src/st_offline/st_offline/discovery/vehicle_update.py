@@ -213,7 +213,7 @@ def without_effects(model: AugmentedModel, effects: Iterable[type[Effect]]) -> A
 
 
 def _final_errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Sequence[DriveLog]) -> list[np.ndarray]:
-    """Errors (starts, 3) [m, m, rad] of each drive at the end of the horizon; `vehicle` also converts steering."""
+    """Errors (starts, 3) [m, m, rad] of each drive at the end of the horizon; `vehicle` converts steering angles."""
     errors = []
     for drive in drives:
         log = drive
@@ -318,7 +318,7 @@ def _locate_edit(root: yaml.Node, key: str, entry: Callable[[str, float], str]) 
     """(start, end, replacement) of one entry in the text of the file."""
     tyre, _, name = key.rpartition(".")
     section, known = _find_entry(root, tyre) if tyre else root, quantity(key)
-    assert isinstance(section, yaml.MappingNode) and known is not None  # parsed before as a vehicle file
+    assert isinstance(section, yaml.MappingNode) and known is not None  # already parsed as a vehicle file
     units, node = known.units, _find_entry(section, name)
     if node is None:
         first = section.value[0][0].start_mark

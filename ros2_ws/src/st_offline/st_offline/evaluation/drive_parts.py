@@ -31,7 +31,7 @@ class DrivePart:
 
 
 def segment_drive(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart]:
-    """The labelled parts of a drive; without labels, the detected parts, in the order of time."""
+    """The labelled parts of a drive; without labels, the detected parts in time order."""
     if len(log.ins_time_ns) < 2:
         return []
     time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
@@ -53,7 +53,7 @@ def segment_drive(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart
 
 
 def assign_horizons(parts: Sequence[DrivePart], middles: np.ndarray) -> list[slice]:
-    """Rows of the horizons whose midpoints `middles` [s, ascending] lie in each part."""
+    """Rows of the horizons with midpoints in each part. middles: midpoints [s], ascending."""
     return [slice(*np.searchsorted(middles, (part.start, part.end)).tolist()) for part in parts]
 
 

@@ -112,7 +112,7 @@ def evaluate_runs(sources: Sequence[RunSource], task: Task, workers: int, schedu
                   progress: Callable[[RunSource], Progress] | None = None) -> Iterator[RunReport]:
     """Yield the report of each run: without Dask in the order of the sources, else in the order of completion.
 
-    scheduler: address of a Dask scheduler whose workers can read the files under the same paths. Raises WorkersError.
+    scheduler: address of a Dask scheduler; its workers read the files under the same paths. Raises WorkersError.
     """
     if workers <= 1 and not scheduler:
         for source in sources:

@@ -27,7 +27,7 @@ from .work import RunReport, Task, to_file_name
 
 SCHEMA = 2
 MAX_FIGURE_BYTES = 4_500_000  # on the page, so that it stays below 5 MB
-MAX_FIGURES = 6  # on the page; the others are only files
+MAX_FIGURES = 6  # on the page; the others are written to files only
 MAX_RUNS = 40  # in the overview figure
 
 

@@ -98,7 +98,7 @@ def _pool(entries: Sequence[Entry]) -> Entry:
 
 
 def _statistics(*values: float) -> Entry:
-    """Statistics by name; None in place of NaN, which JSON does not have."""
+    """Statistics by name; None in place of NaN, which JSON cannot represent."""
     return {kind: float(v) if math.isfinite(v) else None for kind, v in zip(STATISTICS, values, strict=True)}
 
 

@@ -46,7 +46,7 @@ class Task:
     """Settings of an evaluation.
 
     models: by name, or (file name, content) of a model.yaml. starts: times of the predictions drawn in detail [s], ()
-    for automatic ones. folder: for the results; None for no files. formats: of the figures. force: whether to
+    for an automatic choice. folder: for the results; None for no files. formats: of the figures. force: whether to
     evaluate runs in which the checks find errors. bands, course: (file name, content). adaptive: whether to test
     adaptive bands. effects: folder of user-defined effects in the model files.
     """

@@ -54,7 +54,7 @@ def draw_offset(found: Identification, output: FigureOutput) -> PageFigure:
 def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
     """Draw the ratio of lateral to forward velocity, corrected for slip, versus curvature, and the residuals.
 
-    The slope of the ratio is the distance of the INS ahead of the rear axle [m].
+    The slope of the fitted line is the distance of the INS ahead of the rear axle [m].
     """
     data = found.figure
     with style():
@@ -111,7 +111,7 @@ def draw_stiffness(found: Identification, output: FigureOutput) -> PageFigure:
 
 
 def draw_prediction(found: Identification, output: FigureOutput) -> PageFigure:
-    """Draw the residuals of a fit of predictions, and the first parameter with the one most correlated with it."""
+    """Draw the residuals of a fit by prediction, and the first parameter versus the one most correlated with it."""
     data, first = found.figure, found.estimates[0]
     with style():
         figure, panels = plt.subplot_mosaic([["rate", "pair"], ["across", "pair"]], figsize=(WIDTH, 4.2),
