@@ -74,7 +74,7 @@ def evaluate(
 def make_task(read_options: shared.ReadOptions, model: Sequence[str], effects: Path | None, acceleration: str,
               inputs: Literal["interpolate", "hold"], times: Sequence[float],
               **others: Any) -> "tuple[Task, Path | None, str]":
-    """(task, vehicle file that the user named, file with the vehicle in use).
+    """(task, vehicle file that the user named or None, file with the vehicle in use).
 
     times: horizon [s], step [s], minimum speed [m/s], interval of the starts [s]. others: further fields of Task.
     """

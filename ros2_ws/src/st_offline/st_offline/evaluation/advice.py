@@ -153,7 +153,7 @@ def processor_time(cost: Cost) -> float:
 def find_cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
                   tolerance: float) -> dict[float, tuple[Key | None, ...]]:
     """The (model, step) with the least processor time and a lateral error within the tolerance [m] in WITHIN_SHARE of
-    the starts, by speed bin (lower edge [m/s]) for each second ahead; None if no model and step reach it."""
+    the starts, by speed bin (lower edge [m/s]) and second ahead; None if no model and step reach it."""
     order = sorted(accuracies, key=lambda key: processor_time(costs[key]))
     speeds = sorted({low for one in accuracies.values() for low in one.within})
     seconds = max((len(one.second) for one in accuracies.values()), default=0)
@@ -175,7 +175,7 @@ class Advice:
 
 
 def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
-    """Print the tables and write advice.csv. Unusable runs are skipped; the evaluation has already reported them."""
+    """Print the tables and write advice.csv. Unusable runs are skipped silently. tolerance: lateral error [m]."""
     with console.status("cost and accuracy of each model and step"):
         advice = measure_runs(sources, task)
     rows = advice_rows(advice.costs, advice.accuracies)
