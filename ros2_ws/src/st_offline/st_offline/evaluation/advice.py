@@ -96,7 +96,7 @@ def measure_median_times(calls: Mapping[CallKey, tuple[Call, int]]) -> dict[Call
 LATERAL = 1  # index in (longitudinal, lateral, yaw)
 BAND_LEVELS = (0.9, 0.5)
 WITHIN_SHARE = 0.9  # fraction of the starts that must be within the tolerance
-MIN_STARTS = 100  # in a speed bin; ten seconds of driving at 10 Hz
+MIN_STARTS = 100  # in a speed bin; ten seconds of driving at 10 Hz, or more with fewer starts per second
 
 
 @dataclass(frozen=True)
