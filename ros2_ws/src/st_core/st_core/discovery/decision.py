@@ -18,11 +18,11 @@ from .settings import Limits
 @dataclass(frozen=True)
 class Checks:
     """Checks of an effect that need intervals and axle curves. null_outside: whether an interval excludes the null.
-    crossing: parameter whose interval crosses a bound, "" for none. peak_force_share [1]: largest axle force in the
-    drives divided by the peak force, for an effect on the peak. worse_axle: axle that the effect acts on and whose
-    measured forces agree less with the final model than with the vehicle file; "" for none. summed: other effects of
-    the model; only their sum with this one is identifiable. objection: why the car with this effect would be
-    implausible, see `handling.objections`; "" for none."""
+    crossing: parameter with an interval that crosses a bound, or "". peak_force_share [1]: largest axle force in the
+    drives divided by the peak force, for an effect on the peak. worse_axle: an axle on which the effect acts, and with
+    measured forces closer to the vehicle file than to the final model, or "". summed: other effects of the model; only
+    their sum with this effect is identifiable. objection: reason why the car with this effect would be implausible (see
+    `handling.objections`), or ""."""
 
     null_outside: bool = True
     crossing: str = ""
@@ -34,8 +34,8 @@ class Checks:
 
 @dataclass(frozen=True)
 class Rival:
-    """An effect that could replace the effect `replaces` in the model. share [1]: ratio of its gain to that of the
-    replaced effect. p_no_worse [1]: p-value of the hypothesis that it is no worse. deficit [1]: gain of the replaced
+    """An effect that could replace the effect `replaces` in the model. share [1]: ratio of its gain to the gain of the
+    replaced effect. p_no_worse [1]: p-value of the hypothesis that it is as good. deficit [1]: gain of the replaced
     effect minus gain of the rival, per residual. evidence, values: of the rival in the set without the replaced effect.
     shared: whether both are in the model and the rival explains a part of the replaced effect."""
 
@@ -52,9 +52,9 @@ class Rival:
 @dataclass(frozen=True)
 class SearchResult:
     """Input of `decide`. noise_ratio [1]: ratio of residual to noise. detectable_share [1]: fraction of the library's
-    effects that are detectable in these drives at a value of one parameter scale. varying_effects: number of effects
-    that vary between parts of the drives. combinations: names of parameter combinations that differ from the vehicle
-    file without a named effect."""
+    effects that are detectable in these drives at a size of one parameter scale. varying_effects: number of effects
+    that vary between parts of the drives. combinations: names of the parameter combinations that differ from the
+    vehicle file, but that no named effect changes."""
 
     named: Sequence[Evidence]
     rivals: Mapping[str, Sequence[Rival]]
@@ -66,7 +66,7 @@ class SearchResult:
 
 
 def judge(e: Evidence, limits: Limits) -> Reason:
-    """The verdict on one effect in a set; the same test for adding, keeping and exchanging it."""
+    """The verdict on one effect in a set. The same test applies to adding, keeping and exchanging it."""
     if not is_confirmed(e, limits):
         refused = _reject_insignificant(e, limits)
         if refused:
@@ -161,15 +161,15 @@ def position_reduction(e: Evidence) -> float:
 
 
 def is_relevant(e: Evidence, limits: Limits) -> bool:
-    """Whether an effect is large enough to be named: by its error reduction in the most affected channel or in position
-    or, if redundant sensors confirm it, by its value."""
+    """Whether an effect is large enough to be named, judged by its error reduction in the most affected channel or in
+    position or, if redundant sensors confirm it, by its size."""
     return (most_affected(e, limits)[1] >= limits.relevant or position_reduction(e) >= limits.relevant_position
             or (is_confirmed(e, limits) and e.size >= limits.min_relative_size))
 
 
 def most_affected(e: Evidence, limits: Limits) -> tuple[str, float]:
     """(name, reduction [1]) of the channel with the largest error reduction relative to its baseline error, among those
-    with an error above the noise; ("", 0) for none."""
+    with an error above the noise; ("", 0) if there is none."""
     share, column = max(((share, column) for column, (share, noise_ratio) in e.shares.items()
                          if noise_ratio > limits.max_noise_ratio), default=(0.0, ""))
     return CHANNEL_OF_COLUMN[column].name if column else "", share
@@ -181,7 +181,7 @@ def _relevance_figures(e: Evidence, limits: Limits) -> dict[str, float]:
 
 
 def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) -> Reason:
-    """Whether an accepted effect is named, or only stays in the model to avoid a bias of other values."""
+    """Whether an accepted effect is named, or only stays in the model to avoid a bias of the other values."""
     by_sensors, checks = is_confirmed(e, limits), checks or Checks()
     if checks.worse_axle:
         return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {checks.worse_axle} axle agree "
@@ -223,7 +223,7 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
 
 
 def _describe_effect_size(e: Evidence, limits: Limits) -> str:
-    """The largest reductions, as a clause."""
+    """Clause with the largest error reductions."""
     channel, share = most_affected(e, limits)
     channel_part = f"the baseline {CHANNELS[channel].label} error by {share:.1%} and " if channel else ""
     where = " in one driving condition" if e.position_somewhere > e.position else ""
@@ -235,15 +235,15 @@ PARTITION_NAMES = {"run": "the runs", "site": "the sites", "time": "the time in 
 
 
 def varying_partition(e: Evidence, limits: Limits) -> str:
-    """Partition (run, place, ...) in which an effect varies significantly and may be absent in a new part; "" for none.
-    If there are several, the one with the largest probability of absence."""
+    """Partition (run, place, ...) over which an effect varies significantly and may be absent in a new part, or "". If
+    there are several, the one with the largest probability of absence."""
     found = [partition for partition, a in e.agreement.items()
              if a.p_equal < limits.false_alarm and a.p_absent > limits.undecided_p]
     return max(found, key=lambda partition: e.agreement[partition].p_absent, default="")
 
 
 def varies_relevantly(e: Evidence, limits: Limits) -> bool:
-    """Whether an effect with separate values in the parts of the driving is reported."""
+    """Whether separate values of an effect in parts of the driving are significant and relevant enough to report."""
     return e.p_value < limits.false_alarm and e.gain > max(limits.relevant, e.healthy_gain) and is_relevant(e, limits)
 
 

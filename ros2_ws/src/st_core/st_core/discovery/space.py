@@ -19,13 +19,13 @@ from .settings import DiscoverySettings
 
 DIFFERENCE_STEP = 0.02  # step of the difference quotients, as a fraction of the parameter scale
 GAIN = "acceleration_gain"
-TYPICAL_GAIN, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # body roll of 5 mrad s^2/m, times g
+TYPICAL_GAIN, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # typical: roll gradient of 5 mrad/(m/s^2), times g
 
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """One parameter of the vector. scale: parameter scale > 0, the typical magnitude of the effect (typical size
-    in reports); unit of steps and distances. sign: of initial - null."""
+    """One parameter of the vector. scale: parameter scale > 0, the typical magnitude of the effect and unit of steps
+    and distances. sign: sign of initial - null."""
 
     effect: str
     parameter: str
@@ -39,11 +39,11 @@ class FreeParameter:
 
 class Space:
     """Parameters of all effects that apply to a base model. not_searched: further effects of the model. library: names
-    of the effects to choose from, default all that apply.
+    of the effects to choose from, by default all that apply.
 
-    hypotheses: names of the searched effects. null: (p,) vector of the base; scale, low, high: (p,) parameter scales
-    and bounds. deviation: (p,) prior standard deviation of additions to the measured car, such as a load [parameter
-    scales], inf for all others; additions: names of the effects with additions.
+    hypotheses: names of the searched effects. null: (p,) vector of the base model. scale, low, high: (p,) parameter
+    scales and bounds. deviation: (p,) prior standard deviation of additions to the measured car, such as a load
+    [parameter scales]; inf for all other parameters. additions: names of the effects with additions.
     """
 
     def __init__(self, base: str | Model, settings: DiscoverySettings, not_searched: Sequence[str] = (),
@@ -84,7 +84,7 @@ class Space:
         return np.clip(vector, self.low, self.high)
 
     def indices(self, *names: str) -> np.ndarray:
-        """Increasing indices of the parameters of effects in the vector."""
+        """Ascending indices in the vector of the parameters of the effects `names`."""
         return np.array(sorted({i for name in names for i in self._indices.get(name, ())}), int)
 
     def values(self, name: str, vector: np.ndarray) -> dict[str, float]:
@@ -98,14 +98,14 @@ class Space:
 
 
 def typical_size(effect: str, unit: str) -> float:
-    """Scale of the parameters of an effect with this unit: their largest |initial - null|. Both components of wind thus
-    have the same scale."""
+    """Scale of the parameters of an effect with this unit: their largest |initial - null|, so that, for example, both
+    components of wind have the same scale."""
     return max(abs(p.initial - p.null) for p in get_effect(effect).parameters if p.fit and p.unit == unit)
 
 
 def _chosen(usable: Sequence[str], settings: DiscoverySettings, known: Sequence[str]) -> tuple[str, ...]:
-    """Names of the effects to search. known: names that apply to the base. Raises ConfigurationError for requested
-    effects that do not apply, or if none is left."""
+    """Names of the effects to search. known: names that apply to the base model. Raises ConfigurationError if requested
+    effects do not apply, or if no effect remains."""
     requested = settings.effects
     for name in requested or ():
         if name not in EFFECTS:
@@ -123,9 +123,9 @@ def _chosen(usable: Sequence[str], settings: DiscoverySettings, known: Sequence[
 class FileQuantity:
     """A quantity of the vehicle file that a parameter of an effect changes.
 
-    value, deviation [SI]: of the file. slope: change of the quantity per unit of the parameter. stated: whether the
-    file states the deviation; otherwise it is the default of the quantity. absent [SI]: value of the quantity in a
-    model without the effect, 0 where the equations of the base lack it.
+    value, deviation [SI]: value and standard deviation in the file. slope: change of the quantity per unit of the
+    parameter. stated: whether the file states the deviation; otherwise it is the default for the quantity. absent [SI]:
+    value of the quantity in a model without the effect; 0 if the equations of the base model do not contain it.
     """
 
     key: str
@@ -149,7 +149,7 @@ Quantities = tuple[FileQuantity | None, ...]
 
 
 def known_quantities(space: Space, vehicle: VehicleParameters) -> Quantities:
-    """(p,) quantity of the vehicle file that each parameter changes (of several, the best known); None without one."""
+    """(p,) quantity of the vehicle file that each parameter changes most, in standard deviations, or None."""
     return (*(_changed_quantity(space, vehicle, i) for i in range(len(space.free))), None)
 
 
@@ -160,12 +160,12 @@ def prior_deviations(known: Quantities, scale: np.ndarray) -> np.ndarray:
 
 
 def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQuantity | None:
-    """Quantity that parameter i changes: as declared, otherwise from finite differences of the `fold` of its effect."""
+    """Quantity that parameter i changes: the declared one, else from finite differences of the `fold` of its effect."""
     free = space.free[i]
     effect = get_effect(free.effect)
     parameter = next(p for p in effect.parameters if p.name == free.parameter)
     if parameter.quantity:
-        # In equations without the quantity its value is 0.
+        # Equations that do not contain the quantity treat it as 0.
         absent = value_of(vehicle, parameter.quantity) if space.model.base.name == "nonlinear" else 0.0
         return _file_quantity(vehicle, parameter.quantity, 1.0, absent)
     if effect.fold is None or parameter.deviation < math.inf:

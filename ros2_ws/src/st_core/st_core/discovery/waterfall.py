@@ -1,4 +1,4 @@
-"""Reduction of the held-out error by added effect, by channel and by kind of cause, and intervals of the values."""
+"""Reduction of the held-out error by effect, by channel and by kind of cause; values of effects with intervals."""
 
 from collections.abc import Mapping, Sequence
 
@@ -42,7 +42,7 @@ class HorizonErrors:
         return result
 
     def position_without(self, fit: Fit, name: str) -> float:
-        """Increase of the mean position error after 5 s if an effect of a fit is removed, the others unchanged [m]."""
+        """Increase of the mean position error after 5 s if an effect is removed and the others are unchanged [m]."""
         p = self.problem
         without, with_effect = (float(np.nanmean(p.position_error(p.errors.at(vector))))
                                 for vector in (p.vector_without(fit, name), fit.vector))
@@ -63,7 +63,7 @@ class HorizonErrors:
         return Change(base, augmented, (float(low), float(high)), UNITS[channel])
 
     def by_run(self, values: np.ndarray) -> dict[str, float]:
-        """Mean of (n,) values by run; runs without a finite one are left out."""
+        """Mean of (n,) values by run; runs without a finite value are left out."""
         return {name: float(np.nanmean(values[self.run == k])) for k, name in enumerate(self.names)
                 if np.isfinite(values[self.run == k]).any()}
 
@@ -71,13 +71,13 @@ class HorizonErrors:
 def parameters(problem: Problem, fit: Fit, effect: str, partitions: Mapping[str, Partition],
                near: Sequence[tuple[Sequence[str], np.ndarray]] = (),
                joint: Joint | None = None, unexplained: float = 1.0) -> dict[str, FittedParameter]:
-    """Values with 95 % intervals.
+    """Values of an effect with 95 % intervals.
 
-    Half width: the largest of three, from (1) blocks taken as independent, (2) the scatter between the parts of a
-    partition, such as runs or sites, (3) the `joint` fit with all other parameters free, times `unexplained`, the ratio
-    of residual to noise (Birge, Phys. Rev. 40, 1932), with the model error added in quadrature. The interval extends to
-    the values in `near`, sets of effects that fit nearly as well, and thus allows for errors of the model equations.
-    """
+    The half-width is the largest of three estimates: (1) from blocks taken as independent; (2) from the scatter between
+    the parts of a partition, such as runs or sites; (3) from the `joint` fit with all other parameters free, multiplied
+    by `unexplained`, the ratio of residual to noise (Birge, Phys. Rev. 40, 1932), plus the model error in quadrature.
+    To allow for errors of the model equations, the interval extends to the values in `near`, sets that fit nearly as
+    well."""
     space, result = problem.space, {}
     indices = space.indices(effect)
     model_error = np.array([p.model_error for p in get_effect(effect).parameters if p.fit])
@@ -99,7 +99,7 @@ def parameters(problem: Problem, fit: Fit, effect: str, partitions: Mapping[str,
     others -= fit.vector[indices]
     for i, r, below, above in zip(indices, half, others.min(axis=0), others.max(axis=0), strict=True):
         f, value = space.free[i], float(fit.vector[i])
-        # With a reference the value is the change since then.
+        # With a reference, the reported value is the change since the reference drives.
         value = f.null + value - float(problem.start[i]) if problem.prior is not None else value
         interval = value + float(below - r), value + float(above + r)
         result[f.parameter] = FittedParameter(value, f.unit, interval, f.null)
@@ -107,7 +107,7 @@ def parameters(problem: Problem, fit: Fit, effect: str, partitions: Mapping[str,
 
 
 def _prediction_interval(ratios: Mapping[str, tuple[float, float]]) -> float:
-    """Half width of the 95 % prediction interval for another part, relative to the value; 0 with fewer than 3 parts."""
+    """Half-width of the 95 % prediction interval for another part, relative to the value; 0 with fewer than 3 parts."""
     if len(ratios) < 3:
         return 0.0
     values, deviations = np.array(list(ratios.values())).T
@@ -117,7 +117,7 @@ def _prediction_interval(ratios: Mapping[str, tuple[float, float]]) -> float:
 
 def steps(problem: Problem, final: Fit, order: Sequence[str], errors: HorizonErrors,
           partitions: Mapping[str, Partition]) -> tuple[list[Step], Fit]:
-    """The steps from the base model to the final one, one effect at a time, and the fit of the base. `loss.scale` is
+    """(steps from the base model to the final model, one effect at a time, fit of the base model). `loss.scale` is
     re-estimated in each step and restored afterwards."""
     if not order:
         return [], final
@@ -147,7 +147,7 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], errors: HorizonErr
 
 
 def channel_errors(errors: HorizonErrors, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[str, ChannelError]:
-    """Errors before and after by channel, and of the position after 5 s."""
+    """Errors of the fits `base` and `final`, by channel and for the position after 5 s."""
     before, after, result = errors.of(base), errors.of(final), {}
     for channel in after:
         change = errors.change(channel, before[channel], after[channel])
@@ -162,7 +162,7 @@ def channel_errors(errors: HorizonErrors, base: Fit, final: Fit, floor: Mapping[
 
 
 def leave_one_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, float]]]:
-    """{run: {effect: {parameter: value}}}, fitted without that run; empty for a single run."""
+    """{run: {effect: {parameter: value}}} with values fitted without this run; empty for a single run."""
     windows = problem.errors.windows
     if len(np.unique(windows.run)) < 2:
         return {}
@@ -187,7 +187,7 @@ def budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit
                           last[1] / max(start[1], 1e-9), first[1] / max(start[1], 1e-9))
 
     def fitted(names: tuple[str, ...]) -> Fit:
-        """The best of the base and two fits, started at the final values and at those of the base."""
+        """The best of three: the base, a fit started at the final values, and one started at the base values."""
         from_final = problem.refit(problem.fit(names, final.sensitivities, iterations=3))
         from_base = problem.refit(problem.fit(names, problem.all_sensitivities(base.vector), base.vector, names))
         return min((from_final, from_base, base), key=lambda fit: float(fit.held_out.sum()))

@@ -34,21 +34,21 @@ from .where_parts import (
 )
 from .windows import STEP, Windows
 
-SHORT_HORIZON = 1.0  # s, for errors of velocity, rate and acceleration: near the place where they arise
+SHORT_HORIZON = 1.0  # s, for errors of velocity, yaw rate and acceleration, to locate where they arise
 RESAMPLES = 1000  # bootstrap samples
-MAX_RANGES = 3  # statements about conditions per channel
+MAX_RANGES = 3  # maximum number of statements about conditions per channel
 SIGNED = ("lateral acceleration", "steering angle", "steering rate")
-MIN_CONTRAST = 1.15  # ratio of the error in a range to that in all driving, from which the range is reported
+MIN_CONTRAST = 1.15  # minimum ratio of the error in a reported range to the error in all driving
 
 
 def largest_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
                    settings: DiscoverySettings, reference: Sequence[DriveLog] = (),
                    noise: Mapping[str, float] | None = None, gain: float = 0.0) -> tuple[ErrorCondition, ...]:
-    """Conditions, times and places in which the errors of a model exceed those in the reference drives, or the sensor
-    noise without reference.
+    """Conditions, times and places in which the errors of a model exceed those in the reference drives or, without a
+    reference, the sensor noise.
 
-    noise: standard deviation by channel [unit]; needed without reference. gain: see `Windows.errors`. Channels that the
-    runs or the reference do not have are left out.
+    noise: standard deviation by channel [unit], required without a reference. gain: see `Windows.errors`. Channels that
+    are not measured in the runs or in the reference are left out.
     """
     samples = window_errors(runs, model, vehicle, settings, gain)
     expected = window_errors(reference, model, vehicle, settings, gain) if reference else None
@@ -82,8 +82,8 @@ def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: Vehi
 
 
 def _squares(windows: Windows, squares: np.ndarray) -> dict[str, np.ndarray]:
-    """(n,) mean square error by channel over the first second; for channels with accumulating errors, square error at
-    the end of the horizon."""
+    """(n,) mean square error by channel over the first SHORT_HORIZON; for channels with accumulating errors, square
+    error at the end of the horizon."""
     short = windows.time <= max(SHORT_HORIZON, float(windows.time[0]))
     found: dict[str, np.ndarray] = {}
     for column, square in zip(windows.columns, np.moveaxis(squares, -1, 0), strict=True):
@@ -94,7 +94,7 @@ def _squares(windows: Windows, squares: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _places_of_run(log: DriveLog, seconds: np.ndarray, horizon: float) -> dict[str, np.ndarray]:
-    """Place and conditions of the windows of one run. seconds: since both INS and steering are available."""
+    """Position and conditions of the windows of one run. seconds: starts, since both INS and steering are available."""
     signals = LogSignals(log, 0.1, 5.0, "zero_phase")
     begin = max((int(t[0]) for t in (log.ins_time_ns, log.steering_time_ns) if len(t)), default=0)
     starts = begin + np.round(seconds / NANOSECOND).astype(np.int64)
@@ -113,7 +113,7 @@ def _places_of_run(log: DriveLog, seconds: np.ndarray, horizon: float) -> dict[s
 
 
 def _significant(found: list[Cell]) -> list[Cell]:
-    """The cells that are significant (Benjamini and Hochberg, all cells) with a ratio of at least MIN_ERROR_RATIO."""
+    """The significant cells (Benjamini and Hochberg over all cells) with a ratio of at least MIN_ERROR_RATIO."""
     if not found:
         return []
     adjusted = stats.false_discovery_control([c.p for c in found], method="bh")
@@ -128,7 +128,7 @@ def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], 
         return []
     overall = next(b for b in of_channel if b.range.quantity == EVERYWHERE)
     found = [_range_statement(group, of_channel, overall, with_reference) for group in _group_neighbours(of_channel)]
-    # Ranked by the lower bound: a range with few observations can have a large error by chance.
+    # Ranked by the lower bound, because a range with few observations can have a large error by chance.
     clear = sorted((s for s in found if s.interval[0] > 1.0 and s.excess >= MIN_CONTRAST * overall.excess),
                    key=lambda s: -s.interval[0])
     statements = [*clear[:MAX_RANGES]]
@@ -140,7 +140,7 @@ def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], 
 
 
 def _group_neighbours(bins: Sequence[BinExcess]) -> list[list[BinExcess]]:
-    """Groups of significant ranges of the same quantity; a group contains neighbours with similar excess."""
+    """Group significant neighbouring ranges of the same quantity with similar excess."""
     groups: list[list[BinExcess]] = []
     for _, of_quantity in itertools.groupby((b for b in bins if b.range.quantity != EVERYWHERE),
                                             key=lambda b: b.range.quantity):
@@ -160,14 +160,14 @@ def _group_neighbours(bins: Sequence[BinExcess]) -> list[list[BinExcess]]:
 
 def _range_statement(group: Sequence[BinExcess], bins: Sequence[BinExcess], overall: BinExcess,
                      with_reference: bool) -> ErrorCondition:
-    """Statement on a group of ranges. bins: all bins of the channel. overall: the bin with all driving."""
+    """Statement on a group of ranges. bins: all bins of the channel. overall: the bin of all driving."""
     quantity = group[0].range.quantity
     if quantity == "direction":
         return ErrorCondition(overall.channel, f"{group[0].range.label} turns" if group[0].range.label != "straight"
                               else "straight driving", group[0].excess, group[0].interval)
     unit = group[0].range.label.rsplit(" ", 1)[1]
     low, high = group[0].range.low, group[-1].range.high
-    assert low is not None and high is not None  # all quantities but the direction have edges
+    assert low is not None and high is not None  # None only for directions
     condition = range_text(quantity, unit, low, high)
     sides = {b.range.label: b for b in bins if b.range.quantity == "direction" and b.range.label != "straight"}
     if quantity in SIGNED and group[0].range.low and len(sides) == 2 and all(b.significant for b in sides.values()):
@@ -182,7 +182,7 @@ def _range_statement(group: Sequence[BinExcess], bins: Sequence[BinExcess], over
 
 
 def _part_statement(part: Part, overall: BinExcess, samples: Samples) -> ErrorCondition:
-    """Statement on a stretch of a run; excess: the overall one of the channel times the ratio of the stretch."""
+    """Statement on a stretch of a run; its excess is the overall excess times the ratio of the stretch."""
     last = float(samples.time[samples.run == part.run].max())
     name = samples.names[part.run]
     when = (f"from {part.start:.0f} s on" if part.end >= last - 1.0 else f"until {part.end:.0f} s" if part.start < 2.0

@@ -1,16 +1,16 @@
-"""Tests for parts of the driving with larger errors: ranges of the conditions, stretches of a run, places.
+"""Tests for larger errors in parts of the driving: ranges of the conditions, stretches of a run, and places.
 
 For each range (bin) of a condition:
 
     excess = sqrt(mean square error in the bin / expected mean square error)
 
-The expected error is the error of the reference drives in the same bin, or their largest one if they have too few
-blocks there; without reference drives it is the sensor noise. Intervals and p-values are from resampling whole blocks
-of time, since errors of neighbouring predictions are correlated. Significance is corrected for the number of bins
-(Benjamini and Hochberg, 1995).
+The expected error is the error of the reference drives in the same bin, or in their worst bin if they have too few
+blocks there; without a reference it is the sensor noise. Intervals and p-values are from resampling whole time blocks,
+since errors of neighbouring predictions are correlated. Significance is corrected for the number of bins (Benjamini and
+Hochberg, 1995).
 
 Errors are larger in corners than on straights. Times and places are therefore compared by the residuals of a
-regression of all errors on the conditions, which change on ice, in a gust, or with a defect:
+regression of the errors on the conditions; ice, a gust or a defect changes these residuals. The regression is
 
     log(mean square + noise^2) = a + b . (log speed, log lateral acceleration, log steering rate,
                                           |forward acceleration|)
@@ -28,26 +28,26 @@ from ..binning import LATERAL_ACCELERATION_EDGES, SPEED_EDGES, STEERING_RATE_EDG
 
 STEERING_ANGLE = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)  # rad at the road wheels, magnitude
 FORWARD_ACCELERATION = (-math.inf, -2.0, -0.7, 0.7, 2.0)  # m/s^2
-MIN_TURNING = 0.5  # m/s^2; below that a stretch is straight
-MIN_BLOCKS = 4  # blocks that a bin needs for an interval
-FALSE_DISCOVERY_RATE = 0.05  # among the significant bins
+MIN_TURNING = 0.5  # m/s^2 of lateral acceleration; driving with less counts as straight
+MIN_BLOCKS = 4  # minimum number of blocks in a bin for an interval
+FALSE_DISCOVERY_RATE = 0.05  # among the significant bins or cells
 MIN_FLOOR_RATIO = 1.25  # minimum ratio of the error in a relevant bin to the floor
 
 CELL_SIZE = 20.0  # m, side of a cell of the map
 MIN_PART_DURATION = 8.0  # s between change points
 MAX_P_VALUE = 0.01  # of a change point
-MIN_ERROR_RATIO = 1.5  # of RMS errors
+MIN_ERROR_RATIO = 1.5  # minimum ratio of RMS errors for a reported stretch or cell
 MAX_CHANGES = 3  # change points per run and channel
-PERMUTATIONS = 299  # they resolve a p-value of 0.01
+PERMUTATIONS = 299  # enough to resolve a p-value of 0.01
 
 EVERYWHERE = "everywhere"
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Errors and conditions of n predictions in n rows. run: index into names. time [s]: since the first measurement
-    of the run. x, y [m]: position at the start. block: number of the stretch of time, which counts as one observation.
-    conditions: (n,) by name. squares: (n,) mean square error by channel [unit^2]."""
+    """Errors and conditions of n predictions. run: index into names. time [s]: since the first measurement of the run.
+    x, y [m]: position at the start. block: number of the block of time; a block counts as one observation. conditions:
+    (n,) by name. squares: (n,) mean square error by channel [unit^2]."""
 
     names: tuple[str, ...]
     run: np.ndarray
@@ -72,7 +72,7 @@ class Range:
 @dataclass(frozen=True)
 class BinExcess:
     """Error of one channel in one range. excess [1]: ratio to the expected error; interval: 95 %. p: p-value of the
-    hypothesis that the error is no larger than expected. blocks: number of blocks. covered: whether the reference has
+    hypothesis that the error is not larger than expected. blocks: number of blocks. covered: whether the reference has
     enough driving in the range; True without a reference."""
 
     channel: str
@@ -87,8 +87,8 @@ class BinExcess:
 
 @dataclass(frozen=True)
 class Part:
-    """A stretch of a run. start, end [s]: since the first measurement of the run. ratio [1]: RMS error divided by that
-    in the other parts of the run under similar conditions."""
+    """A stretch of a run. start, end [s]: since the first measurement of the run. ratio [1]: RMS error divided by the
+    RMS error in the rest of the run under similar conditions."""
 
     channel: str
     run: int
@@ -100,8 +100,8 @@ class Part:
 
 @dataclass(frozen=True)
 class Cell:
-    """A square of the map with side CELL_SIZE. x, y [m]: its centre in the map frame. ratio [1]: RMS error divided by
-    that elsewhere under similar conditions; interval: 95 %."""
+    """A square of the map with side CELL_SIZE. x, y [m]: its centre in the map frame. ratio [1]: ratio of the RMS error
+    to the value expected under the same conditions; interval: 95 %."""
 
     channel: str
     x: float
@@ -112,7 +112,7 @@ class Cell:
 
 
 def membership(samples: Samples) -> tuple[tuple[Range, ...], np.ndarray]:
-    """All ranges, and (n, number of ranges) whether each row is in them; the first range contains every row."""
+    """(all ranges, (n, number of ranges) mask of the rows in each range); the first range contains every row."""
     c = samples.conditions
     lateral = c["lateral_acceleration"]
     ranges, columns = [Range(EVERYWHERE, EVERYWHERE)], [np.ones(len(lateral), bool)]
@@ -143,7 +143,7 @@ def range_text(quantity: str, unit: str, low: float, high: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Means:
-    """Mean square by bin. deviation: bootstrap standard deviation of its logarithm. blocks: number of blocks."""
+    """Mean square error by bin. deviation: bootstrap standard deviation of its logarithm. blocks: number of blocks."""
 
     mean: np.ndarray
     deviation: np.ndarray
@@ -152,7 +152,7 @@ class _Means:
 
 def compute_excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range, ...], reference: Samples | None,
                      noise: Mapping[str, float], seed: int, resamples: int) -> tuple[BinExcess, ...]:
-    """Excess of every channel in every range with at least MIN_BLOCKS blocks. noise: floor without a reference."""
+    """Excess of every channel in every range with at least MIN_BLOCKS blocks. noise: expected error if no reference."""
     found = []
     expected_members = membership(reference)[1] if reference is not None else None
     for number, (channel, squares) in enumerate(samples.squares.items()):
@@ -164,7 +164,7 @@ def compute_excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range,
             floor = _bin_means(reference.squares[channel], reference.block, expected_members,
                                np.random.default_rng((seed, number, 1)), resamples)
             covered = floor.blocks >= MIN_BLOCKS
-            # With too little reference driving in a bin, its largest error anywhere is used, to avoid false alarms.
+            # A bin with too little reference driving gets the error of the worst bin, to avoid false alarms.
             worst = int(np.nanargmax(np.where(covered, floor.mean, -1.0)))
             expected = np.where(covered, floor.mean, floor.mean[worst])
             spread = np.where(covered, floor.deviation, floor.deviation[worst])
@@ -176,7 +176,7 @@ def compute_excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range,
 
 def _bin_means(squares: np.ndarray, block: np.ndarray, members: np.ndarray, rng: np.random.Generator,
                resamples: int) -> _Means:
-    """Means of the squares in each column of `members`, by resampling whole blocks."""
+    """Means of the squares in each column of `members`; deviations are from resampling whole blocks."""
     known = np.isfinite(squares)
     _, index = np.unique(block[known], return_inverse=True)
     weights = members[known].astype(float)
@@ -203,7 +203,7 @@ def _bin_means(squares: np.ndarray, block: np.ndarray, members: np.ndarray, rng:
 
 def _excess(channel: str, part: Range, mean: float, expected: float, deviation: float, blocks: int,
             covered: bool) -> BinExcess:
-    """Ratio to the expected error; interval and p-value by Student's t for its logarithm, one observation per block."""
+    """The `BinExcess` of a bin; interval and p-value by Student's t for the log ratio, one observation per block."""
     log_ratio = math.log(max(mean, 1e-300) / max(expected, 1e-300))
     deviation = max(deviation, 1e-6)
     reach = float(stats.t.ppf(0.975, blocks - 1)) * deviation
@@ -214,15 +214,15 @@ def _excess(channel: str, part: Range, mean: float, expected: float, deviation: 
 
 
 def _with_significance(found: list[BinExcess]) -> tuple[BinExcess, ...]:
-    """The bins with `significant` set: by Benjamini and Hochberg for all bins, and at least MIN_FLOOR_RATIO times the
-    floor."""
+    """Set `significant` for the bins that pass the test of Benjamini and Hochberg over all bins and exceed the floor by
+    a factor of at least MIN_FLOOR_RATIO."""
     adjusted = stats.false_discovery_control([f.p for f in found], method="bh") if found else ()
     return tuple(replace(f, significant=bool(q <= FALSE_DISCOVERY_RATE and f.excess >= MIN_FLOOR_RATIO))
                  for f, q in zip(found, adjusted, strict=True))
 
 
 def log_residuals(samples: Samples, squares: np.ndarray, noise: float) -> np.ndarray:
-    """(n,) residuals of the regression of log squares on the conditions; NaN where not known."""
+    """(n,) residuals of the regression of the log square errors on the conditions; NaN where unknown."""
     c = samples.conditions
     rows = np.stack([np.ones(len(squares)), np.log(np.maximum(c["speed"], 0.5)),
                      np.log(np.abs(c["lateral_acceleration"]) + 0.2), np.log(c["steering_rate"] + 0.005),
@@ -294,14 +294,14 @@ def _find_change_points(values: np.ndarray, first: int, last: int, block: int, r
 
 
 def _cusum(rows: np.ndarray) -> np.ndarray:
-    """|cumulative sum| of deviations from the mean, before each element; scaled by the spread and the length."""
+    """|cumulative sum| of the deviations from the mean before each element, over standard deviation and root length."""
     centred = rows - rows.mean(axis=1, keepdims=True)
     sums = np.cumsum(centred, axis=1) - centred
     return np.abs(sums) / (rows.std(axis=1, keepdims=True) * math.sqrt(rows.shape[1]) + 1e-12)
 
 
 def find_cells(samples: Samples, channel: str, noise: float) -> list[Cell]:
-    """Cells driven in at least MIN_BLOCKS blocks. p: of the hypothesis that the conditions explain the errors there."""
+    """Cells driven in at least MIN_BLOCKS blocks, with the p-value that the conditions explain the errors there."""
     residual = log_residuals(samples, samples.squares[channel], noise)
     known = np.isfinite(residual) & np.isfinite(samples.x) & np.isfinite(samples.y)
     key = np.stack([np.floor(samples.x[known] / CELL_SIZE), np.floor(samples.y[known] / CELL_SIZE)], axis=1)

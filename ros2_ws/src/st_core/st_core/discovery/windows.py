@@ -31,20 +31,20 @@ from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings
 
 STEP = 0.05  # s, integration step
-SIDESLIP_SETTLING_TIME = 0.75  # s; until then the error of an assumed initial sideslip decays
+SIDESLIP_SETTLING_TIME = 0.75  # s, in which the error of an assumed initial sideslip decays
 MARGIN_NS = 600_000_000  # ns at both ends of a run, for effects that delay or advance the steering
 MAX_GAP = 0.1  # s, longest gap that is interpolated, as PredictionSettings.maximum_gap
-MIN_SPEED = 1.5  # m/s; slower windows have no lateral motion
+MIN_SPEED = 1.5  # m/s; slower windows have hardly any lateral motion
 PAUSE_NS = 5_000_000_000  # ns between runs on the common clock
-RECORDING_CACHE_SIZE = 4  # corrected recordings, and tables computed from them
-LOOKUP_CACHE_SIZE = 8  # sets of instants with their neighbouring samples
-SCORED_SHARES = (0.1, 0.25, 0.5, 1.0)  # points that are scored, as fractions of the horizon
+RECORDING_CACHE_SIZE = 4  # number of corrected recordings, and of input tables computed from them
+LOOKUP_CACHE_SIZE = 8  # number of sets of instants with their neighbouring samples
+SCORED_SHARES = (0.1, 0.25, 0.5, 1.0)  # scored points, as fractions of the horizon
 
 
 class Signals(LogSignals):
-    """Signals of a drive; forward acceleration is the central difference of the forward speed over 2 STEP.
+    """Signals of a drive. Forward acceleration is the central difference of the forward speed over 2 STEP.
 
-    The neighbouring samples of requested instants are cached, as a fit requests the same ones thousands of times.
+    The neighbouring samples of requested instants are cached, as a fit requests the same instants thousands of times.
     """
 
     def __init__(self, log: DriveLog, maximum_gap: float):
@@ -68,15 +68,15 @@ class Signals(LogSignals):
     def _find_neighbours(self, times: np.ndarray, requested: np.ndarray) -> Neighbours:
         key = _memory_key(times), _memory_key(requested)
         known = self._lookups.pop(key, None)
-        # The memory may have been reused for other values; a comparison takes a hundredth of the time of a search.
+        # The memory may have been reused for other values. Comparing them takes a hundredth of the time of a search.
         if known is None or not (np.array_equal(known[0], times) and np.array_equal(known[1], requested)):
             known = times.copy(), requested.copy(), super()._find_neighbours(times, requested)
         return _remember(self._lookups, key, known, LOOKUP_CACHE_SIZE)[2]
 
 
 class Batch(LogBatch):
-    """A LogBatch for thousands of fits: the integration step is not checked again, and the recordings and input tables
-    are cached for models that correct the recording in the same way."""
+    """A LogBatch for thousands of predictions: the integration step is not checked each time, and recordings and input
+    tables are cached for models that correct the recording in the same way."""
 
     def __init__(self, *arguments: Any, **options: Any):
         super().__init__(*arguments, **options)
@@ -88,7 +88,7 @@ class Batch(LogBatch):
         return _remember(self._recordings, key, self._recordings.pop(key, None) or super().recording(model))
 
     def _table(self, block: Block, values: list[np.ndarray], model: Any, p: Any) -> np.ndarray:
-        # The values are cached as well: their memory must not be reused while their id is a key.
+        # The values are cached as well, so that their ids, which are part of the key, are not reused.
         key = (block.number, model.inputs, model.input_dependencies(p), *map(id, values))
         known = self._tables.pop(key, None) or (values, super()._table(block, values, model, p))
         return _remember(self._tables, key, known)[1]
@@ -118,15 +118,15 @@ def score_points(settings: DiscoverySettings) -> np.ndarray:
 
 
 def prepare_initial_states(log: DriveLog, vehicle: VehicleParameters, settings: DiscoverySettings) -> DriveLog:
-    """The drive for the initial states: yaw rate smoothed, sideslip that of steady cornering if it is not measured."""
+    """The drive for the initial states: yaw rate smoothed, and sideslip of steady cornering if it is not measured."""
     log = replace(log, yaw_rate=moving_average(log.ins_time_ns, log.yaw_rate, 50_000_000))
     return log if "velocity_y" in settings.channels else replace(log, velocity_y=steady_velocity_y(log, vehicle))
 
 
 class Windows:
-    """The n windows of some runs. starts_ns: (n,) start on the common clock. run, block: (n,) number of its run and
-    block. seconds: (n,) start since the start of the run [s]. time: (k,) scored points since the start of a window [s].
-    columns: (c,) names of the errors."""
+    """The n windows of some runs. starts_ns: (n,) start on the common clock. run, block: (n,) number of the run and of
+    the block. seconds: (n,) time from the start of the run to the start of the window [s]. time: (k,) scored points
+    after the start of a window [s]. columns: (c,) names of the errors."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self.vehicle, self.settings = vehicle, settings
@@ -160,11 +160,11 @@ class Windows:
         return self._measured["velocity_x"]
 
     def measured_at(self, times: np.ndarray, *names: str) -> tuple[np.ndarray, ...]:
-        """Measured signals at any times [ns] of the common clock."""
+        """Measured signals at times [ns] of the common clock."""
         return tuple(self._batch.signals.ins_at(times, *names))
 
     def _readings(self, times: np.ndarray) -> dict[str, np.ndarray]:
-        """Measured signals at times [ns]; signals of channels with `smoothed` are smoothed."""
+        """Measured signals at times [ns], smoothed for channels with `smoothed`."""
         log = self.joined
         signals = Signals(log, MAX_GAP)
         names = {"x": False, "y": False, "yaw": False, "velocity_x": False} | {
@@ -181,15 +181,15 @@ class Windows:
 
     @cached_property
     def known(self) -> np.ndarray:
-        """(n, m) whether an error has a measurement and no gap of the inputs before it; points and columns of a window
-        in one row."""
+        """(n, m) whether the measurement of an error exists and no gap of the inputs precedes it; points and columns of
+        a window in one row."""
         measured = [np.isfinite([self._measured[name] for name in channel.signals]).all(axis=0)
                     for channel in self.channels for _ in channel.columns]
         return (np.stack(measured, axis=-1) & self._with_inputs[..., None]).reshape(len(self), -1)
 
     @cached_property
     def _with_inputs(self) -> np.ndarray:
-        """(n, k) whether a point is before the first gap of steering or INS, after which there are no inputs. As at the
+        """(n, k) whether a point precedes the first gap of steering or INS, after which inputs are missing. As at the
         ends of a run, a gap has a margin: MARGIN_NS before the start of a window, half of it after a point."""
         last = np.full(len(self), np.iinfo(np.int64).max)
         for time_ns in (self.joined.steering_time_ns, self.joined.ins_time_ns):
@@ -209,9 +209,9 @@ class Windows:
                     "lateral_acceleration": np.abs(np.nan_to_num(rate * speed)).mean(axis=1)}
 
     def errors(self, model: AugmentedModel, gain: float = 0.0) -> np.ndarray:
-        """(n, k, c) errors of a model, measured minus predicted [SI], by `time` and `columns`; NaN where not known.
+        """(n, k, c) errors of a model, measured minus predicted [SI], by `time` and `columns`; NaN where unknown.
 
-        gain [1]: relative excess of the measured lateral specific force over that of the motion, e.g. from body roll.
+        gain [1]: relative excess of the measured lateral specific force over its true value, e.g. due to body roll.
         """
         readings = self._predicted_readings(model, gain)
         with np.errstate(all="ignore"):  # predictions may diverge
@@ -219,7 +219,7 @@ class Windows:
         return np.stack(parts, axis=-1)
 
     def _predicted_readings(self, model: AugmentedModel, gain: float) -> Measured:
-        """Predicted INS readings at the scored points; acceleration and yaw rate are means over 2 STEP, as are the
+        """Predicted INS readings at the scored points; acceleration and yaw rate are means over 2 STEP, like the
         measurements. The gain applies to the true specific force, before the sensor errors."""
         states = self._batch.predict(model, self.vehicle).states
         with np.errstate(all="ignore"):
@@ -250,8 +250,8 @@ class Windows:
 
 def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,
                        acceleration: np.ndarray) -> np.ndarray | float:
-    """Lateral specific force minus lateral acceleration at the CG [m/s^2]. states: six arrays, as large as angle."""
-    # Only effects that act on the accelerometer, and those that change the inputs or the base model.
+    """Lateral specific force minus lateral acceleration at the CG [m/s^2]. states: six arrays shaped like `angle`."""
+    # Only effects that act on the accelerometer, change the inputs or change the base model.
     model = model.only(e for e in model.effects if e.converts or (e in model.active and (e.specific_force or e.inputs)))
     added = compose(model.base, model.effects).specific_force
     if added is None:
