@@ -34,7 +34,7 @@ def sum8_id(data: bytes, arbitration_id: int) -> int:
 
 @dataclass(frozen=True)
 class Rule:
-    """A checksum. bits: its width. compute: its value from the payload with these bits at 0 and the arbitration id."""
+    """A checksum. bits: width. compute: computes it from the payload, with these bits at 0, and the arbitration id."""
 
     bits: int
     compute: Callable[[bytes, int], int]

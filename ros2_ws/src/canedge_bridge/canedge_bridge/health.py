@@ -37,7 +37,7 @@ class Health:
     def _check_bus(self) -> Check:
         status = self._receiver_status()
         now = time.monotonic()
-        # Every change of the bus state also calls this; a rate over a few milliseconds would be meaningless.
+        # The checks also run at every change of the bus state; a rate over a few milliseconds would be meaningless.
         elapsed = now - self._rates_updated_at
         if elapsed > 0.5:
             self._rate = (status.frames - self._previous_frames) / elapsed

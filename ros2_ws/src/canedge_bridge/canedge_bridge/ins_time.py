@@ -13,7 +13,7 @@ MILLI_TIME_PARTS = ("gps_time", "gps_utc_offset")
 
 
 def replace_gps_time(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The signals of a frame with `ins_unix_time`, UTC [s since 1970], in place of the parts of GPS time if it has any.
+    """Replaces the parts of GPS time in the signals of a frame, if any, by `ins_unix_time`, UTC [s since 1970].
 
     values: numbers or arrays by canonical name. The time is NaN where the unit has no valid time yet.
     """
@@ -61,10 +61,10 @@ def _day_number(year: np.ndarray, month: np.ndarray, day: np.ndarray) -> np.ndar
 
 
 def split_unix_time(unix_time: float, names: frozenset[str]) -> dict[str, float]:
-    """Parts of GPS time for the time frame with these signals; a date and time are rounded to 0.01 s."""
+    """GPS time signals in `names` for UTC [s since 1970]; a date and time are rounded to 0.01 s."""
     leap = at_unix(unix_time)
     if "gps_time" in names:
-        # The sign is that of NCOM, UTC - GPS.
+        # Sign as in NCOM: UTC - GPS time, which is negative.
         return {"gps_time": unix_time + leap - GPS_EPOCH_UNIX, "gps_utc_offset": float(-leap)}
     hundredths = round((unix_time + leap) * 100)
     moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=hundredths // 100)

@@ -18,7 +18,7 @@ _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
 _IP_MULTICAST_ALL = 49  # linux/in.h; not in the socket module
 _TIMESPEC = struct.Struct("@ll")
 _LARGEST_DATAGRAM = 4096  # bytes
-# Types of the fields of a datagram, checked because can.Message accepts text as a number and a list as a flag.
+# Types of the fields of a datagram, checked because can.Message would accept text as a number and a list as a flag.
 _FIELD_TYPES = {"arbitration_id": int, "dlc": int, "data": bytes, **dict.fromkeys(
     ("is_extended_id", "is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch", "error_state_indicator"), bool)}
 _RECEIVE_BUFFER = 1 << 20
@@ -98,7 +98,7 @@ class LoopbackMulticastBus(can.BusABC):
         receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
         receiver.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         receiver.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
-        # Bound to the group, not to all addresses: unicast from outside cannot reach it either.
+        # Bound to the group, not to all addresses, so that unicast from other machines cannot reach the socket.
         receiver.bind((group, port))
         receiver.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + _LOOPBACK)
         receiver.setblocking(False)

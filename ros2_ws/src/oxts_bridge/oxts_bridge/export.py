@@ -114,7 +114,7 @@ def _read_status(columns: Columns) -> tuple[list[Change], Settings]:
             if name not in RAW_FIELDS and (value is not None or name not in _RETAINED) and known.get(name) != value:
                 known[name] = value
                 changes.append((i, channel, name, value))
-        # A status applies from the next packet on, that of a trigger packet from the packet itself.
+        # The status in a packet applies from the next packet on; in a trigger packet, it applies from this packet on.
         since = i if columns.kind[i] == TRIGGER else i + 1
         if channel == 4 and fields:
             north, east = tracker.number("VnAcc"), tracker.number("VeAcc")

@@ -16,7 +16,7 @@ FIRST_MINUTE, LAST_MINUTE = 1_000, 30_525_000
 NEW, SAME, LATE, DUPLICATE = 0, 1, 2, 3
 # Milliseconds of the minute are ambiguous: a packet that would be ahead by this time or more is taken as late instead.
 HALF_MINUTE_MS = 30_000
-# After more consecutive late packets, each later than the previous one, the clock is taken to have been set back.
+# After more than this many consecutive late packets in ascending order, the clock is taken to have been set back.
 LATE_RUN = 10
 # Longest pause on the receive clock across which the minute count is continued [ns].
 LONGEST_GAP_NS = 30_000_000_000

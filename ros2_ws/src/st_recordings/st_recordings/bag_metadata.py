@@ -115,7 +115,7 @@ class BagInformation:
 
 
 class _NoAliases(yaml.SafeDumper):
-    """YAML without anchors, as rosbag2 writes it, also where topics share their QoS."""
+    """YAML without anchors, as rosbag2 writes it, even if topics share a QoS entry."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True

@@ -14,7 +14,7 @@ from typing import Any
 
 DISTRIBUTION = "single-track-predictor"
 INSTALLED_FILES = Path(__file__).parent / "share"  # exists in the wheel only
-MIN_FREE_SPACE = 10_000_000  # bytes, as the shortest run needs
+MIN_FREE_SPACE = 10_000_000  # bytes, enough for the shortest run
 
 
 def project_root() -> Path:

@@ -58,8 +58,8 @@ class Scores:
     starts_ns: np.ndarray  # (n,)
     errors: np.ndarray  # (n, points, 3) longitudinal, lateral [m], yaw [rad]
     complete: np.ndarray  # (n,)
-    cut: np.ndarray  # (n,) whether it is incomplete because the evaluator stopped within the horizon
-    jumped: np.ndarray  # (n,) whether it is incomplete because the position jumps within the horizon
+    cut: np.ndarray  # (n,) whether a score is incomplete because the evaluator stopped within the horizon
+    jumped: np.ndarray  # (n,) whether a score is incomplete because the position jumps within the horizon
 
     def at(self, starts_ns: np.ndarray) -> "Scores":
         """The scores of the given start times [ns]."""
@@ -145,7 +145,7 @@ def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[
 
 def read_messages(bags: Sequence[Path], type_name: str, progress: Progress | None = None,
                   topic_end: str = "") -> Iterator[Any]:
-    """Yields the messages of a type in topics whose name ends with `topic_end`.
+    """Yields the messages of a type in topics with names that end with `topic_end`.
 
     progress: called with the number of messages read in a bag, and their total.
     """

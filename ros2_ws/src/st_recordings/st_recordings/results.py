@@ -20,7 +20,7 @@ from .runs.cdr import get_field, load_typestore
 from .runs.ins_log import yaw_from_quaternion
 
 MODES = ("forecast", "hindsight")
-DRAWN_STARTS = 6  # number of starts whose predictions are drawn on the map
+DRAWN_STARTS = 6  # number of start times at which predictions are drawn on the map
 ODOMETRY_TOPIC, STATUS_TOPIC, SUMMARY_TOPIC = "/ins/odometry", "/predictor/status", "/evaluator/summary"
 BAND_LABELS = {"forecast": "forecast", "hindsight": "model", "course": "course", "plan": "plan"}
 """Mode of a score -> its label, in the order of the report."""
@@ -52,7 +52,7 @@ class MeanErrors:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """One hindsight prediction to be drawn: times (n,) [ns, UTC], and errors (n,) [m] along the measured heading."""
+    """One hindsight prediction to be drawn: times (n,) [ns, UTC], and errors (n,) [m] in measured body axes."""
 
     time_ns: np.ndarray
     longitudinal: np.ndarray
@@ -78,7 +78,7 @@ class Results:
 
 
 def read_results(folder: Path) -> Results:
-    """Reads bag/ and errors/ of a run folder. Of the errors within horizons, only those to be drawn are kept."""
+    """Reads bag/ and errors/ of a run folder. Error series within the horizon are kept only for drawn predictions."""
     bag, errors = open_bag(folder / "bag"), open_bag(folder / "errors")
     scores, configuration_hash = _read_scores(folder / "errors")
     summary = _last_message(errors, SUMMARY_TOPIC, "st_msgs/msg/ErrorSummary")

@@ -13,17 +13,17 @@ SHORTEST_PERIOD = 0.25
 class Syncer:
     """Calls fdatasync on one file in a separate thread, after each `wake`.
 
-    error: text of the last error, else empty. It is never cleared: data that failed once may be missing, even if later
-    calls succeed. count: number of synchronisations. longest: duration of the slowest one [s].
+    error: text of the last error, or empty. It is never cleared, because data of a failed call may be missing even if
+    later calls succeed. count: number of synchronisations. longest: duration of the slowest one [s].
     """
 
     def __init__(self, descriptor: int, folders: Sequence[Path]):
         """folders: directories to synchronise once, because a file without a directory entry is lost."""
-        # A duplicate, because the writer may close its descriptor, whose number is then given to another file.
+        # Duplicated, because the writer may close its descriptor, and its number may then be reused for another file.
         self._descriptor = os.dup(descriptor)
         self._folders = tuple(folders)
         self._condition = threading.Condition()
-        # Write time of the oldest data [s, monotonic]: not yet synchronised, and in synchronisation.
+        # Write times [s, monotonic] of the oldest data to be synchronised, and of the oldest data being synchronised.
         self._waiting_since: float | None = None
         self._syncing_since: float | None = None
         self._stopped = False

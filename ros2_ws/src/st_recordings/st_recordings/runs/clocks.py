@@ -10,7 +10,7 @@ from st_core.clock_types import Alignment, SharedSignal, Verdict, refused_alignm
 from .can_signals import CanSignals, Signal
 from .ins_log import InsLog
 
-# Delays [s]: (expected, standard deviation), or bounds.
+# Delays [s]: (expected value, standard deviation).
 INS_ON_CAN = (0.002, 0.002)  # default, from the measurement of an INS value to its frame in the log
 WHEEL_SPEED = (0.015, 0.015)  # wheel pulses are counted over a period before the speed is sent
 # Slip of the wheels divided by acceleration [s^2/m], which at speed v acts like a delay of this value times v. It is
@@ -29,7 +29,7 @@ MAX_METHOD_DIFFERENCE = 0.01  # s, between the offsets from the time frame and f
 MAX_CLOCK_ERROR = 60.0  # s, assumed for the clock of the logger if the signals allow several offsets
 MIN_RELATIVE_PEAK = 0.97  # minimum ratio of the correlation near the logger's clock to the best one
 CHECK_SEARCH = 2.0  # s, search range on both sides of the offset from the time frame
-# Signal of the log -> channel whose plausibility limits apply
+# Signal of the log -> channel with the plausibility limits that apply to it
 CHANNELS = {"ins_velocity_x": "velocity_x", "ins_yaw_rate": "yaw_rate", "ins_yaw": "yaw",
             "vehicle_speed": "velocity_x", "wheel_speed_rear_left": "velocity_x",
             "wheel_speed_rear_right": "velocity_x", "steering_wheel_angle": "steering_wheel_angle"}
@@ -155,7 +155,7 @@ def _is_moving(time_ns: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray
 
 
 def _describe_opposite_sign(pairs: list[SharedSignal], result: Alignment, search: tuple[float, float] | None) -> str:
-    """A note if the alignment would not be refused with the opposite steering sign; otherwise empty."""
+    """A note if a refused alignment would be accepted with the opposite steering sign; otherwise empty."""
     if result.verdict is not Verdict.REFUSED or pairs[0].min_deviation != MIN_VARIATION["curvature"]:
         return ""
     opposite = align([replace(pairs[0], other=-pairs[0].other)], search=search)

@@ -1,4 +1,4 @@
-"""Errors and warnings about recordings, each one sentence that names the file and says what to do."""
+"""Errors and warnings about recordings; each is one sentence with the file, the problem and the remedy."""
 
 import logging
 import re

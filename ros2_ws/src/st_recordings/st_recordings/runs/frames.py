@@ -11,8 +11,8 @@ EXTENDED = 0x8000_0000  # flag of a 29-bit id, as in canedge_bridge.extraction a
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
 MIN_CLOCK_STEP = 0.005  # s; a smaller step back is jitter of the time stamps
 MAX_EARLY_FRAMES = 5
-"""If more than this many frames precede a frame with an earlier time, the clock was set; otherwise they are out of
-order."""
+"""If a frame is earlier than more than this many frames directly before it, the clock was set back; otherwise these
+frames are out of order."""
 FRAME_HEAD_LENGTH = 20  # bytes in st_msgs/CanFrames before the data of a frame: stamp, id, four flags, length
 MAX_DATA_LENGTH = 64
 _FRAME_ID_AT = 12  # byte in st_msgs/CanFrames at which the length of header.frame_id is
@@ -179,5 +179,5 @@ def _build_frames(buffer: np.ndarray, at: np.ndarray) -> Frames:
 
 
 def _sliding_windows(buffer: np.ndarray, width: int) -> np.ndarray:
-    """A view whose row k is the `width` bytes from k on."""
+    """A view in which row k is the `width` bytes from byte k on."""
     return np.ndarray((len(buffer) - width + 1, width), np.uint8, buffer.data, 0, (1, 1))

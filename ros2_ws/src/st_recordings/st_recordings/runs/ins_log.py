@@ -18,7 +18,7 @@ SPEEDS = tuple(name for names in _SPEEDS for name in names)
 MAX_WHEEL_GAP_NS = 100_000_000  # longest gap across which the speed of a wheel is interpolated
 LATEST_TIME = 9.0e9  # s since 1970, in the year 2255; int64 nanoseconds end in the year 2262
 MAX_LOST_SHARE = 0.01
-"""If a larger fraction of the rows is not later than all before, the clock was set back, and only one part is used."""
+"""If a larger fraction of the rows is not later than all rows before, the clock was set back; only one part is used."""
 MAX_END_STEP = 10.0
 """If the first or last time step exceeds the 95th percentile of all by a larger ratio, the first or last stamp is
 wrong."""
@@ -30,14 +30,14 @@ class InsLog:
 
     file: Path
     time_ns: np.ndarray  # measurement times, strictly increasing
-    position: np.ndarray  # (3, n) of the INS point, east, north, up of the origin [m]
+    position: np.ndarray  # (3, n) of the INS point relative to the origin, east, north, up [m]
     yaw: np.ndarray  # from east, counter-clockwise, unwrapped [rad]
     pitch: np.ndarray  # nose down positive [rad]
     roll: np.ndarray  # right side down positive [rad]
     velocity: np.ndarray  # (3, n) of the INS point, body axes [m/s]
     rate: np.ndarray  # (3, n) body axes [rad/s]
     acceleration: np.ndarray  # (3, n) specific force, body axes [m/s^2]
-    origin: tuple[float, float, float] | None  # latitude, longitude [rad], altitude [m]; None if recorded in metres
+    origin: tuple[float, float, float] | None  # latitude, longitude [rad], altitude [m]; None if unknown
     stamps_ns: np.ndarray  # times of all samples, with or without a fix
     quality: InsQuality | None  # as the unit reports it
     warnings: tuple[str, ...] = ()
@@ -60,14 +60,14 @@ def build_planar_ins_log(file: Path, time_ns: np.ndarray, values: Mapping[str, n
 
 
 def yaw_from_quaternion(x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """Yaw [rad] in (-pi, pi] of quaternions from body to map axes, which need no unit norm; NaN for norm 0."""
+    """Yaw [rad] in (-pi, pi] of quaternions from body to map axes, which need not be normalised; NaN for norm 0."""
     is_unset = x * x + y * y + z * z + w * w == 0
     return np.where(is_unset, np.nan, np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
 def compute_car_speed(speeds: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Series | None:
-    """Speed of the car [m/s]: mean of the rear wheels, or else of the front wheels, or else its speed signal. None
-    without any of them.
+    """Speed of the car [m/s]: mean of the rear wheels, or else of the front wheels, or else the speed signal of the
+    car. None without any of them.
 
     speeds: name (one of SPEEDS) -> (ascending times [ns], values [m/s]).
     """
@@ -80,7 +80,7 @@ def compute_car_speed(speeds: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Se
 
 
 def make_series(time_ns: np.ndarray, values: np.ndarray) -> Series | None:
-    """Selects the finite samples of a signal that are later than all before; None if there are none."""
+    """Selects the finite samples of a signal that are later than all samples before; None if there are none."""
     time_ns, values = _select_finite(np.asarray(time_ns, np.int64), values)
     if not len(time_ns):
         return None
@@ -106,9 +106,9 @@ def _select_finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray,
 def select_usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
     """(indices of rows with strictly ascending times, warnings about the other rows).
 
-    Single rows that are not later than all before are left out. If their fraction exceeds MAX_LOST_SHARE, the clock was
-    set back while recording, and only the longest part without a step back is used. A first or last row whose stamp is
-    far from the others is left out.
+    Single rows that are not later than all rows before are left out. If their fraction exceeds MAX_LOST_SHARE, the
+    clock was set back while recording, and only the longest part without a step back is used. A first or last row with
+    a stamp far from the others is left out.
 
     time_ns: (n,) int64, in the order of the recording. what: plural noun for the rows.
     """

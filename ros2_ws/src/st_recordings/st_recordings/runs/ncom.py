@@ -54,7 +54,7 @@ def read_ncom(file: Path) -> NcomLog:
     warnings += [f"{file}: {note}" for note in notes]
     latitude, longitude, altitude = (c[rows] for c in (columns.latitude, columns.longitude, columns.altitude))
     origin = float(latitude[0]), float(longitude[0]), float(altitude[0])
-    # From axes forward, right, down in NED to forward, left, up in ENU: the signs of y, z, pitch and yaw change.
+    # Converts body axes from FRD to FLU, and map axes from NED to ENU; the signs of y, z and pitch change.
     flip = np.array([[1.0], [-1.0], [-1.0]])
     yaw = np.unwrap(np.pi / 2 - columns.heading[rows])
     pitch, roll = -columns.pitch[rows], columns.roll[rows]
@@ -136,7 +136,7 @@ def decode_status_channel(columns: Columns, channel: int, names: tuple[str, ...]
 
 
 def select_latest_values(sent_in: np.ndarray, values: np.ndarray, packets: np.ndarray) -> np.ndarray:
-    """The latest result of `decode_status_channel` at each of the ascending packets, (n, k); NaN before the first."""
+    """Latest values from `decode_status_channel` at packets (n,) in ascending order, (n, k); NaN before the first."""
     if not len(sent_in):
         return np.full((len(packets), values.shape[1]), np.nan)
     newest = np.searchsorted(sent_in, packets, side="right") - 1

@@ -135,7 +135,7 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
     wheel = settings.steering_sign * steering.values[good]
     accelerations = dict(zip(OPTIONAL_INS_SIGNALS, ins.acceleration, strict=False))
     missing = {name: int(np.isnan(values).sum()) for name, values in accelerations.items()}
-    missing = {name: count for name, count in missing.items() if count < len(ins.time_ns)}  # others are not recorded
+    missing = {name: count for name, count in missing.items() if count < len(ins.time_ns)}  # the others were not recorded
     warnings += [f"{source.where}: {name}: {format_share(count, len(ins.time_ns), 'samples')} have no value; "
                  f"it is {'unknown there' if is_mostly_known(accelerations[name]) else 'not used'}"
                  for name, count in missing.items() if count]
@@ -200,11 +200,11 @@ def choose_clock_settings(source: RunSource, settings: ReadSettings) -> dict[str
 def read_pair(files: Sequence[Path], settings: ReadSettings) -> RawRun:
     """Reads and aligns an INS recording and CAN logs, which need not contain the steering angle. Raises RunError.
 
-    files: recording (NCOM, VBO, or CSV with speed and yaw rate) and logs, or a folder or run.yaml that names them.
+    files: INS recording (NCOM, VBO, or CSV with speed and yaw rate) and logs, or their folder, or a run.yaml.
     """
     source = _find_pair(files)
     read_ins = csv.read_motion if source.kind == "csv" else READERS[source.kind].read_ins
-    assert read_ins is not None  # every kind of recording that CAN logs can belong to has one
+    assert read_ins is not None  # every kind of recording that can be combined with CAN logs has it
     return read_raw(source, settings, read_ins, keep_frames=False, needs_steering=False)
 
 

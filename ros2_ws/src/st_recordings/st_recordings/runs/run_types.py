@@ -64,7 +64,7 @@ class RunSource:
 
     @property
     def where(self) -> Path:
-        """The file or folder that messages name."""
+        """The file or folder to which messages refer."""
         return self.files[0] if self.files else Path(self.name)
 
 

@@ -35,13 +35,13 @@ HEADER_SIZE = 65536  # bytes that contain the column names
 MAX_DAMAGED_TIMES = 0.01  # up to this fraction of the times may be invalid HHMMSS
 TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dualantennaheading")
 MIN_HEADING_AGREEMENT = 0.5
-"""A yaw rate channel is not used if its correlation with the derivative of the heading is lower."""
+"""A yaw rate channel is not used if the magnitude of its correlation with the derivative of the heading is lower."""
 MIN_TURN_RATE = 0.01
-"""rad/s, noise of a heading of 0.1 deg at 5 Hz; a smaller median derivative is not compared with the yaw rate."""
+"""rad/s, due to heading noise of 0.1 deg at 5 Hz; the yaw rate is not checked if the median derivative is smaller."""
 
 
 def read_vbo(file: Path, layout: Layout) -> Table:
-    """Reads a file, whose channel "heading" is the course over ground. Raises RunError."""
+    """Reads a file; its channel "heading" is the course over ground. Raises RunError."""
     check_readable(file)
     text = read_text(file)
     sections = _split_sections(text)
@@ -81,7 +81,7 @@ def lacks_steering(file: Path) -> bool:
 
 
 def _split_sections(text: str) -> dict[str, str]:
-    """Section -> text. Repeated data sections (joined files) are concatenated; of others, the first is used."""
+    """Section -> text. Repeated data sections (joined files) are concatenated; other repetitions are ignored."""
     parts = _SECTION.split(text)
     sections: dict[str, str] = {}
     for name, content in zip(parts[1::2], parts[2::2], strict=True):
@@ -95,7 +95,7 @@ def _read_column_names(sections: dict[str, str]) -> list[str]:
 
 
 def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout: Layout) -> dict[str, ColumnSource]:
-    """Finds the standard channels, and the channels whose columns have the names of CSV columns."""
+    """Finds the standard channels, and the channels in columns with the names of CSV columns."""
     units = _read_units(names, sections)
     sources = {}
     for channel, source in find_columns(file, names, Layout(layout.columns, {}, layout.source)).items():

@@ -28,7 +28,7 @@ TOPICS = {"/ins/odometry": ODOMETRY, "/ins/ncom": NCOM, "/vehicle/steering": STE
 BLOCK_NS = 20 * 10**9
 """Duration [ns] of the part of a run that is serialised at once, to limit the use of memory."""
 TIME_MARGIN_NS = 60 * 10**9
-"""A packet whose time is further before the first or after the last fix [ns] has a wrong time."""
+"""A packet that is more than this [ns] before the first or after the last fix has a wrong time."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class _MessageBlocks:
 
     def __init__(self, run: RawRun, vehicle: VehicleParameters, settings: ReadSettings, serialiser: Serialiser):
         self._run, self._vehicle, self._settings, self._serialiser = run, vehicle, settings, serialiser
-        assert isinstance(run.ins, NcomLog) and run.steering is not None  # import_run reads no other
+        assert isinstance(run.ins, NcomLog) and run.steering is not None  # import_run reads only such runs
         self._ins, self._steering, columns = run.ins, run.steering, run.ins.columns
         self._covariances = Covariances(columns)
         is_structure_b = columns.navigation_status == 11  # a packet without regular navigation data
@@ -133,7 +133,7 @@ def _select_between(time_ns: np.ndarray, start_ns: int, end_ns: int) -> slice:
 
 
 def _make_monotonic(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
-    """Makes the times of packets monotonic; a packet without a time near the fixes gets that of the previous one."""
+    """Makes the times of packets monotonic; a packet with no time near the fixes gets the time of the previous one."""
     known = utc_ns != file_decoder.UNKNOWN_TIME
     near = known & (utc_ns >= fix_ns[0] - TIME_MARGIN_NS) & (utc_ns <= fix_ns[-1] + TIME_MARGIN_NS)
     first = int(utc_ns[near].min()) if near.any() else int(fix_ns[0])

@@ -19,11 +19,11 @@ from ..run_types import LoadedRun, ReadSettings, RunSource
 class Reader:
     """One kind of recording.
 
-    read: reads the whole drive of a run; raises RunError. read_ins: reads only the INS, for a run whose steering is in
+    read: reads the whole drive of a run; raises RunError. read_ins: reads only the INS, for a run with the steering in
     CAN logs. is_folder: whether a folder is one recording. has_drive: whether a file contains a drive, by a quick test;
     True if undecided. is_incomplete: whether a file without a drive is probably meant as one, so that it is reported.
     lacks_steering: whether a recording contains no steering angle, so that CAN logs belong to it; None for a kind that
-    never contains one. scales_yaw: whether `read` itself applies the scale of yaw in the corrections.
+    never contains one. scales_yaw: whether `read` applies the correction factor of yaw.
     """
 
     kind: str

@@ -1,4 +1,4 @@
-"""Registers the reader of NCOM recordings, whose steering is in the CAN logs of the same drive."""
+"""Registers the reader of NCOM recordings; the steering is in the CAN logs of the same drive."""
 
 from st_core.vehicle import VehicleParameters
 
