@@ -1,6 +1,6 @@
 """Extracts physical values of DBC signals from a single frame, or from all frames of a log as arrays.
 
-cantools decodes single frames. The values of a log are bit-identical to those of cantools. Checked by:
+cantools decodes single frames. The array decoder for logs gives bit-identical values. Checked by:
 test_extraction.py, test_log_decode.py.
 """
 

@@ -32,7 +32,7 @@ class BusState(StrEnum):
     OK = "ok"                        # frames are received
     SILENT = "silent"                # open, no error, but no frame for a while
     ERROR_PASSIVE = "error-passive"  # after many errors, the controller no longer sends active error flags
-    BUS_OFF = "bus-off"              # the controller has disconnected itself
+    BUS_OFF = "bus-off"              # the controller has disconnected from the bus
     DOWN = "down"                    # the interface exists but is switched off
     GONE = "gone"                    # no such interface, or it cannot be opened
 

@@ -128,7 +128,7 @@ class LoopbackMulticastBus(can.BusABC):
         return message, self._accepted is not None
 
     def _read(self) -> tuple[bytes | None, float] | None:
-        """(datagram, kernel receive time); (None, 0) for a datagram of this bus itself; None if none is waiting."""
+        """(datagram, kernel receive time); (None, 0) for a datagram sent by this bus; None if none is waiting."""
         try:
             data, ancillary, _, address = self._receiver.recvmsg(_LARGEST_DATAGRAM, socket.CMSG_SPACE(_TIMESPEC.size))
         except BlockingIOError:

@@ -213,9 +213,9 @@ def packet_times(ms: np.ndarray, minutes: np.ndarray,
                  hints: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray, int]:
     """GPS time [ms] (-1 unknown) and order (NEW, SAME, LATE) of packets, and the number of time jumps.
 
-    The results equal those of a GpsClock stepped through all packets. Once the clock has settled, times follow from
-    counting minute rollovers up to the next late packet or the next transmitted minute that differs from the count;
-    from there the clock is stepped again.
+    The results are the same as from a GpsClock that steps through all packets. Once the clock has settled, times are
+    computed by counting minute rollovers up to the next late packet, or to the next transmitted minute that differs
+    from the count; there, the clock steps packet by packet again.
 
     ms: milliseconds of the minute. minutes: GPS minute sent with the packet, -1 if none. hints: (index, minute) for
     each status-only packet that sent a minute; index: number of timed packets before it.

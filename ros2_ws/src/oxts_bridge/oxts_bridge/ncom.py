@@ -24,7 +24,7 @@ PACKET_SIZE = 72
 STRUCTURE_B = 11
 _SYNC = bytes([SYNC])
 
-# Index of the first byte of each field. Each checksum is the sum of all bytes between the sync byte and itself.
+# Index of the first byte of each field. A checksum is the low byte of the sum of all bytes from byte 1 on.
 MILLISECONDS_AT, ACCELERATION_AT, ANGULAR_RATE_AT, STATUS_AT, CHECKSUM_1_AT = 1, 3, 12, 21, 22
 LATITUDE_AT, LONGITUDE_AT, ALTITUDE_AT = 23, 31, 39
 VELOCITY_AT, ANGLES_AT, CHECKSUM_2_AT = 43, 52, 61
@@ -56,7 +56,7 @@ class Rule(NamedTuple):
 
     time: bytes 1-2 are the time of the measurement. imu: acceleration and angular rate are valid. navigation: validity
     of position, velocity and angles: "none", "valid", or "approximate" (before the first fix, not published). status:
-    batch S is valid. kind: "regular", "status", "trigger" (an event whose time is in batch S) or "empty". known: the
+    batch S is valid. kind: "regular", "status", "trigger" (an event with its time in batch S) or "empty". known: the
     manual defines this status.
     """
 

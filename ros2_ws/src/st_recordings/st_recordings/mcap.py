@@ -1,7 +1,7 @@
 """Writes a bag as `ros2 bag record` of ROS 2 Jazzy does: a directory NAME/ with NAME_0.mcap and metadata.yaml.
 
 This module does not import ROS; message definitions come from the installed interface packages (bag_metadata.py) or
-from the caller. `recover` (recovery.py) repairs a bag whose writer was killed.
+from the caller. `recover` (recovery.py) repairs a bag after its writer was killed.
 """
 
 import contextlib

@@ -91,7 +91,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
         output: new directory or file for the repaired bag; it must not exist. By default the bag is repaired in place.
 
     Raises:
-        RecoveryError: there is no MCAP file, it is still being recorded, the output exists, or the disk is full. The
+        RecoveryError: no MCAP file is found, it is still being recorded, the output exists, or the disk is full. The
             original is unchanged.
     """
     path = Path(path)

@@ -150,7 +150,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
 
 
 def read_odometry(path: Path, odometry: str | None = None) -> InsLog:
-    """Reads the INS log in a bag, for a run whose steering is in a CAN log. Raises RunError."""
+    """Reads the INS log in a bag, for a run with the steering in a CAN log. Raises RunError."""
     storage = open_bag(path)
     store = _build_typestore(storage, storage.topics(), None)
     topic = _find_topic(path, storage.topics(), ODOMETRY, odometry)

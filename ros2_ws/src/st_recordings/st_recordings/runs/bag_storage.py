@@ -1,7 +1,7 @@
 """Reads topics, messages and definitions from the storage formats of rosbag2 through one interface.
 
-This module reads MCAP and SQLite itself, because rosbags parses every definition in a bag and fails at the first
-unsupported one. rosbags reads bags with compressed files or messages.
+MCAP and SQLite are read without rosbags, because rosbags parses every definition in a bag and fails at the first
+unsupported one. Only bags with compressed files or messages are read by rosbags.
 """
 
 import sqlite3

@@ -59,7 +59,7 @@ def load_typestore(definitions: Path) -> Typestore:
 
 
 def add_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]], types: Iterable[str]) -> Typestore:
-    """A store in which recorded definitions replace those of the given types; the same store if none differs.
+    """A store in which recorded definitions of the given types replace its own; the same store if none differs.
 
     definitions: definitions in the recording (bag_storage.Storage.definitions). A definition that cannot be parsed is
     ignored: its type remains as in the store, or unknown.

@@ -210,8 +210,8 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
 
 
 def find_stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
-    """Finds the columns of a ROS stamp: (index of header.stamp.sec or secs, index of nanosec or nsecs); None if there
-    is no such pair."""
+    """Finds the columns of a ROS stamp: (index of header.stamp.sec or secs, index of nanosec or nsecs); None without
+    such a pair."""
     plain = [normalise(name) for name in names]
     for number, name in enumerate(plain):
         stem = re.fullmatch(r"(.*?)n(?:ano)?secs?", name)

@@ -107,7 +107,7 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
 
 
 def build_ins_log(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
-    """Builds the INS log of a table, for a run whose steering is in a CAN log. Raises RunError.
+    """Builds the INS log of a table, for a run with the steering in a CAN log. Raises RunError.
     needed: channels that every sample has; other channels may contain NaN."""
     _require_columns(table, needed, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)

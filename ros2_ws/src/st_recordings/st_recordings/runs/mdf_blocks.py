@@ -233,7 +233,7 @@ class _BlockWalk:
 
 
 def end_of_last_frame(data: Buffer, layout: Layout) -> int | None:
-    """Position after the last record with a complete payload in an unfinalised file; None if there is no such record.
+    """Position after the last record with a complete payload in an unfinalised file; None without such a record.
 
     A record consists of an identifier and a fixed number of bytes, or of an identifier, a length and that many bytes.
     """

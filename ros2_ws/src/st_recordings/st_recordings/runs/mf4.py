@@ -108,7 +108,7 @@ def _read_head(path: Path) -> bytes:
 
 @contextmanager
 def _open_quietly(path: Path, warnings: list[str]) -> Iterator[Any]:
-    """Opens the file with asammdf, whose output is suppressed because it also prints the errors that it raises."""
+    """Opens the file with asammdf and suppresses its output, because it also prints the errors that it raises."""
     logger = logging.getLogger("asammdf")
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)

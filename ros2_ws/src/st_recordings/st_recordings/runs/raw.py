@@ -135,7 +135,7 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
     wheel = settings.steering_sign * steering.values[good]
     accelerations = dict(zip(OPTIONAL_INS_SIGNALS, ins.acceleration, strict=False))
     missing = {name: int(np.isnan(values).sum()) for name, values in accelerations.items()}
-    missing = {name: count for name, count in missing.items() if count < len(ins.time_ns)}  # the others were not recorded
+    missing = {name: count for name, count in missing.items() if count < len(ins.time_ns)}  # recorded channels
     warnings += [f"{source.where}: {name}: {format_share(count, len(ins.time_ns), 'samples')} have no value; "
                  f"it is {'unknown there' if is_mostly_known(accelerations[name]) else 'not used'}"
                  for name, count in missing.items() if count]

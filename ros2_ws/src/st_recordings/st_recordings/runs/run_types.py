@@ -113,6 +113,6 @@ def make_drive_log(where: Path, name: str, **columns: Any) -> DriveLog:
 
 
 def find_signal_files(source: RunSource, settings: ReadSettings) -> tuple[Path, Path]:
-    """(DBC, signal table) of a run: the files in the settings, or else in its run.yaml, or else those of the Leaf."""
+    """(DBC, signal table) of a run: the files in the settings, or else in its run.yaml, or else of the Leaf."""
     return (settings.dbc or source.settings.get("dbc") or config("car/leaf/can.dbc"),
             settings.signals or source.settings.get("signals") or config("car/leaf/signals.yaml"))

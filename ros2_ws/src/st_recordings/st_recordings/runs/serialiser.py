@@ -36,7 +36,7 @@ class Covariances:
         """(pose, twist) covariances, (n, 36) each, for rows of the log.
 
         The axes of the pose are east, north, up, and rotations about these fixed axes; the twist is in body axes.
-        Variances that the unit does not report, and those of angular rates, are UNKNOWN_VARIANCE.
+        Variances of angular rates, and variances that the unit does not report, are UNKNOWN_VARIANCE.
         """
         packets = ins.rows[rows]
         yaw, pitch, roll = (a[rows] for a in (ins.yaw, ins.pitch, ins.roll))

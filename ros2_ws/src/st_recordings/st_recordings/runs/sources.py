@@ -101,7 +101,7 @@ def _search_folder(folder: Path) -> list[RunSource]:
                 used.add(path)
                 files.append(path)
         elif is_run_file(path):
-            described = [run.run_file for run in runs]  # including those of a run.yaml with `each`
+            described = [run.run_file for run in runs]  # including runs of a run.yaml with `each`
             found = _read_run_file_or_problem(path)
             runs += [run for run in found if run.run_file not in described]
             used.update(file for run in found for file in (*run.files, *run.can))
@@ -177,7 +177,7 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
     """Yields a source with a problem for each INS recording without CAN logs, or each CAN log without INS recording."""
     for file in recordings:
         if not readers[file].needs_can:
-            yield _make_single_run(file, readers[file])  # its reader reports what is missing
+            yield _make_single_run(file, readers[file])  # its reader reports the missing data
             continue
         why = "there are several INS recordings and CAN logs" if logs else "no CAN log has the same stem"
         advice = "give them the same name, or list the files of each run in a run.yaml"

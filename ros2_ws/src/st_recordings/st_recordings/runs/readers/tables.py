@@ -1,4 +1,4 @@
-"""Registers the readers of CSV and Racelogic VBOX files: tables of a whole drive, or of the INS of a drive with CAN logs."""
+"""Registers the readers of CSV and Racelogic VBOX files: tables of a drive, or of the INS in a drive with CAN logs."""
 
 from collections.abc import Callable
 from dataclasses import replace
