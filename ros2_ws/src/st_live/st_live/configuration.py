@@ -43,7 +43,7 @@ def vehicle_name(vehicle: Path) -> str:
 
 def bridge_parameters(vehicle: Path, ins: dict[str, Any], bus: dict[str, Any], dbc: Path | None = None,
                       signals: Path | None = None) -> dict[str, dict[str, Any]]:
-    """Parameters of both bridges. ins: of oxts_bridge; bus: of canedge_bridge (interface, channel, steering).
+    """Parameters of both bridges. ins, bus: additional parameters of oxts_bridge and canedge_bridge.
 
     The transform from base_link to ins_link is the lever arm of the vehicle file. The file contains no height, so
     base_link is the CG projected to the height of the INS.
@@ -61,7 +61,7 @@ def live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Par
                     record_all: bool = False) -> Parameters:
     """config/nodes.yaml with the parameters of a live run in `folder`.
 
-    model: from `model_parameters`. record_all: also record the topics that can be reconstructed from the others.
+    model: result of `model_parameters`. record_all: also record the topics that can be reconstructed from the others.
     """
     from st_predictor.params import ALL_TOPICS  # needs ROS, which `load_model` does not
 
@@ -111,7 +111,7 @@ def model_parameters(model: Path | None, effects: Path | None, vehicle: Path) ->
 def load_model(model: Path | None, effects: Path | None, car: VehicleParameters, origin: str) -> Model:
     """The model of a model file, by default the nonlinear one. effects: folder of its user-defined effects.
 
-    origin: of the car, for messages. Raises SuiteError and StCoreError for a file that is not a model or belongs to
+    origin: of the car, for errors. Raises SuiteError and StCoreError for a file that is not a model or belongs to
     another car, and for effects without a model file.
     """
     if model is None:
@@ -163,7 +163,7 @@ def _read_option(option: str, file: Path, parse: Callable[[str, str], T]) -> T:
 def _check_bands(bands: Path, predictor: Mapping[str, Any]) -> None:
     file = _read_option("--bands", bands, Bands.from_yaml)
     car = read_vehicle(Path(predictor["vehicle_file"]))
-    hashes = dict.fromkeys(predictor["models"], "")  # of the model file; "" for a built-in model
+    hashes = dict.fromkeys(predictor["models"], "")  # of the model file, by model; "" for a built-in model
     if name := predictor.get("model_file"):
         model = _read_option("--model", Path(name), ModelFile.from_yaml)
         hashes[model.model().name] = model.hash
@@ -182,10 +182,10 @@ def recordings_of(path: Path) -> tuple[Path, list[Path]]:
 
 
 class VirtualCar:
-    """The virtual Leaf on a free UDP port and a CAN group of the loopback interface.
+    """The virtual Leaf on a free UDP port and a CAN multicast group of the loopback interface.
 
-    vehicle: vehicle file of bridges and nodes. options: of the command virtual_leaf, without those of its interfaces.
-    simulated: vehicle file of the simulated car, by default the same. Raises SuiteError for invalid options.
+    vehicle: vehicle file of bridges and nodes. options: of the command virtual_leaf, except its interfaces.
+    simulated: vehicle file of the simulated car, by default `vehicle`. Raises SuiteError for invalid options.
     """
 
     def __init__(self, vehicle: Path, options: Sequence[str], simulated: Path | None = None):

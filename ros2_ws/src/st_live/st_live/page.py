@@ -18,7 +18,7 @@ from .rerun_server import LOOPBACK, READY_TIMEOUT, STOP_TIMEOUT, check_new_rerun
 from .suite import Child, Processes, SuiteError
 
 PAGE = Path(__file__).with_name("passenger.html")
-# The page is a single file, which may load nothing else from any host.
+# The page is a single file; the browser may fetch nothing else except frames and clock from this server.
 POLICY = ("default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "
           "img-src data:; base-uri 'none'; form-action 'none'")
 MAX_CLIENTS = 16
@@ -31,7 +31,7 @@ ALL_ADDRESSES = "0.0.0.0"
 class PageServer(ThreadingHTTPServer):
     """Serves the page. Raises OSError if the port is in use, or the address does not belong to this host.
 
-    port: 0 for a free one. settings: constants of the page: title, models with colours, size of the car.
+    port: 0 selects a free port. settings: constants of the page: title, models with colours, size of the car.
     """
 
     daemon_threads = True
@@ -57,7 +57,7 @@ class PageServer(ThreadingHTTPServer):
             self._condition.notify_all()
 
     def next_frame(self, after: int) -> tuple[bytes, int]:
-        """The newest frame and its number, as soon as it exceeds `after`; an empty comment after KEEP_ALIVE_PERIOD."""
+        """The newest frame and its number, once this exceeds `after`; an empty comment after KEEP_ALIVE_PERIOD."""
         with self._condition:
             if self._condition.wait_for(lambda: self._number > after or self.ended, KEEP_ALIVE_PERIOD):
                 return self._frame, self._number
@@ -103,7 +103,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(404)
 
     def _host_is_allowed(self) -> bool:
-        """Whether the request may be answered: on loopback only under local names, against DNS rebinding."""
+        """Whether the Host header is permitted; on loopback only local names are, which prevents DNS rebinding."""
         name = self.headers.get("Host", "").rpartition(":")[0]
         return self.server.server_address[0] != LOOPBACK or name in (LOOPBACK, "localhost")
 
@@ -140,8 +140,8 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 class LiveView:
-    """The passenger's page during a run, if `page` is set or an address (HOST or HOST:PORT of this computer) is given,
-    and the Rerun file `save` (.rrd) after it. Raises SuiteError for an address or a file that cannot be used."""
+    """Serves the passenger's page during a run, if `page` is set or an address (HOST or HOST:PORT) is given, and writes
+    the Rerun file `save` (.rrd) after it. Raises SuiteError for an address or a file that cannot be used."""
 
     def __init__(self, page: bool, address: str | None = None, save: Path | None = None):
         host, _, port = (address or LOOPBACK).partition(":")

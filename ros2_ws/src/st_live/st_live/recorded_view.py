@@ -41,7 +41,7 @@ GHOST_STRIDE, TRACK_STRIDE, RIBBON_STRIDE = 5, 2, 2  # every n-th point is drawn
 RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}  # colour strength by probability
 # Half the line width in screen points, the same at every zoom.
 THIN, THICK, TRACK = (rr.Radius.ui_points(points) for points in (0.6, 1.8, 4.0))
-# The path of each model is narrower than the previous one and above it, so that all are visible where they agree.
+# Each model's path is narrower than the previous one and drawn above it: all stay visible where they coincide.
 MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0.6))
 Projection = Callable[[np.ndarray, np.ndarray], np.ndarray]  # map x, y to the screen
 Pose = tuple[float, float, float]
@@ -115,7 +115,7 @@ class Scene:
 
     def __init__(self, recording: rr.RecordingStream, car: VehicleParameters):
         self._stream, self._car = recording, car
-        self._named: list[str] = []  # models whose name is in the view, and models with error plots
+        self._named: list[str] = []  # models with a name label, models with error plots
         self._scored: set[str] = set()
         angle = np.linspace(0.0, 2.0 * math.pi, 73)
         rings = [np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1) for r in RINGS]
@@ -177,7 +177,7 @@ class Scene:
             for age, ghost in history.ghosts(model, now_ns):
                 ghosts.append(project(ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
                 ghost_colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
-            # A line from the car to the position that was predicted for now one horizon ago.
+            # A line from the car to the position predicted for the present one horizon ago.
             if point := history.predicted_position(model, now_ns):
                 errors.append(project(np.array([pose[0], point[0]]), np.array([pose[1], point[1]])))
                 error_colours.append(rgb(colour_of(model)))
@@ -304,7 +304,7 @@ class Collector:
 def format_errors(statistics: Sequence[Any], ticks: str, health: Sequence[tuple[int, str, str]]) -> str:
     """Markdown text of the errors so far and of all checks that are not OK.
 
-    statistics: of st_msgs/ErrorSummary. health: (level, name, message) of every check.
+    statistics: entries of st_msgs/ErrorSummary. health: (level, name, message) of every check.
     """
     lines = ["| model | mode | starts | RMSE long., m | lat., m |", "|---|---|--:|--:|--:|"]
     for mode in ("forecast", "hindsight"):

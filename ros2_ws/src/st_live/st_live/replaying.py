@@ -27,7 +27,7 @@ from .page import LiveView
 from .session import Outcome, start_nodes
 from .suite import Child, Suite, SuiteError, claim_domain, read_domain_id
 
-DRAIN_TIME = 1.0  # s after the last message, in which the last predictions reach evaluator and recorder
+DRAIN_TIME = 1.0  # s after the last message, for the last predictions to reach evaluator and recorder
 PROGRESS_PERIOD = 0.2  # s
 
 
@@ -80,7 +80,7 @@ def player_options(steering: SteeringField | None, car: VehicleParameters) -> li
 
 def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mapping[str, Mapping[str, Any]], rate: float,
           console: Console, view: LiveView | None, options: Sequence[str]) -> Outcome:
-    """topics: topic to play as input of the nodes, by type. options: additional options of the player."""
+    """topics: topic to play as input of the nodes, by message type. options: additional options of the player."""
     chosen = read_domain_id()
     reserved = claim_domain() if chosen is None else nullcontext(chosen)
     problem, interrupted = "", False

@@ -130,13 +130,13 @@ def _draw_errors(axes: Axes, results: Results, mode: str, quantity: str) -> None
             continue
         time = (scores.start_ns[scores.complete] - origin) * 1e-9
         value = getattr(scores, quantity)[scores.complete]
-        breaks = np.nonzero(np.diff(time) > 1.0)[0] + 1  # no line across starts without score
+        breaks = np.nonzero(np.diff(time) > 1.0)[0] + 1  # no line across starts without a score
         axes.plot(np.insert(time, breaks, np.nan), np.insert(value, breaks, np.nan), color=MODEL_COLOUR[model],
                   ls=MODEL_LINE[model])
 
 
 def make_error_table(summary: dict[str, Any], title: str) -> Table:
-    """Table of mean, largest and RMS of the horizon-mean errors [m], as in the paper; the smallest of a mode are bold.
+    """Table of mean, largest and RMS of the horizon-mean errors [m], as in the paper; the smallest per mode are bold.
 
     summary: content of summary.json.
     """

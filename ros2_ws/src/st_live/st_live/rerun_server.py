@@ -1,7 +1,7 @@
-"""Shows Rerun recordings in the browser with the server of Rerun on the loopback interface.
+"""Shows Rerun recordings in the browser, with Rerun's server on the loopback interface.
 
-The page of Rerun requests four external addresses (a font, usage data, a release check, an example list). It is
-forwarded with a Content-Security-Policy, with which the browser refuses them.
+Rerun's page requests four external addresses (a font, usage data, a release check, an example list). It is forwarded
+with a Content-Security-Policy that makes the browser block these requests.
 """
 
 import http.client
@@ -86,7 +86,7 @@ def rerun_environment(folder: Path) -> dict[str, str]:
 class RecordingView:
     """Server of a recording; leaving its `with` block ends Rerun's process.
 
-    folder: for settings and logs. file: a recording, .rrd. Raises SuiteError without rerun-sdk, or on a failed start.
+    folder: for settings and logs. file: a recording (.rrd). Raises SuiteError without rerun-sdk or if the start fails.
     """
 
     def __init__(self, folder: Path, file: Path):
@@ -102,8 +102,8 @@ class RecordingView:
         self.url = f"http://{LOOPBACK}:{self._page.server_port}/?url={quote(recording, safe='')}"
         self._processes = Processes(folder)
         self._processes.environment |= rerun_environment(folder / "settings")
-        # The executable, because it would keep running if the script `rerun` were started and ended instead. With a URL
-        # it starts no server for recordings, which would use 3 % of a core while idle.
+        # Start the executable directly: it would survive the end of its wrapper script `rerun`. Given a URL, it starts
+        # no server for recordings, which would use 3 % of a core while idle.
         found = importlib.util.find_spec("rerun_cli")
         assert found and found.submodule_search_locations
         self._rerun = self._processes.start("rerun", [

@@ -42,7 +42,7 @@ LOG_PERIOD = 10.0  # s between lines if the output is not a terminal
 
 @dataclass
 class _Supervised:
-    """One node. Times are monotonic [s]; restart_at is None while it runs. cause: why it was last restarted."""
+    """One node. Times are monotonic [s]. restart_at: None while the node runs. cause: reason for the last restart."""
 
     package: str
     name: str
@@ -68,7 +68,7 @@ class Supervisor:
 
     @property
     def restarts(self) -> dict[str, int]:
-        """Number of restarts of each node that was restarted."""
+        """Number of restarts by node, without nodes that were never restarted."""
         return {node.name: node.restarts for node in self._nodes if node.restarts}
 
     def update(self) -> None:
@@ -114,8 +114,8 @@ class Supervisor:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a run. statuses: exit statuses of the processes stopped at the end. health: checks not OK before that.
-    """
+    """Outcome of a run. statuses: exit statuses of the processes stopped at the end. health: text of the checks not OK
+    just before."""
 
     statuses: dict[str, int]
     interrupted: bool
@@ -139,7 +139,7 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
     or is already running.
     """
     console = console or Console()
-    # With the virtual Leaf a free domain is used, so that no other suite receives its messages; with the car, domain 0.
+    # The virtual Leaf uses a free domain, so that no other suite receives its messages; the real car uses domain 0.
     chosen = read_domain_id()
     if chosen is None and not source:
         chosen = 0
@@ -173,7 +173,7 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
 
 
 def _check_no_other_suite(monitor: Monitor, domain: int, allowed: int) -> None:
-    """Raises SuiteError if a node runs more than `allowed` times: two suites would get each other's measurements."""
+    """Raises SuiteError if a node runs more than `allowed` times: two suites would mix their measurements."""
     counts = Counter(monitor.node_names())
     others = [name for _, name in NODES if counts[name] > allowed]
     if others:
@@ -183,7 +183,7 @@ def _check_no_other_suite(monitor: Monitor, domain: int, allowed: int) -> None:
 
 def start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]],
                 stopped: Callable[[], bool] = lambda: False) -> bool:
-    """Start nodes and wait until all are in the graph; False if `stopped` returns True before. Raises SuiteError."""
+    """Start nodes and wait until all are in the graph; False if `stopped` returns True first. Raises SuiteError."""
     for package, executable in nodes:
         suite.start_node(package, executable)
     end = time.monotonic() + START_TIMEOUT
@@ -197,9 +197,9 @@ def start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]]
 
 def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
            duration: float | None, stop: "_StopRequest") -> str:
-    """Show the run until its duration has passed or until Ctrl-C; returns an empty text.
+    """Show the run until its duration has passed or until Ctrl-C; returns an empty string.
 
-    Without a supervisor, the end of a process ends the run too, and the text names the process.
+    Without a supervisor, the run also ends when a process ends; the returned message then names this process.
     """
     started = time.monotonic()
     last_line = started

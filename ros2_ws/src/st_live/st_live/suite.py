@@ -4,7 +4,7 @@ Nodes are started by their console scripts, which exist with and without `ros2 r
 of the terminal: Ctrl-C reaches only this process, which then ends the children in order. If this process is killed, the
 kernel interrupts the children (parent-death signal, set by setpriv of util-linux).
 
-Bridges and predictor have priority, and real-time scheduling with `st live --realtime`; all others lower their own.
+All other nodes lower their priority below bridges and predictor, which `st live --realtime` schedules in real time.
 """
 
 import os
@@ -44,7 +44,7 @@ class SuiteError(RuntimeError):
 
 @dataclass(frozen=True)
 class Child:
-    """One process. log: file of its output."""
+    """One process. log: file with its output."""
 
     name: str
     process: subprocess.Popen
@@ -110,7 +110,7 @@ class Processes:
         return None
 
     def kill(self, name: str) -> None:
-        """Kill and remove the child with this name, which does not respond to signals it can handle."""
+        """Kill and remove the child with this name, for a child that does not respond to SIGINT."""
         for child in [c for c in self.children if c.name == name]:
             child.process.kill()
             child.process.wait()
@@ -135,7 +135,7 @@ class Suite(Processes):
     """The nodes of one run, with one parameter file."""
 
     def __init__(self, folder: Path, parameters: Parameters, domain_id: int | None = None, realtime: bool = False):
-        """folder: gets parameters.yaml and logs/. parameters: {node: {name: value}}, complete."""
+        """folder: receives parameters.yaml and logs/. parameters: all of them, as {node: {name: value}}."""
         super().__init__(folder, domain_id, realtime)
         self.parameter_file = folder / "parameters.yaml"
         document = {node: {"ros__parameters": dict(values)} for node, values in parameters.items()}

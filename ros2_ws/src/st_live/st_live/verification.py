@@ -50,17 +50,17 @@ class Comparison:
 
     model: str
     n_starts: int = 0  # forecasts compared
-    start_difference: float = 0.0  # of the first position [m], which depends on the estimated state only
-    path_difference: float = 0.0  # of the position of any point [m]
-    yaw_difference: float = 0.0  # of any point [rad]
+    start_difference: float = 0.0  # at the start position [m], which depends only on the state estimate
+    path_difference: float = 0.0  # between positions at any point [m]
+    yaw_difference: float = 0.0  # between yaw angles at any point [rad]
     worst_start_ns: int = 0  # start of the forecast with the largest path difference
-    n_scores: dict[str, int] = field(default_factory=lambda: dict.fromkeys(MODES, 0))  # complete on both sides, by mode
+    n_scores: dict[str, int] = field(default_factory=lambda: dict.fromkeys(MODES, 0))  # complete live and offline
     score_difference: dict[str, float] = field(default_factory=lambda: dict.fromkeys(MODES, 0.0))  # by mode [m]
     n_cut: int = 0  # scores incomplete only because the nodes stopped
-    n_disagree: int = 0  # scores complete on one side only for any other reason than a position jump
+    n_disagree: int = 0  # scores complete on one side only, without n_cut and position jumps
     n_settling: int = 0  # forecasts not compared because the acceleration filter had not settled
     n_planned: int = 0  # predictions with inputs of a plan or course compared
-    planned_difference: float = 0.0  # of the position of any point of these [m]
+    planned_difference: float = 0.0  # between their positions at any point [m]
 
     @property
     def largest(self) -> float:
@@ -70,7 +70,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Verification:
-    """Comparisons of all models. same_configuration: whether all predictions were made with this vehicle and settings.
+    """Comparisons of all models. same_configuration: whether vehicle and settings match those of all predictions.
     """
 
     comparisons: list[Comparison]
@@ -129,10 +129,10 @@ def _read_settings(recorded: RecordedConfiguration) -> PredictionSettings:
 def find_settled(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np.ndarray:
     """Whether the acceleration filter had settled at each start, (n,).
 
-    It starts to settle at the first start after the first recorded INS sample, and again after every pause that may be
-    a restart of the predictor: longer than RESTART_PAUSE and than three prediction intervals.
+    Settling begins at the first prediction after the first recorded INS sample, and again after every pause that may
+    be a restart of the predictor: longer than RESTART_PAUSE and longer than three prediction intervals.
 
-    starts_ns: of the predictions, increasing. cutoff: of the filter [Hz].
+    starts_ns: start times of the predictions, increasing. cutoff: cutoff frequency of the filter [Hz].
     """
     has_ins = starts_ns >= ins_time_ns[0] if len(ins_time_ns) else np.zeros(len(starts_ns), bool)
     intervals = np.diff(starts_ns)

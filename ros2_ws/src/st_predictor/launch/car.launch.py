@@ -35,7 +35,7 @@ class CarFile(Substitution):
         return f"CarFile({self._name})"
 
     def perform(self, context):
-        # `car` may be an absolute folder, for which os.path.join ignores the parts before it.
+        # `car` may be an absolute folder, for which os.path.join ignores the preceding parts.
         return os.path.join(CONFIG.perform(context), "car", CAR.perform(context) or "leaf", self._name)
 
 
@@ -44,7 +44,7 @@ def declare(name, description, default=None):
 
 
 def override_text(node, name, *value):
-    """Override of one parameter. To have precedence over the file, it names the node and follows --params-file."""
+    """Override of one parameter; it names the node and follows --params-file to take precedence over the file."""
     return ["-p", [f"{node}:{name}:='", *value, "'"]]
 
 
@@ -62,7 +62,7 @@ def suite_node(package, executable, *overrides, **options):
 
 
 def steering_parameters(context):
-    """Overrides of steering parameters: the arguments, else car.yaml of the car; without both, nodes.yaml applies."""
+    """Overrides of steering parameters from the arguments, else from car.yaml; without both, nodes.yaml applies."""
     steering = {}
     if CAR.perform(context):
         steering = {"steering_sign": 1, "steering_latency": 0.0}
@@ -80,7 +80,7 @@ def steering_parameters(context):
 
 
 def ins_bridge(context):
-    """The bridge of the INS, with the lever arm of the vehicle file as the transform base_link to ins_link."""
+    """The INS bridge; the vehicle file's lever arm is the transform from base_link to ins_link."""
     with open(VEHICLE.perform(context), encoding="utf-8") as stream:
         vehicle = yaml.safe_load(stream)
     x, y = (float(vehicle.get(name, {}).get("value", 0.0)) for name in ("cg_to_ins_x", "cg_to_ins_y"))

@@ -15,10 +15,10 @@ from st_core.vehicle import VehicleParameters
 HISTORY_SPAN = 60.0  # s, age of the oldest measurement used
 WINDOW = 30.0  # s of measurements that are checked, if they contain enough driving
 MIN_DRIVING, MIN_SPEED = 20.0, 1.0  # duration [s] of driving above a speed [m/s] that a verdict requires
-MAX_STEP = 0.25  # s between samples; longer gaps do not count as driving
+MAX_STEP = 0.25  # s; a longer interval between samples counts as this much driving
 SAMPLE_NS = 20_000_000  # period to which measurements are thinned out
 PERIOD = 10.0  # s of measurement between checks
-CPU_SHARE = 0.018  # processor time as a fraction of a core; if checks take more, they run less often than every PERIOD
+CPU_SHARE = 0.018  # processor time as a fraction of a core; checks that need more run less often than every PERIOD
 # Findings not reported live: a single bend does not distinguish a heading error from a wrong measuring point. Gaps and
 # implausible samples are reported by the bridges; here they would persist for WINDOW.
 NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
@@ -27,7 +27,7 @@ NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps", "sam
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of one check. severity: of the worst finding, "" without any. values: by finding, as text."""
+    """Result of one check. severity: the worst one; "" without findings. values: by finding, as text."""
 
     severity: str
     message: str
@@ -35,13 +35,13 @@ class Verdict:
 
 
 class Consistency:
-    """Periodically checks the newest 30 s of a history, or more, up to a minute, to include 20 s of driving.
+    """Periodically checks the newest 30 s of a history, extended up to 60 s to include 20 s of driving.
 
-    Measurements before a position jump are not used. One check of so few data may be wrong, so a fault is reported when
-    two successive checks find it; the first check without it clears it.
+    Measurements before a position jump are not used. A check of so little data may be wrong, so a fault is reported
+    only if two successive checks find it; the first check without the fault clears it.
 
-    share: limit of the processor time of all checks since the first poll, as a fraction of a core. verdict: the newest
-    one. seconds: processor time of all checks.
+    share: limit of the processor time of all checks since the first poll, as a fraction of a core. verdict: result of
+    the newest check. seconds: processor time of all checks.
     """
 
     def __init__(self, vehicle: VehicleParameters, share: float = CPU_SHARE):
@@ -88,7 +88,7 @@ class Consistency:
 
 
 def select_recent(history: MeasurementHistory) -> DriveLog | float:
-    """The measurements to check, thinned out; the duration of driving [s] instead, if it is too short."""
+    """The measurements to check, thinned out; if they contain too little driving, its duration [s] instead."""
     newest = history.ins.newest or 0
     oldest = max(newest - round(HISTORY_SPAN / NANOSECOND), *history.ins.breaks, 0)
     times, rows = _thin_out(history.ins, oldest)

@@ -1,4 +1,4 @@
-"""Conversion between the messages of the predictor's topics and the values of st_core."""
+"""Converts between the messages of the predictor's topics and the types of st_core."""
 
 import math
 from array import array
@@ -23,7 +23,7 @@ from st_ros.polling import from_nanoseconds, to_nanoseconds
 from .map_drawing import BAND_MODE, Path, make_ribbon
 
 QUATERNION_TOLERANCE = 0.01  # of the squared length; float32 rounding causes 1e-7, an unset orientation has length 0
-_NEVER_NS = 9_223_372_036 * 1_000_000_000  # rmw's value for "never"; rclpy returns this or more
+_NEVER_NS = 9_223_372_036 * 1_000_000_000  # rmw's value for "never"; rclpy returns at least this value
 
 
 def ins_sample(message: Odometry, map_frame: str) -> InsSample | str:
@@ -78,7 +78,7 @@ def prediction_message(start: Start, model: str, trajectory: Trajectory, vehicle
 
 
 def planned_inputs(message: InputPlan, base_frame: str, vehicle: VehicleParameters) -> PlannedInputs | str:
-    """The plan of a message, or why it cannot be used. Speed and curvature are those of the CG of the vehicle."""
+    """The plan of a message, or why it cannot be used. Speed and curvature refer to the CG."""
     if message.header.frame_id != base_frame:
         return f"plan: header.frame_id is {message.header.frame_id!r}, expected {base_frame!r} (parameter plan_frame)"
     pairs = [(message.road_wheel_angle, message.velocity_x_dot), (message.speed, message.curvature)]

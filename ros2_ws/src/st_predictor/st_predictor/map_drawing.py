@@ -11,15 +11,15 @@ from st_core.vehicle import VehicleParameters
 TRACK_SPAN = 90.0  # s of measured track kept
 MAX_PATH_AGE = 1.0  # s; an older path is not drawn as the newest one
 GHOST_AGES = (1.0, 2.0, 3.0, 4.0, 5.0)  # s, of the earlier predictions drawn in addition to the newest one
-GHOST_TOLERANCE = 0.15  # s; a prediction whose age differs by more from a ghost age is not drawn
-BAND_MODE = "forecast"  # mode of the bands drawn, the same as of the paths
+GHOST_TOLERANCE = 0.15  # s, largest difference between a prediction's age and a ghost age
+BAND_MODE = "forecast"  # mode of the drawn bands and paths
 
 
 def car_outline(pose: tuple[float, float, float], car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
     """Map x, y [m] of the closed outline of the car, with a nose that points ahead.
 
     pose: x, y [m] and yaw [rad] of the INS point. Front and rear overhang are assumed equal, because the vehicle file
-    contains the length only.
+    contains only the length.
     """
     overhang = 0.5 * (car.length - car.wheelbase)
     front, rear, half = car.cg_to_front_axle + overhang, -car.cg_to_rear_axle - overhang, 0.5 * car.width
@@ -50,7 +50,7 @@ def make_ribbon(level: float, pose: tuple[np.ndarray, np.ndarray, np.ndarray], a
                 across: np.ndarray) -> Ribbon:
     """The band around a path of poses x, y [m], yaw [rad] with half-widths along and across [m], all (n,).
 
-    It ends `along[-1]` beyond the end of the path.
+    The band extends `along[-1]` beyond the end of the path.
     """
     x, y, yaw = pose
     ahead = np.append(np.zeros(len(x)), along[-1])

@@ -140,7 +140,7 @@ def _read(values: SimpleNamespace, parameter: str, parse: Callable[[str, str], T
 
 
 def prediction_settings(values: SimpleNamespace) -> PredictionSettings:
-    """The settings of predictions among a node's parameters. Raises ConfigurationError if they are inconsistent."""
+    """The prediction settings among a node's parameters. Raises ConfigurationError if they are inconsistent."""
     names = PredictionSettings.__dataclass_fields__.keys() & vars(values).keys()
     return translate_errors(values, lambda: PredictionSettings(**{name: getattr(values, name) for name in names}))
 

@@ -1,1 +1,1 @@
-"""Code shared by all nodes: parameters with unit and range, diagnostics, polled topics, scheduling, clean exit."""
+"""Code shared by all nodes: parameters with unit and range, diagnostics, polled topics, scheduling and shutdown."""

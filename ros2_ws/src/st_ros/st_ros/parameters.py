@@ -22,8 +22,8 @@ class ConfigurationError(ValueError):
 class Parameter:
     """One node parameter.
 
-    name: as in the YAML file. default: also defines the type; a float accepts integers. unit: SI, or as in the suffix
-    of the name. minimum, maximum: inclusive. choices: permitted values; empty: any.
+    name: as in the YAML file. default: also defines the type; a float accepts integers. unit: SI, or the suffix of the
+    name. minimum, maximum: inclusive. choices: permitted values; empty: any.
     """
 
     name: str
@@ -85,7 +85,7 @@ def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
             raise ConfigurationError(f"{origin}{node.get_name()}.{error}") from None
         override = {parameter.name: RosParameter(parameter.name, value=value)} if value != [] else {}
         node._parameter_overrides.update(override)
-        # Read-only, because a node reads its parameters only at its start.
+        # Read-only, because a node reads its parameters only when it starts.
         description = parameter.description + (f" [{parameter.unit}]" if parameter.unit else "")
         descriptor = ParameterDescriptor(description=description, read_only=True, dynamic_typing=True)
         node.declare_parameter(parameter.name, value if value != [] else [""], descriptor)

@@ -2,7 +2,7 @@
 
 The node itself reads a polled subscription, usually from a timer, and the executor does not wake up for each message:
 rclpy rebuilds its wait set at every wake-up, which at 250 Hz on several topics takes longer than processing the
-messages. Until then the middleware queues the messages in order, each with its time of arrival.
+messages. The middleware queues the messages in order until they are read, each with its time of arrival.
 """
 
 import importlib
@@ -17,11 +17,11 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-UNRESOLVED_PREFIX = "_NODE_NAME"  # of the name that rmw gives a node before discovery has resolved it
+UNRESOLVED_PREFIX = "_NODE_NAME"  # of the placeholder name of a node that discovery has not resolved yet
 UNRESOLVED_NODE = "a node without a name yet"  # text shown for such a node
 SUBSCRIBER_COUNT_PERIOD = 0.05  # s between counts of subscribers; a count takes as long as filling a message
-SAMPLE_QOS = QoSProfile(depth=1000)  # 4 s at 250 Hz, so that a subscriber blocked for a short time loses no message
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # late subscribers get the newest message
+SAMPLE_QOS = QoSProfile(depth=1000)  # 4 s at 250 Hz, so that a briefly blocked subscriber loses no message
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # late subscribers get the last message
 
 
 def steady_timer(node: Node, period: float, callback: Callable[[], object]) -> None:
@@ -106,7 +106,7 @@ def _reject_callback(message: Any) -> None:
 
 
 class OnDemandPublisher:
-    """A publisher whose messages need not be filled while it has no subscribers. publisher: None if it is disabled."""
+    """Publisher for messages that are filled only while it has subscribers. publisher: None if disabled."""
 
     def __init__(self, publisher: Publisher | None):
         self._publisher = publisher
@@ -114,7 +114,7 @@ class OnDemandPublisher:
         self._has_subscribers = False
 
     def has_subscribers(self, now: float) -> bool:
-        """Whether there were subscribers at most SUBSCRIBER_COUNT_PERIOD ago. now: of a monotonic clock [s]."""
+        """Whether it had subscribers at the last count, SUBSCRIBER_COUNT_PERIOD ago at most. now: monotonic [s]."""
         if self._publisher is not None and now - self._counted_at > SUBSCRIBER_COUNT_PERIOD:
             self._counted_at = now
             self._has_subscribers = self._publisher.get_subscription_count() > 0

@@ -1,7 +1,7 @@
 """Reads and lowers the priority of this process: policy, priority, nice value, and nice value of its autogroup.
 
 With autogroups (the default of Debian and Ubuntu), Linux compares the nice values of processes only within a session;
-between sessions those of the autogroups apply. Each process of `st` is a session.
+between sessions, the nice values of the autogroups apply. Each process that `st` starts has its own session.
 """
 
 import contextlib
@@ -15,14 +15,14 @@ _POLICIES = {os.SCHED_OTHER: "normal", os.SCHED_BATCH: "batch", os.SCHED_IDLE: "
              os.SCHED_RR: "round robin"}
 _REALTIME = (os.SCHED_FIFO, os.SCHED_RR)
 _GROUP = Path("/proc/self/autogroup")
-_TRIES, _PAUSE = 5, 0.11  # number, and s between them; the kernel accepts one change per 0.1 s from an ordinary user
+_TRIES, _PAUSE = 5, 0.11  # attempts, and s between them; the kernel accepts one change per 0.1 s from a user
 
 
 @dataclass(frozen=True)
 class Scheduling:
     """Scheduling parameters of a process.
 
-    policy: name. priority: of a real-time policy, else 0. autogroup: nice value of the autogroup, None without one.
+    priority: of a real-time policy; 0 for other policies. autogroup: nice value of the autogroup, None without one.
     """
 
     policy: str
@@ -39,7 +39,7 @@ class Scheduling:
 
 
 def read_scheduling() -> Scheduling:
-    """Present scheduling of this process."""
+    """Current scheduling of this process."""
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     priority = os.sched_getparam(0).sched_priority if policy in _REALTIME else 0
     return Scheduling(_POLICIES.get(policy, f"policy {policy}"), priority, os.getpriority(os.PRIO_PROCESS, 0),
@@ -47,9 +47,9 @@ def read_scheduling() -> Scheduling:
 
 
 def lower_priority(nice: int) -> None:
-    """Set a nice value of at least `nice` for this process, and for its autogroup if it leads the session.
+    """Raise the nice value of this process to at least `nice`, and set its autogroup to `nice` if it leads the session.
 
-    nice: 5 leaves a third of an equal share of CPU time, 10 a tenth, 15 a thirtieth. Failures are ignored;
+    nice: 5 gives a third of the CPU time of a process at 0, 10 a tenth, 15 a thirtieth. Failures are ignored;
     `read_scheduling` shows the result.
     """
     with contextlib.suppress(OSError):

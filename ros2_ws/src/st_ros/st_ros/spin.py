@@ -24,7 +24,7 @@ FLUSH_TIMEOUT = 4.0
 
 
 def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice: int = 0) -> int:
-    """Make and spin a node until a stop signal; returns the exit status. nice: of the process once the node is made.
+    """Make a node and spin it until a stop signal; returns the exit status. nice: set once the node is made.
 
     A node may have `finished: bool` (ends the spinning), `exit_status: int` (read at the end) and `close()` (called
     once before the node is destroyed, while it can still publish).
@@ -33,14 +33,14 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
     node = executor = None
     status = 0
     try:
-        # The handlers of rclpy shut the context down at once, and `close` could not publish.
+        # rclpy's own handlers would shut the context down at once, and `close` could not publish.
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # such as a parameter file that is not YAML; rclpy has no common class of its errors
+    except Exception as error:  # such as an invalid parameter file; rclpy's errors have no common base class
         print(f"cannot start: {_one_line(error)}", file=sys.stderr, flush=True)
         return 2
     try:
         node = make_node()
-        # Objects created so far live as long as the process; a garbage collection that includes them takes 26 to 75 ms.
+        # Objects created so far live as long as the process; collecting garbage among them takes 26 to 75 ms.
         gc.collect()
         gc.freeze()
         if nice:
@@ -62,7 +62,7 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
                 flush(node)
             status = status or getattr(node, "exit_status", 0)
             if executor is not None:
-                # Its destructor, at the exit of the interpreter, may find the context destroyed and report an error.
+                # At interpreter exit, its destructor may find the context destroyed and report an error.
                 executor.shutdown()
             node.destroy_node()
         rclpy.try_shutdown()

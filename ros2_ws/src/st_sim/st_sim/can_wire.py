@@ -94,9 +94,9 @@ class CanWire:
 
 
 class Background:
-    """Other frames of the Car-CAN, which put a realistic load on filters and queues.
+    """Other frames of the Car-CAN, for a realistic load on filters and queues.
 
-    Together with the decoded frames (about 217 per second) they have the rate CAR_CAN_RATE; INS frames are additional.
+    Together with the decoded frames (about 217 per second) they add up to CAR_CAN_RATE; INS frames are additional.
     """
 
     def __init__(self, seed: int):
@@ -107,7 +107,7 @@ class Background:
             self._frames.append((period, index % period, Frame(message, VEHICLE_BUS)))
         decoded = 100 + 2 * 50 + 1000 / 60
         listed = sum(1000 / period for period, _, _ in self._frames)
-        # The recording has more identifiers than the list: additional frames of the most frequent ones replace them.
+        # The recording has more identifiers; additional frames of the most frequent ones replace them.
         extra = max(0, round((CAR_CAN_RATE - decoded - listed) / 100))
         self._frames += [(10, i % 10, self._frames[i % 12][2]) for i in range(extra)]
 

@@ -1,6 +1,6 @@
 """Reads the vehicle data of the virtual car from a vehicle file.
 
-It does not use st_core.vehicle, so that an error in one of the two readers shows as a difference.
+It does not use st_core.vehicle, so that an error in one of the two readers appears as a difference between them.
 """
 
 import math
@@ -19,8 +19,8 @@ _TO_SI = {"deg": math.pi / 180, **dict.fromkeys(("rad", "kg", "kg m^2", "m", "m/
 
 @dataclass(frozen=True)
 class Tyre:
-    """Magic Formula coefficients of one tyre with SAE signs (p_ky1 < 0). lambda_ky: factor on the cornering stiffness.
-    """
+    """Magic Formula coefficients of one tyre with SAE signs (p_ky1 < 0). nominal_load: F_z0 [N]. lambda_ky: factor on
+    the cornering stiffness."""
 
     nominal_load: float
     p_cy1: float
@@ -82,7 +82,7 @@ def read_car(file: str | Path) -> Car:
 
 
 def _read_tyre(document: Mapping[str, Any], key: str, path: Path, axle_stiffness: float, static_load: float) -> Tyre:
-    """The tyres of an axle. Without lambda_ky in the file, it follows from the axle stiffness at static load."""
+    """One tyre of an axle. A missing lambda_ky is derived from the axle's cornering stiffness at static load."""
     section = document.get(key)
     if not isinstance(section, Mapping):
         raise SimulationError(f"{path}: {key} is missing")

@@ -14,7 +14,7 @@ from .settings import Settings
 
 SAMPLING_TIME = 0.01  # s
 PREVIEW_TIME, MIN_PREVIEW = 0.8, 4.0  # s, m
-ANTICIPATION = 0.18  # s; the curvature this far ahead is steered, because driver, steering and tyres lag
+ANTICIPATION = 0.18  # s; the driver steers for the curvature this far ahead, to compensate lags
 STEERING_TIME = 0.08  # s, time constant of the driver's steering movement
 MAX_STEERING_WHEEL_RATE = 8.0  # rad/s; 460 deg/s is fast for a person
 MAX_STEERING_WHEEL_ANGLE = 9.5  # rad; 540 deg is the end stop
@@ -51,7 +51,7 @@ class Driver:
 
     def advance(self, plant: Plant, time: float, step: float) -> None:
         if time >= self._next_decision - 1e-9:
-            # Decisions are counted from the first call: a drive must not depend on the time at its start.
+            # Decision times count from the first call, so that a drive does not depend on its start time.
             self._next_decision = time + SAMPLING_TIME
             self._decide(plant, time)
         move = (self._target + self._tremor - self.steering_wheel_angle) * step / STEERING_TIME
@@ -93,7 +93,7 @@ class Driver:
         self._offset_integral = 0.0
 
     def _steer_along(self, s: tuple[float, ...], speed: float) -> float:
-        """Road-wheel angle [rad] for the curvature ahead and for the return to the road within the preview distance."""
+        """Road-wheel angle [rad] for the curvature ahead and to return to the road within the preview distance."""
         road = self.plan.path.pose(self.distance)
         offset = math.cos(road.yaw) * (s[Y] - road.y) - math.sin(road.yaw) * (s[X] - road.x)
         course = math.remainder(s[YAW] + math.atan2(s[VY], speed) - road.yaw, 2 * math.pi)
@@ -110,7 +110,7 @@ class Driver:
             self.drive_force, self._pedal, self._speed_integral = -HOLDING_BRAKE * self._mass, 0.0, 0.0
             return
         error = target_speed - s[VX]
-        if abs(acceleration) < 0.5:  # during braking or acceleration the integral would add to the feed-forward
+        if abs(acceleration) < 0.5:  # otherwise the integral would add to the feed-forward acceleration
             integral = self._speed_integral + SPEED_INTEGRAL_GAIN * error * SAMPLING_TIME
             self._speed_integral = min(max(integral, -1.0), 1.0)
         # Cornering resistance per mass: lateral force of the front axle times the sine of the steering angle.

@@ -1,4 +1,4 @@
-"""Equations of motion and tyre force of the virtual car as pure functions, which numba can compile (bench/discovery).
+"""Equations of motion and tyre forces of the virtual car as pure functions, which numba can compile (bench/discovery).
 
 Axes, signs and equations: see `plant`. Checked by: test_plant.py, test_tyres.py.
 """
@@ -18,19 +18,19 @@ ROLL_SHARE_FRONT = 0.55  # fraction of the lateral load transfer at the front ax
 MINIMUM_LOAD = 50.0  # N, lower limit of a wheel load: a lifted wheel must not cause a division by zero
 MIN_SLIP_SPEED = 0.5  # m/s, lower limit of the denominator of slip, as low as the step allows (paper's models: 3 m/s)
 CREEP_SPEED = 2.5  # m/s; below it a tyre with relaxation has little damping, so CREEP_DAMPING is added
-CREEP_DAMPING = 0.17  # s/m, slip per sliding speed
+CREEP_DAMPING = 0.17  # s/m, slip per lateral sliding speed
 ROLL_FREQUENCY, ROLL_DAMPING = 12.6, 0.4  # rad/s (2 Hz) and damping ratio of body roll and lateral load transfer
-PITCH_TIME, COMPLIANCE_TIME = 0.08, 0.01  # s, time constants of pitch with its load transfer, of steering compliance
+PITCH_TIME, COMPLIANCE_TIME = 0.08, 0.01  # s, time constants of pitch and longitudinal load transfer, and of compliance
 ROLLING_ONSET = 0.2  # m/s; below it the rolling resistance decreases to 0, so that it cannot move a parked car
 
-# Indices of the state tuple. RACK, COMPLIANCE_ANGLE: road-wheel angles [rad]; S_FL to S_RR: delayed slip; A_Y, A_X:
+# Indices of the state tuple. RACK, COMPLIANCE_ANGLE: road-wheel angles [rad]; S_FL to S_RR: transient slip; A_Y, A_X:
 # specific force at the CG [m/s^2], filtered by the roll and pitch dynamics.
 X, Y, Z, YAW, VX, VY, YAW_RATE, RACK, COMPLIANCE_ANGLE, S_FL, S_FR, S_RL, S_RR, A_Y, A_Y_RATE, A_X = range(16)
 STATES = A_X + 1
 
 
 class TyreCoefficients(NamedTuple):
-    """Coefficients: F_z0 [N], C, p_ky1 F_z0 lambda [N/rad], 1 / (p_ky2 F_z0) [1/N], and those of `tyre_force`."""
+    """F_z0 [N], C, p_ky1 F_z0 lambda [N/rad], 1 / (p_ky2 F_z0) [1/N], and p_ky4 to p_ey3 as in `tyre_force`."""
 
     nominal: float
     shape: float
@@ -98,7 +98,7 @@ def make_constants(car: Car, settings: Settings, step: float) -> Constants:
 
 
 def tyre_coefficients(tyre: Tyre, stiffness_factor: float) -> TyreCoefficients:
-    """Coefficients of one tyre whose cornering stiffness K is scaled by a factor."""
+    """Coefficients of one tyre with its cornering stiffness K scaled by a factor."""
     nominal = tyre.nominal_load
     stiffness = tyre.p_ky1 * nominal * tyre.lambda_ky * stiffness_factor
     return TyreCoefficients(nominal, tyre.p_cy1, stiffness, 1.0 / (tyre.p_ky2 * nominal), tyre.p_ky4, tyre.p_dy1,
@@ -106,7 +106,7 @@ def tyre_coefficients(tyre: Tyre, stiffness_factor: float) -> TyreCoefficients:
 
 
 def tyre_force(tyre: TyreCoefficients, slip_angle: float, load: float, friction_factor: float) -> tuple[float, float]:
-    """Lateral force F_y and its peak |D| [N] of one tyre; slip_angle a [rad], load F_z [N].
+    """Lateral force F_y and its peak D [N] of one tyre; slip_angle a [rad], load F_z [N].
 
         F_y = D sin(C atan(B a - E (B a - atan(B a)))),  D = mu F_z,  B = K / (C D)
         K = p_ky1 F_z0 sin(p_ky4 atan(F_z / (p_ky2 F_z0))) lambda
@@ -137,10 +137,10 @@ def lateral_share(longitudinal: float, peak: float) -> float:
 
 def wheel_forces(contact: tuple[float, float, float], tyre: TyreCoefficients, friction: float, load: float, slip: float,
                  across: float, along: float, drive: float) -> tuple[float, float, float]:
-    """Lateral and longitudinal force of one wheel [N], and the time derivative of its delayed slip [1/s].
+    """Lateral and longitudinal force of one wheel [N], and the time derivative of its transient slip [1/s].
 
     contact: relaxation length [m], weight of combined slip, largest relaxation rate [1/s]. friction: factor on the
-    peak. slip: delayed slip, a state. across, along: velocity of the contact patch perpendicular to and in the wheel
+    peak. slip: transient slip (state). across, along: velocity of the contact patch perpendicular to and in the wheel
     plane [m/s]. drive: requested F_x [N].
     """
     relaxation, combined, max_rate = contact
@@ -174,10 +174,10 @@ def air_force(still_air: bool, drag_area: float, yaw: float, vx: float, vy: floa
     return 0.5 * AIR_DENSITY * airspeed * drag_area * along, side
 
 
-# long: the equations share two dozen symbols, and a call per equation would slow down every step of 2 ms.
+# One long function: the equations share two dozen symbols, and a call per equation would slow down every time step.
 def derivative(s: Sequence[float], rack_target: float, drive_force: float, surroundings: tuple,  # noqa: PLR0915
                c: Constants) -> tuple[tuple, tuple]:
-    """Time derivative of the state, and the quantities of the wheels.
+    """Time derivative of the state, and wheel forces, loads and velocities.
 
     surroundings: (friction, bank, grade [rad], wind_x, wind_y [m/s]). Second result: road-wheel angle [rad]; lateral
     forces, longitudinal forces, loads [N], velocities across and along the wheel plane [m/s], each for FL, FR, RL, RR.

@@ -8,8 +8,8 @@ import numpy as np
 
 from .settings import Settings
 
-WAVE_LENGTH = 80.0  # m, of the terrain along x
-PATCH_LENGTH, PATCH_PERIOD = 10.0, 40.0  # m along x, of patches with different friction
+WAVE_LENGTH = 80.0  # m, wavelength of the terrain along x
+PATCH_LENGTH, PATCH_PERIOD = 10.0, 40.0  # m along x, length and spacing of patches with different friction
 GUST_TIME = 1.5  # s, correlation time of gusts
 
 

@@ -15,7 +15,7 @@ from .plant import Truth
 from .settings import Settings, SimulationError
 
 TRUTH_TOPIC = "/truth"
-CHUNK_SIZE = 64 * 1024  # bytes, about 1 s of true states, which are lost if the process is killed
+CHUNK_SIZE = 64 * 1024  # bytes, about 1 s of true states; this much is lost if the process is killed
 
 _HISTORY = "<FHcomment><TX>created</TX><tool_id>virtual_leaf</tool_id><tool_vendor>st_sim</tool_vendor></FHcomment>"
 
@@ -56,8 +56,8 @@ def make_truth_record(truth: Truth) -> dict[str, object]:
 class TruthFile:
     """The file truth.mcap with the true states, for scoring.
 
-    Channel /truth with JSON messages, whose log time is the UTC of the measurement; metadata records `settings` and
-    `run` (about). fault: why the file is incomplete, empty if it is not.
+    Channel /truth with JSON messages, logged at the UTC of the true state; metadata records `settings` and `run`
+    (`about`). fault: why the file is incomplete; empty if it is complete.
     """
 
     def __init__(self, path: Path, start_ns: int, settings: Settings, about: Mapping[str, object]):
@@ -97,7 +97,7 @@ class LogFile:
 
     def write(self, time_ns: int, frame: Frame) -> None:
         message = frame.message
-        # A copy, because the same object of a background frame is sent repeatedly.
+        # Copied because the same message object of a background frame is sent repeatedly.
         self._writer.on_message_received(can.Message(
             timestamp=time_ns / 1e9, arbitration_id=message.arbitration_id, is_extended_id=False, data=message.data,
             channel=frame.bus - 1))
@@ -107,7 +107,7 @@ class LogFile:
 
 
 class Mf4File:
-    """MDF 4.11 file like a finalised log of a CANedge: one bus-logging group per channel, times on a grid of 50 us.
+    """MDF 4.11 file in CANedge's finalised format: one bus-logging group per channel, times on a grid of 50 us.
 
     CAN1 is the car, CAN2 the INS. Frames are kept in memory until close().
     """
@@ -142,7 +142,7 @@ class Mf4File:
                 # asammdf names all these groups CAN, but a CANedge numbers its channels.
                 group.acq_name = f"CAN{bus}"
                 group.flags |= 0x6  # bus event, plain bus event: required by readers of bus logs
-        # The history that asammdf would write contains the present time, but equal seeds must give equal bytes.
+        # asammdf's own history would contain the current time, but equal seeds must give equal bytes.
         history = FileHistory()
         history.comment, history.abs_time = _HISTORY, self._start_ns
         log.file_history.append(history)

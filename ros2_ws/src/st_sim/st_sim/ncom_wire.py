@@ -15,11 +15,11 @@ from .sensors import ACCURACY, InsReading
 SEMI_MAJOR = 6378137.0
 FLATTENING = 1 / 298.257223563
 _E2 = FLATTENING * (2 - FLATTENING)
-UNDULATION = 45.5  # m, geoid above the ellipsoid (EGM96 near Eindhoven); by default units send altitude above the geoid
+UNDULATION = 45.5  # m, geoid above the ellipsoid (EGM96 near Eindhoven); units send altitude above the geoid by default
 GPS_EPOCH_UNIX_NS = 315_964_800_000_000_000
 LEAP_SECONDS_NS = 18_000_000_000  # GPS is ahead of UTC by 18 s since 2017
 
-NO_DATA, RAW_IMU = 0, 1  # navigation status without any valid data, and with inertial data only
+NO_DATA, RAW_IMU = 0, 1  # navigation status: without valid data, with inertial data only
 _INVALID = (math.nan, math.nan, math.nan)
 
 
@@ -74,7 +74,7 @@ class NcomWire:
         self._status = StatusChannels(origin, rate)
 
     def packet(self, reading: InsReading, status: int = LOCKED) -> bytes:
-        """The 72 bytes of one epoch, in which values are invalid that the navigation status does not provide."""
+        """The 72-byte packet of one epoch; values that the navigation status does not provide are marked invalid."""
         total_ms = round((self._start_gps_ns + round(reading.stamp * 1e9)) / 1_000_000)
         minutes, milliseconds = divmod(total_ms, 60_000)
         channel, batch_s = self._status.next(minutes if status >= INITIALISING else None, reading)
@@ -176,7 +176,7 @@ class StatusChannels:
         self._fixed = {channel: encode_channel(channel, values) for channel, values in {**_FIXED, **frame}.items()}
 
     def next(self, gps_minutes: int | None, reading: InsReading) -> tuple[int, bytes]:
-        """Channel number and its 8 bytes for the next packet. gps_minutes: of this packet, None while unknown."""
+        """Channel number and its 8 bytes for the next packet. gps_minutes: GPS time in minutes, None while unknown."""
         channel = self._slots[self._count % CYCLE]
         self._count += 1
         if channel in self._fixed:

@@ -18,7 +18,7 @@ class Pose(NamedTuple):
     yaw: float
 
     def compose(self, other: "Pose") -> "Pose":
-        """Pose in map axes of `other`, which is given relative to this pose."""
+        """Pose `other`, given relative to this pose, in map axes."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         return Pose(self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, self.yaw + other.yaw)
 
@@ -41,7 +41,7 @@ def straight(length: float, speed: float) -> list[Piece]:
 
 
 def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> list[Piece]:
-    """A turn by an angle [deg, left +] whose curvature rises and falls linearly, each over a length `blend` [m].
+    """A turn by an angle [deg, left +]; its curvature rises and falls linearly, each over a length `blend` [m].
 
     Raises ValueError if the blends alone turn by more than the angle.
     """
@@ -90,7 +90,7 @@ class Path:
     def anchor(self, distance: float, pose: Pose) -> None:
         """Move the whole path so that it passes through `pose` at `distance`."""
         self._lap_starts.clear()
-        self._anchor = Pose(0.0, 0.0, 0.0)  # then self.pose returns poses in the axes of the path
+        self._anchor = Pose(0.0, 0.0, 0.0)  # so that self.pose returns poses in the axes of the path
         self._anchor = pose.compose(self.pose(distance).inverse())
         self._lap_starts.clear()
 
@@ -140,7 +140,7 @@ class Path:
 
 
 class SpeedProfile:
-    """Highest speed along a path within its target speeds and the limits of acceleration and braking [m/s^2, > 0]."""
+    """Highest speed along a path allowed by its target speeds and by acceleration and braking limits [m/s^2, > 0]."""
 
     def __init__(self, path: Path, acceleration: float, braking: float):
         count = max(4, math.ceil(path.length / SPEED_STEP))

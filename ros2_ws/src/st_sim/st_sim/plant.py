@@ -4,11 +4,11 @@ Axes are ISO 8855 (x forward, y left, z up), the state is at the true CG, yaw is
 of wheels is front left, front right, rear left, rear right. A slip angle is positive when the wheel slides to its left;
 the lateral force is then negative.
 
-    m (dv_x/dt - r v_y) = sum F_x - drag - m g sin(grade)
+    m (dv_x/dt - r v_y) = sum F_x - drag - rolling resistance - m g sin(grade)
     m (dv_y/dt + r v_x) = sum F_y + wind - m g sin(bank)
-    I_z dr/dt           = sum (x_i F_y,i - y_i F_x,i) + wind moment
+    I_z dr/dt           = sum (x_i F_y,i - y_i F_x,i) + wind moment + drive_offset F_drive
 
-Forces are rotated from wheel to body axes. Tyre forces follow from the delayed slip, loads from filtered accelerations.
+Forces are rotated from wheel to body axes. Tyre forces follow from transient slip, loads from filtered accelerations.
 From steering wheel to road wheels: delay -> play -> ratio -> lag -> offset, roll steer, compliance.
 
 Source: Pacejka, Tire and Vehicle Dynamics, ch. 1 and 7. Checked by: test_plant.py, test_effects.py.
@@ -47,7 +47,7 @@ from .dynamics import (
 from .environment import Environment
 from .settings import Settings
 
-STEP = 0.002  # s, of the integrator (Heun); half of it moves the end of a 10 s drive by less than 1 mm (test_plant.py)
+STEP = 0.002  # s, of Heun's method; halving it moves the end of a 10 s drive by less than 1 mm (test_plant.py)
 STANDSTILL = 0.02  # m/s; at lower speed with the brakes applied, the car is at rest
 DRIVE = 4  # gear code on CAN; 1 P, 2 R, 3 N
 
@@ -131,7 +131,7 @@ class Plant:
         self._wheel_slip_compliance = settings["wheel_slip_compliance"]
 
     def place(self, x: float, y: float, yaw: float, speed: float, curvature: float = 0.0) -> None:
-        """Set position [m], yaw [rad], speed [m/s] and curvature [1/m, left +] of a motion without slip."""
+        """Set position [m], yaw [rad], speed [m/s] and path curvature [1/m, left +], without tyre slip."""
         values = [0.0] * STATES
         values[X], values[Y], values[YAW], values[VX], values[YAW_RATE] = x, y, yaw, speed, speed * curvature
         values[VY] = speed * curvature * self.to_rear
@@ -144,7 +144,7 @@ class Plant:
 
     @property
     def rack_steering_wheel_angle(self) -> float:
-        """Steering-wheel angle of the present rack position [rad]."""
+        """Steering-wheel angle that corresponds to the current rack position [rad]."""
         return self.state[RACK] * self._ratio
 
     @property
@@ -180,7 +180,7 @@ class Plant:
         self.state = self._at_rest(s) if self.parked else s
 
     def observe(self, drive_force: float) -> Forces:
-        """Forces and accelerations in the present state, which are also stored in `forces`; no acceleration at rest."""
+        """Forces and accelerations in the current state, also stored in `forces`; accelerations are zero at rest."""
         s, moving = self.state, not self.parked
         rates, wheels = derivative(s, s[RACK], drive_force, self.surroundings, self.constants)
         road_wheel_angle, lateral, longitudinal, load, across_speeds, along_speeds = wheels

@@ -1,7 +1,7 @@
-"""A recorded drive from a CSV file, as the source of sensor data instead of the simulation.
+"""Provides a recorded drive from a CSV file as the source of sensor data instead of the simulation.
 
 Columns, all at the CG and SI: t, x (east), y (north), yaw (from east), vx (forward), vy (left), yaw_rate, ax, ay, and
-delta, the road-wheel angle (left +). Values are interpolated linearly but not smoothed or made consistent. The yaw
+delta, the road-wheel angle (left +). Values are interpolated linearly but neither smoothed nor adjusted. The yaw
 acceleration, which matters only for an INS away from the CG, is the slope of the yaw rate.
 """
 

@@ -34,7 +34,7 @@ DEFAULT_ORIGIN = "51.448,5.49,65.0"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns 0, also after SIGINT or SIGTERM, or 2 for a bad argument, with a line on stderr."""
+    """Run the command; returns 0, also after SIGINT or SIGTERM, or prints one line on stderr and returns 2."""
     stop_requested = _watch_signals()
     try:
         options = _parser().parse_args(arguments)
@@ -66,10 +66,10 @@ def _one_line(error: Exception) -> str:
 
 
 def _watch_signals() -> Callable[[], bool]:
-    """Install handlers of SIGINT and SIGTERM; returns a function that tells whether one of them has arrived."""
+    """Install handlers of SIGINT and SIGTERM; returns a function that checks whether one has arrived."""
     received: list[int] = []  # not an Event: a second signal during its `set` would cause a deadlock
     for number in (signal.SIGINT, signal.SIGTERM):
-        # ValueError: only the main thread can install handlers; tests and other programs may call from another one.
+        # ValueError: only the main thread can install handlers; tests may call from another one.
         with contextlib.suppress(ValueError):
             signal.signal(number, lambda number, _: received.append(number))
             # The interpreter removes the handlers before it exits; a signal after that would change the exit status.
@@ -98,10 +98,10 @@ class _Run:
 
 
 def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
-    """DBC and signal table of the Leaf, whose messages the virtual car sends with every vehicle file.
+    """DBC and signal table of the Leaf; the virtual car sends the Leaf's messages with every vehicle file.
 
-    Places in this order: next to the vehicle file, then the folder --config, or without it the config folders above the
-    vehicle file, of the checkout, and of the current folder and its parents.
+    They are searched next to the vehicle file, then in the folder --config; without --config, in the config folders
+    above the vehicle file, of the checkout, and of the current folder and its parents.
     """
     vehicle, config = options.vehicle, options.config
     roots = [Path(os.environ.get("ST_ENVIRONMENT") or Path.cwd()), Path.cwd(), *Path.cwd().parents]
@@ -187,7 +187,7 @@ def _live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> No
 
 
 def _to_files(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> None:
-    """Write the drive to files. CAN frames get the sending time by the clock of the logger, with offset and drift."""
+    """Write the drive to files. CAN frames are stamped by the logger's clock, which has offset and drift."""
     run = _prepare(options)
     start_ns = FILE_EPOCH_NS + options.seed * 3_600_000_000_000  # one hour later for each seed
     folder = make_folder("--to-files", options.to_files)
@@ -251,7 +251,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _within(low: int, high: int) -> Callable[[str], int]:
-    """Converter of an option whose value is a whole number in a range."""
+    """Converter of option text to a whole number within a range."""
 
     def convert(text: str) -> int:
         if not low <= int(text) <= high:

@@ -1,6 +1,6 @@
 """Scenarios of unlimited duration: S1 to S7 of the paper, the manoeuvres of `st_core.manoeuvres`, and roads from files.
 
-The paper states R ~ 23 m and R ~ 20 m, but its table of errors fits diameters of this size: the radii are halved here.
+The paper states R ~ 23 m and R ~ 20 m, but its error table matches diameters of this size; the radii are halved here.
 """
 
 import math
@@ -65,7 +65,7 @@ class RoadPlan:
 
 @dataclass(frozen=True)
 class Phase:
-    """Phase of a plan; steer as in Demand. It ends after `duration` [s] or when braking has reached `until` [m/s]."""
+    """Phase of a plan, which ends after `duration` [s] or when the speed falls to `until` [m/s]. steer: see Demand."""
 
     steer: str
     acceleration: float = 0.0
@@ -126,7 +126,7 @@ def make_plan(manoeuvre: Manoeuvre) -> Plan:
 
 
 def _phases(manoeuvre: Manoeuvre) -> list[Phase]:
-    """Phases of the pedals. While braking, which ends at a speed instead of a time, the steering wheel is held."""
+    """Phases of the pedals. Braking ends at a speed instead of a time, with the steering wheel held."""
     phases, end = [], 0.0
     for seconds, acceleration in manoeuvre.pedals:
         end += seconds

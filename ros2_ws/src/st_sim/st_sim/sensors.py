@@ -12,7 +12,7 @@ from .plant import Truth
 from .settings import Settings
 
 OUTAGE_LENGTH = 1.0  # s
-FULL_VIBRATION_SPEED = 5.0  # m/s, from which on vibration noise has its full level; at rest it has a tenth of it
+FULL_VIBRATION_SPEED = 5.0  # m/s, above which vibration noise has its full level; at rest it has a tenth
 # m/s; lower wheel speeds and vehicle speeds are sent as 0, as in recordings of this family of cars.
 MIN_WHEEL_SPEED, MIN_VEHICLE_SPEED = 1.1 / 3.6, 2.8 / 3.6
 
@@ -21,8 +21,8 @@ MIN_WHEEL_SPEED, MIN_VEHICLE_SPEED = 1.1 / 3.6, 2.8 / 3.6
 class InsReading:
     """One epoch of the INS in map axes (ENU) and body axes (FLU) [SI].
 
-    stamp: reported time since the start [s]. roll: right side down +, pitch: nose up +. rates, specific_force: about
-    and along x, y, z; at rest the specific force is +9.81 on z.
+    stamp: reported time since the start [s]. roll: right side down +, pitch: nose up +. rates: about x, y, z.
+    specific_force: along x, y, z, gravity included; at rest +9.81 along z.
     """
 
     stamp: float
@@ -39,9 +39,9 @@ class InsReading:
     specific_force: tuple[float, float, float]
 
 
-# Standard deviations of white and slow noise, and correlation time of the slow one [s]. An RT3000 v3 with RTK has
-# 0.01 m, 0.014 m/s, 0.1 deg in heading, 0.03 deg in roll and pitch, mostly slow because its filter smooths them. The
-# white noise of rates and forces is vibration caused by the road.
+# Standard deviations of white and slow noise [SI], and correlation time of the slow noise [s]. The errors of an RT3000
+# v3 with RTK are 0.01 m, 0.014 m/s, 0.1 deg in heading, 0.03 deg in roll and pitch; they vary slowly because its filter
+# smooths them. The white noise of rates and forces is vibration caused by the road.
 NOISE = {
     **dict.fromkeys(("x", "y"), (0.001, 0.006, 60.0)), "z": (0.002, 0.012, 60.0),
     **dict.fromkeys(("velocity_x", "velocity_y"), (0.002, 0.005, 20.0)), "velocity_z": (0.003, 0.007, 20.0),
@@ -72,7 +72,7 @@ class Ins:
 
     def __init__(self, car: Car, settings: Settings, interval: float, seed: int):
         self._settings = settings
-        # The INS is fixed to the body: a shift of the CG does not move it.
+        # The INS is fixed to the body, so a shift of the CG changes its lever arm.
         self._lever = (car.cg_to_ins_x - settings["cg_shift"] + settings["ins_lever_error"], car.cg_to_ins_y)
         scale = settings["ins_noise"]
         draw = normal_stream(np.random.default_rng([seed, 3]))
@@ -120,7 +120,7 @@ class Ins:
 
 
 def _body_rates(truth: Truth) -> tuple[float, float, float]:
-    """Angular rates of the tilted body about its x, y, z (FLU), without pitch rate.
+    """Angular rates [rad/s] of the tilted body about its x, y, z (FLU) for a constant pitch angle.
 
     In FRD: p = droll - dheading sin(pitch), q = dheading sin(roll) cos(pitch), r = dheading cos(roll) cos(pitch).
     """
@@ -170,7 +170,7 @@ def _rectify(speed: float, minimum: float) -> float:
 
 
 class Loss:
-    """Loss of datagrams or frames: a random fraction, and all for 1 s at every multiple of `outage_every` [s]."""
+    """Loss of datagrams or frames: a random fraction, and all of them for 1 s at multiples of `outage_every` [s]."""
 
     def __init__(self, share: float, outage_every: float, seed: tuple[int, int]):
         self._share, self._every = share, outage_every

@@ -17,7 +17,7 @@ Settings = Mapping[str, float]
 
 
 class SimulationError(ValueError):
-    """A wrong argument or file; the message is one line that names file or option, key and limit."""
+    """Invalid argument or file; the one-line message names the file or option, the key and the limit."""
 
 
 def read_document(path: Path) -> Any:
@@ -44,7 +44,7 @@ class Setting:
 
 
 _TABLE = (
-    # Steering wheel -> mean road-wheel angle. Left positive everywhere.
+    # From steering-wheel angle to mean road-wheel angle, left positive.
     ("steering_ratio_factor", "steering", 1.0, 0.5, 2.0, "1", "true steering ratio relative to the vehicle file"),
     ("steering_offset", "steering", 0.0, -0.1, 0.1, "rad", "road-wheel angle with a straight steering wheel"),
     ("steering_delay", "steering", 0.0, 0.0, 0.5, "s", "dead time from steering wheel to rack"),
@@ -109,7 +109,7 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType({row[0]: Setting(*row) for ro
 IDEAL: Settings = MappingProxyType({s.name: s.null for s in SETTINGS.values()})
 
 # Chosen to give the paper's three models the same prediction errors as with the real car (test_pattern.py). The front
-# tyres are stiffer than in the vehicle file, whose axle stiffness includes compliance, roll steer and load transfer.
+# tyres are stiffer than in the vehicle file: its axle stiffness includes compliance, roll steer and load transfer.
 REALISTIC: Settings = MappingProxyType({
     **IDEAL, "steering_lag": 0.04, "steering_compliance": 1.5e-6, "roll_steer": -0.03, "ackermann": 0.6,
     "front_stiffness_factor": 1.35, "friction_factor": 1.12, "relaxation_length": 0.4, "combined_slip": 1.0,

@@ -12,7 +12,7 @@ RUN_IN = 4.0  # s simulated before time 0, so that the drive begins in steady mo
 
 
 class SimulatedCar:
-    """Car and driver in a scenario. Call advance(), then truth(); at time 0 the car is already moving."""
+    """Car and driver in a scenario. Call advance(), then truth(); the car is already moving at time 0."""
 
     def __init__(self, car: Car, settings: Settings, plan: Plan, seed: int = 0):
         self.car = car
@@ -88,9 +88,9 @@ class ControlledCar:
     def advance(self, duration: float, road_wheel_angle: float, velocity_x_dot: float) -> None:
         """Simulate a duration [s] with constant commands.
 
-        road_wheel_angle [rad, left +]: turned into a steering-wheel angle with the nominal steering ratio and a limited
-        rate; the steering of the plant follows. velocity_x_dot [m/s^2]: turned into a drive force with the nominal
-        mass, which compensates cornering resistance but not drag, slopes and tyre limits.
+        road_wheel_angle [rad, left +]: converted to a steering-wheel angle with nominal steering ratio and limited
+        rate, which the plant's steering follows. velocity_x_dot [m/s^2]: converted to a drive force with the nominal
+        mass; cornering resistance is compensated, but not drag, slopes and tyre limits.
         """
         plant, target = self.plant, road_wheel_angle * self.car.steering_ratio
         max_step = MAX_STEERING_WHEEL_RATE * plant.time_step

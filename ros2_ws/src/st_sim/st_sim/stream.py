@@ -23,7 +23,7 @@ TRUTH_PERIOD_MS = 10
 # Period and phase [ms]; the control units of the car are not synchronous with the INS.
 STEERING_SCHEDULE, WHEEL_SCHEDULE, GEAR_SCHEDULE = (10, 2), (20, 6), (60, 8)
 INS_CAN_DELAY = 0.0015  # s from the datagram to the first frame on CAN
-EARLY_TOLERANCE = 0.0003  # s; a frame due within this time is sent at once, as accurately as by a real bus
+EARLY_TOLERANCE = 0.0003  # s; a frame due within this time is sent at once; a real bus has the same jitter
 LATE_THRESHOLD = 0.005  # s after the deadline; an output sent later counts as late
 INITIALISING_END, LOCKING_DURATION = 7.0, 11.0  # s, in the start-up of an INS
 
@@ -71,7 +71,7 @@ def find_start_up_status(time: float) -> tuple[int, float] | None:
 
 
 class Stream:
-    """Packets and frames with the sensor readings of a source; outputs() simulates at most one tick ahead."""
+    """Packets and frames with the sensor readings of a source, simulated at most one tick ahead."""
 
     def __init__(self, source: Source, settings: Settings, ins: Ins, steering: SteeringSensor, ncom: NcomWire,
                  can: CanWire, ins_rate: int, seed: int, background: bool = False, start_up: bool = False):
@@ -143,7 +143,7 @@ class Stream:
 
 @dataclass
 class Report:
-    """Counts of a real-time run. late: outputs later than LATE_THRESHOLD. worst_delay: after a deadline [s]."""
+    """Counts of a real-time run. late: outputs later than LATE_THRESHOLD. worst_delay: the longest [s]."""
 
     ncom_packets: int = 0
     can_frames: int = 0
@@ -153,7 +153,7 @@ class Report:
 
 
 class LiveOutput:
-    """UDP socket and CAN bus to send to. Raises SimulationError naming the option if one cannot be opened."""
+    """UDP socket and CAN bus for the output. Raises SimulationError naming the option if one cannot be opened."""
 
     def __init__(self, ncom_host: str, ncom_port: int, can_interface: str, can_channel: str):
         self.report = Report()

@@ -39,7 +39,7 @@ MAX_AGE = 1.0  # s; an older prediction or steering angle is not shown
 DIAGNOSTICS_TIMEOUT = 3.0  # s until a node counts as silent; nodes of the suite publish diagnostics once a second
 MISSED_REPORTS = 3  # reporting intervals until a node with longer intervals counts as silent
 BAND_LEVEL = 0.9
-LEVELS = ("ok", "warning", "error", "error")  # of diagnostic_msgs; stale counts as an error
+LEVELS = ("ok", "warning", "error", "error")  # by level of diagnostic_msgs; stale counts as an error
 INPUTS = {"forecast": "held", "course": "of the course", "plan": "planned"}  # by mode, the preferred mode last
 TOPICS = {  # kind of message by topic
     "predictor/status": "status", "ins/status": "ins_status", "ins/odometry": "odometry",
@@ -58,7 +58,7 @@ QUEUE_DEPTHS, DEFAULT_QUEUE_DEPTH = {"error": 200, "diagnostics": 50}, 3  # all 
 class PassengerFrames:
     """Turns messages of a running suite into frames for the page. Times are in s of one monotonic clock.
 
-    Positions in a frame are of the centre of gravity, in the current axes of the car: x forward, y left.
+    `pose` is the pose of the CG in the map; track and paths are in the body axes of this pose: x forward, y left.
     """
 
     def __init__(self, car: VehicleParameters, map_frame: str):
@@ -139,7 +139,7 @@ class PassengerFrames:
         if isinstance(sample, str):
             return
         measured = sample.time_ns * 1e-9
-        if self._track and measured < self._track[-1][0]:  # a replay has started again
+        if self._track and measured < self._track[-1][0]:  # a replay has restarted
             self._track.clear()
             for errors in self._errors.values():
                 errors.clear()
@@ -207,7 +207,7 @@ class PassengerNode(Node):
                 self._frames.take(topic, message, time.monotonic() - waited)
                 received = True
         if received and len(self._subscriptions_by_topic) == 1:
-            # Not before a message arrives: the player of `st replay` counts the subscribers of its topics at its start.
+            # Subscribe only now, because the player of `st replay` counts the subscribers of its topics at its start.
             self._subscriptions_by_topic |= {topic: self._subscribe(topic) for topic in TOPICS
                                              if topic not in self._subscriptions_by_topic}
         if self._server.clients:

@@ -30,7 +30,7 @@ from st_recordings.runs.run_types import SteeringField
 from st_ros import spin
 from st_ros.polling import LATCHED, PolledSubscription, from_nanoseconds, message_class, wait_for_any
 
-INPUTS = ("/ins/odometry", "/vehicle/steering")  # topics published, whatever their names in the recording
+INPUTS = ("/ins/odometry", "/vehicle/steering")  # published names of the topics; the recording may use others
 CLOCK_STEP_NS = 10_000_000
 QUEUE_DEPTH = 1000
 DISCOVERY_TIMEOUT = 15.0  # s
@@ -38,9 +38,9 @@ STATUS_PERIOD = 0.5  # s
 SUBSCRIBERS = 3  # of each topic: predictor, evaluator, recorder
 PLAN, ORIGIN = "/plan/inputs", "/ins/origin"
 FEWER_SUBSCRIBERS = {PLAN: 2, ORIGIN: 1}  # predictor and recorder; the recorder only, without a course
-# s, longest wait for a node at rate 0; the short one applies after a wait without progress, as at standstill.
+# s, longest wait for a node at rate 0; the short one follows a wait without progress, for example at standstill.
 TIMEOUT, SHORT_TIMEOUT = 2.0, 0.005
-SCORE_DELAY = 1.0  # s; the clock may lead the newest scored start by the horizon plus this
+SCORE_DELAY = 1.0  # s; the clock may lead the newest scored start by the horizon plus this delay
 
 
 class Follower:
@@ -95,14 +95,14 @@ class Player:
         if options.steering_field:
             self._field = SteeringField(options.steering, options.steering_field,
                                         "wheel" if options.steering_wheel else "road")
-        # Factor from the number to rad, left +; steering ratio [1] and offset [rad] of the steering wheel.
+        # Factor from the recorded number to rad, left +; steering ratio [1] and steering-wheel offset [rad].
         self._scale: float = options.steering_scale
         wheel: Sequence[float] = options.steering_wheel or (1.0, 0.0)
         self._ratio, self._offset = wheel
         self._node = Node("player")
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=QUEUE_DEPTH))
         self._followers = [] if self._rate > 0 else [
-            # With a lead of one tick, exactly one tick is due; it ends with a prediction or else a status.
+            # With a lead of one tick, exactly one tick is due; it publishes either a prediction or a status.
             Follower(self._node, {f"predictor/{options.models[-1]}/prediction": (Prediction, read_issued_at),
                                   "predictor/status": (PredictorStatus, read_header_stamp)}, 1.0 / options.tick_rate),
             Follower(self._node, {"evaluator/errors": (PredictionError, read_header_stamp)},

@@ -49,7 +49,7 @@ class RelayNode(Node):
             print(f"{topic} is not relayed: type {type_name} is not installed", flush=True)
             return None
         latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
-        # Best effort, so that no publisher waits for a viewer; latched messages, which are sent once, must arrive.
+        # Best effort, so that no publisher waits for a viewer; latched messages are sent only once and must arrive.
         qos = QoSProfile(
             depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)

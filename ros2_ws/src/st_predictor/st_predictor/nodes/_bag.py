@@ -10,7 +10,7 @@ from st_ros import diagnostics
 from st_ros.diagnostics import Check
 from st_ros.parameters import ConfigurationError
 
-MAX_SYNC_DELAY = 1.0  # s; data that are not on the disk after this time cause a warning; half a second is normal
+MAX_SYNC_DELAY = 1.0  # s until data that are not on the disk yet cause a warning; half a second is normal
 
 
 def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) -> BagWriter:

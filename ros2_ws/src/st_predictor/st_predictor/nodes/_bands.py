@@ -66,7 +66,7 @@ class PredictionBands:
         Valid until the next call.
         """
         if self._adaptive:
-            condition = conditions_now(history, time_ns) if self._calibration else ()  # needed by bands of a file only
+            condition = conditions_now(history, time_ns) if self._calibration else ()  # for bands of a file only
             issued, self._reason = self._adaptive.issue(time_ns, condition, modes)
             return {model: [band for band in bands if (model, band.mode) in issued]
                     for model, bands in (self._messages.fill() if issued else {}).items()}
@@ -122,7 +122,7 @@ class BandMessages:
     def _make_message(self, mode: str, level: float, widths: np.ndarray) -> Band:
         zeros = array("f", bytes(4 * len(widths)))
         message = Band(mode=mode, level=level, **dict.fromkeys(AXES, zeros))
-        # The message holds copies of the arrays. With views of source and target, `fill` only has to copy memory.
+        # The message contains copies of the arrays. With views of source and target, `fill` only has to copy memory.
         self._copies += [(memoryview(getattr(message, axis)), memoryview(column))
                          for axis, column in zip(AXES, widths.T, strict=True)]
         return message
@@ -135,7 +135,7 @@ class BandMessages:
 
 
 def read_bands(message: Prediction) -> HalfWidths:
-    """Half-widths of the bands of a prediction by mode and level; a band not as long as the path is ignored."""
+    """Half-widths of the bands of a prediction by mode and level; a band of another length than the path is ignored."""
     points = len(message.x)
     columns = {(band.mode, band.level): [getattr(band, axis) for axis in AXES] for band in message.bands}
     return {key: np.array(widths, float).T for key, widths in columns.items()

@@ -1,4 +1,4 @@
-"""Future inputs to use instead of held ones: from the newest plan of a motion planner, or from a recorded course."""
+"""Provides future inputs instead of held ones: from a motion planner's newest plan or from a recorded course."""
 
 import time
 
@@ -26,7 +26,7 @@ NOT_USED = "not used: no prediction at the moment"
 
 
 class PlanInput:
-    """Subscribes to plan/inputs. While the newest plan is not usable, `problem` says why, and inputs are held."""
+    """Subscribes to plan/inputs. While the newest plan is unusable, inputs are held, and `problem` is the reason."""
 
     def __init__(self, node: Node, frame: str, vehicle: VehicleParameters):
         self._subscription = PolledSubscription(node, InputPlan, "plan/inputs", QoSProfile(depth=QUEUE_DEPTH))
@@ -71,7 +71,7 @@ class PlanInput:
 
 
 class CourseInput:
-    """Predicts inputs from the course of the parameter `course_file`. course: None if there is none.
+    """Predicts inputs from a course. course: from the parameter `course_file`; None if it is empty.
 
     If the map origins of course and run (ins/origin) are known, the course is shifted into the map frame of this run;
     a course of another site is not used.
@@ -131,6 +131,6 @@ class CourseInput:
 
 
 def _build_search_tree(course: Course) -> Course:
-    """The course with its search tree, which the first lookup builds, so that no tick has to wait for it."""
+    """The course after a first lookup, which builds its search tree, so that no tick has to wait for it."""
     course.find_near(*course.passes[0].points[0, :3].tolist())
     return course

@@ -18,13 +18,13 @@ from .. import convert
 
 SILENCE_TIMEOUT = 1.0  # s without a message after which another publisher can replace the accepted one
 MAX_LOST = 1000  # largest gap in the accepted publisher's message numbers: 4 s at 250 Hz
-QUEUE_DEPTH = 4000  # queued messages per topic: 16 s at 250 Hz, for a node that gets no processor time
+QUEUE_DEPTH = 4000  # queued messages per topic: 16 s at 250 Hz, for a node without processor time
 
 
 class PublisherLock:
     """Accepts only messages of the first publisher of an input, so that measurements of two cars are never mixed.
 
-    A message does not name its publisher, but each publisher numbers its messages consecutively: they form a chain. If
+    A message does not name its publisher, but each publisher numbers its messages consecutively, as a chain. If
     two chains have reached the same number, they cannot be distinguished, and neither is used.
 
     names: full node names of all publishers at the last `update`. rejected: number of messages rejected so far.
@@ -34,7 +34,7 @@ class PublisherLock:
         self.names: tuple[str, ...] = ()
         self.rejected = 0
         self._competing = self._indistinguishable = False
-        self._number: int | None = None  # of the newest message accepted
+        self._number: int | None = None  # sequence number of the newest accepted message
         self._accepted_at: float | None = None  # [s]
         self._others: dict[int, float] = {}  # newest number of each rejected chain -> its time [s]
         self._rejected_at: float | None = None  # [s]
@@ -102,7 +102,7 @@ class Inputs:
         self.refused = {"INS": 0, "steering": 0}
         self.last_refusal = {"INS": "", "steering": ""}  # empty while the newest message was usable
         self._locks = {"INS": PublisherLock(), "steering": PublisherLock()}
-        self._arrived_ns = {"INS": 0, "steering": 0}  # newest message of each, by the host's UTC
+        self._arrived_ns = {"INS": 0, "steering": 0}  # arrival of the newest message, host UTC
 
     def wait(self, since_ns: int, longest: float) -> None:
         """Process messages until one of each signal is newer than `since_ns` (host UTC), at most `longest` seconds."""
@@ -131,7 +131,7 @@ class Inputs:
         """Queued messages of the accepted publisher."""
         lock = self._locks[signal]
         before, count = lock.warning(_utc_now()), subscription.publisher_count()
-        # New publishers are added before reading, ended ones removed after it: their last messages may still be queued.
+        # Add new publishers before reading and remove ended ones after it: their last messages may still be queued.
         if count > len(lock.names):
             lock.update(_publisher_names(subscription, count))
         for message, arrived_ns, number in subscription.take_numbered(QUEUE_DEPTH):
@@ -144,7 +144,7 @@ class Inputs:
             self._on_change()
 
     def explain(self, reason: str) -> str:
-        """A reason for making no prediction, completed with the reason why messages of that signal are refused."""
+        """The reason for a missing prediction, completed if messages of the signal it names are refused."""
         for signal, refusal in self.last_refusal.items():
             if refusal and reason.startswith(signal):
                 return f"{reason}; messages arrive but are refused: {refusal}"

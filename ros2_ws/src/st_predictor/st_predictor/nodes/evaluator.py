@@ -31,9 +31,9 @@ WORK_PERIOD, SUMMARY_PERIOD = 0.05, 1.0  # s
 MODES = ("forecast", "hindsight")  # scored for every forecast, in the order of the summary
 LEVELS = {"warning": diagnostics.WARN, "error": diagnostics.ERROR}
 HISTORY_SPAN = 65.0  # s of measurements kept: the longest horizon of a predictor plus the wait for late signals
-ERROR_DEPTH = 1000  # at the end of a run, the scores of a whole horizon are published at once, of all models and modes
+ERROR_DEPTH = 1000  # the scores of a whole horizon, all models and modes are published at once at the end of a run
 QUEUE_DEPTH = 500  # queued predictions per topic: 50 s at 10 Hz, 5 s of a fast replay
-# Rounding differs between computers by less [SI]; with another vehicle file a path differs by centimetres after 1 s.
+# SI; larger than rounding differences between computers; another vehicle file changes a path by centimetres in 1 s.
 TRAJECTORY_TOLERANCE = 1.0e-6
 
 
@@ -55,7 +55,7 @@ class EvaluatorNode(Node):
                               self._diagnostics.publish)
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
         self._coverages = CoverageMonitor()
-        self._hashes: dict[tuple[str, str, int], str] = {}  # of pending predictions, by model, mode and start
+        self._hashes: dict[tuple[str, str, int], str] = {}  # pending predictions, by model, mode and start
         self._configuration_mismatch: dict[tuple[str, str], bool] = {}  # by hash and model
         self._rejection = ""
         self._bag, self._bag_topics = self._open_bag(values, settings)

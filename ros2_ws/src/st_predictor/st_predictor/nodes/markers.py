@@ -21,8 +21,8 @@ from .. import convert, params
 from ..map_drawing import History, Path, car_outline
 
 NEWEST_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-SCORE_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # scores of an instant arrive together
-LIFETIME = Duration(sec=1)  # after it, markers of a suite that has ended disappear
+SCORE_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # scores of one start arrive together
+LIFETIME = Duration(sec=1)  # markers disappear this long after the suite has ended
 TEXT_HEIGHT, CAR_WIDTH, ERROR_WIDTH, GHOST_WIDTH, TRACK_WIDTH = 1.2, 0.15, 0.25, 0.1, 0.6  # m
 GHOST_ALPHA = 0.4
 RIBBON_ALPHA = {0.9: 0.15, 0.5: 0.3}  # by probability
@@ -117,7 +117,7 @@ class MarkersNode(Node):
 
     def _make_line(self, space: str, number: int, time_ns: int, x, y, colour: str, width: float, alpha: float = 1.0,
                    z: float = 0.0) -> Marker:
-        """A line through map points [m]. z: height above the map [m], which determines what is drawn above what."""
+        """A line through map points [m]. z: height above the map [m], which sets the drawing order."""
         marker = self._make_marker(Marker.LINE_STRIP, space, number, time_ns, colour, alpha)
         marker.scale.x = width
         marker.points = [Point(x=float(px), y=float(py), z=z) for px, py in zip(x, y, strict=True)]

@@ -101,8 +101,8 @@ class PredictorNode(Node):
         self._not_finite: set[str] = set()
         self._jumps = 0  # position jumps reported so far
         self._slowest_tick = 0.0
-        self._state_age = math.nan  # as last published [s]
-        self._state_ages: list[float] = []  # of the predictions since the last status [s]
+        self._state_age = math.nan  # last published median [s]
+        self._state_ages: list[float] = []  # age of each start state since the last status [s]
         self._period = 1.0 / values.rate
         # Simulated time advances only while the executor runs: no sample can arrive during a wait.
         self._wait = 0.0 if self._simulated else min(values.sample_wait, MAX_WAIT_SHARE * self._period)
@@ -154,7 +154,7 @@ class PredictorNode(Node):
         period_ns = round(self._period / NANOSECOND)
         next_due_ns = self.get_clock().now().nanoseconds + self._timer.time_until_next_call()
         missed = self._counter.count_missed(next_due_ns, period_ns)
-        # After the wait the prediction starts from the next sample, whose state is newer.
+        # Waiting for the next sample makes the start state of the prediction newer.
         self._inputs.wait(next_due_ns - period_ns, self._wait)
         began = time.perf_counter()
         start = self._find_start(self.get_clock().now().nanoseconds)

@@ -1,4 +1,4 @@
-"""Node recorder: writes the messages of topics, as serialised, into a rosbag2 directory (MCAP)."""
+"""Node recorder: writes the serialised messages of selected topics into a rosbag2 directory (MCAP)."""
 
 import contextlib
 import hashlib
@@ -28,16 +28,16 @@ from ._bag import is_complete, open_bag, recording_check
 NICE = 5  # lower priority than bridges and predictor: a third of their CPU share under contention
 WORK_PERIOD = 0.05  # s between reads of the queues, which store the time of arrival of each message
 TOPIC_SCAN_PERIOD = 0.25  # s between searches for new topics
-RESUME_PERIOD = 5.0  # s between attempts to resume in a new bag, after a full disk for example
-RESUME_SPACE = 200_000_000  # bytes of free space that a new bag requires
-RESUME_WARNING_DURATION = 10.0  # s, of the warning that a recording was resumed
+RESUME_PERIOD = 5.0  # s between attempts to resume in a new bag, for example after a full disk
+RESUME_SPACE = 200_000_000  # bytes of free disk space required for a new bag
+RESUME_WARNING_DURATION = 10.0  # s, duration of the warning that a recording was resumed
 DIAGNOSTICS = "/diagnostics"
 SILENCE_TIMEOUT = 10.0  # s until a silent node is reported; every node publishes /diagnostics once a second
 QUEUE_DEPTH = 1000  # queued messages per topic: 4 s at 250 Hz, for a slow disk
 
 
 class PublisherWatchdog:
-    """Finds nodes that publish a recorded topic but whose messages do not arrive.
+    """Finds nodes that publish a recorded topic without any of their messages arriving.
 
     DDS may match a publisher with a subscription that never receives its data, so only a message proves a connection.
     """
@@ -46,7 +46,7 @@ class PublisherWatchdog:
         self._node = node
         self._topic_times: dict[str, float] = {}  # newest message of each topic, steady clock [s]
         self._node_times: dict[str, float] = {}  # newest /diagnostics of each node [s]
-        self._found_times: dict[str, float] = {}  # when each node was found [s]
+        self._found_times: dict[str, float] = {}  # when each node was discovered [s]
 
     def received(self, topic: str, data: bytes) -> None:
         now = time.monotonic()
@@ -227,7 +227,7 @@ def name_files(files: Sequence[str]) -> dict[str, str]:
 
 
 def matching_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
-    """The strictest QoS that all publishers match: reliable or transient local only if all publishers are."""
+    """The strictest QoS compatible with all publishers: reliable or transient local only if all publishers are."""
     profiles = [p.qos_profile for p in publishers]
     reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
     latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
