@@ -21,7 +21,7 @@ Values = Mapping[str, Mapping[str, float]]
 class AugmentedModel(Model):
     """A base model with effects and the values of their parameters, created by `augment`.
 
-    It extends a Model by `effective_vehicle`, which applies effects to the vehicle parameters; `steering`, which
+    It extends Model with `effective_vehicle`, which applies effects to the vehicle parameters; `steering`, which
     applies delay, play and lag to a recorded road wheel angle; and `observe` and `correct`, which convert true values
     to INS readings and back. `st_core.readings` uses them for logs and trajectories. Models that differ only in values
     share their compiled functions.
@@ -75,12 +75,12 @@ class AugmentedModel(Model):
         return tuple((e.name, *self.values[e.name].values()) for e in self.active if e.steering or e.observe)
 
     def input_dependencies(self, p: Any) -> tuple:
-        """The part of the parameters p on which `inputs` depends, as a cache key."""
+        """Cache key: the parameters in p on which `inputs` depends."""
         active = compose(self.base, self.effects).active
         return (p.base, *(t for e, t in zip(active, p.effects, strict=True) if e.inputs or e.prepare)) if active else p
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
-        """The vehicle with the active effects on its parameters. Raises ConfigurationError outside their limits."""
+        """The vehicle with the active effects applied. Raises ConfigurationError outside their limits."""
         cached = self._vehicles.get(id(vehicle))
         if cached is None or cached[0] is not vehicle:
             changed = vehicle
@@ -149,7 +149,7 @@ class AugmentedModel(Model):
 def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedModel:
     """The base model with further effects.
 
-    effects: values by effect and parameter, optional for parameters that are not fitted; or names, for initial values.
+    effects: values by effect and parameter, optional for parameters that are not fitted; or names (initial values).
     Raises ConfigurationError, naming effect, parameter and limit, for an unknown or repeated effect, one that does not
     apply to the base model, and a value that is missing or outside its bounds.
     """
@@ -172,7 +172,7 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
 
 def _check_applicable(base: Model, effects: Sequence[type[Effect]]) -> None:
     models = {base.name}
-    # A conversion may depend on another one, so there is one pass for each conversion.
+    # Each conversion may depend on another, so one pass per conversion is needed.
     conversions = [effect.converts for effect in effects if effect.converts]
     for _ in conversions:
         models |= {to for start, to in conversions if start in models}

@@ -1,4 +1,4 @@
-"""Predictions over a recorded drive, all at once: from a log and start times to states at horizon points.
+"""Predicts from many starts of a recorded drive at once; the result contains the states at horizon points.
 
 The results equal those of `prediction.predict` with the inputs of the log, for any backend. Starts are computed in
 blocks. In addition to the result, memory contains the tables of one block and the two inputs of the log on the grid:
@@ -46,7 +46,7 @@ class LogPrediction:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A drive with the corrections of a model. sampled: road wheel angle and velocity_x_dot, arranged, by block."""
+    """A drive with the corrections of a model. sampled: arranged road wheel angle and velocity_x_dot, by block."""
 
     signals: LogSignals
     sampled: dict[Hashable, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
@@ -60,8 +60,8 @@ class LogBatch:
     horizon, step [s]. inputs: measured = inputs of the log over the horizon (hindsight); held = inputs at the start; or
     planned road wheel angles [rad], velocity_x_dot [m/s^2] and, for a path, slip-free angles [rad], each
     (n, 2 * steps + 1) on the half-step grid.
-    points [s]: of the horizon, multiples of step; None: 0, step, ... horizon. substeps: integration steps per step;
-    auto = the smallest stable number at the speeds of the log. Warns once if a given number is unstable.
+    points [s]: times in the horizon, multiples of step; None: 0, step, ... horizon. substeps: integration steps per
+    step; auto = the smallest stable number at the speeds of the log. Warns once if a given number is unstable.
     backend: lanes or numpy; None: the fastest available. maximum_gap [s], filter_cutoff [Hz], acceleration: as in
     LogSignals; ignored if `log` is a LogSignals. signals: (time [ns], values), by name, of the signals that a model
     needs in addition to its inputs.
@@ -169,7 +169,7 @@ class LogBatch:
         return self._single_block[count, separate]
 
     def _plan_blocks(self, count: int, separate: bool) -> Iterator[Block]:
-        # Held inputs are needed only at the start, unless earlier steering still acts on the wheels.
+        # Held inputs are required only at the start, unless earlier steering still affects the wheels.
         throughout = self._inputs == "measured" or separate
         instants = half_step_grid(0, self.steps * count, self.step / count) if throughout else np.zeros(1, np.int64)
         return plan_blocks(self._unique, instants, self._backend.LANES, share=not separate)

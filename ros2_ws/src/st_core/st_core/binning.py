@@ -1,4 +1,4 @@
-"""Prediction starts, binned by driving condition: speed, lateral acceleration, steering rate, direction of the turn."""
+"""Bins prediction starts by driving condition: speed, lateral acceleration, steering rate, direction of the turn."""
 
 import math
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ def bin_starts(evaluation: LogEvaluation) -> list[Bin]:
 
 
 def _bin_by_edges(quantity: str, unit: str, values: np.ndarray, edges: tuple[float, ...]) -> list[Bin]:
-    """Bins between consecutive edges, and one from the last edge on."""
+    """Bins between consecutive edges, and an open bin above the last edge."""
     bounded = [Bin(quantity, f"{low:g} to {high:g} {unit}", low, high, (values >= low) & (values < high))
                for low, high in pairwise(edges)]
     return [*bounded, Bin(quantity, f"above {edges[-1]:g} {unit}", edges[-1], None, values >= edges[-1])]

@@ -1,4 +1,4 @@
-"""The measured quantities (channels) with which discovery and identification compare predictions."""
+"""Channels: measured quantities that discovery and identification compare with predictions."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from .timeseries import moving_average_noise_ratio
 from .types import body_to_map, map_to_body, wrap_angle
 
 SMOOTHING_NS = 100_000_000  # width of the moving average of the smoothed channels
-STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster counts as standing
+STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster counts as stationary
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Channel:
     """One measured quantity.
 
     label: name in reports. unit: SI. resolution [unit]: accuracy of an INS; smaller errors are not distinguished.
-    signals: fields of DriveLog that measure it. columns: components of its error. Both default to `name`.
+    signals: DriveLog fields with the measurements. columns: components of its error. Both default to `name`.
     errors(measured, readings): measured minus predicted `effects.Measured`, by column; None: difference of the field
     `name`. smoothed: measured and predicted values are averaged over SMOOTHING_NS. accumulates: its errors grow over
     the horizon. zero_means_missing: only zeros in a recording mean that it was not measured.

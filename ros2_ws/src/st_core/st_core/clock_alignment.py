@@ -1,4 +1,4 @@
-"""Alignment of the clocks of two recordings by the signals that both contain.
+"""Aligns the clocks of two recordings by the signals that both contain.
 
     t_reference = t_other + offset + drift (t_other - t_0)
 
@@ -26,19 +26,19 @@ from .clock_types import (
 )
 from .regression import SIGMA_PER_MAD
 
-CUTOFFS = (0.5, 4.0)  # Hz, of the low-pass: the first while the drift is unknown, the second for the result
-STAMP_RESOLUTION = 50e-6  # s, of loggers; a lower limit of the uncertainty
+CUTOFFS = (0.5, 4.0)  # Hz, cut-offs of the low-pass: the first while the drift is unknown, the second for the result
+STAMP_RESOLUTION = 50e-6  # s, of logger time stamps; a lower limit of the uncertainty
 GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80
 MIN_OVERLAP = 20.0  # s
 MAX_DISAGREEMENT = 0.005  # s, between the offset of a single signal and the common offset
 GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s, standard deviation of the offset
-STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; the second if one offset does not fit the whole recording
+STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; the second if a signal fits poorly with one offset
 
 
 def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
     """Alignment with a given offset, reference minus other clock [ns], of unknown uncertainty (NaN).
 
-    signals: aligned within 5 s of the offset, only for the verdict.
+    signals: aligned within 5 s of the offset to check it.
     """
     offset = offset_ns * 1e-9
     check = align(signals, search=(offset - 5.0, offset + 5.0)) if signals else refused_alignment()
@@ -99,7 +99,7 @@ def _align_with_overlap(fine: Sequence[Pair], pairs: dict[float, list[Pair]], us
     if coarse is None:
         return refused_alignment(*reasons, f"at no offset do the recordings share {needed:.0f} s of similar motion")
     (first, second), (r_first, r_second) = coarse
-    # Offset and drift hardly correlate in the middle of the overlap.
+    # The estimates of offset and drift are nearly uncorrelated in the middle of the overlap.
     low = max(min(p.other.origin for p in fine), min(p.reference.origin for p in fine) - first)
     high = min(max(p.other.time[-1] for p in fine), max(p.reference.time[-1] for p in fine) - first)
     middle = (low + high) / 2
@@ -149,9 +149,9 @@ def _usable_signals(signals: Sequence[SharedSignal]) -> tuple[list[SharedSignal]
 
 
 def _resampled_pairs(signals: Sequence[SharedSignal]) -> dict[float, list[Pair]]:
-    """Pairs by cut-off frequency, of the signals with known samples on both sides.
+    """Pairs of the signals with known samples in both recordings, by cut-off frequency.
 
-    Times count from the first sample of the first signal.
+    Times count from the first sample of the first signal in each recording.
     """
     rows = []
     reference_ns, other_ns = int(signals[0].reference_time_ns[0]), int(signals[0].other_time_ns[0])
@@ -180,7 +180,7 @@ def _with_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other
     refusals, doubts = [], []
     assert result.peak and result.second_peak
     (first, r_first), (second, r_second) = result.peak, result.second_peak
-    # The correlations are those of the fit, because a drift reduces the peak of the coarse search.
+    # Correlations after the fit are used, because drift reduces the peak of the coarse search.
     weakest = min(max(s.correlation, 0.0) for s in result.signals)
     strongest = max(s.correlation for s in result.signals)
     if strongest < USABLE_CORRELATION:
@@ -245,7 +245,7 @@ def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list
 
 def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray,
                     threshold: float = 0.3) -> np.ndarray:
-    """The values, NaN where the speed is below `threshold` [m/s] from 2 s before to 2 s after.
+    """The values, with NaN where the speed stays below `threshold` [m/s] from 2 s before to 2 s after.
 
     Standstill contains no information about the offset, but correlates with every other standstill.
     """
@@ -260,8 +260,8 @@ def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.n
 
 
 def _fit_robust_line(time: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """((offset [s], drift), residuals [s], their scale [s], covariance of offset and drift), reweighted least squares.
-    """
+    """((offset [s], drift), residuals [s], their scale [s], covariance of offset and drift), by reweighted least
+    squares."""
     design = np.stack([np.ones_like(time), time], axis=1)
     weight = np.ones_like(time)
     for _ in range(20):
@@ -281,7 +281,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     Args:
         other_time_ns: log stamp of each frame that contains a time; an INS without GNSS lock sends none.
         reference_time_ns: time in the frame, UTC.
-        resolution: of the time in the frame [s].
+        resolution: resolution of the time in the frame [s].
         latency: delay from the time in a frame to its stamp in the log [s].
         latency_uncertainty: standard deviation of the latency [s].
     """

@@ -1,4 +1,4 @@
-"""Fit of offset and drift between two clocks: resampling, masked correlation for a coarse offset, robust joint fit."""
+"""Fits offset and drift between two clocks: resampling, masked correlation for a coarse offset, robust joint fit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 from .regression import robust_deviation
 
 RATE = 100.0  # Hz, sampling rate at which signals are filtered
-DECIMATION = 5  # filtered signals contain nothing above a few hertz, so 20 Hz are enough for the fit
+DECIMATION = 5  # filtered signals contain nothing above a few hertz, so 20 Hz suffice for the fit
 STEP = DECIMATION / RATE  # s, between the samples of a resampled signal
 MAX_GAP = 0.15  # s, longest gap that is interpolated
 FILTER_SETTLING = 0.5  # periods of the cut-off frequency, masked on both sides of a gap
@@ -36,11 +36,11 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = 
     """Interpolate linearly to 100 Hz, apply a zero-phase Butterworth low-pass (order 4), keep every fifth point.
 
     Args:
-        time: [s], strictly increasing, at least 2.
+        time: [s], strictly increasing.
         values: NaN where they must not be used.
-        cutoff: of the low-pass [Hz]; with different values the two recordings would be shifted.
-        angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s], in which the unknown zero of
-            the angle cancels. The angle is filtered first, because differentiation amplifies rounding.
+        cutoff: cut-off frequency of the low-pass [Hz], equal for both recordings.
+        angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s], because the zero of the
+            angle is unknown. The angle is filtered first, because differentiation amplifies rounding.
     """
     good = np.isfinite(values)
     time, values = time[good], np.unwrap(values[good]) if angle else values[good]
@@ -63,7 +63,7 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = 
 
 
 def masked_correlation(reference: Resampled, other: Resampled, minimum_overlap: float) -> tuple[np.ndarray, np.ndarray]:
-    """Normalised correlation of two masked series at every lag, from the overlap at that lag.
+    """Normalised correlation of two masked series at every lag, computed from their overlap at that lag.
 
         r(l) = cov(f, g_l) / sqrt(var(f) var(g_l)),   over the samples known in both series at lag l
 
@@ -123,8 +123,8 @@ class Pair:
 class Fit:
     """Fitted relation t_reference = t_other + offset + drift (t_other - middle).
 
-    offset [s] at `middle` [s, other clock] and drift [1], with standard deviations. By signal: residual, RMS divided by
-    the standard deviation of the signal, and correlation at the solution.
+    offset [s] at `middle` [s, other clock] and drift [1], with standard deviations. By signal: residual RMS divided
+    by the standard deviation of the signal, and correlation, both at the solution.
     """
 
     offset: float
@@ -190,7 +190,7 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], par
         if len(time) * STEP < 2.0:
             raise ValueError(f"{pair.name}: less than 2 s are known in both recordings")
         reference, slope = spline(mapped), spline(mapped, 1)
-        weight = np.ones(len(time))  # of the squares: soft L1
+        weight = np.ones(len(time))  # soft-L1 weights of the squares
         for _ in range(2):
             gain, bias = _weighted_line(other, reference, weight)
             residual = reference - gain * other - bias
@@ -198,7 +198,7 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], par
             weight = 1.0 / np.sqrt(1.0 + (residual / (2 * scale)) ** 2)
         jacobian = np.zeros((2, len(time)))
         for k, derivative in enumerate([slope, slope * (time - middle)] if free_drift else [slope]):
-            # The part that gain and bias explain contains no information about the clocks.
+            # Remove what gain and bias can explain, because it contains no information about the clocks.
             gain, bias = _weighted_line(other, derivative, weight)
             jacobian[k] = (derivative - gain * other - bias) / scale
         score = jacobian * (weight * residual / scale)
@@ -214,7 +214,7 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], par
 
 def _weighted_line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
     """(gain, bias) of the weighted least squares line y = gain x + bias; gain 0 if x does not vary."""
-    # Sums, since a dot product would start threads of the linear algebra library for each of these short rows.
+    # Sums, because a dot product would start linear algebra threads for each of these short rows.
     total = float(weight.sum())
     weighted = weight * x
     mean_x, mean_y = float(weighted.sum()) / total, float((weight * y).sum()) / total
@@ -236,7 +236,7 @@ def _common_samples(pair: Pair, parameters: np.ndarray, middle: float) -> tuple[
 
 
 def _block_scores(details: Sequence[_SignalFit]) -> np.ndarray:
-    """Covariance of the total score, from its sums over blocks of time that are common to all signals."""
+    """Covariance of the total score, from its sums over blocks of time; all signals share the blocks."""
     start = min(float(d.time[0]) for d in details)
     count = int((max(float(d.time[-1]) for d in details) - start) / BLOCK) + 1
     sums = np.zeros((count, 2))

@@ -1,5 +1,4 @@
-"""Detection of a clock step: lags of single windows, and the step that explains them better than an offset and a drift.
-"""
+"""Detects a clock step: lags of single windows, and the step that explains them better than offset and drift alone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,11 +7,11 @@ import numpy as np
 
 from .clock_fit import STEP, Pair, Resampled, coarse_offset, fit
 
-WINDOW = 30.0  # s, length
-MAX_WINDOWS = 150  # of a long recording, evenly spaced
-MIN_STEP = 0.01  # s
+WINDOW = 30.0  # s, length of a window
+MAX_WINDOWS = 150  # evenly spaced in a long recording
+MIN_STEP = 0.01  # s, smallest step reported
 USUAL_DRIFT = 50e-6  # s/s, standard deviation of the prior of the drift
-MIN_STEP_EVIDENCE = 30.0  # reduction, by a step, of the sum of squared window lags divided by their variances
+MIN_STEP_EVIDENCE = 30.0  # required reduction of the normalised sum of squares by a step
 OUTLIER = 5.0  # standard deviations: scale of the robust weight of a window, and cap of its normalised residual
 
 

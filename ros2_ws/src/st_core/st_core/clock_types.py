@@ -7,8 +7,8 @@ import numpy as np
 
 AMBIGUOUS_PEAK_RATIO = 0.9  # ratio of the second peak of the correlation to the first
 UNUSUAL_DRIFT_PPM = 200.0  # two quartz clocks differ by less
-MAX_STEP = 0.05  # s; with a larger step of a clock an alignment is refused
-MAX_SPAN = 48 * 3600.0  # s; a longer span of time means that a clock was set during the recording
+MAX_STEP = 0.05  # s; a larger clock step causes an alignment to be refused
+MAX_SPAN = 48 * 3600.0  # s; a longer recording means that a clock was set while recording
 
 
 class Verdict(StrEnum):
@@ -26,7 +26,7 @@ class SharedSignal:
     """One quantity in both recordings, each on its own clock; NaN where it must not be used (standstill, not ready).
 
     Times are int64 [ns], strictly increasing. The values of both recordings agree up to a gain > 0 and a bias.
-    angle: the values are an angle [rad], wrapped or not, whose zero differs between the recordings; its rate is
+    angle: the values are an angle [rad], wrapped or not, with a different zero in each recording; its rate is
     compared. latency: delay [s] from the instant of a value to its stamp in the other recording; latency_uncertainty:
     its standard deviation. min_deviation: standard deviation at or below which the signal counts as constant.
     """
@@ -58,8 +58,8 @@ class SignalLag:
 class Alignment:
     """Conversion of the other clock to the reference clock.
 
-    at_ns: instant on the other clock at which `offset_ns` applies. drift_ppm: rate of the reference clock minus that of
-    the other. offset_deviation [s] (latency included), drift_deviation [ppm]: standard deviations.
+    at_ns: instant on the other clock at which `offset_ns` applies. drift_ppm: rate of the reference clock relative to
+    the other, minus 1. offset_deviation [s] (latency included), drift_deviation [ppm]: standard deviations.
     method: "time frame", "shared signals", "by hand" or "none". overlap: common time [s].
     peak, second_peak: (offset [s], correlation) of the coarse search, None without a search.
     """

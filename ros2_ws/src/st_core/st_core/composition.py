@@ -1,4 +1,4 @@
-"""Composition of a base model with effects: nested plain functions for floats, arrays, compilers and CasADi alike.
+"""Composes a base model with effects into plain functions, usable with floats, arrays, compilers and CasADi.
 
 The functions are created once per base and set of effects. Values occur only in the parameters p, so a fit never
 creates, traces or compiles the functions again. Layout of a composed model:
@@ -7,7 +7,7 @@ creates, traces or compiles the functions again. Layout of a composed model:
     w     = (road_wheel_angle, velocity_x_dot, prepared quantities of each effect ..., w of the base model)
     state = the six states of the base model, then the extra states of each effect
 
-Effects at null do not change the result, to the last bit: they add 0, multiply by 1, or blend with weight 0.
+Effects at null leave the result bit-identical: they add 0, multiply by 1, or blend with weight 0.
 """
 
 from collections.abc import Callable
@@ -253,7 +253,7 @@ def _add_prepared(previous, hook, index, pick):
     return prepared
 
 
-# Equations: for each hook the function without effects, and a wrapper that adds one effect.
+# Equations: for each hook, the function without effects and a wrapper that adds one effect.
 
 def _unchanged_slips(slip_front, slip_rear, state, instant):
     return slip_front, slip_rear

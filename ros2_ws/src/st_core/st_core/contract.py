@@ -1,4 +1,4 @@
-"""Requirements on every effect, checked by `st effects check` for the library and for users' own effects.
+"""Requirements on every effect, which `st effects check` applies to library and user-defined effects.
 
 Each function in `REQUIREMENTS` describes in one line how an effect on a car violates the requirement, or returns "".
 The checks cover all backends: floats, the numpy batch, the compiled lanes and CasADi. Checked by: test_contract.py.
@@ -25,9 +25,9 @@ STEP, STEPS = 0.05, 40  # s; number of steps
 SPEEDS = (4.0, 8.0, 15.0, 25.0)  # m/s
 STANDSTILL_SPEEDS = (-1.0, 0.0, 1e-9, 0.5, 2.0)  # m/s
 ROUNDING = 1e-9  # largest difference between backends, relative to max(1, |value|)
-# Largest residual after `correct`, relative to the change by `observe`; not 0, since `correct` starts from the reading.
+# Largest residual after `correct`, relative to the change by `observe`; not 0, because `correct` starts at the reading.
 CORRECTION_RESIDUAL = 0.05
-GROWTH_RATE = 0.1  # 1/s, by which an effect may increase the growth rate of a mode
+GROWTH_RATE = 0.1  # 1/s, largest increase of the growth rate of a mode by an effect
 MIRROR_SIGNS = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])  # of the states
 ODD_READINGS = ("y", "yaw", "velocity_y", "yaw_rate", "acceleration_y", "yaw_acceleration")
 READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
@@ -173,7 +173,7 @@ REQUIREMENTS = {
     "it does not make the car unstable": _check_stability,
     "correct() inverts observe()": _check_correction,
 }
-"""By text of the requirement: function of effect and car that describes a violation."""
+"""For each requirement, the function of effect and car that describes a violation."""
 
 
 def _models(effect: type[Effect]) -> Iterator[tuple[Model, AugmentedModel]]:
@@ -218,7 +218,7 @@ def _predict_backend(model: Model, vehicle: VehicleParameters, backend: str) -> 
 
 
 def _predict_casadi(model: Model, vehicle: VehicleParameters) -> np.ndarray:
-    """Last states (speeds, 6), by integration of `dynamics`, since an exported step has constant inputs."""
+    """Last states (speeds, 6), by integration of `dynamics`, because an exported step has constant inputs."""
     from .backends.casadi_backend import build
     from .integrate import rk4_step
 

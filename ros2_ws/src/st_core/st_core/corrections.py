@@ -42,7 +42,7 @@ UNITS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Correction:
-    """Correction of one channel. scale [1]. add [unit of the channel]. earlier: delay of its stamps, to be removed [s].
+    """Correction of one channel. scale [1]. add [unit of the channel]. earlier: delay to subtract from its stamps [s].
     ahead: forward shift of the reference point of positions, in body axes [m]."""
 
     scale: float = 1.0
@@ -64,7 +64,7 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
 
     An INS channel that is shifted in time is interpolated at the stamps of the other channels. Samples without a value
     there (at the ends, in gaps longer than MAXIMUM_GAP) are removed; an acceleration is NaN instead. Steering has its
-    own stamps, which are shifted. A steering wheel angle is corrected such that ratio and offset of `vehicle` give the
+    own stamps, which are shifted. A steering wheel angle is corrected so that ratio and offset of `vehicle` give the
     corrected road wheel angle; without a vehicle it is removed.
 
     leave_out: intervals of INS samples to remove, (start, end) [s] after the first recorded sample, both included.

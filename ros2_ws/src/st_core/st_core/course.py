@@ -25,18 +25,18 @@ from .yaml_text import check_keys, load
 SPACING = 1.0
 """m between points along the path; a right-angle turn of the smallest radius of a car, 5 m, then has 8 points."""
 SMOOTHING = 3.0
-"""Length of the moving average of curvature and direction [m]: about one wheelbase, as the curvature of a path hardly
+"""Length of the moving average of curvature and direction [m]: about one wheelbase; the curvature of a path hardly
 changes over shorter distances."""
 MAX_DISTANCE = 4.0
 """m, largest distance of a pass from the car: one lane and its neighbour."""
 MAX_HEADING_DIFFERENCE = 0.5
 """rad, between the directions of car and pass; a larger one means the opposite direction or a crossing."""
 PAUSE_SPEED = 0.5
-"""m/s; slower parts are left out, as curvature is undefined at standstill."""
+"""m/s; slower driving is left out, because curvature is undefined at standstill."""
 MAX_GAP = 0.1
-"""s between samples of a pass."""
+"""s, maximum time between samples of a pass."""
 MIN_LENGTH = 20.0
-"""m, of a pass; faster than 4 m/s, a shorter one ends within the horizon of 5 s."""
+"""m, minimum length of a pass; above 4 m/s, a shorter pass ends within the horizon of 5 s."""
 MAX_ORIGIN_DISTANCE = 5000.0
 """m, between map origins; at a larger distance the axes differ by more than 1 mrad at latitude 50."""
 SCHEMA = 1
@@ -46,7 +46,7 @@ COLUMNS = ("x", "y", "direction", "curvature", "speed")
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """Continuous path of a recording. recording: its name; digests: sha256 of its files.
+    """Continuous path of a recording. recording: name of the recording. digests: sha256 of its files.
 
     points: (n, 5), every SPACING m, columns as COLUMNS: INS point in the map frame [m], course angle of the INS point
     from east, counter-clockwise + [rad], curvature yaw_rate/v_x [1/m], left +, v_x [m/s].
@@ -74,7 +74,7 @@ class Course:
 
     @cached_property
     def _indices(self) -> tuple[np.ndarray, np.ndarray]:
-        """Index of the pass and row in it of every point, (points,) each."""
+        """Index of the pass, and row within the pass, of every point, (points,) each."""
         sizes = [len(pass_.points) for pass_ in self.passes]
         return np.repeat(np.arange(len(sizes)), sizes), np.concatenate([np.arange(n) for n in sizes])
 
@@ -104,7 +104,7 @@ class Course:
         return sorted(nearest, key=lambda point: point.distance)
 
     def exclude(self, digests: Sequence[str]) -> "Course":
-        """The course without the passes of recordings with these sha256, to predict no run from itself."""
+        """The course without the passes of recordings with these sha256, so that no run is predicted from itself."""
         return Course(tuple(p for p in self.passes if not set(p.digests) & set(digests)), self.origin)
 
     def shift(self, east: float, north: float) -> "Course":

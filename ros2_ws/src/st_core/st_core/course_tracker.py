@@ -1,10 +1,10 @@
-"""Inputs over the horizon from a recorded course, mixed with held inputs according to their recent errors.
+"""Predicts inputs over the horizon from a recorded course, mixed with held inputs according to recent errors.
 
 At every start the passes near the car are candidates. A candidate predicts, as functions of the distance s ahead,
 
     v(s) = v_pass(s) v_now / v_pass(0),      k(s) = k_pass(s) + e''(s),     e(s) = A exp(-s / l_1) + B exp(-s / l_2)
 
-e: lateral offset from the pass, which a driver reduces to 0; A and B follow from the present offset and direction.
+e: lateral offset from the pass, which a driver reduces to 0; A and B follow from the current offset and direction.
 The weight of a candidate is exp(-d^2 / 2), with d^2 the sum of squared differences in position, direction, recent speed
 and recent curvature, each divided by its scale. The weighted mean of the candidates, "course" below, is mixed with
 other forecasts:
@@ -39,7 +39,7 @@ RETURN_LENGTHS = (40.0, 100.0)
 SCALES = {"position": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
 """Typical differences between drives of one driver on one course [m, rad, fraction of the speed, 1/m]."""
 MAX_DIFFERENCE = 7.0
-"""Largest d of the best candidate with which the course is used."""
+"""Largest d of the best candidate for which the course is used."""
 RECENT_TIME = 2.0
 """s, length of the past driving that is compared with a candidate."""
 BLEND_TIME = 0.3
@@ -99,9 +99,9 @@ class CourseForecast:
 
 
 class _PendingForecast(NamedTuple):
-    """A forecast whose horizon ends at end_ns. distance: driven before its start [m]. ego: motion at its start.
+    """A forecast that ends at end_ns. distance: distance driven before its start [m]. ego: motion at its start.
 
-    distances: predicted with each of the mixed speeds [m]. path: of the course, (points, 2) [m], SPACING apart.
+    distances: predicted by each speed forecast [m]. path: predicted by the course, (points, 2) [m], SPACING apart.
     """
 
     end_ns: int
@@ -240,7 +240,7 @@ class CourseTracker:
 
 
 def _advance_on_arc(ego: EgoMotion, distance: float) -> tuple[float, float]:
-    """Position (x, y) [m] after a distance [m] at the present curvature."""
+    """Position (x, y) [m] after a distance [m] at the current curvature."""
     chord = ego.direction + 0.5 * ego.curvature * distance
     length = distance * float(np.sinc(0.5 * ego.curvature * distance / math.pi))
     return ego.x + length * math.cos(chord), ego.y + length * math.sin(chord)

@@ -1,4 +1,4 @@
-"""Exceptions that st_core raises for the user."""
+"""Exceptions of st_core."""
 
 
 class StCoreError(ValueError):

@@ -1,4 +1,4 @@
-"""Comparison of predictions with later measurements: longitudinal, lateral and yaw errors, and their statistics."""
+"""Compares predictions with later measurements: longitudinal, lateral and yaw errors, and their statistics."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -30,7 +30,7 @@ class Score:
     measured inputs (the paper's protocol). horizon [s]: time after the start, 0 first. longitudinal [m]: + predicted
     ahead, lateral [m]: + predicted to the left, both in axes along the measured heading at each point; yaw [rad] in
     [-pi, pi): + predicted further to the left. NaN where not scored: from a position jump on, without a measured
-    position, or in hindsight if an input up to there was not measured.
+    position, or in hindsight if an earlier input was not measured.
     *_mean: mean over all points of the horizon, the start included; NaN unless complete.
     """
 
@@ -70,7 +70,7 @@ class _Pending:
 class Evaluator:
     """Scores every prediction once its horizon has passed in the measurements.
 
-    span [s]: of the measurements that are kept; at least two horizons. models: from model files, in addition to MODELS.
+    span [s]: length of the stored measurements; at least two horizons. models: from model files, in addition to MODELS.
     runners: compiled replacements of `predict`, by name of the model, for predictions with these settings (see
     compiled.py). At most MAXIMUM_PENDING predictions wait; beyond that the oldest are scored as incomplete.
     """
@@ -128,7 +128,7 @@ class Evaluator:
     def poll(self, newest_ns: int | None = None) -> list[Score]:
         """Scores of the predictions whose horizon is covered by both signals.
 
-        newest_ns: present time on the clock of the stamps; None: time of the newest INS sample. SIGNAL_TIMEOUT after
+        newest_ns: current time on the clock of the stamps; None: time of the newest INS sample. SIGNAL_TIMEOUT after
         the end of its horizon a prediction is scored with the available measurements.
         """
         scores, self._abandoned = self._abandoned, []
@@ -156,7 +156,7 @@ class Evaluator:
                 modes: tuple[Mode, ...] = (pending.mode, "hindsight") if pending.mode == "forecast" else (pending.mode,)
                 for mode in modes:
                     self._abandoned.append(make_score(pending.model, mode, start_ns, step, unknown, reason))
-        # Limited like the pending predictions, since `poll` may never be called.
+        # Limited like the pending predictions, because `poll` may never be called.
         del self._abandoned[:-2 * self.MAXIMUM_PENDING]
 
     def _score(self, key: tuple[int, int, float], group: Sequence[_Pending]) -> list[Score]:
@@ -169,7 +169,7 @@ class Evaluator:
         no_position = self._describe_unknown("INS", self.history.ins, times[::2], measured[0], start_ns)
         no_inputs = (self._describe_unknown("INS", self.history.ins, times, ins[:, DERIVATIVE], start_ns)
                      or self._describe_unknown("steering", self.history.steering, times, angle, start_ns))
-        # The same points for every model, although some models do not need the last input for the last point.
+        # All models are scored at the same points, although some do not need the input at the last point.
         scorable = inputs.known_so_far[::2]
         jump_ns, jump = self._jump(start_ns, int(times[-1]))
         unbroken = times[::2] < jump_ns

@@ -12,7 +12,7 @@ from .vehicle import VehicleParameters
 INS_SIGNALS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate")
 OPTIONAL_INS_SIGNALS = ("acceleration_x", "acceleration_y")
 STEERING = ("road_wheel_angle", "steering_wheel_angle")
-# s before and after a sample; a longer time would attenuate 2.5 Hz by over 3 %, a shorter one amplify noise
+# s before and after a sample; a longer time would attenuate 2.5 Hz by over 3 %, a shorter time would amplify noise
 SLOPE_HALF_WIDTH = 0.025
 
 
@@ -21,7 +21,7 @@ class DriveLog:
     """Measurements of one drive, each on its own time base. Arrays are read-only.
 
     ins_time_ns, steering_time_ns: int64 UTC nanoseconds since the Unix epoch, on the INS clock, strictly increasing.
-    Gaps are not filled: they are steps in time. Only OPTIONAL_INS_SIGNALS may be NaN.
+    Gaps are not filled. Only OPTIONAL_INS_SIGNALS may be NaN.
 
     x, y: INS point in the map frame, east and north [m]. yaw: from east counter-clockwise, unwrapped [rad].
     velocity_x, velocity_y: body axes, forward and left, at the INS point [m/s]. yaw_rate: left turn + [rad/s].

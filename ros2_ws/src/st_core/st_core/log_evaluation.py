@@ -1,7 +1,7 @@
-"""Evaluation of models over a recorded drive: a prediction every 100 ms, compared with the measured motion.
+"""Evaluates models on a recorded drive: a prediction every 100 ms is compared with the measured motion.
 
 The offline counterpart of Predictor and Evaluator: from the same start it gives the same trajectory and the same error,
-which `st verify` checks. Memory contains the trajectories of one block of starts at a time; for each start only the
+which `st verify` checks. Trajectories of only a few blocks of starts are in memory at a time; for each start only the
 mean, mean square and largest error over the horizon and the errors at whole seconds are kept.
 """
 
@@ -48,8 +48,8 @@ grid; NaN where unknown."""
 class EvaluationSettings:
     """Settings of an evaluation. Raises ConfigurationError naming the key and the limit.
 
-    prediction: as for the live nodes; stale_after is not used. interval: between starts [s]. acceleration: filter of
-    the forward speed before its derivative, causal (as in the car) or zero_phase. inputs: use of the measured inputs
+    prediction: as for the live nodes; stale_after is not used. interval: time between starts [s]. acceleration: filter
+    of the forward speed before its derivative, causal (as in the car) or zero_phase. inputs: use of the measured inputs
     within an integration step: interpolate = at its start, middle and end; hold = at its start only. The paper does not
     specify which.
     """
@@ -94,7 +94,7 @@ class ModelErrors:
 
     @property
     def n_starts(self) -> int:
-        """Number of starts whose whole horizon was scored."""
+        """Number of starts with a completely scored horizon."""
         return int(self.complete.sum())
 
     def statistics(self, axis: str, over: Literal["means", "samples"] = "means") -> tuple[float, float, float]:
@@ -105,8 +105,8 @@ class ModelErrors:
                 select: np.ndarray | slice = ALL_ROWS) -> dict[str, tuple[float, float, float]]:
         """{axis: (mean, largest magnitude, root mean square)} of the selected complete starts [m or rad].
 
-        over: means = statistics of the means over each horizon, as in the paper's table; samples = of all points of all
-        horizons. select: rows. NaN if no selected start is complete.
+        over: means = statistics of the means over each horizon, as in the paper's table; samples = statistics of all
+        points. select: rows. NaN if no selected start is complete.
         """
         complete = self.complete[select]
         if not complete.any():
@@ -159,8 +159,8 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
                  future_inputs: Mapping[Mode, FutureInputs] | None = None) -> LogEvaluation:
     """Predict with every model from every start, and score the predictions.
 
-    log: a drive, or its signals, which are otherwise computed with the settings. starts_ns: increasing; default: every
-    `interval` of the drive from its first INS sample. A start at which INS or steering is unknown, or the car is slower
+    log: a drive, or its precomputed signals. starts_ns: increasing; default: every `interval` of the drive from its
+    first INS sample. A start at which INS or steering is unknown, or the car is slower
     than minimum_speed, is skipped and counted. progress(done, total): called after each block of starts.
     on_block(starts_ns, block): called with the errors of each block. future_inputs: inputs of the modes plan and
     course; where they are unknown, inputs are held. Source: paper, section on the comparison. Checked by:
@@ -206,7 +206,7 @@ def regular_starts(log: DriveLog, interval: float) -> np.ndarray:
 
 def usable_starts(signals: LogSignals, vehicle: VehicleParameters, requested: np.ndarray,
                   minimum_speed: float) -> tuple[np.ndarray, dict[str, int]]:
-    """The starts from which a prediction can be made, and the number of unusable starts by reason."""
+    """The starts at which a prediction can be made, and the number of other starts by reason."""
     speed, yaw_rate, acceleration = signals.ins_at(requested, "velocity_x", "yaw_rate", "velocity_x_dot")
     angle = signals.road_wheel_angle_at(requested)
     no_ins, no_steering = np.isnan(speed) | np.isnan(acceleration), np.isnan(angle)
@@ -232,12 +232,12 @@ class Block:
 def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
                     settings: EvaluationSettings,
                     future_inputs: Mapping[Mode, FutureInputs] | None = None) -> Iterator[tuple[slice, Block]]:
-    """(rows of `starts_ns`, block) for BLOCK starts at a time.
+    """Yields (rows of `starts_ns`, block) for BLOCK starts at a time.
 
     The next blocks are computed in threads: compiled kernels and array operations release the interpreter lock.
     """
     blocks = [slice(first, min(first + BLOCK, len(starts_ns))) for first in range(0, len(starts_ns), BLOCK)]
-    # All at once and in order of time, since a course tracker depends on the previous starts.
+    # For all starts at once, in order of time, because a course tracker depends on the previous starts.
     inputs = {mode: of_mode(starts_ns) for mode, of_mode in (future_inputs or {}).items()} if len(starts_ns) else {}
 
     def evaluate(rows: slice) -> Block:
@@ -335,7 +335,7 @@ class _Collector:
     """Collects the statistics of errors (n, points, 3), block by block, for ModelErrors."""
 
     def __init__(self, count: int, horizon: np.ndarray):
-        # The grid points nearest to whole seconds, since the step need not divide one second.
+        # Grid points nearest to whole seconds, because a second need not be a multiple of the step.
         self._second_points = [int(np.abs(horizon - s).argmin()) for s in range(1, int(horizon[-1] + 1e-9) + 1)]
         self._complete = np.zeros(count, bool)
         self._mean, self._square, self._largest = (np.full((count, 3), np.nan) for _ in range(3))

@@ -1,4 +1,4 @@
-"""Interpolation of the signals of a recorded drive at any instants; values in gaps are unknown.
+"""Interpolates the signals of a recorded drive at any instants; values in gaps are unknown.
 
 The vectorised counterpart of `measurement_history.MeasurementHistory`, with identical results.
 Checked by: test_batch.py.

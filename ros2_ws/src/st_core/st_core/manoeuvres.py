@@ -1,4 +1,4 @@
-"""Manoeuvres for the virtual car, for the drives that `st discover` suggests and for its benchmark.
+"""Manoeuvres for the virtual car, for drives suggested by `st discover` and for the benchmark of discovery.
 
 A manoeuvre is defined by its speed and its target lateral acceleration, so that any car can drive it:
 
@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 UNDERSTEER = 0.004
-"""rad s^2/m, understeer gradient K assumed for an unknown car."""
+"""Understeer gradient K assumed for an unknown car [rad s^2/m]."""
 
 Shape = Callable[[np.ndarray], np.ndarray]
 """Lateral acceleration divided by its target, -1 to 1, at times [s] within one period."""
@@ -62,7 +62,7 @@ class Sine:
 class Manoeuvre:
     """Steering and pedal inputs over time.
 
-    name: also the scenario of the virtual car. speed: at the start [m/s]. lateral: peak target acceleration at the
+    name: also the scenario name. speed: at the start [m/s]. lateral: peak target acceleration at the
     initial speed [m/s^2]. profile: lateral acceleration divided by `lateral`, over time. period: time after which the
     manoeuvre repeats [s]. repetitions: periods in one drive. pedals: consecutive (duration [s], forward acceleration
     [m/s^2]), limited to the initial speed; empty for constant speed. closed_loop: the driver follows a road of this
@@ -177,7 +177,7 @@ def weave(speed: float, lateral: float, waves: float = 6.0) -> Manoeuvre:
 
 
 def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) -> Manoeuvre:
-    """Steady circle for `hold` [s], entered and left within `ramp` [s] each; then the same to the other side."""
+    """Steady circle for `hold` [s] with ramps of `ramp` [s] before and after; then the same to the other side."""
     return Manoeuvre("circle", speed, lateral,
                      _both_sides((ramp, 0.0, 1.0), (hold, 1.0, 1.0), (ramp, 1.0, 0.0), (1.0, 0.0, 0.0)),
                      2 * (hold + 2 * ramp + 1.0), description=f"steady circles to both sides, {speed:g} m/s and "
@@ -185,7 +185,7 @@ def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) 
 
 
 def there_and_back(speed: float, lateral: float) -> Manoeuvre:
-    """10 s straight, a U-turn, straight back, a U-turn: so a wind of constant direction acts from both sides."""
+    """10 s straight, a U-turn, straight back, a U-turn, so that a constant wind acts from both sides."""
     half = ((10.0, 0.0, 0.0), (1.0, 0.0, 1.0), (math.pi * speed / abs(lateral) - 1.0, 1.0, 1.0), (1.0, 1.0, 0.0))
     shape = PiecewiseLinear(half + half)
     return Manoeuvre("there_and_back", speed, lateral, shape, shape.duration, closed_loop=True,

@@ -1,18 +1,18 @@
-"""Recent measurements: INS and steering on one time axis with filtered forward acceleration, and detection of faults.
+"""Stores recent INS and steering measurements with filtered forward acceleration, and detects faults in them.
 
 Position jump: a displacement between two samples that the integrated velocity does not explain,
 
     d = p_k - p_{k-1} - dt (v_{k-1} + v_k) / 2,   v = R(yaw) (v_x, v_y)
 
-RTK lost and regained, another unit on the network or a new origin make |d| a step, while noise and the error of the
+Loss of RTK, a second INS on the network or a new map origin cause a large |d|, whereas noise and the error of the
 trapezoidal rule stay within a tolerance.
 
-Frozen steering angle: the sensor repeats one value while the yaw motion changes. The angle of a steady turn,
+Frozen steering angle: the sensor repeats one value while the yaw motion changes. The steady-state steering angle
 
     delta' = l (1 + K v^2) r / v
 
-low-pass filtered, is nearly constant at any speed if the steering angle is. The bounds are wide because bank, wind,
-braking and tyres at their limit change it as well.
+is, after a low-pass, nearly constant at any speed if the steering angle is constant. The bounds are wide because bank,
+wind, braking and tyres at their limit also change delta'.
 Checked by: test_measurement_history.py, test_position_jumps.py, test_frozen_steering.py.
 """
 
@@ -33,7 +33,7 @@ POSITION_TOLERANCE = 0.3
 DISTANCE_TOLERANCE = 0.1
 # Largest acceleration on tyres [m/s^2]: bounds the error of the trapezoidal rule over longer steps.
 MAX_ACCELERATION = 10.0
-# Longer gaps are not examined, since the motion in them is unknown [s].
+# Longer gaps are not examined, because the motion within them is unknown [s].
 MAX_EXAMINED_GAP = 10.0
 # Positions may be noisier than RTK positions: a jump must also exceed NOISE_FACTOR times the median of the last
 # MIN_NOISE_STEPS to NOISE_STEPS steps, or MAX_NOISE [m].
@@ -45,7 +45,7 @@ MAX_NOISE = 5.0
 FROZEN_MIN_VARIATION, FROZEN_RELATIVE_VARIATION = 0.02, 0.3
 FROZEN_MIN_SPEED = 3.0  # m/s; below it the noise of the yaw rate gives large angles
 FROZEN_TIME_CONSTANT = 0.2  # s, of the low-pass on delta'
-# A smaller change of the steering angle is rounding, not a step of the sensor [rad].
+# A smaller change of the steering angle is rounding, not a change of the sensor value [rad].
 ANGLE_RESOLUTION = 1.0e-9
 
 INS_COLUMNS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "filtered_velocity_x", "velocity_x_dot")
@@ -63,7 +63,7 @@ def unexplained_step(spacing: float, before: Sequence[float], after: Sequence[fl
 
 
 def _exceeds_noise(step: float, times_ns: Sequence[int], rows: Sequence[Sequence[float]]) -> bool:
-    """Whether an unexplained step [m] after the given samples is larger than the noise of the steps between them."""
+    """Whether an unexplained step [m] after the given samples exceeds the noise of the steps between these samples."""
     if step > MAX_NOISE:
         return True
     if len(times_ns) <= MIN_NOISE_STEPS:
@@ -97,7 +97,7 @@ class MeasurementHistory:
     refused. Within half a second, the order of arrival does not affect the content or the filtered acceleration.
     When the INS time jumps back (a replay that restarts), both signals restart, and `generation` increases. The signals
     are unknown between samples further apart than maximum_gap and across a position jump. jumps: number of position
-    jumps since the start. jump: the newest one.
+    jumps since the start. jump: the newest jump.
 
     span, maximum_gap [s]; filter_cutoff [Hz], see timeseries.py for the definition and delay of velocity_x_dot.
     """
@@ -112,7 +112,7 @@ class MeasurementHistory:
         self._detects_jumps = True
 
     def for_corrected_samples(self) -> "MeasurementHistory":
-        """An empty history for the corrected samples; it shares the position jumps that are found in this one."""
+        """An empty history for corrected samples, which shares the position jumps found in this history."""
         other = MeasurementHistory(*self._settings)
         other.ins.breaks, other._detects_jumps = self.ins.breaks, False
         return other
@@ -157,7 +157,7 @@ class MeasurementHistory:
         return size if _exceeds_noise(size, self.ins.times[before].tolist(), self.ins.rows[before].tolist()) else 0.0
 
     def _filter_from(self, position: int) -> None:
-        # Usually one step, for the newest sample; a sample that was sorted in changes all later results.
+        # Usually only the newest sample is filtered; a sample that was sorted in changes all later results.
         times, rows, (*_, cutoff) = self.ins.times, self.ins.rows, self._settings
         for i in range(position, len(times)):
             spacing_ns = int(times[i] - times[i - 1]) if i else 0
@@ -192,7 +192,7 @@ class FrozenAngle(NamedTuple):
 
 
 class FrozenSteeringDetector:
-    """Detects a frozen steering angle from measurements, in order of arrival, by the criterion of the module."""
+    """Detects a frozen steering angle from measurements in order of arrival; criterion: see the module docstring."""
 
     def __init__(self, vehicle: VehicleParameters):
         self._wheelbase, self._stability_factor = vehicle.wheelbase, stability_factor(vehicle)
@@ -203,14 +203,14 @@ class FrozenSteeringDetector:
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> None:
         """Add a road wheel angle [rad], left +, measured at time_ns."""
         self._newest_ns = time_ns
-        # NaN, the first angle and a time that runs backward restart the detection too.
+        # NaN, the first angle and a time step backward also restart the detection.
         if abs(road_wheel_angle - self._angle) <= ANGLE_RESOLUTION and time_ns >= self._since_ns:
             return
         self._angle, self._since_ns = road_wheel_angle, time_ns
         self._low, self._high = math.inf, -math.inf
 
     def add_ins(self, sample: InsSample) -> None:
-        """Add an INS sample, of which speed and yaw rate are used."""
+        """Add an INS sample; only its speed and yaw rate are used."""
         speed = sample.velocity_x
         if not speed > FROZEN_MIN_SPEED or not math.isfinite(sample.yaw_rate):
             self._implied = math.nan

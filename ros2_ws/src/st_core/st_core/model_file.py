@@ -10,8 +10,8 @@
 
 The values are valid for one car, identified by `vehicle.hash`. A value with `effective: true` improves the prediction
 but is not a property of the car. An interval is a 95 % confidence interval under the assumptions of its source, null if
-unknown. The hash covers base, values and vehicle: a file whose hash does not match its content was edited and is
-refused; a file without a hash is not checked.
+unknown. The hash covers base, values and vehicle: a file with a hash that does not match its content
+is refused as edited; a file without a hash is not checked.
 """
 
 import hashlib
@@ -47,7 +47,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class ModelProvenance:
-    """date: of the estimate, ISO 8601. version: of st_core. data: sha256 of each run used, by name. note: free text."""
+    """date: day of the estimate, ISO 8601. version: of st_core. data: sha256 of each run, by name. note: free text."""
 
     date: str = ""
     version: str = __version__
@@ -59,7 +59,7 @@ class ModelProvenance:
 class ModelFile:
     """Content of a model.yaml. base: name of the base model. effects: estimates by effect and parameter.
 
-    vehicle: the car, if embedded. vehicle_name, vehicle_hash: identify the car of the values; "" if not stated.
+    vehicle: the car, if embedded. vehicle_name, vehicle_hash: the car for which the values are valid; "" if not stated.
     """
 
     base: str
@@ -96,7 +96,7 @@ class ModelFile:
 
     @property
     def hash(self) -> str:
-        """sha256 (hex) of base, values and vehicle; intervals, sources and provenance do not enter."""
+        """sha256 (hex) of base, values and vehicle; intervals, sources and provenance are not included."""
         values = {e: {p: float(v.value).hex() for p, v in sorted(parts.items())}
                   for e, parts in sorted(self.effects.items())}
         return hashlib.sha256(json.dumps([self.base, values, self.vehicle_hash]).encode()).hexdigest()
@@ -123,7 +123,7 @@ class ModelFile:
     def from_yaml(cls, text: str, origin: str = "model") -> "ModelFile":
         """The content of a model file. origin: name shown in errors, usually the path.
 
-        The user's own effects must be loaded before (`effects.load_folder`). Raises ConfigurationError, one line:
+        User-defined effects must be loaded first (`effects.load_folder`). Raises ConfigurationError, one line:
         origin, key, what is wrong, the limit and what to do.
         """
         try:
@@ -220,7 +220,7 @@ def _mapping(where: str, value: Any) -> dict[str, Any]:
 
 
 def _text(where: str, value: Any) -> str:
-    # YAML reads a date without quotes as a date, which is accepted.
+    # YAML parses an unquoted date as a date object, which is accepted.
     if isinstance(value, bool | int | float | list | dict) or value is None:
         raise ConfigurationError(f"{where}: {value!r} is not a string; put it in quotes")
     return str(value)

@@ -1,4 +1,4 @@
-"""Measurements from the view of one model: its start state, its inputs, and the INS readings along its path.
+"""Measurements as seen by one model: its start state, its inputs, and the INS readings along its path.
 
 A model without effects uses the measurements unchanged. Effects may correct the sensors, move the INS point or delay
 the steering; start state and inputs then depend on the model.
@@ -68,8 +68,8 @@ class ModelView:
     def start(self, time_ns: int, steps: int, step: float) -> tuple[VehicleState, ControlInput | InputSequence]:
         """State at the CG of the model, and inputs of a forecast with constant steering wheel angle and acceleration.
 
-        With steering memory the wheels still follow earlier steering, so the inputs are a sequence on the half-step
-        grid. Raises StCoreError if state or inputs are unknown at this time.
+        With steering memory, the wheels still respond to earlier steering, so the inputs are a sequence on the
+        half-step grid. Raises StCoreError if state or inputs are unknown at this time.
         """
         sample, now = self._history.ins_at(time_ns), self._history.inputs_at(time_ns)
         if sample is None or now is None:

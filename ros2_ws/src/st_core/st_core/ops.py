@@ -1,4 +1,4 @@
-"""Elementary functions for the equations, for every kind of number.
+"""Elementary functions for the equations of motion, for every number type.
 
 They use `math` for Python floats and numpy for its arrays and scalars. Other types (symbolic, compiled) are added with
 `register`. On floats no function raises: outside its domain the result is NaN, as in numpy, and NaN stays NaN.
@@ -13,7 +13,7 @@ import numpy as np
 
 _sin, _cos, _tan, _atan, _sqrt = math.sin, math.cos, math.tan, math.atan, math.sqrt
 _NAN = math.nan
-# numpy computes sines and cosines singly in the C library, 12 ns each, but tangents in vectors on newer x86, 1 ns each.
+# numpy computes sines and cosines one by one in the C library, 12 ns each, but vectorises tangents on newer x86, 1 ns.
 # Sine and cosine from t = tan(x / 2) have an absolute error of 2.3e-16 for any x. For arrays smaller than this, the
 # additional calls take longer than they save.
 _VECTOR_SIZE = 256
@@ -52,7 +52,7 @@ _registered: dict[type, Mapping[str, Callable]] = {}
 
 
 def register(kind: type, functions: Mapping[str, Callable]) -> None:
-    """Register the functions of a further kind of number, one for each of NAMES.
+    """Register the functions of an additional number type, one for each of NAMES.
 
     Raises KeyError with the name of the first missing function.
     """
@@ -128,14 +128,14 @@ def absolute(x):
 
 
 def maximum(x, limit):
-    """The larger of x and a number `limit`; NaN if x is NaN, except for CasADi: then the limit."""
+    """The larger of x and a number `limit`; NaN if x is NaN, but `limit` with CasADi."""
     if type(x) is float:
         return limit if x < limit else x
     return _call_registered("maximum", x, limit)
 
 
 def minimum(x, limit):
-    """The smaller of x and a number `limit`; NaN if x is NaN, except for CasADi: then the limit."""
+    """The smaller of x and a number `limit`; NaN if x is NaN, but `limit` with CasADi."""
     if type(x) is float:
         return limit if x > limit else x
     return _call_registered("minimum", x, limit)

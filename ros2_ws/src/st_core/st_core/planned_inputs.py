@@ -20,9 +20,9 @@ from .types import ControlInput, InputSequence, VehicleState
 from .vehicle import VehicleParameters
 
 MAX_AGE = 0.5
-"""s, of a plan. Planners replan at 10 Hz or faster; an older plan means that the planner has stopped."""
+"""s, maximum age of a plan. Planners replan at 10 Hz or faster; an older plan means that the planner has stopped."""
 MAX_SPACING = 0.5
-"""s between points: half a period of the fastest steering of a driver, 1 Hz."""
+"""s, maximum time between points: half a period of a driver's fastest steering, 1 Hz."""
 MAX_ROAD_WHEEL_ANGLE = 0.8
 """rad. Passenger cars lock at 0.55 to 0.75 rad."""
 MAX_STEERING_RATE = 1.5
@@ -34,7 +34,7 @@ ANGLE_TOLERANCE = 0.05
 ACCELERATION_TOLERANCE = 3.0
 """m/s^2 between planned and measured acceleration at the start: braking takes 0.3 s to build up."""
 SLIP_FREE = "slip_free_angle"
-"""Signal of inputs that follow a path: the road wheel angle of a car without slip, for models without tyres."""
+"""Signal name: road wheel angle with which a car without tyre slip follows a path, for models without tyres."""
 SPEED_TOLERANCE = 2.0
 """m/s between planned and measured speed at the start."""
 
@@ -70,8 +70,8 @@ class PlannedInputs:
 
             delta = L (1 + K v^2) k,    velocity_x_dot = dv/dt
 
-        K: `handling.stability_factor` of the linear car; 0 for models without tyres. The steering is that of a steady
-        turn: after a fast change of curvature the path is late by the response time of the car, about 0.1 s.
+        K: `handling.stability_factor` of the linear car; 0 for models without tyres. The steering angle assumes a
+        steady turn: after a fast change of curvature the path lags by the car's response time, about 0.1 s.
         """
         speed, curvature = np.asarray(speed, float), np.asarray(curvature, float)
         seconds = (np.asarray(time_ns, np.int64) - np.int64(issued_ns)) * NANOSECOND
@@ -124,7 +124,7 @@ def recorded_plan(time_ns: np.ndarray, columns: Sequence[np.ndarray], steps: int
 
 def plan_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput, horizon: float,
                  vehicle: VehicleParameters) -> str:
-    """Reason, in one line, why a plan is not used for a forecast from a start [ns] over a horizon [s]; "" if it is.
+    """Reason, in one line, why a plan is not used for a forecast from a start [ns] over a horizon [s]; "" if used.
 
     state, inputs: measured at the start. Checked in this order: number of points, increasing times, finite values, age,
     coverage of the horizon, spacing, feasibility, agreement with the measurement.
@@ -170,7 +170,7 @@ def _demand_problem(plan: PlannedInputs, state: VehicleState, vehicle: VehiclePa
         return f"plan: steering rate of {rate:.2f} rad/s at the road wheel (limit {MAX_STEERING_RATE:g} rad/s)"
     speed = plan.speed
     if speed is None:
-        # By the trapezoidal rule; the live nodes do not import scipy.
+        # Trapezoidal rule without scipy, which the live nodes do not import.
         mean = 0.5 * (plan.velocity_x_dot[1:] + plan.velocity_x_dot[:-1])
         speed = state.velocity_x + np.cumsum([0.0, *(mean * np.diff(plan.time_ns) * NANOSECOND)])
     lateral = speed * speed * angle / steady_state_steering(speed, np.ones_like(speed), vehicle)

@@ -1,4 +1,4 @@
-"""Predictions: from a state and inputs to a trajectory, and live from the newest measurements; time is passed in."""
+"""Predicts trajectories, from a state and inputs or live from the newest measurements; the caller supplies the time."""
 
 import hashlib
 import json
@@ -37,8 +37,8 @@ class PredictionSettings:
     """Settings of a prediction. Raises ConfigurationError naming the key and the limit.
 
     horizon, step [s]. minimum_speed [m/s]: no prediction is made below it. stale_after [s]: no prediction is made from
-    older measurements. maximum_gap [s]: longest gap that is interpolated. filter_cutoff [Hz]: of the low-pass for the
-    forward acceleration.
+    older measurements. maximum_gap [s]: longest gap that is interpolated. filter_cutoff [Hz]: cut-off of the
+    low-pass for the forward acceleration.
     """
 
     horizon: float = 5.0
@@ -88,7 +88,7 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
     grid = _inputs_on_grid(model, p, inputs, step_count(horizon, step), substeps)
     start = model.start_state(state.as_tuple(), grid[0], p)
     states = integrate.rk4(model.rhs, start, grid, p, step / substeps)[::substeps]
-    # A trajectory has no extra states; they are internal to the model.
+    # Extra states are internal to the model and not part of the trajectory.
     return Trajectory(step, np.ascontiguousarray(np.array(states)[:, :len(STATE_NAMES)]))
 
 
@@ -140,11 +140,11 @@ Runner = Callable[[VehicleState, ControlInput | InputSequence], Trajectory]
 
 
 class Predictor:
-    """Live prediction: keeps the newest measurements and predicts trajectories from them.
+    """Stores the newest measurements and predicts trajectories from them.
 
     models: names, or models from model files. runners: compiled replacements of `predict`, by name of the model, with
-    the same results (see compiled.py). Raises ConfigurationError if there is no model, for an unknown one, and for one
-    that needs a signal that is not measured live.
+    the same results (see compiled.py). Raises ConfigurationError without a model, for an unknown model, and for a
+    model that requires a signal not measured live.
     """
 
     SPAN = 2.0  # s of history, for late samples and the settling of the filter
@@ -207,8 +207,8 @@ class Predictor:
     def start(self, now_ns: int) -> Start | Skip:
         """The newest instant at which both INS and steering are known, or the reason for making no prediction.
 
-        now_ns: present time on the clock of the stamps. A sample that is more than stale_after in the future means that
-        two clocks disagree; it is treated as a stale one.
+        now_ns: current time on the clock of the stamps. A sample more than stale_after in the future means that two
+        clocks disagree; it is treated as stale.
         """
         limit = self.settings.stale_after
         for name, age in self.ages(now_ns).items():

@@ -44,7 +44,7 @@ def read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Proven
         uncertainty = float(uncertainty) * factor
     texts = {}
     for name in TEXTS:
-        # YAML reads a day without quotes as a date; its text is the same.
+        # YAML parses an unquoted day as a date object; its text is the same.
         texts[name] = str(entry[name]) if name == "date" and name in entry else entry.get(name, "")
         if not isinstance(texts[name], str):
             raise ConfigurationError(f"{key}.{name}: {texts[name]!r} is not a string")

@@ -1,4 +1,4 @@
-"""Correction of logs and samples by the sensor and steering effects of a model, and INS readings predicted from states.
+"""Corrects logs and samples for the sensor and steering effects of a model, and predicts INS readings from states.
 
 For a model without these effects, logs and samples do not change.
 """
@@ -19,12 +19,12 @@ from .types import InsSample, cg_to_ins_position, pose_errors
 from .vehicle import VehicleParameters
 
 MEMORY = 5.0
-"""Length of the past steering that effects with memory need [s]; a lag of 0.5 s decays to e^-10."""
+"""Length of the steering history that effects with memory need [s]; a lag of 0.5 s decays to e^-10."""
 MEMORY_NS = round(MEMORY / NANOSECOND)
 
 
 def correct_sample(model: Model, sample: InsSample) -> InsSample:
-    """The sample of a faultless INS; NaN where the correction needs an acceleration, see `missing_reading`."""
+    """The sample that a faultless INS would measure; NaN where this requires an acceleration (`missing_reading`)."""
     if not isinstance(model, AugmentedModel) or not model.has_sensor_effects:
         return sample
     true = model.correct(Measured(*sample[1:], acceleration_x=np.nan, acceleration_y=np.nan))
@@ -57,7 +57,7 @@ def correct_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
     begins = np.diff(time_ns, prepend=time_ns[0]) > round(maximum_gap / NANOSECOND)
     begins[0] = True
     later, angle = model.steering(seconds, angle, begins)
-    # Only the shift is rounded, so that the times do not change without a delay.
+    # Only the time shift is rounded, so that the times stay exact without a delay.
     return time_ns + np.round((later - seconds) / NANOSECOND).astype(np.int64), angle
 
 
@@ -77,7 +77,7 @@ def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, gri
         return ahead
     before = slice(*np.searchsorted(time_ns, (grid_ns[0] - MEMORY_NS, grid_ns[0])).tolist())
     gap_ns, spacing = round(maximum_gap / NANOSECOND), int(grid_ns[1] - grid_ns[0])
-    # Samples at most half of maximum_gap apart, since the effects restart after a longer gap.
+    # Samples at most half of maximum_gap apart, because the effects restart after a gap.
     parts = max(1, -(-2 * spacing // gap_ns))
     finer, whole = np.arange(parts * (len(ahead) - 1) + 1) / parts, np.arange(len(ahead))
     after = grid_ns[0] + np.round(np.interp(finer, whole, grid_ns - grid_ns[0])).astype(np.int64)
@@ -88,7 +88,7 @@ def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, gri
 
 
 def required_lookahead_ns(model: Model) -> int:
-    """How long after an instant steering must be known to give the angle of the wheels [ns]; > 0 for late stamps."""
+    """Time after an instant [ns] until which steering must be known to compute the wheel angle; > 0 for late stamps."""
     if not isinstance(model, AugmentedModel) or not model.has_steering_memory:
         return 0
     time, _ = model.steering(np.zeros(1), np.zeros(1), np.ones(1, bool))
@@ -96,9 +96,9 @@ def required_lookahead_ns(model: Model) -> int:
 
 
 def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:
-    """The drive as input of a prediction: as recorded by faultless sensors, with the angle of the wheels.
+    """The drive as input of a prediction: as recorded by faultless sensors, with steering memory applied.
 
-    Input effects without memory (ratio, offset) are not applied, since the `inputs` of the model apply them.
+    Input effects without memory (ratio, offset) are not applied, because the `inputs` of the model apply them.
     maximum_gap [s]. Raises StCoreError if a sensor effect needs an acceleration that was not recorded.
     """
     if not isinstance(model, AugmentedModel):
@@ -161,6 +161,6 @@ def reading_errors(model: Model, vehicle: VehicleParameters, states: np.ndarray,
     """
     with np.errstate(all="ignore"):
         predicted = predict_readings(model, vehicle, tuple(np.moveaxis(states, -1, 0)))
-        # Stacked in the memory order of the trajectories, point after point: twice as fast as start after start.
+        # Stacked in the memory order of the trajectories (by point), which is twice as fast as by start.
         errors = pose_errors(predicted.x, predicted.y, predicted.yaw, x, y, yaw)
         return np.stack([e.T for e in errors]).transpose(2, 1, 0)

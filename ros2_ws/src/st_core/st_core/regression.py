@@ -25,9 +25,9 @@ from typing import NamedTuple
 import numpy as np
 
 MIN_RUNS = 8
-"""Number of runs from which whole runs are the blocks."""
+"""Minimum number of runs for whole runs to be used as blocks."""
 BLOCK_LENGTH = 10.0
-"""Length of a block with fewer runs [s]."""
+"""Length of a block if there are fewer runs [s]."""
 WEIGHT_INCREMENT = 1e-4
 """Step of the weight of a block, for difference quotients of an estimator."""
 SIGMA_PER_MAD = 1.4826
@@ -37,7 +37,7 @@ SIGMA_PER_MAD = 1.4826
 def symmetric_interval(value: float, standard_uncertainty: float,
                        degrees_of_freedom: float = math.inf) -> tuple[float, float]:
     """95 % confidence interval value -/+ t u, with Student's t (1.96 for infinitely many degrees of freedom)."""
-    from scipy.stats import t as student  # takes half a second, and the nodes do not need it
+    from scipy.stats import t as student  # imported here: it takes half a second, and nodes do not need it
 
     half = float(student.ppf(0.975, degrees_of_freedom)) * standard_uncertainty
     return value - half, value + half
@@ -61,7 +61,7 @@ def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
 
 
 def add_ridge(h: np.ndarray) -> np.ndarray:
-    """h (n, n) with a millionth of its mean diagonal added to the diagonal: solvable if a parameter has no effect."""
+    """h (n, n) with a millionth of its mean diagonal added to the diagonal, so that it is invertible."""
     return h + (1e-6 * np.trace(h) / max(len(h), 1) + 1e-9) * np.eye(len(h))
 
 
@@ -73,7 +73,7 @@ def robust_deviation(values: np.ndarray) -> float:
 def white_noise(values: np.ndarray) -> float:
     """Standard deviation of the white noise in samples (n,), n >= 4 [their unit]; samples may be NaN.
 
-    Third differences remove the motion of the car: sigma = 1.4826 median |d^3 u| / sqrt(20).
+    Third differences suppress the motion of the car: sigma = 1.4826 median |d^3 u| / sqrt(20).
     """
     return SIGMA_PER_MAD * float(np.nanmedian(np.abs(np.diff(values, 3)))) / math.sqrt(20.0)
 
@@ -109,7 +109,7 @@ class Spread:
         return np.sqrt(np.diag(self.covariance))
 
     def interval(self, index: int, value: float, deviation: float | None = None) -> tuple[float, float]:
-        """95 % confidence interval of a value. deviation: its standard uncertainty, if not that of the covariance."""
+        """95 % confidence interval of a value. deviation: its standard uncertainty, if not from the covariance."""
         uncertainty = self.deviations[index] if deviation is None else deviation
         return symmetric_interval(float(value), float(uncertainty), float(self.degrees_of_freedom[index]))
 

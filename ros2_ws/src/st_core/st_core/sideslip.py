@@ -1,4 +1,4 @@
-"""Steady-state sideslip for drives without measured sideslip, whose yaw is the course over ground of a GNSS receiver.
+"""Steady-state sideslip for drives without measured sideslip, with the course over ground of a GNSS receiver as yaw.
 
 The heading of a car differs from its course by the sideslip angle at the antenna. With the course as heading, each
 prediction would be rotated by this angle. Therefore the sideslip of steady cornering is computed with the vehicle file:
@@ -21,10 +21,10 @@ from .types import wrap_angle
 from .vehicle import VehicleParameters
 
 MIN_SPEED = 2.0  # m/s; the course of a slower car is mostly noise
-COURSE_TIME = 0.2  # s, duration of the displacement whose direction is the course
+COURSE_TIME = 0.2  # s, duration of the displacement that defines the course
 RATE_WIDTH_NS = 200_000_000
-"""ns, averaging time of the yaw rate, which is noisy if derived from the course."""
-MAX_DERIVATIVE_ERROR = 1e-6  # rad/s; the rate of a gyroscope differs more, by its noise
+"""Averaging time of the yaw rate [ns], which is noisy if derived from the course."""
+MAX_DERIVATIVE_ERROR = 1e-6  # rad/s; a gyroscope differs by more because of its noise
 MAX_COURSE_ERROR = 0.0015
 """rad, RMS of the part of (direction of the displacement - yaw) that depends on the yaw rate; a larger value means that
 yaw is a heading. Genesis drives with the heading of the INS have 0.003 (INS above the rear axle) to 0.03, courses of a
@@ -32,7 +32,7 @@ GNSS receiver up to 0.0004."""
 
 
 def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
-    """v_y [m/s] at the INS point in steady cornering, see the module."""
+    """v_y [m/s] at the INS point in steady cornering; see the module docstring."""
     slip = rear_slip_coefficient(vehicle)
     return log.yaw_rate * (vehicle.cg_to_rear_axle - slip * log.velocity_x**2 + vehicle.cg_to_ins_x)
 

@@ -1,7 +1,7 @@
 """Stability of the numerical integration: the longest step at a given stiffness and speed.
 
 The lateral dynamics of a car become stiffer at lower speed: their damping is proportional to C / (m v). Classical
-Runge-Kutta with step h damps a mode with eigenvalue s if its stability function |R(h s)| <= 1; otherwise a prediction
+Runge-Kutta with step h and stability function R damps a mode of eigenvalue s if |R(h s)| <= 1; otherwise a prediction
 oscillates, diverges or converges to a wrong value. Below minimum_slip_speed the stiffness of the models is constant.
 """
 
@@ -17,9 +17,9 @@ from .vehicle import VEHICLE_QUANTITIES, VehicleParameters
 
 MAX_SUBSTEPS = 64
 HIGHEST_SLIP_SPEED = VEHICLE_QUANTITIES["minimum_slip_speed"].maximum  # m/s
-SEARCH_START_SPEED = 60.0  # m/s, of the search for the lowest stable speed
+SEARCH_START_SPEED = 60.0  # m/s, where the search for the lowest stable speed begins
 _LATERAL = (3, 5)  # indices of velocity_y and yaw_rate
-_INCREMENT = 1.0e-5  # of the difference quotients [m/s, rad/s]
+_INCREMENT = 1.0e-5  # increment of the difference quotients [m/s, rad/s]
 _warned: set[tuple[str, str, float]] = set()
 
 

@@ -2,7 +2,7 @@
 
 The horizons of starts 0.1 s apart overlap fifty-fold. If the starts are multiples of half an integration step apart,
 they share instants: one grid for the log, in which point index * q + phase is stored at [phase, index], with q half
-steps between starts. So neighbouring starts are neighbours in memory at every instant, and nothing is copied. Other
+steps between starts. Neighbouring starts are thus adjacent in memory at every instant, and nothing is copied. Other
 starts have separate instants in the same layout.
 """
 
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-SHARED_BLOCK = 8192  # starts, 33 000 grid points
-SEPARATE_BLOCK = 2**17  # instants
+SHARED_BLOCK = 8192  # starts per block with a shared grid; 33 000 grid points
+SEPARATE_BLOCK = 2**17  # instants per block with separate instants
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, shar
 
 
 def _reach(spacing: int, instants_ns: np.ndarray) -> int:
-    """Number of columns by which the last instant of a horizon is behind its start."""
+    """Number of columns by which a horizon extends beyond the column of its start."""
     return (len(instants_ns) - 1) // spacing
 
 

@@ -25,7 +25,7 @@ from .errors import StCoreError
 from .types import wrap_angle
 
 NANOSECOND = 1.0e-9
-# Samples that are older than the newest by at most this time are sorted in; older ones are late and refused [ns].
+# Samples at most this much older than the newest are sorted in; older samples are late and refused [ns].
 REORDER_WINDOW_NS = 500_000_000
 # After this many consecutive late samples the clock counts as set back, and the series restarts with them.
 JUMP_SAMPLES = 5
@@ -193,9 +193,9 @@ def half_step_grid(start_ns: int, steps: int, step: float) -> np.ndarray:
 
 
 class Neighbours(NamedTuple):
-    """Samples around given instants. before, after: indices of the last sample before and the first from an instant.
+    """Samples around instants. before, after: index of the last sample before and of the first at or after an instant.
 
-    exact: whether the latter is at the instant. known: whether the signal is known there. fraction: position of the
+    exact: whether sample `after` is at the instant. known: whether the signal is known there. fraction: position of the
     instant between the two samples, 0 to 1.
     """
 
@@ -215,7 +215,7 @@ class Neighbours(NamedTuple):
 def find_neighbours(times: np.ndarray, instants: np.ndarray, gap_ns: int) -> Neighbours:
     """Neighbouring samples of instants of any shape [ns].
 
-    times [ns]: of the samples, increasing, at least one. gap_ns: between samples further apart the signal is unknown.
+    times [ns]: sample times, increasing, at least one. gap_ns: between samples further apart the signal is unknown.
     """
     after = np.minimum(np.searchsorted(times, instants), len(times) - 1)
     before = np.maximum(after - 1, 0)
@@ -273,7 +273,7 @@ def filtered_derivative(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
 
 def _filter_causally(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
                      maximum_gap: float) -> tuple[np.ndarray, np.ndarray]:
-    """The results of `low_pass_step`, bit for bit; operations that do not need the previous result are vectorised."""
+    """As repeated `low_pass_step`, bit for bit; operations that do not need the previous result are vectorised."""
     spacings_ns = np.diff(times_ns)
     different, which = np.unique(spacings_ns, return_inverse=True)
     x = 2.0 * math.pi * cutoff * (different * NANOSECOND)

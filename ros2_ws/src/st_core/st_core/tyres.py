@@ -11,8 +11,8 @@ from .ops import absolute, atan, maximum, minimum, sign, sin
 
 GRAVITY = 9.81  # m/s^2, as in the paper
 
-# A jump of the measured speed can imply a lifted axle, far outside the range of the model. Since the load is a divisor,
-# a lower limit keeps the force finite, and close to zero.
+# A jump of the measured speed can imply a lifted axle, far outside the range of the model. Because the load is a
+# divisor, a lower limit keeps the force finite and close to zero.
 MINIMUM_LOAD = 1.0  # N, of one tyre
 
 
@@ -81,7 +81,7 @@ def magic_formula_coefficients(load, tyre: MagicFormula):
 def magic_formula_force(slip, stiffness_factor, peak, curvature, tyre: MagicFormula):
     """F_y = D sin(C atan(B a - E (1 - p_ey3 sgn a) (B a - atan(B a)))) [N], a = slip angle [rad].
 
-    B, D, E from `magic_formula_coefficients` (D may be given for both tyres of an axle). With p_ky1 < 0 the force
+    B, D, E from `magic_formula_coefficients`; twice D gives the force of an axle. With p_ky1 < 0 the force
     opposes the slip angle. Source: paper, appendix. Checked by: test_tyres.py.
     """
     x = stiffness_factor * slip

@@ -41,7 +41,7 @@ def _quantity(unit: str, minimum: float, maximum: float, required: bool = True, 
     return Quantity({unit: 1.0}, minimum, maximum, required and math.isnan(default), default)
 
 
-# Limits are intentionally wide, from a go-kart to a loaded truck: they detect a wrong unit or a misplaced digit.
+# The limits are wide, from a go-kart to a loaded truck: they only detect a wrong unit or a misplaced digit.
 OPTIONAL_QUANTITIES = {
     "track_width": _quantity("m", 0.3, 4.0, default=1.54),
     "drive_front": _quantity("1", 0.0, 1.0, default=1.0),
@@ -138,7 +138,7 @@ class VehicleParameters:
     of the body, for drawing. track_width [m]: both axles. drive_front, brake_front: fraction of drive and brake force
     on the front axle [1]; rear-wheel drive: drive_front 0. load_transfer_front: fraction of the lateral load transfer
     on the front axle [1]. side_area: side force coefficient times its reference area, C_y A [m^2]; side_force_arm [m]:
-    its centre ahead of the CG. sources: where each value comes from, by key ("tyre_front.p_cy1" for the tyres).
+    distance ahead of the CG. sources: source of each value, by key ("tyre_front.p_cy1" for the tyres).
     provenance: uncertainty, method, data and date of identified values, by key.
 
     Raises ConfigurationError, naming the key and the limit, for a value out of bounds or contradictory lengths.
@@ -196,7 +196,7 @@ class VehicleParameters:
     def uncertainty(self, key: str) -> float | None:
         """Standard deviation [SI] of a value, by its key in the file ("mass", "tyre_front.lambda_muy").
 
-        The value of the file is used, else that of DEFAULT_UNCERTAINTIES; None if both are missing.
+        Stated in the file, else from DEFAULT_UNCERTAINTIES; None if neither contains it.
         """
         entry = self.provenance.get(key)
         if entry is not None and entry.uncertainty:

@@ -1,4 +1,4 @@
-"""Reading and writing of configuration in a safe subset of YAML: mappings with text keys, lists and plain values.
+"""Reads and writes configuration in a safe subset of YAML: mappings with text keys, lists and plain values.
 
 Files may come from other people, so other features of YAML are refused: references (a few hundred bytes can expand to
 billions of values), tags, duplicate keys (YAML silently uses the last one), several documents, deep nesting.
@@ -15,7 +15,7 @@ from .errors import ConfigurationError
 
 MAX_CHARACTERS = 1 << 20
 MAX_NESTING = 40
-LARGEST_INTEGER = 2**63  # a larger one is a typing error, and could overflow a float
+LARGEST_INTEGER = 2**63  # a larger integer is a typing error and could overflow a float
 
 
 class _Loader(yaml.SafeLoader):
@@ -56,7 +56,7 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def construct_scalar_checked(self, node: yaml.ScalarNode) -> Any:
-        """A number or date. For a malformed one PyYAML raises the exception of the conversion."""
+        """A number or date; a failed conversion raises ConfigurationError with the line number."""
         try:
             value = yaml.SafeLoader.yaml_constructors[node.tag](self, node)
         except (ValueError, OverflowError) as error:
@@ -94,7 +94,7 @@ def _shorten(value: Any) -> str:
 
 
 def check_keys(prefix: str, section: Mapping[Any, Any], known: list[str], required: Iterable[str] = ()) -> None:
-    """Raises ConfigurationError for an unknown or a missing key. prefix: of the keys in the message."""
+    """Raises ConfigurationError for an unknown or a missing key. prefix: precedes the key in messages."""
     for key in section:
         if key not in known:
             raise ConfigurationError(

@@ -71,8 +71,8 @@ class Forces(NamedTuple):
 class Truth:
     """True motion at the CG in a simulated or recorded drive [SI]; time since the start of the drive.
 
-    Map axes x east, y north, z up; body axes x forward, y left. roll: right side down +, pitch: nose up +, both the sum
-    of body and road. velocity_z: up +. steering_wheel_angle: left +, without the offset of the sensor.
+    Map axes x east, y north, z up; body axes x forward, y left. roll: right side down +, pitch: nose up +, each of body
+    plus road. velocity_z: up +. steering_wheel_angle: left +, without the offset of the sensor.
     acceleration_x, _y: without gravity. wheel_speed: FL, FR, RL, RR.
     """
 
