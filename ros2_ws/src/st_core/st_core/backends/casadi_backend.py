@@ -1,7 +1,7 @@
 """Symbolic functions of a Model for optimisation, linearisation and export. Needs casadi.
 
 `model.inputs`, `model.rhs` and `integrate.rk4_step` are called with symbols. Importing this module registers the number
-types of CasADi in `st_core.ops`. Unlike on floats, `maximum` and `minimum` do not propagate NaN, which saves four of
+types of CasADi in `st_core.ops`. Unlike for floats, `maximum` and `minimum` do not propagate NaN, which saves four of
 five instructions. Checked by: test_casadi_backend.py.
 """
 
@@ -85,8 +85,8 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1,
     """The functions of a model with the parameters of a car.
 
     substeps: RK4 steps within h. free: parameters that remain an argument, such as "road_bank.angle"; only effects that
-    act in the equations have them, effects on vehicle parameters (mass, friction, stiffness) are constant. The names of
-    the functions begin with that of the model: <model>_dynamics. Raises ConfigurationError for an unknown model or
+    act in the equations have them; effects on vehicle parameters (mass, friction, stiffness) are constant. The
+    functions are named after the model, such as <model>_dynamics. Raises ConfigurationError for an unknown model or
     parameter.
     """
     model = get_model(model)
@@ -145,7 +145,7 @@ def free_parameters(model: str | Model) -> dict[str, Variable]:
 
 
 def _acting(model: Model) -> tuple[type[Effect], ...]:
-    """The effects with a theta in p, in the order of p."""
+    """The effects that have parameters in p, in the order of p."""
     return compose(model.base, model.effects).active if isinstance(model, AugmentedModel) else ()
 
 

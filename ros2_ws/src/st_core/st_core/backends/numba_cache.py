@@ -32,7 +32,7 @@ def enable(kernel, fingerprint: str) -> Path | None:
             folder.mkdir(parents=True, exist_ok=True)
             os.utime(folder)  # marks it as used; fails in another user's folder
             _attach(kernel, folder, key)
-        except (OSError, RuntimeError, AttributeError):  # not writable, or another numba
+        except (OSError, RuntimeError, AttributeError):  # not writable, or another version of numba
             continue
         _delete_old(base)
         return folder

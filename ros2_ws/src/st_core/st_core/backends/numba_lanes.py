@@ -32,7 +32,7 @@ from .numba_ops import FLAGS, inline
 LANES = 48
 INTERLEAVE = 3  # vectors
 CACHE_LINE = 64  # bytes
-STOP = frozenset((ops.__name__,))  # modules whose functions are compiled by `numba_ops`
+STOP = frozenset((ops.__name__,))  # modules with functions that are compiled by `numba_ops`
 
 _compiled: dict[Any, Any] = {}
 _inlined: set = set()

@@ -20,7 +20,7 @@ MAX_RELATIVE_SPREAD = 0.25  # standard deviation between consistent runs, divide
 class AcrossRuns:
     """One quantity [unit] in several runs.
 
-    mean, interval: by random effects, which includes the variance between runs (DerSimonian and Laird 1986). between:
+    mean, interval: by random effects, including the variance between runs (DerSimonian and Laird 1986). between:
     standard deviation between runs in excess of their uncertainties. reported: number of runs with this finding.
     consistent: whether the differences between the runs are within their intervals, or small (MAX_RELATIVE_SPREAD).
     """

@@ -19,7 +19,7 @@ LAG_TEST_SHIFT = 0.3  # s; the drive determines a lag if lags this much smaller 
 BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residuals with a scale and with a bias above which a bias is reported
 MIN_CERTAIN_CORRELATION = 0.98  # at a higher correlation, noise reduces a scale by less than 4 %
 MIN_RESIDUAL_SHARE = 1e-4  # of the variance; interpolation and filters alone cause a residual of 1 % of a signal
-GRID_LOSS = 0.1  # of the variance; largest decrease of a maximum that lies between two lags of the grid
+GRID_LOSS = 0.1  # of the variance; error of a residual minimum that lies between two lags of the grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ def _correlation(pair: Pair, offset: float) -> float:
 
 
 def _best_offsets(pair: Pair, cutoff: float) -> list[Fit]:
-    """Fits of the best offset and of all that are not significantly worse, the smallest offset first.
+    """Fits of the best offset and of all offsets that are not significantly worse, the smallest first.
 
         (1 - r^2) / (1 - r_best^2) <= F(0.975; n, n),   n = 2 cutoff T: independent samples of the residual in time T
     """

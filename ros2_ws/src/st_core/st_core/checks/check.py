@@ -132,7 +132,7 @@ def _without_sideslip(finding: Finding, motion: Motion) -> Finding:
 
 
 def _sort(findings: list[Finding]) -> tuple[Finding, ...]:
-    """The findings by severity, those of accelerations last, since no prediction depends on them, then by effect."""
+    """The findings by severity, accelerations last, since no prediction depends on them, and then by effect."""
     return tuple(sorted(findings, key=lambda finding: (
         [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf))))
 

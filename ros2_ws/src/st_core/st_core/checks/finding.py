@@ -215,7 +215,7 @@ class Limits:
     steering_lag: float = 0.1  # s; the car's own response may deviate from the vehicle file by this lag
     steering_offset: float = 0.02  # rad, at the road wheels
     mounting: float = 0.25  # m; accuracy of a rough measurement of the INS position
-    heading: float = 0.002  # rad; 0.1 deg, accuracy of a dual antenna
+    heading: float = 0.002  # rad; 0.1 deg, accuracy of a dual-antenna INS
 
     def severity(self, effect: float, severe: bool = False) -> Severity:
         """Severity of an effect [m]; at least a warning if `severe`."""

@@ -25,8 +25,8 @@ class Tolerances:
     lag [s], bias [unit], scale: smallest reported lag, bias, and deviation of the scale from 1. severe: (lag, scale,
     bias) from which the finding is at least a warning, even without an effect on predictions, since identification and
     discovery use the channel. position_effect: position shift after the horizon per unit of error [m]. min_spread:
-    smallest standard deviation of the channel for which a lag is reported [unit]. correlation: minimum for which scale
-    and bias are judged. factors: question on the cause of a wrong scale, by factor. causes: of a bias, as text.
+    smallest standard deviation of the reference for which a lag is reported [unit]. correlation: minimum, for scale and
+    bias to be judged. factors: question on the cause of a wrong scale, by factor. causes: of a bias, as text.
     """
 
     channel: str

@@ -82,7 +82,7 @@ class Motion:
 
 def is_driven(motion: Motion) -> bool:
     """Whether the car drives, in any units: the speed from positions or velocity exceeds MOVING, and the direction of
-    travel persists or the forward velocity far exceeds its noise, unlike for a parked car with drifting positions."""
+    travel persists or the forward velocity far exceeds its noise. Neither is true of a parked car with drift."""
     length = max(1.0, 5.0 * float(np.median(np.diff(motion.time))))
     over = windows(motion.time, length, max(MAX_GAP, 0.5 * length))
     if len(over) < MIN_DRIVEN_WINDOWS:

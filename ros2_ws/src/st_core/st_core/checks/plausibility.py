@@ -19,7 +19,7 @@ from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
 from .finding import Advice, Finding, Severity, merge_findings
 from .motion import MAX_GAP, spans, stretches
 
-STEP_MEDIAN_RATIO = 20.0  # ratio of a large step to the median step; noise and quantisation cause smaller steps
+STEP_MEDIAN_RATIO = 20.0  # minimum ratio of a large step to the median step; noise and quantisation cause smaller steps
 HALF_WINDOW = 0.1  # s; half-width of the window that contains a sample's neighbours; at least 2.5 updates
 MIN_SENTINEL_SAMPLES = 3  # minimum number of samples of one value between two large steps
 MIN_ZERO_TIME = 0.2  # s; minimum duration of the value 0 as a sentinel
@@ -31,7 +31,7 @@ WRAP_LIMIT = 0.3  # minimum wrap, divided by the largest plausible step; smaller
 WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # largest deviation of a step, and largest sum of its ends, divided by the wrap
 MAX_WRAPPED_SHARE = 0.2  # fraction of wrapped samples above which the true range is uncertain
 MAX_NET_CHANGE = 0.5  # largest ratio of net change to sum of |steps| in noise; 1 for a turn in another unit
-JUMP_RATIO = 30.0  # ratio of a jump to the 90th percentile of all steps; at most 15 in seventeen real drives
+JUMP_RATIO = 30.0  # minimum ratio of a jump to the 90th percentile of all steps; below 15 in seventeen real drives
 MAX_REVERSAL_ERROR = 0.3  # rad; largest difference of a yaw jump from pi that counts as a reversal of the heading
 MIN_SAMPLES = 20
 MAX_LISTED = 200  # largest number of stretches listed in a finding

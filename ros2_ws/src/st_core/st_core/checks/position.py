@@ -167,7 +167,7 @@ def lateral_sign_finding() -> Finding:
 
 
 def with_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
-    """The findings, without a correction if the opposite sign of velocity_y explains them as well, as on a circle."""
+    """The findings, without a correction if the opposite sign of velocity_y fits equally well, as on a circle."""
     names = {"yaw_offset", "position_reference", "velocity_y_bias"}
     if not any(finding.name in names for finding in findings):
         return findings
@@ -208,7 +208,7 @@ def _find_causes(problem: Regression, free: dict[str, float], always: tuple[str,
 
 
 def _combine_scales(problem: Regression, causes: dict[str, Estimate], always: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of the causes, with equal scales of both axes, or that of the only axis driven, attributed to velocity.
+    """Names of the causes, with equal scales of both axes, or a scale of the only axis driven, attributed to velocity.
 
     An equal scale error of both axes of satellite positions is far rarer than a scale error of the velocity.
     """

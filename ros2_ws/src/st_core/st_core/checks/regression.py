@@ -92,7 +92,7 @@ class Regression:
         return dict(zip(names, theta.tolist(), strict=True)), scale, weights
 
     def loss(self, names: Sequence[str], scale: float) -> float:
-        """Huber's loss of the fit of these causes; a common scale makes the losses of two sets comparable."""
+        """Huber loss of the fit of these causes; a common scale makes the losses of two sets comparable."""
         theta, _, _ = self.fit(names)
         size = np.sqrt(np.square(self.residual(theta)).sum(axis=1)) / (OUTLIER_RATIO * scale)
         return float(np.where(size <= 1.0, 0.5 * size**2, size - 0.5).sum())

@@ -58,7 +58,7 @@ def _channel_series(motion: Motion, name: str) -> tuple[np.ndarray, np.ndarray |
 def resolution(time: np.ndarray, values: np.ndarray) -> float:
     """Quantisation step of values, in their unit; 0 if they are not quantised. time: ascending [s].
 
-    Steps across lost samples are ignored, because in uniform motion they are multiples of a step without quantisation.
+    Steps across lost samples are ignored, because in uniform motion they are multiples of one step in any case.
     """
     if len(values) < 2:
         return 0.0
@@ -328,7 +328,7 @@ IN_UNIT_OF_RELATED = ("velocity_x", "acceleration_x", "acceleration_y", "yaw_rat
 
 
 def _check_resolution(name: str, motion: Motion, speed: float) -> list[Finding]:
-    """Finding of a channel whose rounding error, of standard deviation resolution / sqrt(12), is relevant."""
+    """Finding of a channel with a relevant rounding error, of standard deviation resolution / sqrt(12)."""
     step = resolution(motion.time, getattr(motion, name))
     distance, grows_with_speed = POSITION_EFFECT[name]
     effect = step / np.sqrt(12.0) * distance * (speed if grows_with_speed else 1.0)

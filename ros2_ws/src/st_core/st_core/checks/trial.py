@@ -1,8 +1,8 @@
 """Trial of corrections: each is applied to its run, and is proposed unless predictions become worse.
 
-The prediction error is the distance between the measured position and the position predicted by the linear single-track
-model, HORIZON after starts that are HORIZON apart, both from the corrected drive. A wrong steering ratio or offset in
-the vehicle file would favour corrections that happen to compensate it, so both are fitted, with and without correction:
+The prediction error is the distance between measured position and prediction by the linear single-track model, both
+from the corrected drive, HORIZON after starts that are HORIZON apart. A wrong steering ratio or offset in the vehicle
+file would favour corrections that compensate it, so gain and offset are fitted, with and without correction:
 
     e = e_0 + (de/dg) g + (de/do) o,    g, o: gain [1] and offset [rad] of the road wheel angle, least squares within
                                         |g| <= MAX_GAIN, |o| <= MAX_OFFSET
@@ -122,7 +122,7 @@ def _prediction_error(state: State | None) -> float | None:
 
 
 def _apply_advice(state: State, advice: Advice | None) -> State | None:
-    """The run with the correction applied; None if there is no correction to apply, or if it fails."""
+    """The run with the correction applied; None without a correction, or if it fails."""
     log, vehicle = state
     if advice is None or not advice.entry:
         return None

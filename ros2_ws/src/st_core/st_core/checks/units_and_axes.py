@@ -42,7 +42,7 @@ SPEEDS = {3.6: "km/h", 2.23694: "mph", 1.94384: "knots"}
 LENGTHS = {1000.0: "millimetres", 100.0: "centimetres", 3.28084: "feet", 0.001: "kilometres"}
 MAX_DEGREE_RATIO = 1e-4  # ratio to the distance below which positions are angles: a degree of latitude is 111 km
 TIMES = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanoseconds", "ns")}
-MIN_WRAP_STEP = 0.01  # rad; smallest step that counts as a wrap; 360 unwrapped as rad leaves a step of 1.86
+MIN_WRAP_STEP = 0.01  # rad; smallest step that counts as a wrap; 360 deg unwrapped as rad leaves 1.86 deg
 Corrected = tuple[Motion, Finding | None]
 
 
@@ -62,7 +62,7 @@ def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def _merge_yaw_findings(findings: list[Finding]) -> list[Finding]:
-    """The findings, with only one for a yaw that counts clockwise, but not from north: both corrections are needed."""
+    """The findings, with only one for a yaw that counts clockwise, but not from north."""
     by_name = {finding.name: finding for finding in findings}
     if not {"yaw_convention", "yaw_offset"} <= by_name.keys():
         return findings

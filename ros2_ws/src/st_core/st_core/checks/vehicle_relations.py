@@ -33,7 +33,7 @@ MIN_STEERING_ANGLE = 0.01  # rad; minimum root mean square that determines the s
 MIN_ANGLE_FOR_SIGN = 0.003  # rad; minimum root mean square; fast wide bends determine only the sign of the gain
 MAX_OPPOSITE_CORRELATION = -0.8  # correlation of steering and curvature below which the steering has the opposite sign
 MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels; minimum standard deviation of measured and derived steering
-MIN_GAIN = 1e-6  # ratio of steering to curvature below which the steering is constant, which is reported as frozen
+MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering is constant and reported as frozen
 
 
 def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: bool) -> CheckResult:

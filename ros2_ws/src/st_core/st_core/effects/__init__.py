@@ -105,7 +105,7 @@ def _load(finder: FileFinder, package: str, names: Sequence[str]) -> None:
 
 def _check_others(names: Iterable[str], known: Iterable[str], folder: str) -> None:
     """Raises ConfigurationError for unknown effects in confounded_with and members. known: names of all effects and of
-    the files in the folder, each of which has the name of its effect."""
+    the files in the folder; each file has the name of its effect."""
     for name in sorted(names):
         for key in ("confounded_with", "members"):
             for other in getattr(EFFECTS[name], key):

@@ -104,10 +104,8 @@ class Instant(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Readings of the INS: map frame [m], yaw [rad], body axes at the INS point [m/s, m/s^2], yaw rate [rad/s].
-
-    yaw_acceleration: derivative of the yaw rate [rad/s^2], for delayed yaw rate readings; 0 if unknown.
-    """
+    """Readings of the INS: position in the map frame [m], yaw [rad], velocity [m/s] and acceleration [m/s^2] of the INS
+    point in body axes, yaw rate [rad/s] and its derivative yaw_acceleration [rad/s^2], which is 0 if unknown."""
 
     x: Any
     y: Any
@@ -144,7 +142,7 @@ class Effect:
             the geometry [rad] and the forces [N]
         specific_force(instant, prepared, theta) -> (a_x, a_y) [m/s^2] that an accelerometer at the CG reads in
             addition to the acceleration of the car
-        observe(measured, theta) -> readings for true values, a Measured; correct(measured, theta): the inverse
+        observe(measured, theta) -> Measured with the readings for true values; correct(measured, theta): the inverse
 
     name: unique. physics: the equation in one line, with the sign. excited_by: driving that makes it observable. kind:
     one of EFFECT_KINDS. slot: one of SLOTS, where it acts. confounded_with: effects that are hard to separate from it

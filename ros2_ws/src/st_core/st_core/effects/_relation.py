@@ -1,9 +1,9 @@
 """Empirical relation: a smooth curve of one quantity, added to one term of the model, fitted by `st_core.relations`.
 
     u = sum of in_i quantity_i, limited to low ... low + 5 spacing;   t(u) = (u - low) / spacing
-    f(u) = sum over k of c_k (B(t(u) - k) + parity B(t(-u) - k)),   B: cubic B-spline on whole numbers, k = -1 ... 6
+    f(u) = sum over k of c_k (B(t(u) - k) + parity B(t(-u) - k)),   B: cubic B-spline with integer knots, k = -1 ... 6
 
-f, optionally times one `by_` quantity, is added with a weight `to_` to a term. parity: -1 odd, +1 even, 0 neither.
+f, optionally times one `by_` quantity, is added to a term with a weight `to_`. parity: -1 odd, +1 even, 0 neither.
 All weights, the range and the parity are constants, so that all relations of a kind share a compiled function.
 There are three kinds: `law` is a function of present quantities, `law_memory` of a lagged quantity q or of its rate,
 

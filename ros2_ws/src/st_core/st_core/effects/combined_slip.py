@@ -1,8 +1,8 @@
-"""Reduction of the lateral force of an axle by drive and brake forces, as a friction ellipse.
+"""Reduction of the lateral force of an axle by drive and brake forces (friction ellipse).
 
     F_y = F_y0 (1 - share + share sqrt(1 - (F_x / D)^2))
 
-F_x is the force that the forward motion requires, D the peak force of the axle at its load; |F_x| <= 0.98 D.
+F_x is the force that the forward motion requires, D the peak force of the axle at its load; |F_x| is limited to 0.98 D.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from ..ops import maximum, minimum, sin, sqrt
 from ..tyres import magic_formula_peak
 from ._base import Effect, Parameter, register
 
-MAX_SQUARE_RATIO = 0.98**2  # largest (F_x / D)^2, for which the derivative of the root is finite
+MAX_SQUARE_RATIO = 0.98**2  # limit of (F_x / D)^2 that keeps the derivative of the root finite
 
 
 class Drive(NamedTuple):

@@ -7,7 +7,7 @@ axle force. The longitudinal components of the two front tyre forces cause a yaw
 
     M_z = -track / 2 sin delta (F_outer - F_inner),
 
-which the single track, without width, represents by a pair of opposite axle forces.
+which the single-track model represents by a pair of opposite axle forces, since it has no width.
 """
 
 from typing import NamedTuple

@@ -1,6 +1,6 @@
 """Load transfer between the axles under acceleration, and its effect on the tyre forces.
 
-    dF_z = m height a_x / l from the front to the rear axle,   F = F + F_MF(F_z + dF_z) - F_MF(F_z),   a_x = v_x_dot
+    dF_z = m height a_x / l from the front to the rear axle,   F' = F + F_MF(F_z + dF_z) - F_MF(F_z),   a_x = v_x_dot
 
 height is the CG height that the base model does not contain: the whole height for linear tyres, the excess above the
 height in the vehicle file for the nonlinear model. F_MF is the Magic Formula of the vehicle file for the two tyres of

@@ -12,7 +12,7 @@ car, the height r of the line between the wheel centres at the CG:
 
 r is computed from the wheel radii of the level car, because h is the CG height of the level car. The deflection of the
 rear tyres when lifted does not change h, since the force still passes through the wheel centre, but it changes the
-pitch computed from the lift: sin(theta + theta_0) = (lift + r_front - r_rear) / l with the radii when lifted.
+pitch computed from the lift: sin(theta + theta_0) = (lift + r_front - r_rear) / l with the radii of the lifted car.
 
     u(h)^2 = (l / m)^2 u(b)^2 + (h - r)^2 (u(m)^2 / m^2 + u(l)^2 / l^2) + u(r)^2
 
@@ -30,7 +30,7 @@ from .result import Coverage, Estimate, Identification, IdentificationError
 from .steering_ratio import Line, fit_line
 
 MAX_LEVEL_PITCH = math.radians(0.5)  # rows with a smaller pitch count as level
-MIN_PITCH_RANGE = math.radians(3.0)  # in a smaller range the load changes by less than the resolution of wheel scales
+MIN_PITCH_RANGE = math.radians(3.0)  # in a smaller range the rear load changes by a few kg only
 MAX_PITCH = math.radians(45.0)
 BIN = math.radians(3.0)
 RADIUS_UNCERTAINTY = 0.003  # m; standard uncertainty of a wheel radius read from a ruler

@@ -229,7 +229,7 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[C
 def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
     """Both stiffnesses by regression, with a covariance from the variation between runs, or blocks if runs are few.
 
-    vehicle: as for `axle_regressions`. A stiffness whose interval contains zero is NaN and unidentifiable, with the
+    vehicle: as for `axle_regressions`. A stiffness with zero inside its interval is NaN and unidentifiable, with the
     reason as its verdict. Raises IdentificationError for too little excitation.
     """
     logs, notes = prepare_drives(logs, vehicle, "velocity_y")

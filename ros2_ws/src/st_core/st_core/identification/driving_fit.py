@@ -1,9 +1,9 @@
 """Fit of vehicle and recording parameters to predictions of several drives at once.
 
 Problem, loss and fit are taken from `discovery`: windows of the drives are predicted with the measured inputs, errors
-of yaw rate and lateral velocity at the INS have Student's distribution, and the effects that represent the parameters
-are fitted together, without a prior. Noise of the slip angle does not attenuate the estimates, unlike those of a
-regression of force on slip. Checked by: test_driving_fit.py.
+of yaw rate and lateral velocity at the INS are assumed to have Student's distribution, and the effects that represent
+the parameters are fitted together, without a prior. Noise of the slip angle does not attenuate the estimates, as it
+would in a regression of force on slip. Checked by: test_driving_fit.py.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -43,8 +43,8 @@ BOUND_TOLERANCE = 1e-3
 """Largest distance from a bound of a value at that bound, as a fraction of the range between both bounds."""
 MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
 MIN_CURVATURE_RATIO = 0.2
-"""Lower limit of the ratio of the second derivative of the loss to its Gauss-Newton approximation, which is 0.7 for the
-assumed distribution of errors."""
+"""Lower limit of the ratio of the second derivative of the loss to its Gauss-Newton approximation; the ratio is 0.7 for
+the assumed distribution of errors."""
 
 Values = Mapping[str, float]
 
@@ -209,7 +209,7 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
 
 
 def _fit_with_scale(problem: Problem, effects: tuple[str, ...]) -> np.ndarray:
-    """Vector of the fit after error scale and values have been estimated in turn until convergence."""
+    """Parameter vector after alternate estimation of values and error scale until convergence."""
     vector, indices, loss = problem.start.copy(), problem.free_indices(effects), problem.loss
     for _ in range(MAX_ITERATIONS):
         before = loss.scale.copy()

@@ -11,9 +11,9 @@ the left of the CG, its forward speed differs between left and right bends:
 
     phi + c phi^3 = delta - K v_x r,    phi = atan(L r / (v_x + r d_y))
 
-which requires tight bends to both sides. Ratio, offset and understeer K of the steering are also fitted, and c, the
-deviation of the mean steering angle from atan(L r / v_x) in tight bends, which would bias d_y if the drive turns more
-to one side. Checked by: test_identification_driving.py.
+which requires tight bends to both sides. Ratio, offset and understeer K of the steering are also fitted, and the
+coefficient c of the deviation of the mean steering angle from atan(L r / v_x) in tight bends, which would bias d_y if
+the drive turns more to one side. Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Sequence

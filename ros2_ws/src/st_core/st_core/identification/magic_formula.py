@@ -241,7 +241,7 @@ def _fit_nominal_load(data: FlatPlank, base: MagicFormula) -> MagicFormula:
 
 
 def _fit_load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[str]) -> MagicFormula:
-    """Stage 2: K at the nominal load is fixed, which determines p_ky1 by p_ky2 and p_ky4."""
+    """Stage 2: K at the nominal load is fixed, which determines p_ky1 from p_ky2 and p_ky4."""
     stiffness = float(magic_formula_stiffness(first.nominal_load, first))
 
     def tyre(values: Any) -> MagicFormula:

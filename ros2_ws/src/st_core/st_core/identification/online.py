@@ -2,9 +2,9 @@
 
 The last BUFFER seconds of INS and steering samples of a moving car are stored. After every FIT_INTERVAL of usable
 driving, both stiffnesses, ratio, offset, INS misalignment, dead time of the steering and relaxation of the tyres are
-fitted together, so that delay and transients do not bias the ratio. The standard deviation adds two parts in
-quadrature: the variation between blocks of driving, as a normal distribution with the same 95 % interval, and
-SYSTEMATIC, the error of the single-track model. A value is estimated after sufficient excitation
+fitted together, so that delay and transients do not bias the ratio. The standard deviation is the sum in
+quadrature of two parts: the variation between blocks of driving, converted to a normal distribution with the same 95 %
+interval, and SYSTEMATIC, the error of the single-track model. A value is estimated after sufficient excitation
 (`_missing_driving`) if its deviation is below MAX_DEVIATIONS. It is invalid if it is implausible for the car or if the
 residual of the model is too large. Valid for |a_y| <= 4 m/s^2 on dry, level roads. Checked by: test_online.py.
 """
@@ -42,7 +42,7 @@ UNKNOWN_DEVIATIONS = (math.radians(30.0), 0.2, 0.5)  # standard deviations witho
 MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # largest deviations of estimated values, units as SYSTEMATIC
 MAX_OFFSET = math.radians(45.0)
 PLAUSIBLE_RANGES = ((0.6, 1.6), (0.3, 3.0))  # ratio of the steering ratio to the vehicle file's; stiffness scale
-MAX_UNEXPLAINED = 0.2  # ratio of residual to RMS yaw rate; 0.02 to 0.04 on the simulated Leaf, 0.1 with a noisy INS
+MAX_UNEXPLAINED = 0.2  # largest RMS residual divided by RMS yaw rate; simulated Leaf 0.02 to 0.04, 0.1 with a noisy INS
 MIN_YAW_RATE = 0.02  # rad/s; smallest divisor of the residual, for straights
 SPEED_BINS = (5.0, 7.0, 10.0, 14.0, 20.0)  # m/s; lower edges
 MIN_BEND_ANGLE = 0.02  # rad; minimum |l r / v| in a bend
@@ -124,7 +124,7 @@ class OnlineIdentifier:
         self.reset(vehicle)
 
     def reset(self, vehicle: VehicleParameters) -> None:
-        """Forget all driving and start with this vehicle."""
+        """Discard all stored driving and continue with this vehicle."""
         self.vehicle = vehicle
         self.driving_time = DrivingTime()
         capacity = round(BUFFER / NANOSECOND / SPACING_NS)

@@ -175,7 +175,7 @@ def apply_to_vehicle(vehicle: VehicleParameters, found: Iterable[Identification]
 
 
 def describe_stale_scales(vehicle: VehicleParameters, found: Iterable[Identification]) -> tuple[str, ...]:
-    """A sentence for each tyre whose lambda_ky is set in the vehicle file and depends on a value that has changed."""
+    """A sentence for each tyre with a lambda_ky set in the vehicle file that depends on a changed value."""
     changed = {estimate.parameter for identification in found for estimate in identification.estimates
                if estimate.status != "unidentifiable"}
     sentences = []

@@ -31,7 +31,7 @@ class RunSamples:
 
     time [s since the first INS sample]. velocity_x, velocity_y [m/s], yaw_rate [rad/s], yaw_acceleration [rad/s^2],
     lateral_acceleration (v_y_dot + v_x r) [m/s^2], left +. road_wheel_angle [rad]: computed with the ratio and offset
-    of the vehicle file. steering_wheel_angle [rad]: as measured. yaw [rad]: not filtered.
+    of the vehicle file. steering_wheel_angle [rad]: at the sensor, filtered. yaw [rad]: not filtered.
     """
 
     name: str

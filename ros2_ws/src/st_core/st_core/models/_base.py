@@ -24,7 +24,7 @@ class Axles:
 
 @dataclass(frozen=True)
 class Model:
-    """One vehicle model. State (x, y, velocity_x, velocity_y, yaw, yaw_rate) at the CG, as types.VehicleState.
+    """One vehicle model. State (x, y, velocity_x, velocity_y, yaw, yaw_rate) at the CG, as in types.VehicleState.
 
     parameters(vehicle) -> p: a NamedTuple of the numbers the equations need, possibly nested.
     inputs(road_wheel_angle, velocity_x_dot, p, *signals) -> w: a tuple of all quantities that depend only on the
@@ -33,7 +33,7 @@ class Model:
     extra_states: names of the states that follow the six. start(state, w, p) -> their values at the start of a
         prediction, from the six states and w there; None: zeros.
     signals: names of further measured quantities that the model needs.
-    axles: parts of a dynamic model; None for the kinematic model.
+    axles: functions of a dynamic model; None for the kinematic model.
 
     The functions use `st_core.ops` and accept floats, or arrays of equal shape for a batch.
     """
@@ -48,7 +48,7 @@ class Model:
     axles: Axles | None = None
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
-        """The vehicle parameters that the model uses. vehicle: as in its file, as for `parameters`."""
+        """The vehicle parameters that the model uses in place of those in the vehicle file."""
         return vehicle
 
     def specific_force(self, state: tuple, w: tuple, p: Any) -> tuple:
@@ -67,10 +67,10 @@ class Model:
 
 
 def axle_slip_angles(velocity_x, velocity_y, yaw_rate, sine, cosine, p):
-    """Slip angles (front, rear) [rad], + when the wheel slides to its left. sine, cosine: of the road wheel angle.
+    """Slip angles (front, rear) [rad], + when the wheel slides to its left. sine, cosine: of the road wheel angle d.
 
         v_x0 = v_x cos d + (v_y + l_f r) sin d,   v_sy0 = (v_y + l_f r) cos d - v_x sin d
-        v_x1 = v_x,                               v_sy1 = v_y - l_r r
+        v_x1 = v_x,                               v_sy1 = v_y - l_r r        (0: front wheel, 1: rear)
 
     p: with cg_to_front_axle, cg_to_rear_axle [m], minimum_slip_speed [m/s]. Source: paper, wheel velocities.
     """
