@@ -1,1 +1,1 @@
-"""Decodes CAN frames, live or logged, with a DBC and publishes their signals as ROS 2 topics."""
+"""Decodes live or logged CAN frames with a DBC, and publishes live signals as ROS 2 topics."""

@@ -96,7 +96,7 @@ class Plausibility:
     def _is_reachable(self, value: float, time_ns: int) -> bool:
         references = [reference for reference in (self._previous, self._last_plausible)
                       if reference is not None and 0 < time_ns - reference[0] <= self._timeout_ns]
-        # The elapsed time is at least the period, because frames can arrive closer together than they were sent.
+        # An elapsed time of at least one period is assumed, because frames can arrive closer together than sent.
         return not references or any(
             abs(value - last) <= self._spec.max_rate * max((time_ns - last_ns) * 1e-9, self._period)
             for last_ns, last in references)

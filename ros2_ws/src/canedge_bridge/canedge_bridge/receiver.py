@@ -60,11 +60,11 @@ class ReceiverStatus:
 class Receiver:
     """Calls `on_frame(frame, time_ns)` in its own thread for every data frame and every error frame.
 
-    open_bus: opens the bus; if it raises, it is called again after 0.1 s, then after twice that time, up to 5 s.
+    open_bus: opens the bus; if it raises, it is called again after 0.1 s, a delay that doubles each time up to 5 s.
     on_state(state, reason): called in the same thread at every change of state or reason.
     silence: seconds without a frame after which an open bus counts as silent.
-    network_interface: name of the interface, observed because not every socket reports that it is down or removed; ""
-    for a bus without one.
+    network_interface: interface to observe, because not every socket reports that its interface is down or removed;
+    empty for a bus without a network interface.
     on_error: called with every exception raised by a callback or by closing the bus; such errors do not end the thread.
     """
 

@@ -16,7 +16,7 @@ from .extraction import EXTENDED
 from .ins_time import DATE_TIME_PARTS, MILLI_TIME_PARTS
 from .table_reader import Entry, TableError, one_line, read_document
 
-# Canonical signal names and their SI unit. Angles named in ANGLES are wrapped to [-pi, pi).
+# Canonical signal name -> SI unit. Angles in ANGLES are wrapped to [-pi, pi).
 CANONICAL_SIGNALS = {
     "steering_wheel_angle": "rad",
     "wheel_speed_front_left": "m/s", "wheel_speed_front_right": "m/s",

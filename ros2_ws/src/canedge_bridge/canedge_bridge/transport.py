@@ -40,11 +40,11 @@ def id_filters(keys: Iterable[tuple[int, bool]]) -> list[dict[str, Any]]:
 
 
 def open_bus(interface: str, channel: str, filters: list[dict[str, Any]] | None = None, bitrate: int = 0) -> can.BusABC:
-    """A python-can bus.
+    """Opens a python-can bus.
 
     interface: `socketcan`, `virtual`, ... as in python-can; `udp_multicast` is confined to the loopback interface and
     takes "group" or "group:port". filters: see `id_filters`; error frames pass them on socketcan and udp_multicast.
-    bitrate: bit/s, of interfaces that python-can configures (SocketCAN: set with `ip link`); 0: their default.
+    bitrate: [bit/s], for interfaces that python-can configures (not SocketCAN, see `ip link`); 0: their default.
     Raises ValueError for an invalid channel, OSError or can.CanError if the bus cannot be opened.
     """
     check_channel(interface, channel)

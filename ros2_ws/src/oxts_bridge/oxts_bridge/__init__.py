@@ -1,1 +1,1 @@
-"""OxTS NCOM: codec (free of ROS), conversion to ROS messages, and the lifecycle node that publishes them."""
+"""OxTS NCOM: codec without ROS, conversion to ROS messages, and the lifecycle node that publishes them."""

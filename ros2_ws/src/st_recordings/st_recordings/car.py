@@ -1,4 +1,4 @@
-"""Loads the description of a car from its folder: vehicle file, CAN bus, and measurement of the steering angle."""
+"""Loads the description of a car from its folder: vehicle file, CAN bus, and sign and delay of the steering sensor."""
 
 from dataclasses import dataclass
 from pathlib import Path

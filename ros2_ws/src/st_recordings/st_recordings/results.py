@@ -52,7 +52,7 @@ class MeanErrors:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """One hindsight prediction to be drawn: times (n,) [ns, UTC], and errors (n,) [m] in measured body axes."""
+    """One hindsight prediction to draw: times (n,) [ns, UTC]; errors (n,) [m] along and across the measured heading."""
 
     time_ns: np.ndarray
     longitudinal: np.ndarray

@@ -176,7 +176,7 @@ class McapStorage(Storage):
             if summary is None:
                 counts.update((c.topic, schema.name if schema else "") for schema, c, _ in self.stream(file))
                 continue
-            assert summary.statistics is not None  # read_summary
+            assert summary.statistics is not None  # ensured by read_summary
             for channel in summary.channels.values():
                 schema = summary.schemas.get(channel.schema_id)
                 counts[channel.topic, schema.name if schema else ""] += \
@@ -215,7 +215,7 @@ class McapStorage(Storage):
             return super().columns(fields, store)
         by_topic = {topic.name: _GatheredFields(topic.type_name, names, store) for topic, names in fields.items()}
         for file, summary in self._files:
-            assert summary is not None and summary.statistics is not None  # read_summary
+            assert summary is not None and summary.statistics is not None  # ensured by read_summary
             channels = {number: by_topic[channel.topic] for number, channel in summary.channels.items()
                         if channel.topic in by_topic and channel.message_encoding == "cdr"}
             remaining = {number: summary.statistics.channel_message_counts.get(number, 0) for number in channels}

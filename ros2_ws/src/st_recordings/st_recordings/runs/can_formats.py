@@ -152,8 +152,8 @@ def _read_asc(lines: Lines, notes: list[str]) -> Any:
 
 
 class _AscLines:
-    """Converts the lines of an ASC log to what python-can can read: times since the start, English months, and hours of
-    0 to 23 without a.m. or p.m."""
+    """Converts the lines of an ASC log so that python-can can read them: times since the start, English months, and
+    hours of 0 to 23 without a.m. or p.m."""
 
     def __init__(self) -> None:
         self._relative, self._seconds = False, 0.0

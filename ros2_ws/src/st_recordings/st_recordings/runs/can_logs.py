@@ -35,7 +35,7 @@ BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMP_NS = 86400 * 10**9  # a frame that is further from both of its neighbours has a damaged time
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times count from the start of the log
 MIN_FALLING_SHARE = 0.2
-"""Times in a candump that begins at 0 are relative to the previous frame if a larger fraction of their steps is < 0."""
+"""Times in a candump that begins at 0 are relative to the previous frame if a larger fraction of steps is negative."""
 
 
 def read_can_logs(files: Sequence[Path]) -> CanLog:

@@ -116,7 +116,7 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
 def mask_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, list[str]]:
     """(both recordings with NaN for implausible values, a note on each such signal).
 
-    A single sentinel value or spike can be larger than all motion, and then it shifts or hides the correlation peak.
+    A single sentinel value or spike can exceed the whole signal, and then shifts or hides the correlation peak.
     """
     notes: list[str] = []
 
@@ -181,7 +181,7 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
         return result
     # Search only near the offset of the time frame, because repeated laps fit at several offsets.
     offset = result.offset_at_ns(result.at_ns) * 1e-9
-    # One message each for velocity, yaw rate and yaw, because a second one adds no information.
+    # Only one message each for velocity, yaw rate and yaw, because a second one adds no information.
     distinct = list({pair.name.partition(" (")[0]: pair for pair in reversed(pairs)}.values())[::-1]
     check = align(distinct, search=(offset - CHECK_SEARCH, offset + CHECK_SEARCH))
     if check.verdict is Verdict.REFUSED:

@@ -155,7 +155,7 @@ def looks_like_a_drive(file: Path) -> bool:
 
 def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iterable[str],
                       completed: bool = True) -> list[str]:
-    """The needed channels that have no column and cannot be derived; completed: nor by `_complete_motion`."""
+    """The needed channels that have no column and cannot be derived; completed: `_complete_motion` may derive them."""
     found = set(sources)
     if found & {COMPASS, COURSE} or found.issuperset(QUATERNION_CHANNELS):
         found.add("yaw")

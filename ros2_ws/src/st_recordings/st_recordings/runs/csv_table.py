@@ -47,7 +47,7 @@ DAY, HOUR = 86400.0, 3600.0  # s
 MAX_RADIANS = 6.4  # rad; a column of headings is in degrees if its first value has a larger magnitude
 MAX_YAW_RATE = 3.0  # rad/s; a column with larger values is in deg/s
 ROLLOVER_STEP = 60.0  # s, longest gap between two rows across midnight or across the end of a GPS week
-_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # (number of the day 1970-01-01, its program)
+_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # (day number of 1970-01-01, program)
 _PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
 _THOUSANDS_SPACES = re.compile(r"[\u00a0\u202f\u2009'](?<=\d.)(?=\d{3}(?!\d))")

@@ -1,4 +1,4 @@
-"""CAN frames as columns: type, merging, removal of duplicates and clock steps, and reading of st_msgs/CanFrames."""
+"""Stores CAN frames as columns, merges them, removes duplicates and clock steps, and reads st_msgs/CanFrames."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -11,8 +11,8 @@ EXTENDED = 0x8000_0000  # flag of a 29-bit id, as in canedge_bridge.extraction a
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
 MIN_CLOCK_STEP = 0.005  # s; a smaller step back is jitter of the time stamps
 MAX_EARLY_FRAMES = 5
-"""If a frame is earlier than more than this many frames directly before it, the clock was set back; otherwise these
-frames are out of order."""
+"""If a frame is earlier than all of the last MAX_EARLY_FRAMES + 1 frames before it, the clock was set back; otherwise
+the frames are only out of order."""
 FRAME_HEAD_LENGTH = 20  # bytes in st_msgs/CanFrames before the data of a frame: stamp, id, four flags, length
 MAX_DATA_LENGTH = 64
 _FRAME_ID_AT = 12  # byte in st_msgs/CanFrames at which the length of header.frame_id is

@@ -1,4 +1,4 @@
-"""INS measurements of any instrument in the axes of the suite, usable time stamps, and the speed of the car."""
+"""INS measurements of any instrument in the axes of the suite, selection of usable time stamps, and vehicle speed."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

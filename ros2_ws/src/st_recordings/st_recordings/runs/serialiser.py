@@ -76,7 +76,7 @@ class Messages:
 
 
 class Serialiser:
-    """Serialises the messages of a run, with a store of the types of ROS and of the suite."""
+    """Serialises the messages of a run. store: message types of ROS and of the suite."""
 
     def __init__(self, store: Typestore):
         self._store = store

@@ -87,7 +87,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
 
 
 class _MessageBlocks:
-    """Serialises the messages of a run, some seconds at a time."""
+    """Serialises the messages of a run in blocks of time."""
 
     def __init__(self, run: RawRun, vehicle: VehicleParameters, settings: ReadSettings, serialiser: Serialiser):
         self._run, self._vehicle, self._settings, self._serialiser = run, vehicle, settings, serialiser
