@@ -1,4 +1,4 @@
-"""Discovery of effects that a model lacks, from recorded drives: `discover`."""
+"""Discovery of the effects that a model lacks, from recorded drives; see `discover`."""
 
 from ..channels import CHANNELS
 from .discover import Progress, discover, fit_effects

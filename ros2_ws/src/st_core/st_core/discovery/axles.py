@@ -19,17 +19,17 @@ from .evidence import Joint
 from .fit import Fit, Problem
 from .result import Combination, ForceCurve
 
-DRAWS = 100  # random draws of the values, for 90 % and 95 % intervals
+DRAWS = 100  # number of random draws of the values, for 90 % and 95 % intervals
 MAX_SLIP = 0.35  # rad, above the slip of peak force of every road tyre
-MIN_FORCE_CHANGE = 0.01  # relative; an effect with a smaller one does not act on the axle
+MIN_FORCE_CHANGE = 0.01  # relative; an effect that changes the force by less does not count as acting on the axle
 SMALL_SLIP = 0.005  # rad, where the cornering stiffness of an axle is evaluated
-GAIN_SPEED = 20.0  # m/s, of the steady-state yaw gain
+GAIN_SPEED = 20.0  # m/s, where the steady-state yaw gain is evaluated
 
 
 class Axles:
-    """Forces of both axles in a fitted model. unexplained: ratio of residual to noise, widens bands and intervals.
-    near: vectors of sets that fit nearly as well; the bands extend to their curves. Raises StCoreError for a base model
-    without tyres, or drives without slip."""
+    """Forces of both axles in a fitted model. unexplained: ratio of residual to noise, by which bands and intervals are
+    widened. near: vectors of sets that fit nearly as well; the bands include their curves. Raises StCoreError for a
+    base model without tyres, or drives without slip."""
 
     def __init__(self, problem: Problem, fit: Fit, joint: Joint | None, runs: Sequence[DriveLog],
                  vehicle: VehicleParameters, unexplained: float, near: Sequence[np.ndarray] = ()):
@@ -52,7 +52,7 @@ class Axles:
             self.draws = draw_models(self.model, covariance, vehicle, DRAWS)
 
     def _regressions(self) -> tuple[AxleRegression, AxleRegression]:
-        """Measured slip and force of both axles, corrected by the fitted effects of steering, sensors and load only."""
+        """Measured slip and force of both axles, corrected only for fitted effects of steering, sensors and load."""
         logs, additions = [], self.problem.space.additions
         model = self.model.only(e for e in self.model.effects
                                 if e.kind == "sensors" or e.slot == "steering" or e.name in additions)
@@ -65,8 +65,7 @@ class Axles:
         return axle_regressions(logs, car)
 
     def curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
-        """Force versus slip of front and rear axle in the driven range, with a 90 % band, and that of the vehicle file.
-        """
+        """`ForceCurve` of each axle in the driven slip range. base: model for its `file` values."""
         found = (axle_curve(self.model, self.vehicle, regression.axle, regression.samples.slip, self.draws, base,
                             also=self.near) for regression in self.regressions)
         return tuple(ForceCurve(c.axle, *(tuple(values.tolist()) for values in (
@@ -94,7 +93,7 @@ class Axles:
         return found
 
     def acting(self, axle: str, names: Sequence[str]) -> tuple[str, ...]:
-        """The effects, of those named, that change the force of an axle at the driven slip."""
+        """The effects among `names` that change the force of an axle at the driven slip."""
         samples = next(regression.samples for regression in self.regressions if regression.axle == axle)
         slip = np.quantile(np.abs(samples.slip), (0.5, 0.95))
         force = axle_force(self.model, self.vehicle, axle, slip)
@@ -110,7 +109,7 @@ class Axles:
         """Axles with measured forces that agree less with the model than with the vehicle file; none without measured
         sideslip or with low excitation.
 
-        leave_one_out: values by run, fitted without that run.
+        leave_one_out: values by run, fitted without this run.
         """
         space, found = self.problem.space, []
         base = base.with_values({name: space.values(name, self.fit.vector) for name in space.additions})

@@ -1,8 +1,8 @@
-"""Power and false-alarm rate of the tests on these drives: predicted from the curvature of the loss, or measured.
+"""Power and false-alarm rate of the tests on these drives, predicted from the curvature of the loss or measured.
 
-For the measurement, each simulated drive has the residuals of the final fit, with the signs of whole blocks drawn at
-random, plus the change that a known effect causes. The effect counts as found if one forward step of the search selects
-it on the quadratic approximation of the loss; the whole search is not repeated.
+To measure them, drives are simulated: the residuals of the final fit, with random signs of whole blocks, plus the
+change caused by a known effect. The effect counts as detected if one forward step of the search on the quadratic
+approximation of the loss selects it; the whole search is not repeated.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,12 +18,11 @@ from .result import Certificate, Power
 from .settings import Limits
 
 SIZES = (0.25, 0.5, 1.0)  # sizes of an effect that are tested, in parameter scales
-DRAWS = 20  # simulated drives for each size; the standard deviation of a power is at most 0.11
+DRAWS = 20  # simulated drives for each size; the standard deviation of the measured power is at most 0.11
 
 
 def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> Certificate:
-    """Power from the curvature at the final fit: twice the gain divided by the design effect is noncentral chi-square.
-    """
+    """Power from the curvature at the final fit. Twice the gain over the design effect is noncentral chi-square."""
     q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
     powers = []
     for effect in problem.space.hypotheses:
@@ -55,7 +54,7 @@ def confounded_with(problem: Problem, fit: Fit, effect: str, scores: Scores, lim
 
 def _power(problem: Problem, fit: Fit, index: int, share: float, information: float, scores: Scores,
            limits: Limits) -> float:
-    """Probability that a parameter is found at `share` times its scale."""
+    """Probability of detecting a change of a parameter by `share` times its scale."""
     library = len(problem.space.hypotheses)
     threshold = float(stats.chi2.isf(limits.false_alarm / library, 1))
     sensitivities = problem.all_sensitivities(fit.vector).values[index]
@@ -68,8 +67,8 @@ def _power(problem: Problem, fit: Fit, index: int, share: float, information: fl
 
 
 def _required_gain(problem: Problem, rows: np.ndarray, reduction: float, limits: Limits) -> float:
-    """Smallest gain per residual at which an effect is named. rows: residuals of the final fit. reduction: reduction of
-    the mean position error by the effect [m]."""
+    """Smallest gain per residual at which an effect is named. rows: residuals of the final fit. reduction: by which the
+    effect reduces the mean position error [m]."""
     required = limits.negligible if reduction > limits.relevant_position else limits.relevant
     unexplained = residual_over_noise(problem, rows) > limits.max_noise_ratio
     return max(required, limits.unexplained_share) if unexplained else required
@@ -105,8 +104,9 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
 
 def _detect_effects(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, sensitivities: np.ndarray,
                     required: float, limits: Limits, rng: np.random.Generator) -> list[str]:
-    """Effects that would be named on one simulated drive: the best one and those inseparable from it; none if it is not
-    significant. change: (n, m) change of the residuals by the simulated effect. required: minimum gain per residual."""
+    """Effects that would be named on one simulated drive: the best effect and those inseparable from it, or none if it
+    is not significant. change: (n, m) change of the residuals due to the simulated effect. required: minimum gain per
+    residual."""
     signs = rng.choice([-1.0, 1.0], problem.blocks)
     simulated = signs[problem.block][:, None] * rows + change
     q = problem.loss.quadratic(simulated, sensitivities).summed(problem.block, problem.blocks)

@@ -1,7 +1,7 @@
 """Correction of the steering clock of each run, estimated with the whole library of effects before the search.
 
-The steering of a CAN log has its own clock, aligned to the INS in each run with an error of some milliseconds. One
-delay for all runs cannot represent errors that differ; the fit would change yaw inertia or tyre relaxation instead.
+The steering in a CAN log has its own clock, which is aligned to the INS in each run with an error of some milliseconds.
+One delay for all runs cannot represent different errors; the fit would change yaw inertia or tyre relaxation instead.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,14 +21,14 @@ from .settings import DiscoverySettings
 from .space import Space, known_quantities
 from .windows import Windows
 
-MAX_CLOCK_DEVIATION = 0.01  # s, standard deviation of a clock that counts as exact; a third of a typical delay
+MAX_CLOCK_DEVIATION = 0.01  # s, largest standard deviation of a clock that counts as exact; a third of a typical delay
 ITERATIONS = 3  # repetitions of the joint fit, each with the corrected stamps
 
 
 def clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
                       deviations: Mapping[str, float], threads: int = 1, tick: Callable[[], None] = lambda: None,
                       ) -> dict[str, float]:
-    """Correction of the steering stamps by run [s], > 0 if they were early; empty if none is needed.
+    """Correction of the steering time stamps by run [s], > 0 if they were early; empty if none is needed.
 
     deviations [s]: standard deviation of the steering clock by run, used as a prior; up to MAX_CLOCK_DEVIATION a clock
     counts as exact. The corrections are fitted together with all parameters of the library. An error common to all runs
@@ -43,7 +43,7 @@ def clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, spac
     for _ in range(ITERATIONS):
         by_run = {runs[i].name: float(c) for i, c in zip(free, correction, strict=True)}
         windows = Windows(apply_clock_corrections(runs, by_run), vehicle, settings)
-        if not len(windows):  # the search reports it
+        if not len(windows):  # the caller reports this error
             return {}
         loss = Loss(Errors(windows, space, threads), vector)
         vector, prior = fit_library(loss, windows, weak_prior(space), quantities, vector, tick)
@@ -60,6 +60,6 @@ def clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, spac
 
 
 def apply_clock_corrections(runs: Sequence[DriveLog], corrections: Mapping[str, float]) -> list[DriveLog]:
-    """The runs with the steering stamps corrected by `clock_corrections`."""
+    """The runs with steering time stamps corrected by the result of `clock_corrections`."""
     return [replace(run, steering_time_ns=run.steering_time_ns + round(corrections[run.name] / NANOSECOND))
             if corrections.get(run.name) else run for run in runs]

@@ -2,10 +2,10 @@
 
     rho(z) = (nu + 1) / 2 log(1 + z^2 / nu),   z = r / s
 
-rho is the negative log-likelihood of Student's distribution, r the residual (measured minus predicted) of a column at a
-scored point of the horizon, s its scale. The scale is estimated from the residuals and recomputed as the model
-improves: all channels have similar weight, and small errors matter once large ones are explained. The approximation is
-that of iteratively reweighted least squares:
+rho is the negative log-likelihood of Student's t distribution, r the residual (measured minus predicted) of a column at
+a scored point of the horizon, s its scale. The scale is estimated from the residuals and recomputed as the model
+improves, so that all channels have similar weight and small errors count once large errors are explained. The quadratic
+approximation is that of iteratively reweighted least squares:
 
     cost(d) ~ cost - 2 g'd + d'H d,   d: step of the parameters, in parameter scales (`Space.scale`)
 
@@ -52,7 +52,7 @@ class Quadratic:
         return Quadratic(*(np.tensordot(member, values, 1) for values in (self.cost, self.gradient, self.hessian)))
 
     def only(self, indices: np.ndarray) -> "Quadratic":
-        """The approximation in some of the parameters, with the others fixed."""
+        """The approximation in the parameters `indices`, with the others fixed."""
         return Quadratic(self.cost, self.gradient[:, indices], self.hessian[:, indices][:, :, indices])
 
 
@@ -64,7 +64,7 @@ class Errors:
         self._cache: dict[bytes, np.ndarray] = {}
 
     def at(self, vector: np.ndarray) -> np.ndarray:
-        """(n, m) measured minus predicted, all points and columns of a window in one row; NaN where not known."""
+        """(n, m) measured minus predicted, all points and columns of a window in one row; NaN where unknown."""
         key = vector.tobytes()
         if key not in self._cache:
             values = self.windows.errors(self.space.at(vector).lean(), float(vector[-1]))
@@ -81,8 +81,8 @@ class Errors:
 
 
 class Loss:
-    """Robust loss. known: (n, m) whether a residual is measured. scale: (m,) of the residuals [SI]. residual_count:
-    number of measured residuals."""
+    """Robust loss. known: (n, m) whether a residual is measured. scale: (m,) scale of the residuals [SI].
+    residual_count: number of measured residuals."""
 
     def __init__(self, errors: Errors, at: np.ndarray):
         self.errors, self.space = errors, errors.space
@@ -93,7 +93,7 @@ class Loss:
         self.scale = self.scale_of(at)
 
     def scale_of(self, vector: np.ndarray) -> np.ndarray:
-        """(m,) 68 % quantile of the magnitude of the residuals: one standard deviation if they are normal."""
+        """(m,) 68 % quantile of the magnitude of the residuals, one standard deviation if they are normal."""
         rows = np.where(self.known, np.abs(self.errors.at(vector)), np.nan)
         rows[self.known & ~np.isfinite(rows)] = np.inf
         with np.errstate(all="ignore"):
@@ -104,7 +104,7 @@ class Loss:
         self.scale = self.scale_of(vector)
 
     def scaled(self, rows: np.ndarray) -> np.ndarray:
-        """(n, m) z of residuals `rows` (n, m); 0 where not measured."""
+        """(n, m) scaled residuals z, clipped; 0 where not measured. rows: (n, m) residuals [SI]."""
         z = np.nan_to_num(rows / self.scale, nan=MAX_SCALED_ERROR, posinf=MAX_SCALED_ERROR, neginf=-MAX_SCALED_ERROR)
         return np.where(self.known, np.clip(z, -MAX_SCALED_ERROR, MAX_SCALED_ERROR), 0.0)
 

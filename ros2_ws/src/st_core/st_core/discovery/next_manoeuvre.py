@@ -1,4 +1,4 @@
-"""The manoeuvre to drive next: the one of the catalogue that best separates alternative effects, or shows an effect."""
+"""Choice of the manoeuvre in the catalogue that best separates alternative effects, or best shows one effect."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -22,19 +22,19 @@ from .loss import Errors, Loss
 from .result import FoundEffect, NextManoeuvre, Separability
 from .windows import STEP, Windows, added_acceleration
 
-REPETITIONS = 3  # of each manoeuvre, the minimum of ISO 7401
+REPETITIONS = 3  # drives of each manoeuvre, the minimum in ISO 7401
 MIN_SEPARATION = 3.0  # standard deviations; a manoeuvre with less does not separate a pair
-MAX_SPEED_RATIO = 1.15  # to the driven speed; model errors at higher speed are unknown
+MAX_SPEED_RATIO = 1.15  # of a manoeuvre to the recorded driving; model errors at higher speed are unknown
 MAX_LATERAL_ACCELERATION = 9.0  # m/s^2; above it the simulation with the base model is unreliable
-PERIOD = STEP / 2  # s, of the simulated log
+PERIOD = STEP / 2  # s, sampling period of the simulated log
 LEAD_TIME = 4.0  # s before a manoeuvre, to reach its initial steering angle
 
 Catalogue = Mapping[str, np.ndarray]
-"""Curvature (p, p) that a manoeuvre adds to the loss, by name of the manoeuvre."""
+"""Curvature (p, p) that each manoeuvre adds to the loss, by name."""
 
 
 def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameters) -> DriveLog:
-    """Log of a manoeuvre driven by the model, with noise-free sensors: `duration` seconds at 1 / PERIOD.
+    """Log of a manoeuvre simulated with the model and noise-free sensors, `duration` seconds sampled every PERIOD.
 
     The steering compensates for the understeer of the vehicle file, so that the target lateral acceleration is reached.
     """
@@ -63,8 +63,8 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
 
 
 def simulate_manoeuvres(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Windows]]:
-    """Each manoeuvre at a speed up to MAX_SPEED_RATIO times the driven one, with the windows of a simulated drive that
-    has the recorded channels. The base model without effects is accurate enough to compare excitation."""
+    """Simulate each manoeuvre that is not faster than MAX_SPEED_RATIO times the recorded driving; yields its windows
+    with the recorded channels. The base model without effects is accurate enough to compare excitation."""
     model = augment(base, {})
     fastest = MAX_SPEED_RATIO * float(np.nanquantile(windows.speeds, 0.95))
     settings = replace(windows.settings, windows=50)
@@ -100,9 +100,9 @@ def catalogue(problem: Problem, fit: Fit) -> Catalogue:
 
 def separation(h: np.ndarray, problem: Problem, others: Sequence[str], first: str, second: str, values: np.ndarray,
                design_effect: float) -> tuple[float, float]:
-    """(cosine similarity of two effects on the errors, size of the part of `first` that `second` does not explain
-    [standard deviations]) for a curvature h (p, p). others: further effects in the fit. values: (p,) distance from the
-    null [parameter scales]."""
+    """(cosine similarity of the error changes that two effects cause, size of the component of `first` that `second`
+    does not explain [standard deviations]) for a curvature h (p, p). others: further effects in the fit. values: (p,)
+    distance from the null [parameter scales]."""
     indices, other_indices = problem.space.indices(first), problem.space.indices(second)
     free = np.setdiff1d(problem.free_indices((*others, second)), indices)
     d = values[indices]
@@ -118,7 +118,7 @@ def separation(h: np.ndarray, problem: Problem, others: Sequence[str], first: st
 
 def separability(problem: Problem, fit: Fit, effects: Sequence[FoundEffect],
                  design_effect: float) -> tuple[Separability, ...]:
-    """Separability of every named effect from its alternatives, in these drives."""
+    """Separability of every named effect from its alternatives in these drives."""
     h = problem.quadratic_of_all(fit.vector).hessian.sum(axis=0)
     values = (fit.vector - problem.space.null) / problem.space.scale
     found = []
@@ -132,7 +132,7 @@ def separability(problem: Problem, fit: Fit, effects: Sequence[FoundEffect],
 def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven: Catalogue,
                    design_effect: float) -> NextManoeuvre | None:
     """The manoeuvre with the largest minimum separation over all pairs that these drives separate by less than
-    MIN_SEPARATION. None if no manoeuvre reaches MIN_SEPARATION, or if there is no such pair: more driving does not
+    MIN_SEPARATION. None if no manoeuvre reaches MIN_SEPARATION, or without such a pair, since more driving does not
     reduce the error of the model."""
     h = problem.quadratic_of_all(fit.vector).hessian.sum(axis=0)
     values = (fit.vector - problem.space.null) / problem.space.scale
@@ -160,7 +160,7 @@ def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], d
 
 
 def most_informative(problem: Problem, effect: str, driven: Catalogue) -> str:
-    """The manoeuvre with the most information on an effect; "" without any."""
+    """Name of the manoeuvre with the most information on an effect, or ""."""
     indices = problem.space.indices(effect)
     strength = {}
     for name, h in driven.items():

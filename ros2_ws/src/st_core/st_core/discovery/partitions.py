@@ -1,4 +1,4 @@
-"""Partitions of the driving by run, site, time, place and condition, which test if an effect is the same everywhere."""
+"""Partitions of the driving by run, site, time, place and condition, to test whether an effect is constant."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ MIN_RUNS = 5  # fewer runs are divided into stretches
 TIMES = ("the first third of the runs", "the second third", "the last third")
 CONDITIONS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
 
-# A factor of an analysis of variance: (n,) part of each window, names of the parts.
+# ((n,) part of each window, names of the parts), like a factor in an analysis of variance.
 Partition = tuple[np.ndarray, list[str]]
 
 
@@ -41,8 +41,8 @@ def runs(windows: Windows) -> Partition:
 
 
 def sites(windows: Windows) -> np.ndarray:
-    """(n,) site of each window. Runs with common `places`, directly or through other runs, are at one site. Distance is
-    no criterion, as the maps of different sites may have different origins."""
+    """(n,) site of each window. Runs with common `places`, directly or through other runs, are at one site. Distance
+    does not count, because the maps of different sites may have different origins."""
     number = places(windows.driven["x"], windows.driven["y"])[0]
     visited = [set(number[windows.run == run]) for run in range(len(windows.names))]
     site = list(range(len(visited)))
@@ -71,7 +71,7 @@ def conditions(speed: np.ndarray, lateral: np.ndarray) -> Partition:
 
 
 def _thirds(windows: Windows) -> np.ndarray:
-    """(n,) third of its run that each window is in: 0, 1 or 2."""
+    """(n,) third of the run in which each window starts: 0, 1 or 2."""
     longest = np.zeros(len(windows.names))
     np.maximum.at(longest, windows.run, windows.seconds)
     share = windows.seconds / np.maximum(longest[windows.run], 1e-9)

@@ -1,4 +1,4 @@
-"""Fit of the healthy car to reference drives: initial vector of a search, and prior of effects outside the set."""
+"""Fit of the healthy car to reference drives: initial vector of a search, and prior of the unselected effects."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,16 +18,16 @@ from .space import Quantities, Space, known_quantities, prior_deviations
 from .windows import Windows
 
 JOINT_DEVIATION = 3.0  # parameter scales, prior standard deviation of every parameter of the healthy car
-MAX_FITS, FINAL_STEP = 8, 0.02  # maximum number of fits; tolerance: they stop at a smaller step [parameter scales]
+MAX_FITS, FINAL_STEP = 8, 0.02  # maximum number of fits; largest step at convergence [parameter scales]
 FIXED_CURVATURE = 1e6  # prior curvature that fixes a parameter
 
 
 @dataclass(frozen=True, eq=False)
 class Healthy:
-    """vector: (p,) values of the whole library fitted to the reference. prior: (p, p) curvature of the loss about them.
-    residual: (c,) scale (`Loss.scale_of`) of the errors of each column at the end of the horizon [SI]. position [m]:
-    mean position error there, in the run where it is largest. gain [1]: largest reduction of the loss per residual by
-    an effect in one run, with a prior from the other runs; smaller gains may be false alarms."""
+    """The fitted healthy car. vector: (p,) values of the whole library. prior: (p, p) curvature of the prior about
+    them. residual: (c,) scale (`Loss.scale_of`) of the errors of each column at the end of the horizon [SI]. position
+    [m]: mean position error there, in the run where it is largest. gain [1]: largest reduction of the loss per residual
+    by an effect in one run, with a prior from the other runs; smaller gains may be false alarms."""
 
     vector: np.ndarray
     prior: np.ndarray
@@ -40,8 +40,8 @@ def healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Spa
                 threads: int, tick: Callable[[], None]) -> Healthy:
     """Fit the healthy car to its drives.
 
-    The prior is the predictive distribution for a new drive of the same car. Its covariance is that of the reference
-    drives times the design effect, times 2 for the uncertainty of both the reference and the new drive.
+    The prior is the predictive distribution for a new drive of the same car. Its covariance is the covariance of the
+    values times the design effect, and times 2 because both the reference and the new drive are uncertain.
     """
     windows = Windows(runs, vehicle, settings)
     prior, quantities = weak_prior(space), known_quantities(space, vehicle)
@@ -62,7 +62,7 @@ def healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Spa
 
 
 def weak_prior(space: Space) -> np.ndarray:
-    """(p, p) prior curvature of a joint fit of the whole library; it fixes effects composed of `members`."""
+    """(p, p) prior curvature of a joint fit of the whole library; it fixes composite effects."""
     prior = np.eye(len(space)) / JOINT_DEVIATION**2
     composite = space.indices(*(n for n in space.hypotheses if get_effect(n).members))
     prior[composite, composite] = FIXED_CURVATURE  # a composite is collinear with its members
@@ -70,12 +70,12 @@ def weak_prior(space: Space) -> np.ndarray:
 
 
 def _predictive_prior(h: np.ndarray, spread: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """(p, p) curvature h of the drives, with standard deviations multiplied by `spread` (p,), plus `prior`."""
+    """(p, p) curvature h of the loss, with the standard deviations multiplied by `spread` (p,), plus `prior`."""
     return inverse(spread[:, None] * inverse(h) * spread) + prior
 
 
 def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, spread: np.ndarray, prior: np.ndarray) -> float:
-    """`Healthy.gain`, from the quadratic approximation of the loss; 0 with fewer than three runs."""
+    """`Healthy.gain` from the quadratic approximation of the loss; 0 with fewer than three runs."""
     run, largest = q.summed(windows.run), 0.0
     if len(windows.names) < 3:
         return largest
@@ -99,7 +99,7 @@ def _minimum(h: np.ndarray, g: np.ndarray, centre: np.ndarray, prior: np.ndarray
 
 def _design_effects(q: Quadratic, curvature: np.ndarray, windows: Windows) -> np.ndarray:
     """(p,) design effect of each value, at least 1: variance of its score between blocks, or between runs if larger,
-    divided by that of independent windows; increased by Student's quantile, as there may be few blocks or runs."""
+    divided by the variance for independent windows; increased by Student's t quantile for few blocks or runs."""
     effects = np.ones(len(curvature))
     for part in (windows.block, windows.run):
         gradient = q.summed(part).gradient
@@ -111,7 +111,7 @@ def _design_effects(q: Quadratic, curvature: np.ndarray, windows: Windows) -> np
 
 
 def theoretical_values(space: Space) -> np.ndarray:
-    """(p,) null, but theoretical values where known; effects that turn the base model into another keep their null."""
+    """(p,) theoretical values where known, else the null; effects that convert the base model keep their null."""
     vector = space.null.copy()
     for i, free in enumerate(space.free):
         if free.theory is not None and not get_effect(free.effect).converts:

@@ -15,13 +15,13 @@ class Limits:
 
     false_alarm [1]: significance level of an effect, corrected for the whole library; also of the path improvement by a
     relation and, with the default value, of a combination that differs from the vehicle file (`known_together`).
-    undecided_p [1]: p-value above which a difference is undecided: between two effects, between the values in parts of
-    the driving, or from the null; also the error probability of a one-sided confidence bound. relevant [1]: relative
-    reduction of the errors that an effect must reach: over all channels, relative to the errors without it, to be kept;
-    in one channel, relative to the baseline error, to be named. relevant_position [m]: reduction of the mean position
-    error after 5 s, overall or in one driving condition, that is sufficient instead of `relevant`. min_relative_size
-    [1]: value in parameter scales that is sufficient instead, if redundant sensors confirm the effect; also the load
-    that is tried as an alternative to lower tyre stiffness.
+    undecided_p [1]: p-value above which a difference is undecided (between two effects, between the values in parts of
+    the driving, or from the null); also the error probability of a one-sided confidence bound. relevant [1]: relative
+    error reduction required of an effect: over all channels, relative to the errors without it, to be kept; in one
+    channel, relative to the baseline error, to be named. relevant_position [m]: reduction of the mean position error
+    after 5 s, overall or in one driving condition, that suffices instead of `relevant`. min_relative_size [1]: size in
+    parameter scales that suffices instead if redundant sensors confirm the effect; also the size of the load tried as
+    an alternative to lower tyre stiffness.
     negligible [1]: relative reduction of the errors below which an effect is ignored, however significant.
     min_rival_gain [1]: fraction of an effect's gain that another must reach in its place to be an alternative.
     max_file_deviation [1]: largest accepted deviation of a value from that of the vehicle file, in standard deviations.
@@ -30,8 +30,8 @@ class Limits:
     max_noise_ratio [1]: ratio of residual to noise above which the residual is reported as unexplained.
     unexplained_share [1]: fraction of a residual above `max_noise_ratio`; smaller differences may be due to unmodelled
     effects. An effect must reduce the residual by this fraction to be named, and explain this much more than another
-    to exclude it as an alternative; intervals include the values of sets that are worse by less.
-    detection_power [1]: power from which a size counts as detectable in these drives. max_effects: in one model.
+    effect to exclude it as an alternative. Intervals include the values of sets that are worse by less.
+    detection_power [1]: minimum power at which a size counts as detectable. max_effects: largest number in one model.
 
     Raises ConfigurationError naming the limit that is not a positive number.
     """
@@ -61,12 +61,12 @@ class Limits:
 class DiscoverySettings:
     """Options of a discovery.
 
-    channels: measurements that are used. Without velocity_y, sideslip is used neither as a measurement nor in initial
-    states. seed: of all random numbers. horizon [s]: of the predictions. windows: approximate number of
-    predictions; their starts are at least `interval` [s] apart, as closer ones add little to horizons of 5 s. block
-    [s]: driving further apart counts as independent. effects: names to choose from; None: all that apply. limits: of
-    the decisions. certify: measure the power by one step of the search on simulated drives, instead of predicting it.
-    where: report the conditions, times and places of the largest errors.
+    channels: measurements to use. Without velocity_y, sideslip is used neither as a measurement nor in initial states.
+    seed: seed of all random numbers. horizon [s]: horizon of the predictions. windows: approximate number of
+    predictions; they start at least `interval` [s] apart, as closer starts add little with a horizon of 5 s. block [s]:
+    duration of a block; blocks count as independent. effects: names to choose from; None for all that apply. limits:
+    limits of the decisions. certify: measure the power by one step of the search on simulated drives instead of
+    predicting it. where: report the conditions, times and places of the largest errors.
 
     Raises ConfigurationError naming the key and the limit.
     """

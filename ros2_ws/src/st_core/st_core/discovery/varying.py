@@ -1,7 +1,7 @@
 """Search for effects that vary between parts of the drives, such as runs, sites or stretches of time.
 
 An effect that begins in the middle of a drive has no single value that reduces the errors everywhere, so the search
-cannot find it. Here each part of a partition has a separate value, from the quadratic about the final fit.
+cannot find it. Here each part of a partition has a separate value, from the quadratic approximation at the final fit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,16 +16,16 @@ from .fit import Fit, Problem
 from .loss import Quadratic
 from .partitions import Partition
 
-Part = tuple[int, np.ndarray, np.ndarray]  # number of a part, half gradient (k,) and curvature (k, k) of the loss there
+Part = tuple[int, np.ndarray, np.ndarray]  # (number of a part, half the gradient (k,), curvature (k, k) of its loss)
 
 
 @dataclass(frozen=True)
 class Varying:
     """An effect with its own value in each part of a partition.
 
-    gain [1]: reduction of the loss per residual beyond that of one common value. p_value [1]: of that gain, corrected
-    for all effects of the library. parameter: the one with the most information; values: (value, standard deviation) of
-    this parameter by part [its unit]. steps: by part, (p,) step of all parameters [parameter scales].
+    gain [1]: reduction of the loss per residual beyond that with one common value. p_value [1]: of this gain, corrected
+    for all effects and partitions. parameter: the parameter with the most information; values: (value, standard
+    deviation) of this parameter by part [its unit]. steps: by part, (p,) step of all parameters [parameter scales].
     """
 
     name: str
@@ -39,7 +39,7 @@ class Varying:
 
 def find_varying_effects(problem: Problem, fit: Fit, partitions: Mapping[str, Partition]) -> list[Varying]:
     """Every effect of the library with separate values in the parts of each partition, largest gain first. Partitions
-    with at least half as many parts as there are blocks are left out."""
+    with at least half as many parts as blocks are left out."""
     q = problem.quadratic_of_all(fit.vector)
     usable = {name: partition for name, partition in partitions.items()
               if len(np.unique(partition[0])) < problem.blocks / 2}
@@ -51,8 +51,8 @@ def find_varying_effects(problem: Problem, fit: Fit, partitions: Mapping[str, Pa
 
 def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, partition: Partition,
              tests: int) -> Varying | None:
-    """One effect with separate values in the parts of one partition; None without two parts that have information.
-    tests: number of tests, for Bonferroni's correction."""
+    """One effect with separate values in the parts of one partition; None with fewer than two informative parts. tests:
+    number of tests, for the Bonferroni correction."""
     space, (number, names) = problem.space, partition
     indices = space.indices(effect)
     fitted = problem.free_indices(fit.names) if problem.prior is None else space.indices(*fit.names)
@@ -87,8 +87,8 @@ def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, p
 
 def _design_effect(problem: Problem, number: np.ndarray, parts: Sequence[Part], gradient: np.ndarray,
                    curvature: np.ndarray) -> float:
-    """Design effect of the values, at least 1, from the residual scores of the blocks with a value for each part.
-    number: (n,) part of each window. gradient: (n, k). curvature: (n, k, k)."""
+    """Design effect of the values, at least 1, from the scores of the blocks at a separate value for each part. number:
+    (n,) part of each window. gradient: (n, k). curvature: (n, k, k)."""
     residual = gradient.copy()
     for k, gk, hk in parts:
         inside = number == k
@@ -100,7 +100,7 @@ def _design_effect(problem: Problem, number: np.ndarray, parts: Sequence[Part], 
 
 
 def evidence_of(problem: Problem, fit: Fit, v: Varying, partitions: Mapping[str, Partition]) -> Evidence:
-    """Error reduction by separate values for the parts: linearised, and on the driving to which they were fitted."""
+    """Evidence for separate values in the parts, from linearised errors in the driving to which they were fitted."""
     rows = problem.errors.at(fit.vector)
     corrected, sensitivities = rows.copy(), problem.all_sensitivities(fit.vector).values
     for k, step in v.steps.items():

@@ -1,4 +1,4 @@
-"""Empirical relations beyond the library of effects: a smooth curve in one term of the model, fitted by simulation."""
+"""Empirical relations beyond the library of effects: smooth curves in one term of the model, fitted by simulation."""
 
 from .candidates import Candidate, candidates
 from .formulas import Formula
