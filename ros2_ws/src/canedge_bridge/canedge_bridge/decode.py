@@ -312,7 +312,7 @@ class SteeringCalibration:
     steering_ratio: float
 
     def steering_wheel_angle(self, sensor: Number) -> Number:
-        """Steering wheel angle [rad], left +, from which the offset is not subtracted."""
+        """Steering wheel angle [rad], left +, without offset correction."""
         return self.steering_sign * sensor
 
     def road_wheel_angle(self, sensor: Number) -> Number:

@@ -75,7 +75,7 @@ class GpsClock:
             self.minute = minute
 
     def step(self, ms: int, minute: int | None = None, received_ns: int | None = None) -> tuple[int | None, int]:
-        """GPS time [ms] of the next packet, None while no minute is known; and its order NEW, SAME or LATE.
+        """(GPS time [ms] of the next packet, None while no minute is known; its order NEW, SAME or LATE).
 
         ms: milliseconds of the minute. minute: sent in channel 0, None if the packet has none. received_ns: host time
         of receipt, None for packets from a file.

@@ -30,7 +30,7 @@ __all__ = ["BagWriter", "Qos", "RecoveryError", "RecoveryReport", "recover"]
 CHUNK_SIZE = 1024 * 1024
 """Bytes that are compressed together; at high data rates a chunk is full before FLUSH_PERIOD has passed."""
 FLUSH_PERIOD = 0.5
-"""Period [s] of writes. A killed process loses up to 1 s of data: this period, plus 0.5 s until the next call."""
+"""Period [s] of writes. A killed process loses up to 1 s of data: this period and the delay of flush_when_due."""
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Errors after which the newest chunks are dropped until the index fits; after others, all written data are kept."""
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time

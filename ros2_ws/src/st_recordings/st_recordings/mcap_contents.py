@@ -191,7 +191,7 @@ class Contents:
 
     def _add_chunk(self, chunk: Chunk, messages: dict[int, MessageIndex], offset: int, length: int) -> None:
         if self._chunks:
-            self._chunks[-1].messages = {}  # its indexes are in the file; only those of the newest may be missing
+            self._chunks[-1].messages = {}  # its index is in the file; only the newest chunk may lack one
         index = ChunkIndex(
             chunk_length=length, chunk_start_offset=offset,
             compression=chunk.compression, compressed_size=len(chunk.data),

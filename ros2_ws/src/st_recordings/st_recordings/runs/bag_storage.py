@@ -47,14 +47,14 @@ class Storage(ABC):
 
     @abstractmethod
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
-        """Yields (log time [ns], serialised message) of a topic, in the order of the file."""
+        """Yields (log time [ns], serialised message) of a topic in the order of the file, or of time for SQLite."""
 
     @abstractmethod
     def definitions(self) -> dict[str, tuple[str, str]]:
         """Type -> ("ros2msg" or "ros2idl", text), for the message definitions in the recording."""
 
     def messages(self, topic: str) -> Iterator[bytes]:
-        """Yields the serialised messages of a topic, in the order of the file."""
+        """Yields the serialised messages of a topic in the order of `timed_messages`."""
         return (data for _, data in self.timed_messages(topic))
 
     def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:

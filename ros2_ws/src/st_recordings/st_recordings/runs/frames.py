@@ -86,7 +86,7 @@ def remove_duplicates(frames: Frames) -> tuple[Frames, int]:
 
 
 def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]]:
-    """Moves the times after each step back of the logger's clock forward.
+    """Moves the times after each backward step of the logger's clock forward.
 
     A logger writes frames as they arrive, so a step back in time means that its clock was set. The times after it
     continue where the previous ones end; the true gap between the two frames (a millisecond on a busy bus) is lost.

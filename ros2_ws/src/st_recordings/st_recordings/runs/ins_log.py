@@ -107,7 +107,7 @@ def select_usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list
     """(indices of rows with strictly ascending times, warnings about the other rows).
 
     Single rows that are not later than all rows before are left out. If their fraction exceeds MAX_LOST_SHARE, the
-    clock was set back while recording, and only the longest part without a step back is used. A first or last row with
+    clock was set back while recording, and only the longest part without a backward step is used. A first or last row with
     a stamp far from the others is left out.
 
     time_ns: (n,) int64, in the order of the recording. what: plural noun for the rows.
@@ -139,7 +139,7 @@ def select_usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list
 
 
 def _find_longest_stretch(time_ns: np.ndarray) -> np.ndarray:
-    """Indices of rows with ascending times in the longest part without a step back."""
+    """Indices of rows with ascending times in the longest part without a backward step."""
     edges = np.concatenate(([0], np.flatnonzero(np.diff(time_ns) < 0) + 1, [len(time_ns)]))
     longest = int(np.argmax(np.diff(edges)))
     rows = np.arange(edges[longest], edges[longest + 1])

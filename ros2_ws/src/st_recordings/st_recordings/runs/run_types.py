@@ -21,7 +21,7 @@ class SteeringField:
 
     topic: str  # name of a topic in a bag, "" for a table
     field: str = "data"  # path to a number in a message, such as "drive.steering_angle", or name of a column
-    quantity: Literal["road", "wheel"] = "road"  # mean road wheel angle, or steering wheel angle with its offset
+    quantity: Literal["road", "wheel"] = "road"  # mean road wheel angle, or uncorrected steering wheel angle
     unit: Literal["rad", "deg"] | None = None  # None: the unit that the header of a table states, or rad
     sign: int = 1  # 1 if left is positive in the recording, else -1
 

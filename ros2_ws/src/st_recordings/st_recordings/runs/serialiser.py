@@ -123,7 +123,7 @@ class Serialiser:
 
     def steering(self, time_ns: np.ndarray, wheel: np.ndarray, valid: np.ndarray,
                  vehicle: VehicleParameters) -> Messages:
-        """Steering angles. wheel: steering wheel angle [rad], left positive, offset not removed."""
+        """Steering angles. wheel: steering wheel angle [rad], left positive, without offset correction."""
         return self._messages("/vehicle/steering", STEERING, {
             "header.stamp": time_ns, "steering_wheel_angle": wheel, "road_wheel_angle": vehicle.road_wheel_angle(wheel),
             "valid": valid})
