@@ -107,8 +107,8 @@ def select_usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list
     """(indices of rows with strictly ascending times, warnings about the other rows).
 
     Single rows that are not later than all rows before are left out. If their fraction exceeds MAX_LOST_SHARE, the
-    clock was set back while recording, and only the longest part without a backward step is used. A first or last row with
-    a stamp far from the others is left out.
+    clock was set back while recording, and only the longest part without a backward step is used. A first or last row
+    with a stamp far from the others is left out.
 
     time_ns: (n,) int64, in the order of the recording. what: plural noun for the rows.
     """
