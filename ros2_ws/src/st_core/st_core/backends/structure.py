@@ -48,7 +48,7 @@ def _names(code: CodeType) -> list[str]:
 
 
 class UnhashableError(Exception):
-    """A value that has no representation that is the same in every process."""
+    """A value without a representation that is the same in every process."""
 
 
 def fingerprint(function: FunctionType, stop: frozenset[str] = frozenset()) -> str:

@@ -200,8 +200,8 @@ def _compare_with_vehicle(motion: Motion, vehicle: VehicleParameters, wheel_meas
 
 
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """`correct_units` of the motion without the lag between yaw and yaw rate, which would change size and sign of their
-    ratio. The result contains the lag again, since it is checked later."""
+    """Result of `correct_units` for the motion without the lag between yaw and yaw rate, which would change size and
+    sign of their ratio. The lag is restored afterwards, since it is checked later."""
     lag = inertial.yaw_rate_lag(motion)
     if not lag:
         return correct_units(motion)

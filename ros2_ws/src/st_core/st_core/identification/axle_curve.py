@@ -1,4 +1,4 @@
-"""Lateral force of an axle versus slip angle in a model, with a band, and its deviation from measured forces.
+"""Lateral force of an axle in a model versus slip angle, with an uncertainty band, and its deviation from measurement.
 
     F(alpha) = (F_model(-alpha) - F_model(alpha)) / 2,   alpha >= 0
 

@@ -23,7 +23,7 @@ Residuals = Callable[[np.ndarray], np.ndarray]
 
 END_TOLERANCE = 0.03  # relative tolerance of the distance from the value to an end of its interval
 MAX_STEPS = 8  # of the secant method
-BOUND_TOLERANCE = 1e-6  # distance from a bound, as a fraction of the range between both bounds
+BOUND_TOLERANCE = 1e-6  # distance within which a value is at its bound, as a fraction of the range between both bounds
 
 
 @dataclass(frozen=True)

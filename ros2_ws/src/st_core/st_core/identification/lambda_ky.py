@@ -76,8 +76,7 @@ def _load_sensitivity(load: float, tyre: MagicFormula) -> float:
 
 
 def _load_uncertainty(vehicle: VehicleParameters, axle: str) -> float:
-    """Relative standard uncertainty of the static load [1], from the uncertainties of mass and CG position in the file.
-    """
+    """Relative standard uncertainty of the static load [1], due to mass and CG position of the vehicle file."""
     distance = vehicle.cg_to_rear_axle if axle == "front" else vehicle.cg_to_front_axle
     values = {"mass": vehicle.mass, "cg_to_front_axle": distance}
     return math.hypot(*((vehicle.provenance[key].uncertainty or 0.0) / value for key, value in values.items()

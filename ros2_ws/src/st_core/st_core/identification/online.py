@@ -96,7 +96,7 @@ def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
     except (StCoreError, np.linalg.LinAlgError) as error:
         return _failed_fit(vehicle, str(error))
     files = [getattr(vehicle, name) for name in STIFFNESSES]
-    # Offset, ratio, and the mean over both axles of the stiffness divided by the vehicle file's.
+    # Offset, ratio, and mean of both stiffnesses, each divided by its value in the vehicle file.
     rows = np.zeros((3, len(FITTED)))
     rows[0, 0] = rows[1, 1] = 1.0
     rows[2, 2:4] = 0.5 / np.array(files)

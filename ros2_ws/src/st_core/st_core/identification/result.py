@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # `checks` imports this module
 
 Status = Literal["identified", "doubtful", "unidentifiable"]
 
-NORMAL_QUANTILE = 1.959963984540054  # of the standard normal distribution, two-sided 5 %
+NORMAL_QUANTILE = 1.959963984540054  # quantile of the standard normal distribution, two-sided 5 %
 
 
 class IdentificationError(StCoreError):
