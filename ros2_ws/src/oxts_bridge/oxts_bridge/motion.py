@@ -24,7 +24,7 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 FIRST_FIX, GIVEN, UNIT = "first_fix", "given", "unit"
-# A unit with a local frame sends it about every 200 packets; after this time [ns], the unit is taken to have none.
+# A unit with a local frame sends it at least every 200 packets; after this time [ns], the unit is taken to have none.
 LOCAL_FRAME_TIMEOUT_NS = 10_000_000_000
 
 
