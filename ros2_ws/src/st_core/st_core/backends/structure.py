@@ -75,7 +75,7 @@ def _content(file: str) -> bytes:
     try:
         return Path(file).read_bytes()
     except OSError:
-        return b""  # entered at a prompt; code and constants are hashed in any case
+        return b""  # entered at a prompt; only its code and constants are hashed
 
 
 def _constants(code: CodeType) -> str:

@@ -13,7 +13,7 @@ from .finding import Checked
 
 MIN_RUNS = 3
 CONFIDENCE = 0.95
-MAX_RELATIVE_SPREAD = 0.25  # standard deviation between consistent runs, divided by their mean
+MAX_RELATIVE_SPREAD = 0.25  # largest standard deviation between consistent runs, divided by their mean
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ def _channel_series(motion: Motion, name: str) -> tuple[np.ndarray, np.ndarray |
 def resolution(time: np.ndarray, values: np.ndarray) -> float:
     """Quantisation step of values, in their unit; 0 if they are not quantised. time: ascending [s].
 
-    Steps across lost samples are ignored, because in uniform motion they are multiples of one step in any case.
+    Steps across lost samples are ignored, because in uniform motion they are always multiples of one step.
     """
     if len(values) < 2:
         return 0.0

@@ -22,12 +22,12 @@ OUTLIER_SIGMAS = 6.0  # number of robust standard deviations above which a step 
 MIN_NOISE = 0.05  # m; noise between samples is 2 cm for RTK positions, and far less for INS positions
 MIN_JUMP = 0.2  # m; the distance in 10 ms at 20 m/s
 MAX_LISTED_JUMPS = 50
-JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s left out on both sides of a jump; 10 ms more than required to make a gap
+JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s; time left out on each side of a jump, 10 ms more than a gap requires
 MIN_STALE_SAMPLES = 5
-WARNING_STALE_SHARE = 0.05  # fraction of stale samples above which they are a warning
-MAX_AGE_SPREAD = 0.35  # robust standard deviation of the ages of stale samples, divided by their median
-MIN_STEP_BALANCE = 0.5  # ratio between the numbers of steps forward and back
-MAX_CROSS_TRACK_SHARE = 0.3  # cross-track part of the step of a stale sample, divided by the step
+WARNING_STALE_SHARE = 0.05  # fraction of stale samples above which the finding is a warning
+MAX_AGE_SPREAD = 0.35  # largest robust standard deviation of the ages of stale samples, divided by their median
+MIN_STEP_BALANCE = 0.5  # minimum ratio between the numbers of forward and backward steps
+MAX_CROSS_TRACK_SHARE = 0.3  # largest cross-track component of the step of a stale sample, divided by the step
 
 
 def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:

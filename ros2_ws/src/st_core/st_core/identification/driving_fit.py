@@ -141,8 +141,8 @@ class DrivingFit:
     """Result of a fit: names and their values (p,) [SI]. spread: their covariance over blocks of driving.
 
     at_bound: names of values at a bound. slopes: (p, q) change of each value [SI] with each parameter of the fit.
-    hessian: (q, q) half the second derivative of the loss in these parameters. residuals: (n, c) predicted minus
-    measured values of `columns` [SI], with their run_of (n,) and time (n,) [s]. windows: number (used, all) by run.
+    hessian: (q, q) Gauss-Newton approximation to half the second derivative of the loss. residuals: (n, c) predicted
+    minus measured `columns` [SI], with their run_of (n,) and time (n,) [s]. windows: number (used, all) by run.
     curvature_square, acceleration: means of curvature^2 [1/m^2] and |v_x r| [m/s^2], weighted by (v_x r)^2. peaks:
     largest |v_x r| of each used window [m/s^2].
     """
