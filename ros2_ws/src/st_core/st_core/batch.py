@@ -46,7 +46,7 @@ class LogPrediction:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A drive with the corrections of a model. sampled: arranged road wheel angle and velocity_x_dot, by block."""
+    """A drive with the corrections of a model. sampled: road wheel angle and velocity_x_dot per block, arranged."""
 
     signals: LogSignals
     sampled: dict[Hashable, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
@@ -200,7 +200,7 @@ class LogBatch:
         return [angle, acceleration, *others]
 
     def _sample_separately(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
-        """As `_sample`, for starts that share no instants: planned inputs, or held inputs and a model with memory."""
+        """Like `_sample`, for starts that share no instants: planned inputs, or held inputs and a model with memory."""
         times, raw = block.times_ns, self.signals.log
         if isinstance(self._inputs, str):
             angle = self.signals.road_wheel_angle_at(times[0])

@@ -65,7 +65,7 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
 
     Never raises for the content of a recording: a refused alignment states its reasons. Valid for drifts of a few
     hundred ppm and recordings of up to two days. Checked by: the synthetic pair in tests/golden/test_alignment.py, and
-    simulated clocks in test_clock_alignment.py (the standard deviations too).
+    simulated clocks in test_clock_alignment.py, which also check the standard deviations.
     """
     usable, reasons = _usable_signals(signals)
     if not usable:

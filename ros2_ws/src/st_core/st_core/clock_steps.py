@@ -8,7 +8,7 @@ import numpy as np
 from .clock_fit import STEP, Pair, Resampled, coarse_offset, fit
 
 WINDOW = 30.0  # s, length of a window
-MAX_WINDOWS = 150  # evenly spaced in a long recording
+MAX_WINDOWS = 150  # largest number of windows, evenly spaced in a long recording
 MIN_STEP = 0.01  # s, smallest step reported
 USUAL_DRIFT = 50e-6  # s/s, standard deviation of the prior of the drift
 MIN_STEP_EVIDENCE = 30.0  # required reduction of the normalised sum of squares by a step

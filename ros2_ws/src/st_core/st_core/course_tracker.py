@@ -35,7 +35,7 @@ from .types import InputSequence, wrap_angle
 from .vehicle import VehicleParameters
 
 RETURN_LENGTHS = (40.0, 100.0)
-"""m, l_1 and l_2 of the module: at 15 m/s a driver returns to the line within about 10 s."""
+"""l_1 and l_2 [m]: at 15 m/s a driver returns to the line within about 10 s."""
 SCALES = {"position": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
 """Typical differences between drives of one driver on one course [m, rad, fraction of the speed, 1/m]."""
 MAX_DIFFERENCE = 7.0
@@ -49,7 +49,7 @@ DECAY_TIME = 0.7
 FORGETTING_TIME = 10.0
 """s, time constant of the mean square errors E: two horizons."""
 INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
-"""m^2, initial E, in the order of the module, from leave-one-run-out errors of real laps."""
+"""m^2, initial E, in the order of the module docstring, from leave-one-run-out errors of real laps."""
 SQUARED_ERROR_LIMITS = (0.01, 9.0)
 """m^2, limits of a squared error: the accuracy of the INS, and the largest influence of one error."""
 MAX_JUMP = 2.0
@@ -247,7 +247,7 @@ def _advance_on_arc(ego: EgoMotion, distance: float) -> tuple[float, float]:
 
 
 def _return_curvature(lateral_offset: float, direction_error: float, count: int) -> np.ndarray:
-    """e'' of the module [1/m] every SPACING m. lateral_offset: e(0) [m], left +. direction_error: e'(0) [rad]."""
+    """e'' [1/m] every SPACING m. lateral_offset: e(0) [m], left +. direction_error: e'(0) [rad]."""
     l_1, l_2 = RETURN_LENGTHS
     b = (direction_error + lateral_offset / l_1) / (1.0 / l_1 - 1.0 / l_2)
     s = SPACING * np.arange(count)

@@ -90,7 +90,7 @@ PLAUSIBLE = (
 def objections(car: VehicleParameters, file: VehicleParameters | None = None) -> tuple[str, ...]:
     """A sentence for each quantity of the car that is outside its range.
 
-    file: original car; quantities already outside their range in it are left out. An unusual car may be
+    file: original car; quantities outside their range for that car as well are left out. An unusual car may be
     correct, so no vehicle file is refused; an identified or discovered value is reported as doubtful.
     """
     known = {quantity.name for quantity in PLAUSIBLE if file is not None and quantity.objection(file)}

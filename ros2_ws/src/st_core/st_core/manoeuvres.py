@@ -62,8 +62,8 @@ class Sine:
 class Manoeuvre:
     """Steering and pedal inputs over time.
 
-    name: also the scenario name. speed: at the start [m/s]. lateral: peak target acceleration at the
-    initial speed [m/s^2]. profile: lateral acceleration divided by `lateral`, over time. period: time after which the
+    name: also the scenario name. speed: at the start [m/s]. lateral: peak target lateral acceleration at the initial
+    speed [m/s^2]. profile: lateral acceleration divided by `lateral`, over time. period: time after which the
     manoeuvre repeats [s]. repetitions: periods in one drive. pedals: consecutive (duration [s], forward acceleration
     [m/s^2]), limited to the initial speed; empty for constant speed. closed_loop: the driver follows a road of this
     curvature (PiecewiseLinear); otherwise the steering is open loop. With pedals the road is a circle, and the steering

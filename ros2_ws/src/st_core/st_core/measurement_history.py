@@ -53,7 +53,7 @@ X, Y, YAW, VELOCITY_X, VELOCITY_Y, YAW_RATE, FILTERED, DERIVATIVE = range(8)
 
 
 def unexplained_step(spacing: float, before: Sequence[float], after: Sequence[float]) -> float:
-    """|d| of the module [m] between two samples if it exceeds the tolerance, else 0.
+    """|d| [m] between two samples (see the module docstring) if it exceeds the tolerance, else 0.
 
     spacing: dt [s], > 0. before, after: rows that begin with x, y, yaw, v_x, v_y.
     """
@@ -74,7 +74,7 @@ def _exceeds_noise(step: float, times_ns: Sequence[int], rows: Sequence[Sequence
 
 
 def _split_displacement(spacing: float, before: Sequence[float], after: Sequence[float]) -> tuple[float, float]:
-    """(|d| of the module, distance driven) [m]."""
+    """(|d| as defined in the module docstring, distance driven) [m]."""
     east = north = 0.0
     for row in (before, after):
         cosine, sine = math.cos(row[YAW]), math.sin(row[YAW])
@@ -183,7 +183,7 @@ class MeasurementHistory:
 
 
 class FrozenAngle(NamedTuple):
-    """angle: constant road wheel angle [rad]. duration [s]. low, high: range of delta' of the module [rad]."""
+    """angle: constant road wheel angle [rad]. duration [s]. low, high: range of delta' [rad]."""
 
     angle: float
     duration: float

@@ -10,8 +10,8 @@
 
 The values are valid for one car, identified by `vehicle.hash`. A value with `effective: true` improves the prediction
 but is not a property of the car. An interval is a 95 % confidence interval under the assumptions of its source, null if
-unknown. The hash covers base, values and vehicle: a file with a hash that does not match its content
-is refused as edited; a file without a hash is not checked.
+unknown. The hash covers base, values and vehicle: a file with a hash that does not match its content is
+refused as edited; a file without a hash is not checked.
 """
 
 import hashlib

@@ -202,7 +202,7 @@ def model_inputs(model: Model, planned: InputSequence) -> InputSequence:
 
 def wheel_sequence(model: Model, planned: InputSequence, start_ns: int, step: float, steering_time_ns: np.ndarray,
                    road_wheel_angle: np.ndarray, maximum_gap: float) -> InputSequence:
-    """`model_inputs` on the half-step grid from start_ns, with the delay, play and lag of the steering of the model."""
+    """`model_inputs` on the half-step grid from start_ns, with delay, play and lag of the model's steering."""
     planned = model_inputs(model, planned)
     if not has_steering_memory(model):
         return planned

@@ -70,8 +70,8 @@ def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, gri
                        maximum_gap: float) -> np.ndarray:
     """Angle of the wheels [rad] at increasing instants grid_ns (m,) [ns] for the future steering `ahead` (m,) [rad].
 
-    time_ns [ns], angle [rad]: recorded steering. Its last MEMORY seconds before the first instant are used, since the
-    wheels still follow it with delay, play or lag. After the last instant the last angle is held. maximum_gap [s].
+    time_ns [ns], angle [rad]: recorded steering. Its last MEMORY seconds before the first instant are used, because
+    the wheels still follow it with delay, play or lag. After the last instant the last angle is held. maximum_gap [s].
     """
     if not has_steering_memory(model):
         return ahead
@@ -155,7 +155,7 @@ def predict_faultless_readings(model: Model, vehicle: VehicleParameters, states:
 
 def reading_errors(model: Model, vehicle: VehicleParameters, states: np.ndarray, x: np.ndarray, y: np.ndarray,
                    yaw: np.ndarray) -> np.ndarray:
-    """Errors (n, k, 3) of states (n, k, 6): longitudinal, lateral [m], yaw [rad]; predicted minus measured readings.
+    """Errors (n, k, 3) of states (n, k, 6): longitudinal, lateral [m], yaw [rad]; predicted minus measured.
 
     x, y [m], yaw [rad]: measured, (n, k) each. Axes and signs as `types.pose_errors`.
     """

@@ -12,8 +12,8 @@ the correlation rho of psi between adjacent blocks, pooled over the runs, the va
 
     f = sum_ij rho^|i - j| / k,    i, j: blocks of the same run, k: all blocks
 
-and Student's t has k / f - 1 degrees of freedom. The rho of k values about their own mean is biased by -(1 + 3 rho) / k
-(Marriott and Pope, 1954), which is corrected. Source: Cameron and Miller, A practitioner's guide to cluster-robust
+and Student's t has k / f - 1 degrees of freedom. The estimate of rho from k values is corrected for its
+bias -(1 + 3 rho) / k (Marriott and Pope, 1954). Source: Cameron and Miller, A practitioner's guide to cluster-robust
 inference, 2015 (the jackknife CR3). Checked by: test_blocks.py.
 """
 
@@ -52,7 +52,7 @@ def effective_degrees_of_freedom(estimated: float, total: float, degrees_of_free
 
 
 def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
-    """Correlation matrix (n, n) of a covariance matrix (n, n); 0 for a parameter without variance."""
+    """Correlation matrix (n, n) of a covariance matrix (n, n); off-diagonal 0 for a parameter without variance."""
     deviations = np.sqrt(np.diag(covariance))
     scale = np.where(deviations > 0.0, deviations, 1.0)
     matrix = covariance / np.outer(scale, scale)
@@ -138,7 +138,7 @@ class Blocks:
         return result
 
     def spread(self, influence: np.ndarray) -> Spread:
-        """Uncertainty of p estimates from the influence (k, p) of each block; see the module."""
+        """Uncertainty of p estimates from the influence (k, p) of each block; see the module docstring."""
         centred = influence - influence.mean(axis=0)
         return self._inflate(centred.T @ centred, centred)
 
@@ -175,7 +175,7 @@ class Blocks:
         return np.linalg.solve(others, gradient[:, :, None])[:, :, 0] * (len(self) - 1) / len(self)
 
     def _inflation_factors(self, centred: np.ndarray) -> np.ndarray:
-        """Factor f of each estimate (p,), see the module."""
+        """Factor f of each estimate (p,); see the module docstring."""
         neighbours = np.flatnonzero((np.diff(self.run) == 0) & (np.diff(self.block) == 1))
         power = np.square(centred).mean(axis=0)
         if not len(neighbours):
@@ -188,7 +188,7 @@ class Blocks:
 
 
 def make_blocks(run_of: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarray) -> Blocks:
-    """Whole runs as blocks if there are at least MIN_RUNS, else parts of runs, BLOCK_LENGTH long.
+    """Whole runs as blocks if there are at least MIN_RUNS, else sections of runs, BLOCK_LENGTH long.
 
     run_of: (n,) number of the run of each sample. time: (n,) since the start of that run [s].
     """

@@ -68,7 +68,7 @@ def has_derived_yaw_rate(log: DriveLog) -> bool:
 
 
 def _is_course(log: DriveLog, yaw_rate: np.ndarray, fast: np.ndarray) -> bool:
-    """Whether yaw is the direction of the displacement. Sideslip anywhere on the car is nearly a r / v + b r v."""
+    """Whether yaw is the direction of the displacement. At any point of the car, sideslip is about a r / v + b r v."""
     time = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
     ends = time - 0.5 * COURSE_TIME, time + 0.5 * COURSE_TIME
     east, north = (np.subtract(*(np.interp(t, time, values) for t in ends[::-1])) for values in (log.x, log.y))

@@ -93,9 +93,9 @@ def slip_speed_needed(models: Sequence[str | Model], vehicle: VehicleParameters,
                       step: float) -> float | None:
     """Smallest minimum_slip_speed [m/s], in tenths, with which the models are stable at all speeds [m/s].
 
-    It is larger than `lowest_stable_speed`: below it the damping is constant, but the coupling v r of the two modes
-    decreases, which makes one of them faster. None if no permitted value suffices, because extra states, for example of
-    tyre relaxation, are stiff at high speed.
+    It exceeds `lowest_stable_speed`: below minimum_slip_speed the damping is constant, but the coupling v r of the two
+    modes decreases, which makes one of them faster. None if no permitted value suffices, because extra states, for
+    example of tyre relaxation, are stiff at high speed.
     """
     speeds, models = sorted(speeds), [get_model(model) for model in models]
 

@@ -7,8 +7,8 @@ the actual spacing dt of each pair:
     x = dt / tau,  e = exp(-x),  g = (1 - e) / x,   y_k = e y_{k-1} + (g - e) u_{k-1} + (1 - g) u_k
     y_dot_k = (y_k - y_{k-1}) / dt
 
-Uneven spacing therefore adds no noise; with a bilinear transform it adds 1 % of a constant acceleration at
-10 +- 6 ms (measured). At an even 100 Hz the results agree with scipy.signal.butter(1, 5, fs=100) to a thousandth.
+Uneven spacing therefore adds no noise; with a bilinear transform, a spacing of 10 +- 6 ms adds 1 % of a constant
+acceleration (measured). At an even 100 Hz the results agree with scipy.signal.butter(1, 5, fs=100) to a thousandth.
 The backward difference belongs to the middle of the last interval, so slow changes are late by tau + dt / 2: at 5 Hz
 and 100 Hz sampling 31.8 + 5 = 37 ms. The filter restarts at the first sample and after every gap with y = u; the
 derivative there is unknown (NaN).

@@ -1,4 +1,4 @@
-"""Vehicle parameters: reading, checking and writing of vehicle files, in which each value has a unit and a source."""
+"""Vehicle parameters; reads, checks and writes vehicle files, in which each value has a unit and a source."""
 
 import hashlib
 import json
@@ -338,7 +338,7 @@ def _read_value(key: str, entry: Any, quantity: Quantity, origins: _Origins) -> 
     for part in ("value", "unit", "source"):
         if part not in entry:
             raise ConfigurationError(f"{key}: {part} is missing; {example}")
-    # YAML reads the unit 1 without quotes as a number.
+    # YAML parses the unit 1 without quotes as a number.
     unit = str(entry["unit"])
     if unit not in quantity.units:
         raise ConfigurationError(f"{key}: unit {unit!r} is not {units}; convert the value and write unit: {units}")

@@ -30,7 +30,7 @@ LEAF_TIMEOUT = 20.0  # s until the virtual Leaf must have started to send
 
 
 def vehicle_file(given: Path | None) -> Path:
-    """Absolute path of a vehicle file, by default of the Leaf. Raises RunError and StCoreError if it is not valid."""
+    """Absolute path of the given or the Leaf's vehicle file. Raises RunError and StCoreError if it is not valid."""
     path = (given or config("vehicle/leaf.yaml")).absolute()
     read_vehicle(path)
     return path
@@ -98,7 +98,7 @@ def model_parameters(model: Path | None, effects: Path | None, vehicle: Path) ->
     """Parameters of predictor and evaluator for a model file in addition to the three models; empty without a file.
 
     effects: folder of user-defined effects of the model file. Raises SuiteError, StCoreError and RunError for a file
-    that is not a model, or belongs to another car than the vehicle file.
+    that is not a model or belongs to a car other than `vehicle`.
     """
     if model is None and effects is None:
         return {}
@@ -109,9 +109,9 @@ def model_parameters(model: Path | None, effects: Path | None, vehicle: Path) ->
 
 
 def load_model(model: Path | None, effects: Path | None, car: VehicleParameters, origin: str) -> Model:
-    """The model of a model file, by default the nonlinear one. effects: folder of its user-defined effects.
+    """The model in a model file; without a file, the nonlinear model. effects: folder of its user-defined effects.
 
-    origin: of the car, for errors. Raises SuiteError and StCoreError for a file that is not a model or belongs to
+    origin: source of `car`, for errors. Raises SuiteError and StCoreError for a file that is not a model or belongs to
     another car, and for effects without a model file.
     """
     if model is None:
@@ -163,7 +163,7 @@ def _read_option(option: str, file: Path, parse: Callable[[str, str], T]) -> T:
 def _check_bands(bands: Path, predictor: Mapping[str, Any]) -> None:
     file = _read_option("--bands", bands, Bands.from_yaml)
     car = read_vehicle(Path(predictor["vehicle_file"]))
-    hashes = dict.fromkeys(predictor["models"], "")  # of the model file, by model; "" for a built-in model
+    hashes = dict.fromkeys(predictor["models"], "")  # hash of the model file by model; "" for a built-in model
     if name := predictor.get("model_file"):
         model = _read_option("--model", Path(name), ModelFile.from_yaml)
         hashes[model.model().name] = model.hash
@@ -184,7 +184,7 @@ def recordings_of(path: Path) -> tuple[Path, list[Path]]:
 class VirtualCar:
     """The virtual Leaf on a free UDP port and a CAN multicast group of the loopback interface.
 
-    vehicle: vehicle file of bridges and nodes. options: of the command virtual_leaf, except its interfaces.
+    vehicle: vehicle file of bridges and nodes. options: arguments of virtual_leaf, without its interfaces.
     simulated: vehicle file of the simulated car, by default `vehicle`. Raises SuiteError for invalid options.
     """
 

@@ -29,7 +29,7 @@ ALL_ADDRESSES = "0.0.0.0"
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves the page. Raises OSError if the port is in use, or the address does not belong to this host.
+    """Serves the page. Raises OSError if the port is in use or the address does not belong to this host.
 
     port: 0 selects a free port. settings: constants of the page: title, models with colours, size of the car.
     """
@@ -43,7 +43,7 @@ class PageServer(ThreadingHTTPServer):
         self.ended = False
         self._condition = threading.Condition()
         self._frame, self._number = b"", 0
-        self.clients = 0  # pages that are open
+        self.clients = 0  # number of open pages
 
     @property
     def port(self) -> int:
@@ -57,7 +57,7 @@ class PageServer(ThreadingHTTPServer):
             self._condition.notify_all()
 
     def next_frame(self, after: int) -> tuple[bytes, int]:
-        """The newest frame and its number, once this exceeds `after`; an empty comment after KEEP_ALIVE_PERIOD."""
+        """Newest frame and its number, once the number exceeds `after`; an empty comment after KEEP_ALIVE_PERIOD."""
         with self._condition:
             if self._condition.wait_for(lambda: self._number > after or self.ended, KEEP_ALIVE_PERIOD):
                 return self._frame, self._number
@@ -141,7 +141,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 class LiveView:
     """Serves the passenger's page during a run, if `page` is set or an address (HOST or HOST:PORT) is given, and writes
-    the Rerun file `save` (.rrd) after it. Raises SuiteError for an address or a file that cannot be used."""
+    the Rerun file `save` (.rrd) afterwards. Raises SuiteError for an address or a file that cannot be used."""
 
     def __init__(self, page: bool, address: str | None = None, save: Path | None = None):
         host, _, port = (address or LOOPBACK).partition(":")
@@ -192,7 +192,7 @@ class LiveView:
 
 
 def _reachable_address(host: str) -> str:
-    """Address at which other devices reach the page; for ALL_ADDRESSES, of the interface with the default route."""
+    """Address at which other devices reach the page; ALL_ADDRESSES: address of the interface of the default route."""
     if host != ALL_ADDRESSES:
         return host
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

@@ -43,9 +43,9 @@ RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}  # colour strength by probability
 THIN, THICK, TRACK = (rr.Radius.ui_points(points) for points in (0.6, 1.8, 4.0))
 # Each model's path is narrower than the previous one and drawn above it: all stay visible where they coincide.
 MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0.6))
-Projection = Callable[[np.ndarray, np.ndarray], np.ndarray]  # map x, y to the screen
+Projection = Callable[[np.ndarray, np.ndarray], np.ndarray]  # from map x, y to screen coordinates
 Pose = tuple[float, float, float]
-PERIOD_NS = 100_000_000  # between pictures
+PERIOD_NS = 100_000_000  # time between pictures
 FLUSH_PERIOD = 5.0  # s between writes; few large chunks load quickly
 TEXT_PERIOD_NS = 1_000_000_000
 LEVELS = ("ok", "warning", "**error**", "stale")

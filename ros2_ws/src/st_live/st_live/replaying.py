@@ -34,11 +34,11 @@ PROGRESS_PERIOD = 0.2  # s
 def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, console: Console,
                view: LiveView | None = None, bands: Path | None = None, course: Path | None = None,
                adaptive: bool | None = None, settings: ReadSettings | None = None) -> tuple[Outcome, str]:
-    """Replay a bag with the configuration in it; returns the outcome and the name of the vehicle.
+    """Replay a bag with its recorded configuration; returns the outcome and the name of the vehicle.
 
     The nodes record into folder/bag and folder/errors. vehicle, course: files to use instead of the recorded ones.
-    rate: ratio to the recorded speed; 0: as fast as the nodes can follow. adaptive: as in `add_files`. settings: topics
-    of external recordings. Raises RunError, SuiteError and ConfigurationError.
+    rate: playback speed relative to the recording; 0: as fast as the nodes can follow. adaptive: as in `add_files`.
+    settings: topics of external recordings. Raises RunError, SuiteError and ConfigurationError.
     """
     steering, odometry = (settings.steering, settings.odometry) if settings else (None, None)
     drive = read_bag(bag, steering=steering, odometry=odometry)

@@ -136,7 +136,7 @@ def _draw_errors(axes: Axes, results: Results, mode: str, quantity: str) -> None
 
 
 def make_error_table(summary: dict[str, Any], title: str) -> Table:
-    """Table of mean, largest and RMS of the horizon-mean errors [m], as in the paper; the smallest per mode are bold.
+    """Table of mean, largest and RMS of the horizon-mean errors [m], as in the paper; the smallest per mode in bold.
 
     summary: content of summary.json.
     """

@@ -22,7 +22,7 @@ from .suite import REALTIME_PERMISSION, Parameters, Suite, SuiteError, claim_dom
 SILENCE_TIMEOUT = 8.0  # s without /diagnostics (published once a second) after which a running node counts as hung
 FIRST_STATUS_TIMEOUT = 30.0  # s from the start of a node to its first /diagnostics
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # s between a failure and the restart
-BACK_OFF_RESET_TIME = 60.0  # s without a failure after which the next back-off is the first one again
+BACK_OFF_RESET_TIME = 60.0  # s without a failure after which the back-off restarts at BACK_OFF_FIRST
 MAX_OWN_DELAY = 2.0  # s; after a longer delay of this process, messages of the nodes may still be unread
 WARN, ERROR = 1, 2
 NODES = (  # package, executable; subscribers start first, so that they miss no message
@@ -57,7 +57,7 @@ class _Supervised:
 class Supervisor:
     """Restarts nodes that end or hang. Call `update` several times a second.
 
-    nodes: (package, executable), all running already.
+    nodes: (package, executable), all already running.
     """
 
     def __init__(self, suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]]):
@@ -114,8 +114,8 @@ class Supervisor:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a run. statuses: exit statuses of the processes stopped at the end. health: text of the checks not OK
-    just before."""
+    """Outcome of a run. statuses: exit statuses of the processes stopped at the end. health: checks that were not OK
+    before the stop."""
 
     statuses: dict[str, int]
     interrupted: bool

@@ -39,7 +39,7 @@ Parameters = Mapping[str, Mapping[str, Any]]
 
 
 class SuiteError(RuntimeError):
-    """The suite cannot start or continue; the text says why, and names the process and its log if one has ended."""
+    """The suite cannot start or continue; the message contains the reason, and process and log if one has ended."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Child:
 class Processes:
     """Processes with their logs in folder/logs; leaving the `with` block ends them.
 
-    realtime: request REALTIME_PRIORITIES. denied: names of the processes whose request was not permitted.
+    realtime: request REALTIME_PRIORITIES. denied: names of the processes for which this was not permitted.
     """
 
     def __init__(self, folder: Path, domain_id: int | None = None, realtime: bool = False):
@@ -183,7 +183,7 @@ def find_executable(package: str, executable: str) -> str:
 
 
 def merge(base: Path, overrides: Parameters) -> dict[str, dict[str, Any]]:
-    """Node parameters of a file, updated with `overrides`; each section of the file is a node.
+    """Node parameters of a file, updated with `overrides`; each section of the file describes one node.
 
     Raises SuiteError naming the file if it cannot be read or contains a key twice.
     """
@@ -206,7 +206,7 @@ def free_udp_port() -> int:
 
 
 def read_domain_id() -> int | None:
-    """ROS_DOMAIN_ID of the user; None if it is not set. Raises SuiteError for an invalid one."""
+    """The user's ROS_DOMAIN_ID; None if it is not set. Raises SuiteError if it is invalid."""
     text = os.environ.get("ROS_DOMAIN_ID", "")
     if not text:
         return None

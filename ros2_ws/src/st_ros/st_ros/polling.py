@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-UNRESOLVED_PREFIX = "_NODE_NAME"  # of the placeholder name of a node that discovery has not resolved yet
+UNRESOLVED_PREFIX = "_NODE_NAME"  # prefix of the placeholder name of a node before discovery has resolved it
 UNRESOLVED_NODE = "a node without a name yet"  # text shown for such a node
 SUBSCRIBER_COUNT_PERIOD = 0.05  # s between counts of subscribers; a count takes as long as filling a message
 SAMPLE_QOS = QoSProfile(depth=1000)  # 4 s at 250 Hz, so that a briefly blocked subscriber loses no message
@@ -66,7 +66,7 @@ class PolledSubscription:
             yield message, info["received_timestamp"], info["source_timestamp"]
 
     def take_numbered(self, limit: int = 1000) -> Iterator[tuple[Any, int, int | None]]:
-        """As `take`, with the publisher's sequence number (from 1) instead of sent_ns; None if it is unknown."""
+        """Like `take`, with the publisher's sequence number (from 1) instead of sent_ns; None if it is unknown."""
         for message, info in self._take_waiting(limit):
             yield message, info["received_timestamp"], info["publication_sequence_number"]
 

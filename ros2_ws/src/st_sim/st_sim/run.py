@@ -34,7 +34,7 @@ DEFAULT_ORIGIN = "51.448,5.49,65.0"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns 0, also after SIGINT or SIGTERM, or prints one line on stderr and returns 2."""
+    """Run the command; returns 0, also after SIGINT or SIGTERM, or 2 after an error, with one line on stderr."""
     stop_requested = _watch_signals()
     try:
         options = _parser().parse_args(arguments)
@@ -100,7 +100,7 @@ class _Run:
 def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
     """DBC and signal table of the Leaf; the virtual car sends the Leaf's messages with every vehicle file.
 
-    They are searched next to the vehicle file, then in the folder --config; without --config, in the config folders
+    They are searched for next to the vehicle file, then in the folder --config; without --config, in the config folders
     above the vehicle file, of the checkout, and of the current folder and its parents.
     """
     vehicle, config = options.vehicle, options.config

@@ -143,7 +143,7 @@ class Stream:
 
 @dataclass
 class Report:
-    """Counts of a real-time run. late: outputs later than LATE_THRESHOLD. worst_delay: the longest [s]."""
+    """Counts of a real-time run. late: outputs later than LATE_THRESHOLD. worst_delay: longest delay [s]."""
 
     ncom_packets: int = 0
     can_frames: int = 0

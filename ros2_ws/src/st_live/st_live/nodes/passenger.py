@@ -33,11 +33,11 @@ from st_ros.polling import PolledSubscription, steady_timer
 from ..page import PageServer
 from ..suite import VIEW_NICE
 
-TRACK_SPAN, TRACK_STEP = 20.0, 0.2  # s of measured track shown, and between its points
+TRACK_SPAN, TRACK_STEP = 20.0, 0.2  # s, duration of the measured track shown, and time between its points
 PATH_STRIDE = 2  # every PATH_STRIDE-th point of a prediction is sent
 MAX_AGE = 1.0  # s; an older prediction or steering angle is not shown
 DIAGNOSTICS_TIMEOUT = 3.0  # s until a node counts as silent; nodes of the suite publish diagnostics once a second
-MISSED_REPORTS = 3  # reporting intervals until a node with longer intervals counts as silent
+MISSED_REPORTS = 3  # reporting intervals until a node counts as silent, if longer than DIAGNOSTICS_TIMEOUT
 BAND_LEVEL = 0.9
 LEVELS = ("ok", "warning", "error", "error")  # by level of diagnostic_msgs; stale counts as an error
 INPUTS = {"forecast": "held", "course": "of the course", "plan": "planned"}  # by mode, the preferred mode last

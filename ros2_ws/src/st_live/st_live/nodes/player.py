@@ -35,9 +35,9 @@ CLOCK_STEP_NS = 10_000_000
 QUEUE_DEPTH = 1000
 DISCOVERY_TIMEOUT = 15.0  # s
 STATUS_PERIOD = 0.5  # s
-SUBSCRIBERS = 3  # of each topic: predictor, evaluator, recorder
+SUBSCRIBERS = 3  # expected for each topic: predictor, evaluator, recorder
 PLAN, ORIGIN = "/plan/inputs", "/ins/origin"
-FEWER_SUBSCRIBERS = {PLAN: 2, ORIGIN: 1}  # predictor and recorder; the recorder only, without a course
+FEWER_SUBSCRIBERS = {PLAN: 2, ORIGIN: 1}  # predictor and recorder; only the recorder, without a course
 # s, longest wait for a node at rate 0; the short one follows a wait without progress, for example at standstill.
 TIMEOUT, SHORT_TIMEOUT = 2.0, 0.005
 SCORE_DELAY = 1.0  # s; the clock may lead the newest scored start by the horizon plus this delay
