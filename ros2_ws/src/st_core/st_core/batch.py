@@ -1,6 +1,6 @@
 """Predicts from many starts of a recorded drive at once; the result contains the states at horizon points.
 
-The results equal those of `prediction.predict` with the inputs of the log, for any backend. Starts are computed in
+The results equal `prediction.predict` with the inputs of the log, for any backend. Starts are computed in
 blocks. In addition to the result, memory contains the tables of one block and the two inputs of the log on the grid:
 16 bytes per half step, 32 for a model that corrects the measurements.
 """

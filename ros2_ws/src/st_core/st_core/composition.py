@@ -1,7 +1,7 @@
 """Composes a base model with effects into plain functions, usable with floats, arrays, compilers and CasADi.
 
 The functions are created once per base and set of effects. Values occur only in the parameters p, so a fit never
-creates, traces or compiles the functions again. Layout of a composed model:
+recreates, retraces or recompiles the functions. Layout of a composed model:
 
     p     = AugmentedParameters: parameters of the base model, and theta of each effect that acts in the equations
     w     = (road_wheel_angle, velocity_x_dot, prepared quantities of each effect ..., w of the base model)

@@ -28,7 +28,7 @@ ROUNDING = 1e-9  # largest difference between backends, relative to max(1, |valu
 # Largest residual after `correct`, relative to the change by `observe`; not 0, because `correct` starts at the reading.
 CORRECTION_RESIDUAL = 0.05
 GROWTH_RATE = 0.1  # 1/s, largest increase of the growth rate of a mode by an effect
-MIRROR_SIGNS = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])  # of the states
+MIRROR_SIGNS = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])  # signs of the states under left-right mirroring
 ODD_READINGS = ("y", "yaw", "velocity_y", "yaw_rate", "acceleration_y", "yaw_acceleration")
 READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
 

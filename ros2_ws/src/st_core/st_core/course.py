@@ -30,7 +30,7 @@ changes over shorter distances."""
 MAX_DISTANCE = 4.0
 """m, largest distance of a pass from the car: one lane and its neighbour."""
 MAX_HEADING_DIFFERENCE = 0.5
-"""rad, between the directions of car and pass; a larger one means the opposite direction or a crossing."""
+"""rad, between the directions of car and pass; a larger difference means the opposite direction or a crossing."""
 PAUSE_SPEED = 0.5
 """m/s; slower driving is left out, because curvature is undefined at standstill."""
 MAX_GAP = 0.1
@@ -38,7 +38,7 @@ MAX_GAP = 0.1
 MIN_LENGTH = 20.0
 """m, minimum length of a pass; above 4 m/s, a shorter pass ends within the horizon of 5 s."""
 MAX_ORIGIN_DISTANCE = 5000.0
-"""m, between map origins; at a larger distance the axes differ by more than 1 mrad at latitude 50."""
+"""m, distance between map origins; beyond it the axes differ by more than 1 mrad at latitude 50 deg."""
 SCHEMA = 1
 POINTS = "\npoints: |\n"
 COLUMNS = ("x", "y", "direction", "curvature", "speed")

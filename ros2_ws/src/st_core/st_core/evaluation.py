@@ -126,7 +126,7 @@ class Evaluator:
             self._abandon([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions were waiting")
 
     def poll(self, newest_ns: int | None = None) -> list[Score]:
-        """Scores of the predictions whose horizon is covered by both signals.
+        """Scores of the predictions with a horizon covered by both signals.
 
         newest_ns: current time on the clock of the stamps; None: time of the newest INS sample. SIGNAL_TIMEOUT after
         the end of its horizon a prediction is scored with the available measurements.

@@ -17,7 +17,7 @@ Acceleration = Literal["causal", "zero_phase"]
 
 
 def share_memory(log: DriveLog, other: DriveLog, *names: str) -> bool:
-    """Whether these arrays of two drives are the same memory; each drive has its own views of it."""
+    """Whether the named arrays of two drives share memory; each drive has its own views of the memory."""
     pairs = [(getattr(log, name), getattr(other, name)) for name in names]
     return all(a.size == b.size and a.ctypes.data == b.ctypes.data for a, b in pairs)
 

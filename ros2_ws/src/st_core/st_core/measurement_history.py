@@ -40,8 +40,8 @@ MAX_EXAMINED_GAP = 10.0
 NOISE_STEPS, MIN_NOISE_STEPS, NOISE_FACTOR = 20, 5, 6.0
 MAX_NOISE = 5.0
 
-# A constant angle is frozen if delta' varies by more than the first value [rad], about 20 deg at the wheel, plus
-# the second one times the angle.
+# A constant angle is frozen if delta' varies by more than the first value [rad], about 20 deg at the steering wheel,
+# plus the second value times the angle.
 FROZEN_MIN_VARIATION, FROZEN_RELATIVE_VARIATION = 0.02, 0.3
 FROZEN_MIN_SPEED = 3.0  # m/s; below it the noise of the yaw rate gives large angles
 FROZEN_TIME_CONSTANT = 0.2  # s, of the low-pass on delta'
@@ -137,7 +137,7 @@ class MeasurementHistory:
         return position is not None
 
     def _find_jumps(self, position: int) -> None:
-        # A sample that was sorted in changes the step to itself and the step to the next sample.
+        # A sample that was sorted in changes the steps before and after it.
         for after in range(max(position, 1), min(position + 2, len(self.ins))):
             size = self._jump_size(after)
             time_ns = int(self.ins.times[after])

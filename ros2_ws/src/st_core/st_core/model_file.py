@@ -28,7 +28,7 @@ from .vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .yaml_text import check_keys, load, number, quote
 
 Interval = tuple[float, float] | None
-MAX_LISTED_DIFFERENCES = 3  # between two cars, in a message
+MAX_LISTED_DIFFERENCES = 3  # differences between two cars listed in a message
 HEADER = "# Model file: base model, its effects (SI units, 95 % intervals), and their provenance.\n"
 
 

@@ -50,7 +50,7 @@ OPTIONAL_QUANTITIES = {
     "side_area": _quantity("m^2", 0.1, 60.0, default=2.5),
     "side_force_arm": _quantity("m", -5.0, 5.0, default=0.25),
 }
-"""Quantities that only some effects need. The defaults are those of a front-wheel-drive passenger car."""
+"""Quantities that only some effects need. The defaults describe a front-wheel-drive passenger car."""
 VEHICLE_QUANTITIES = {
     "mass": _quantity("kg", 50.0, 60000.0),
     "yaw_inertia": _quantity("kg m^2", 10.0, 1.0e6),
@@ -273,7 +273,7 @@ class VehicleParameters:
     def to_yaml(self) -> str:
         """A vehicle file in SI units, which `from_yaml` reads back to the same parameters and hash.
 
-        A derived lambda_ky is left out: after an edit of the cornering stiffness in the file it is derived again.
+        A derived lambda_ky is left out, so that it is recomputed after an edit of the cornering stiffness in the file.
         """
         rederived = self.with_derived_scales()
         derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED

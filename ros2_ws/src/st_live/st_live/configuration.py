@@ -85,7 +85,7 @@ def replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfigurati
     common = {"vehicle_file": str(vehicle), "use_sim_time": True}
     nodes = {node: {**recorded.nodes.get(node, {}), **common} for node in ("predictor", "evaluator")}
     merged = merge(config("nodes.yaml"), {
-        # The files named in the recording may have moved or changed; `add_files` sets those of this run.
+        # The files named in the recording may have moved or changed; `add_files` sets the files of this run.
         "predictor": {**nodes["predictor"], "bands_file": "", "course_file": ""},
         "evaluator": {**nodes["evaluator"], "output_directory": str(folder / "errors")},
         "recorder": {"use_sim_time": True, "output_directory": str(folder / "bag"),

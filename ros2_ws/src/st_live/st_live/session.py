@@ -36,7 +36,7 @@ NODES = (  # package, executable; subscribers start first, so that they miss no 
 STOP_ORDER = ("predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_bridge", "recorder")
 END_MARGIN = 0.5  # s between the end of the run and the end of the source
 START_TIMEOUT = 60.0  # s until all nodes are in the graph
-DISCOVERY_TIME = 1.5  # s until nodes of another suite are in the graph; they announce themselves every second
+DISCOVERY_TIME = 1.5  # s until nodes of another suite are in the graph; nodes announce their presence every second
 LOG_PERIOD = 10.0  # s between lines if the output is not a terminal
 
 

@@ -70,7 +70,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Verification:
-    """Comparisons of all models. same_configuration: whether vehicle and settings match those of all predictions."""
+    """Comparisons of all models. same_configuration: whether all predictions used this vehicle and these settings."""
 
     comparisons: list[Comparison]
     vehicle: str

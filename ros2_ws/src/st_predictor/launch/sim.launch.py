@@ -12,7 +12,7 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackagePrefix
 
-# There is no `car` argument: DBC, signal table and steering settings are those of the virtual Leaf.
+# There is no `car` argument: DBC, signal table and steering settings always belong to the virtual Leaf.
 ARGUMENTS = {
     "config_dir": (None, "folder with nodes.yaml and car/ (config/ of the repository)"),
     "vehicle": ([LaunchConfiguration("config_dir"), "/car/leaf/vehicle.yaml"], "vehicle file"),

@@ -22,7 +22,7 @@ from st_ros.polling import from_nanoseconds, to_nanoseconds
 
 from .map_drawing import BAND_MODE, Path, make_ribbon
 
-QUATERNION_TOLERANCE = 0.01  # of the squared length; float32 rounding causes 1e-7, an unset orientation has length 0
+QUATERNION_TOLERANCE = 0.01  # error of the squared length; float32 rounding causes 1e-7, an unset orientation 1
 _NEVER_NS = 9_223_372_036 * 1_000_000_000  # rmw's value for "never"; rclpy returns at least this value
 
 

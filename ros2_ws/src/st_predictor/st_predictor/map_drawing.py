@@ -10,7 +10,7 @@ from st_core.vehicle import VehicleParameters
 
 TRACK_SPAN = 90.0  # s of measured track kept
 MAX_PATH_AGE = 1.0  # s; an older path is not drawn as the newest one
-GHOST_AGES = (1.0, 2.0, 3.0, 4.0, 5.0)  # s, of the earlier predictions drawn in addition to the newest one
+GHOST_AGES = (1.0, 2.0, 3.0, 4.0, 5.0)  # s, ages of the earlier predictions drawn in addition to the newest
 GHOST_TOLERANCE = 0.15  # s, largest difference between a prediction's age and a ghost age
 BAND_MODE = "forecast"  # mode of the drawn bands and paths
 
@@ -133,7 +133,7 @@ class History:
         return ghosts
 
     def predicted_position(self, model: str, now_ns: int) -> tuple[float, float] | None:
-        """Position x, y [m] predicted for now by the oldest prediction whose horizon covers now; None without one."""
+        """Position x, y [m] predicted for now by the oldest prediction that covers now; None without one."""
         for path in self._paths.get(model, ()):
             if (point := path.at(now_ns)) is not None and path.start_ns < now_ns:
                 return point

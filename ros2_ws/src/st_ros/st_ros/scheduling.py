@@ -55,7 +55,7 @@ def lower_priority(nice: int) -> None:
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, max(nice, os.getpriority(os.PRIO_PROCESS, 0)))
     if os.getsid(0) != os.getpid():
-        return  # the autogroup contains other processes, such as those of a launch file
+        return  # the autogroup contains other processes, for example of a launch file
     for _ in range(_TRIES):
         try:
             _GROUP.write_text(str(nice))

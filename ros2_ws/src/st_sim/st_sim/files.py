@@ -72,7 +72,7 @@ class TruthFile:
         self._writer.add_metadata("run", {name: str(value) for name, value in about.items()})
 
     def write(self, truth: Truth) -> None:
-        """Add a record. A write error, such as a full disk, ends the file but not the drive."""
+        """Add a record. A write error, for example on a full disk, ends the file but not the drive."""
         if self.fault:
             return
         time_ns = self._start_ns + round(truth.time * 1e9)

@@ -1,6 +1,6 @@
 """Encodes INS readings as NCOM packets with the status channels of an RT3000 with RTK and two antennas.
 
-Positions are WGS84, axes NED and FRD; the status channels are those of a converged filter.
+Positions are WGS84, axes NED and FRD; the status channels correspond to a converged filter.
 """
 
 import math
@@ -189,7 +189,7 @@ class StatusChannels:
             return {"GpsMinutes": gps_minutes, "GpsNumObs": _SATELLITES, "GpsPosMode": _RTK, "GpsVelMode": _RTK,
                     "GpsAttMode": _RTK}
         if channel == INNOVATIONS:
-            # Small and slow, like those of a converged filter.
+            # Small, slow values, as from a converged filter.
             names = ("InnPosX", "InnPosY", "InnPosZ", "InnVelX", "InnVelY", "InnVelZ", "InnPitch", "InnHeading")
             return {name: round(0.4 * math.sin(0.7 * seconds + i), 1) for i, name in enumerate(names)}
         if channel == RECEIVER:

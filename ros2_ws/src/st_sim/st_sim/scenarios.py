@@ -17,7 +17,7 @@ from .settings import SimulationError, read_document
 
 OpenLoopSteering = Callable[[float], float]  # wheelbase of the car [m] -> road-wheel angle [rad, left +]
 
-LONGEST_ROAD = 20_000.0  # m, of one lap of a road from a file
+LONGEST_ROAD = 20_000.0  # m, longest lap of a road from a file
 MAX_SPEED = 100.0  # m/s
 PEDAL_LEAD = 0.15  # s by which the pedals move before the speed has to change
 SPEED_SLACK = 0.15  # m/s by which the target may fall below the speed while braking

@@ -25,7 +25,7 @@ STEERING_SCHEDULE, WHEEL_SCHEDULE, GEAR_SCHEDULE = (10, 2), (20, 6), (60, 8)
 INS_CAN_DELAY = 0.0015  # s from the datagram to the first frame on CAN
 EARLY_TOLERANCE = 0.0003  # s; a frame due within this time is sent at once; a real bus has the same jitter
 LATE_THRESHOLD = 0.005  # s after the deadline; an output sent later counts as late
-INITIALISING_END, LOCKING_DURATION = 7.0, 11.0  # s, in the start-up of an INS
+INITIALISING_END, LOCKING_DURATION = 7.0, 11.0  # s, phases of the start-up of an INS
 
 
 class Kind(IntEnum):

@@ -77,7 +77,7 @@ class PredictionBands:
         return {} if self._reason else self._messages.fill()
 
     def observe_scores(self) -> None:
-        """Adapt to the errors of predictions whose horizon has passed; call it at every tick, also at standstill."""
+        """Adapt to the errors of predictions with an ended horizon; call it at every tick, also at standstill."""
         if self._adaptive:
             for score in self._scorer.poll():
                 self._adaptive.observe(score)

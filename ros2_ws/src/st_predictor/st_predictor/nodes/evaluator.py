@@ -30,7 +30,7 @@ NICE = 5  # lower priority than bridges and predictor: a third of their CPU shar
 WORK_PERIOD, SUMMARY_PERIOD = 0.05, 1.0  # s
 MODES = ("forecast", "hindsight")  # scored for every forecast, in the order of the summary
 LEVELS = {"warning": diagnostics.WARN, "error": diagnostics.ERROR}
-HISTORY_SPAN = 65.0  # s of measurements kept: the longest horizon of a predictor plus the wait for late signals
+HISTORY_SPAN = 65.0  # s of measurements stored: longest horizon of a predictor plus the wait for late signals
 ERROR_DEPTH = 1000  # the scores of a whole horizon, all models and modes are published at once at the end of a run
 QUEUE_DEPTH = 500  # queued predictions per topic: 50 s at 10 Hz, 5 s of a fast replay
 # SI; larger than rounding differences between computers; another vehicle file changes a path by centimetres in 1 s.

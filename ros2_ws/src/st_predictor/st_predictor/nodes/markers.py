@@ -100,7 +100,7 @@ class MarkersNode(Node):
                 marker = self._make_marker(Marker.TRIANGLE_LIST, model, round(100 * ribbon.level), now_ns,
                                            colour_of(model), alpha)
                 marker.scale.x = marker.scale.y = marker.scale.z = 1.0
-                # Below the paths, at different heights.
+                # Bands are below the paths, at different heights.
                 z = -0.3 - 0.02 * number - 0.1 * ribbon.level
                 marker.points = [Point(x=px, y=py, z=z)
                                  for px, py in ribbon.make_triangles(RIBBON_STRIDE).reshape(-1, 2).tolist()]

@@ -27,7 +27,7 @@ from ._bands import PredictionBands
 from ._future_inputs import CourseInput, PlanInput
 from ._inputs import Inputs
 
-MAX_OVERRUN_NS = 10_000_000_000  # a longer step is a jump of the clock, as in a replay, not an overrun
+MAX_OVERRUN_NS = 10_000_000_000  # a longer step is a clock jump, for example in a replay, not an overrun
 DRAIN_PERIOD = 0.02  # s; queues are emptied between ticks, so that a tick has little input to process
 STATUS_PERIOD = 1.0  # s
 # Messages queued for a slow subscriber. Fast DDS resends the whole queue to a subscriber that was stopped: after a stop
@@ -177,7 +177,7 @@ class PredictorNode(Node):
         before, self._last_start_ns = self._last_start_ns, start.time_ns
         if start.time_ns != before:
             return start
-        # A planner does not need the same prediction again, and the statistics would count it twice.
+        # A planner does not need the same prediction twice, and the statistics would count it twice.
         signal, age = max(self._core.ages(now_ns).items(), key=lambda item: item[1])
         return Skip("stale", f"{signal}: no new sample since the last tick, the newest is {age:.2f} s old")
 
