@@ -31,7 +31,7 @@ from .vehicle import VehicleParameters
 POSITION_TOLERANCE = 0.3
 # Allowed in addition, as a fraction of the distance driven, for errors of velocity scale and heading.
 DISTANCE_TOLERANCE = 0.1
-# Largest acceleration on tyres [m/s^2]: bounds the error of the trapezoidal rule over longer steps.
+# Largest acceleration of a car on tyres [m/s^2]; it limits the error of the trapezoidal rule over longer steps.
 MAX_ACCELERATION = 10.0
 # Longer gaps are not examined, because the motion within them is unknown [s].
 MAX_EXAMINED_GAP = 10.0

@@ -32,8 +32,8 @@ def correct_sample(model: Model, sample: InsSample) -> InsSample:
 
 
 def missing_reading(model: Model, unknown: Sequence[str]) -> tuple[str, str] | None:
-    """(effect, reading) of the first sensor effect that corrects pose, velocity or yaw rate by one of these unknown
-    accelerations; None without such an effect."""
+    """(effect, reading) of the first sensor effect that needs one of these unknown accelerations to correct pose,
+    velocity or yaw rate; None without such an effect."""
     if not isinstance(model, AugmentedModel):
         return None
     for effect in model.active:
@@ -131,7 +131,7 @@ def predict_faultless_readings(model: Model, vehicle: VehicleParameters, states:
     """Readings of a faultless INS in the given states, at the INS point.
 
     states: (x, y, velocity_x, velocity_y, yaw, yaw_rate, extra states ...) at the CG, floats or arrays of equal shape.
-    w, p: inputs of the model there and its parameters. Without them the accelerations are NaN and the yaw acceleration
+    w, p: inputs and parameters of the model. Without them, the accelerations are NaN and the yaw acceleration
     is 0, so a delay of the yaw rate has no effect.
 
         a_ins = a_cg + r_dot x d - r^2 d,   d: the INS seen from the CG,   a_cg = `Model.specific_force`

@@ -45,7 +45,7 @@ class _Loader(yaml.SafeLoader):
                 raise ConfigurationError(f"merging (<<) is not allowed (line {line}); write the values out")
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
-                split = node.flow_style and type(key) is int and not value_node.value  # {x: 1,5}
+                split = node.flow_style and type(key) is int and not value_node.value  # for example {x: 1,5}
                 comma = "; write decimal points, not commas" if split else ""
                 raise ConfigurationError(f"{_shorten(key)}: a key must be a string (line {line}){comma}")
             if not key.isprintable():

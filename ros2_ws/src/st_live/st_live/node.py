@@ -52,7 +52,7 @@ class SuiteState:
 
 
 class Monitor:
-    """Node with its own thread. `state` is replaced, never modified, so that readers need no lock."""
+    """Node that receives messages in its own thread. `state` is replaced, never modified: readers need no lock."""
 
     def __init__(self, domain_id: int | None = None):
         self.state = SuiteState()

@@ -1,4 +1,4 @@
-"""Settings of the virtual car by name, each with a null value at which it has no effect.
+"""Settings of the virtual car by name, each with a null value that disables its effect.
 
 In the preset `ideal` all settings are null; `realistic` is a typical car. A file or `--effect name=value` changes them.
 """

@@ -66,7 +66,7 @@ class Follower:
                     self._newest_ns = max(self._newest_ns, read_stamp(data))
             reached = self._newest_ns >= clock_ns - self._lead_ns
             if reached or time.monotonic() > end:
-                self._progresses = reached or self._newest_ns > before  # a slow node gets the long timeout again
+                self._progresses = reached or self._newest_ns > before  # progress restores the long timeout
                 return
             subscriptions = [subscription for subscription, _ in self._sources]
             wait_for_any(self._node, subscriptions, max(end - time.monotonic(), 0.0))
