@@ -1,16 +1,16 @@
-"""Adaptive bands: the scores of earlier predictions, which arrive one horizon later, correct the factor of a band.
+"""Adaptive bands: scores of earlier predictions, which become available one horizon later, correct the band factor.
 
 For one model, mode and level with half-widths c s(t), and the score S = max over t, a of |e_a(t)| / s_a(t):
 
     log c  <-  log c + g w (1{S > c_issued} - (1 - level)),         w: time since the previous score [s], at most 1 s
 
-c_issued is the factor that was issued with the prediction. For any distribution of the errors, the fraction of time
-outside the band during T seconds, in which c stays within [MIN, MAX], differs from 1 - level by no more than
+c_issued is the factor that was issued with the prediction. For any distribution of the errors, if c stays within
+[MIN, MAX] for T seconds, the fraction of this time outside the band differs from 1 - level by no more than
 
     (log(MAX / MIN) + g D) / (g T),         D: horizon [s]
 
 This guarantees the coverage in the long run, but not for the next prediction or a single minute. The gain g decreases
-from START_GAIN to GAIN with the time constant SETTLING, to correct a wrong initial factor fast. Without a calibrated
+from START_GAIN to GAIN with the time constant SETTLING, to correct a wrong initial factor quickly. Without a calibrated
 scale, the exponentially weighted root mean square of the errors is used (SCALE_FORGETTING). Every run starts with the
 calibrated factors (or DEFAULT_FACTORS); corrections of earlier runs are not stored.
 Source: Gibbs and Candes, Adaptive conformal inference under distribution shift, NeurIPS 2021; as a quantile tracker:
@@ -28,8 +28,8 @@ from ..timeseries import NANOSECOND
 from .calibration import LEVELS, Band
 
 GAIN, START_GAIN, SETTLING = 0.1, 0.3, 30.0
-"""1/s, 1/s, s. Errors outside a 90 % band for 5 s widen it by 57 %. This is fast enough for a run of two minutes, and
-makes the band 5 % wider than the best constant factor (docs/manual/bands.md)."""
+"""1/s, 1/s, s. Errors outside a 90 % band for 5 s widen it by 57 %. This is fast enough for a run of two minutes. The
+band is 5 % wider than with the best constant factor (docs/manual/bands.md)."""
 MIN_FACTOR, MAX_FACTOR = 0.05, 100.0
 """Limits that correspond to sensor noise and to the size of a road."""
 DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}
@@ -67,7 +67,7 @@ class AdaptiveBand:
 
     @property
     def factors(self) -> dict[float, float]:
-        """Factor by level, which does not decrease with the level."""
+        """Factor by level, not decreasing with the level."""
         values = np.maximum.accumulate([math.exp(log) for log in self._logs.values()])
         return dict(zip(self._logs, values.tolist(), strict=True))
 
@@ -76,13 +76,13 @@ class AdaptiveBand:
         return np.sqrt(self._squares) if self._band is None else self._band.scale(np.atleast_2d(condition))[0]
 
     def issue(self, start_ns: int, condition: np.ndarray, scale: np.ndarray | None = None) -> dict[float, np.ndarray]:
-        """Half-widths (points, 3) by level of a prediction from start_ns, which are stored until its score arrives.
+        """Half-widths (points, 3) by level for a prediction from start_ns, stored until its score arrives.
 
         scale: (points, 3), if it is already computed.
         """
         scale = self.scale(condition) if scale is None else scale
         factors = self.factors
-        if self._issued and start_ns <= self._issued[-1][0]:  # after a jump back in time, no score of these will arrive
+        if self._issued and start_ns <= self._issued[-1][0]:  # after a jump back in time, their scores never arrive
             self._issued.clear()
         self._issued.append((start_ns, scale, factors))
         if len(self._issued) > MAX_WAITING:
@@ -90,9 +90,9 @@ class AdaptiveBand:
         return {level: factor * scale for level, factor in factors.items()}
 
     def observe(self, start_ns: int, errors: np.ndarray) -> dict[float, bool]:
-        """Correct the factors by the errors (points, 3) of a prediction, in the predicted frame, in order of time.
+        """Correct the factors by the errors (points, 3) of a prediction in the predicted frame. Call in order of time.
 
-        Returns by level whether the whole path was inside; empty if no band was issued or errors are not finite.
+        Returns, by level, whether the whole path was inside; empty if no band was issued or errors are not finite.
         """
         while self._issued and self._issued[0][0] < start_ns:
             self._issued.popleft()

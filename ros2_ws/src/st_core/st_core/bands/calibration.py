@@ -1,13 +1,13 @@
 """Calibration of the band of one model and mode from runs: first the scale of its errors, then the conformal factors.
 
-Runs are exchangeable. The windows (predictions) of one run are not, because they overlap. One window drawn at random
-from each of n runs, and one from a future run, have n + 1 exchangeable scores. For any distribution of the errors, the
-score of the future run is not above the k-th smallest of the others with the probability
+Runs are assumed exchangeable. The windows (predictions) of one run are not, because they overlap. One window drawn at
+random from each of n runs, and one from a future run, have n + 1 exchangeable scores. For any distribution of the
+errors, the score of the future run does not exceed the k-th smallest of the others with the probability
 
     k/(n + 1) = level,   so k = level (n + 1)
 
-For k > n no bound exists: n runs support levels up to n/(n + 1). To be independent of the draw, the factor c has the
-mean coverage over all draws, with equal weights of the runs:
+For k > n no bound exists, so n runs support levels up to n/(n + 1). To make the factor c independent of the draw, its
+coverage F(c) is the mean coverage over all draws, with equal weights of the runs:
 
     F(c) = E[ F(k-th smallest of one window per run) ],     F(s) = 1/n sum_r 1/n_r #{i : s_ri <= s}
 
@@ -42,7 +42,7 @@ def runs_needed(level: float) -> int:
 
 
 def check_levels(levels: Sequence[float], runs: int) -> None:
-    """Raises StCoreError, one line, for a level outside (0, 1) or above the highest that `runs` runs support."""
+    """Raises a one-line StCoreError for a level outside (0, 1) or above the highest level that `runs` runs support."""
     if not runs:
         raise StCoreError("no usable run to calibrate bands with")
     for level in levels:
@@ -57,8 +57,8 @@ def check_levels(levels: Sequence[float], runs: int) -> None:
 def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> np.ndarray:
     """Factors c of the levels, (levels,) [1]; see the module.
 
-    scores: of the windows of each run [1]. Raises StCoreError for scores that are not finite, a run without scores, and
-    the errors of `check_levels`.
+    scores: for each run, the scores of its windows [1]. Raises StCoreError for scores that are not finite, for a run
+    without scores, and as `check_levels`.
     """
     count = len(scores)
     check_levels(levels, count)
@@ -69,7 +69,7 @@ def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> 
         raise StCoreError("a score is not finite; bands cannot be calibrated with such errors")
     by_run = np.stack([np.searchsorted(np.sort(run), values, side="right") / len(run) for run in scores])
     covered = by_run.mean(axis=0)
-    # at_least[k]: distribution function of the k-th smallest score of a draw. mean[k]: its mean coverage, 0 for k = 0.
+    # at_least[k]: distribution function of the k-th smallest score of a draw. mean[k]: mean coverage of this score.
     at_least = _probability_of_at_least(by_run)
     mean = np.concatenate([[0.0], np.diff(at_least[1:], axis=1, prepend=0.0) @ covered])
     target = np.interp(np.asarray(levels, float) * (count + 1.0), np.arange(count + 1), mean)
@@ -77,7 +77,7 @@ def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> 
 
 
 def _probability_of_at_least(by_run: np.ndarray) -> np.ndarray:
-    """Probability (runs + 1, values) that at least k of the windows, one per run, have a score <= a value.
+    """Probability (runs + 1, values) that at least k = 0 ... runs windows, one per run, have a score <= a value.
 
     by_run: (runs, values), probability that a window of the run has a score <= a value.
     """
@@ -98,7 +98,7 @@ MIN_RUNS = 3  # the calibration domain of a scored run requires two other runs
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """The band of one model and mode: half-widths are factor times scale. factors: by level, increasing with it [1].
+    """The band of one model and mode: half-widths are factor times scale. factors: by level, not decreasing [1].
     ratios: (3, len(RELIABILITY)) quantiles of |error| / scale at a single point, by axis, for the CRPS."""
 
     scale: Scale
@@ -122,7 +122,7 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
 
     A run is scored with a scale fitted to other runs (cross-fitting), because scores of runs used in the fit would be
     too small. Windows outside the calibration domain of the other runs are ignored, because they would have no band.
-    time: (points,) of the errors [s]. Raises StCoreError, one line, if there are too few runs for a level or if errors
+    time: (points,) of the errors [s]. Raises a one-line StCoreError if there are too few runs for a level or if errors
     are not finite.
     """
     check_levels(levels, len(runs))
@@ -141,7 +141,7 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
             if rows.any():
                 ratio = np.abs(run.errors[pair][rows]) / scale(run.conditions[rows])
                 scores.append(ratio.max(axis=(1, 2)))
-                # Neighbouring points are redundant.
+                # Every fifth point is enough, since neighbouring points are redundant.
                 ratios.append(ratio[:, ::5].reshape(-1, ratio.shape[2]))
     if len(scores) < len(runs):
         try:
@@ -159,7 +159,7 @@ def _fit_scale_of(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarra
 
 
 def _pool_quantiles(ratios: Sequence[np.ndarray]) -> np.ndarray:
-    """Quantiles (3, len(RELIABILITY)) of the mean of the runs' distribution functions."""
+    """Quantiles (3, len(RELIABILITY)) of the mean distribution function of the runs."""
     found = []
     for axis in range(ratios[0].shape[1]):
         parts = [np.quantile(ratio[:, axis], np.linspace(0.0, 1.0, 201)) for ratio in ratios]

@@ -22,7 +22,7 @@ CONDITIONS = ("speed", "lateral_acceleration", "forward_acceleration", "steering
 UNITS = {"speed": "m/s", "lateral_acceleration": "m/s^2", "forward_acceleration": "m/s^2", "steering_activity": "rad/s"}
 ACTIVITY_SPAN = 1.0  # s; about the duration of a steering correction; the live predictor stores two seconds
 ACTIVITY_STEP = 0.05
-"""s. A resolution of 0.1 deg at the steering wheel with a ratio of 16 results in a rate resolution of 0.002 rad/s."""
+"""s. With a resolution of 0.1 deg at the steering wheel and a ratio of 16, rates have a resolution of 0.002 rad/s."""
 _INSTANTS_NS = np.round(np.arange(-ACTIVITY_SPAN, 0.5 * ACTIVITY_STEP, ACTIVITY_STEP) / NANOSECOND).astype(np.int64)
 
 
@@ -43,7 +43,7 @@ def steering_activity(angle: np.ndarray) -> np.ndarray:
 def conditions(velocity_x: float | np.ndarray, yaw_rate: float | np.ndarray, velocity_x_dot: float | np.ndarray,
                activity: float | np.ndarray) -> np.ndarray:
     """Conditions (..., 4), columns as CONDITIONS, from velocity_x [m/s], yaw_rate [rad/s] and velocity_x_dot [m/s^2] at
-    the INS point, and the activity of `steering_activity` [rad/s]."""
+    the INS point, and `steering_activity` [rad/s]."""
     parts = np.broadcast_arrays(*magnitudes(*map(np.asarray, (velocity_x, yaw_rate, velocity_x_dot, activity))))
     return np.stack([np.asarray(part, float) for part in parts], axis=-1)
 
@@ -76,7 +76,7 @@ def cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @dataclass(frozen=True, eq=False)
 class CalibrationDomain:
     """Conditions covered by the calibration. starts: number of starts by (speed bin, lateral acceleration bin), 0 if
-    fewer than MIN_RUNS runs had MIN_STARTS. largest: forward_acceleration [m/s^2] and steering_activity [rad/s]."""
+    fewer than MIN_RUNS runs had MIN_STARTS. largest: forward_acceleration [m/s^2], steering_activity [rad/s]."""
 
     starts: np.ndarray
     largest: tuple[float, float]
@@ -98,7 +98,7 @@ class CalibrationDomain:
         return known & (self.starts[cells(rows)] > 0) & (rows[:, 2:] <= self.largest).all(axis=1)
 
     def describe_outside(self, condition: Sequence[float]) -> str:
-        """Reason, in one line, why conditions (four numbers) are outside the domain; empty if they are inside."""
+        """One-line reason why four conditions are outside the domain; empty if they are inside."""
         if self(np.array([condition], float))[0]:
             return ""
         for name, value in zip(CONDITIONS, condition, strict=True):

@@ -42,7 +42,7 @@ CHECKED_SETTINGS = ("horizon", "step", "minimum_speed", "maximum_gap", "filter_c
 class Bands:
     """All bands of a car. bands: by (model, mode). hashes: `prediction.configuration_hash` by model.
 
-    settings: of `EvaluationSettings.as_dict`. recordings: sha256 by name. runs: number of runs.
+    settings: from `EvaluationSettings.as_dict`. recordings: sha256 by name. runs: number of runs.
     """
 
     vehicle_name: str
@@ -60,14 +60,14 @@ class Bands:
 
     @property
     def time(self) -> np.ndarray:
-        """Times (points,) of the half-widths [s ahead], without the start."""
+        """Times (points,) of the half-widths [s ahead], without the start at 0."""
         return times(self.settings["horizon"], self.settings["step"])
 
     def half_widths(self, model: str, mode: str, conditions: np.ndarray, level: float) -> np.ndarray:
         """Half-widths (n, points + 1, 3) along and across the predicted path [m] and in yaw [rad], 0 at the start.
 
         With the probability `level`, the whole measured path of the INS point is inside the band in all three. NaN
-        outside the calibration domain (`CalibrationDomain.describe_outside`). conditions: (n, 4), of
+        outside the calibration domain (`CalibrationDomain.describe_outside`). conditions: (n, 4), from
         `conditions.conditions`. Raises KeyError for a model, mode or level that is not in the file.
         """
         band = self.bands[model, mode]
@@ -79,9 +79,9 @@ class Bands:
         return result
 
     def check(self, vehicle: VehicleParameters, models: Mapping[str, str], settings: EvaluationSettings) -> None:
-        """Raises ConfigurationError, one line, if the bands belong to another car, model or configuration.
+        """Raises a one-line ConfigurationError if the bands belong to another car, model or configuration.
 
-        models: models to be used, with the hash of the model file, "" for a model of the paper.
+        models: hash of the model file of each model to use, "" for a model of the paper.
         """
         if vehicle.hash != self.vehicle_hash:
             raise ConfigurationError(f"vehicle: the bands are for {self.vehicle_name!r} {self.vehicle_hash[:12]}, "
@@ -125,7 +125,7 @@ class Bands:
 
     @classmethod
     def from_yaml(cls, text: str, origin: str = "bands") -> "Bands":
-        """The bands in a file. origin: name shown in errors, usually the path. Raises ConfigurationError, one line."""
+        """The bands in a file. origin: name for messages, usually the path. Raises a one-line ConfigurationError."""
         try:
             return cls._read(load(text))
         except ConfigurationError as error:
@@ -179,7 +179,7 @@ def _read_band(entry: Mapping[str, Any], time: np.ndarray) -> Band:
 
 
 def _flow(value: Any) -> str:
-    """JSON text, which is valid YAML; floats with a decimal point, since YAML reads 1e-05 as text."""
+    """A value as JSON, which is valid YAML; floats have a decimal point, since YAML reads 1e-05 as text."""
     if isinstance(value, float):
         return number(value)
     if isinstance(value, Mapping):

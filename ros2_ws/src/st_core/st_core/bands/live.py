@@ -1,7 +1,7 @@
 """Bands while driving: half-widths for all models and modes from the conditions at the start, and their coverage.
 
-`LiveBands` runs at 10 Hz with cold processor caches, so the number of numpy operations determines its duration, and all
-models are computed together.
+`LiveBands` runs at 10 Hz with cold processor caches. The number of numpy operations then determines its run time, so
+all models are computed together.
 
 A sequential test detects coverage significantly below the nominal level p; the alternative is q = ALTERNATIVE_RATIO p.
 Each scored window contributes its log likelihood ratio:
@@ -13,7 +13,7 @@ Overlapping windows are not independent, so the weight w of a window is the frac
 later than the previous one. S is then the mean over all selections of windows a whole horizon apart, which does not
 exceed the log of their mean likelihood ratio (Jensen): an e-detector. If every window stays inside with a probability
 of p or more, given the previous ones, the mean time to a false warning is at least HORIZONS horizons.
-Source: Shin, Ramdas and Rinaldo, E-detectors, New England Journal of Statistics in Data Science 2023 (CUSUM kind).
+Source: Shin, Ramdas and Rinaldo, E-detectors, New England Journal of Statistics in Data Science 2023 (CUSUM type).
 Checked by: test_bands_live.py; false warnings and delays measured in docs/manual/bands.md.
 """
 
@@ -40,7 +40,7 @@ HalfWidths = dict[tuple[str, float], np.ndarray]
 
 
 def conditions_now(history: MeasurementHistory, time_ns: int) -> tuple[float, ...]:
-    """The four `conditions.CONDITIONS` at an instant [ns], as `conditions_at` of a recorded drive; NaN if unknown."""
+    """The four `conditions.CONDITIONS` at an instant [ns], like `conditions_at` for recorded drives; NaN if unknown."""
     row = history.ins.at(time_ns)
     activity = float(steering_activity(history.steering.sample(activity_instants(time_ns))[:, 0]))
     velocity, rate, acceleration = (math.nan if row is None else row[k] for k in (VELOCITY_X, YAW_RATE, DERIVATIVE))
@@ -50,9 +50,9 @@ def conditions_now(history: MeasurementHistory, time_ns: int) -> tuple[float, ..
 class LiveBands:
     """Computes the half-widths of `Bands.half_widths` for all models, modes and levels together.
 
-    models: names of the predicting models, each of which must be in the bands (see `Bands.check`). levels: those of
-    LEVELS that are in the file. half_widths: by model, from the last call inside the calibration domain; every call
-    overwrites the same arrays.
+    models: names of the models, which must all be in the bands (see `Bands.check`). levels: the LEVELS that are in the
+    file. half_widths: by model, from the last call inside the calibration domain; every call overwrites the same
+    arrays.
     """
 
     def __init__(self, bands: Bands, models: Iterable[str]):
@@ -76,14 +76,14 @@ class LiveBands:
                 self.half_widths[model][mode, level] = level_widths.T
 
     def describe_outside(self, condition: Sequence[float]) -> str:
-        """Reason, in one line, why there is no band under these conditions; empty if there is one."""
+        """One-line reason for a missing band under these conditions; empty if there is a band."""
         return self._domain.describe_outside(condition)
 
     def __call__(self, condition: Sequence[float]) -> bool:
         """Update `half_widths` for four conditions. False, without an update, outside the calibration domain."""
         if not self._domain(np.array([condition]))[0]:
             return False
-        # Limits at the few knots also limit the interpolated values.
+        # Clipping at the few knots also limits the interpolated values.
         logs = (self._coefficients @ features_of_one(condition)).clip(-60.0, 60.0)
         scale = np.exp(logs.reshape(-1, len(self._interpolation)) @ self._interpolation)
         scale += self._floor
@@ -104,8 +104,8 @@ class AdaptiveBands:
     time: (points,) ahead, without the start [s]. bands: calibrated bands of forecast and hindsight. Without them, and
     for the modes plan and course, bands are estimated from the scores alone and are issued after `adaptive.WARM_UP`.
 
-    half_widths: as in `LiveBands`. counts: by (model, mode), number of scored windows, and by level of those with the
-    path inside.
+    half_widths: as in `LiveBands`. counts: by (model, mode), number of scored windows, and number of these with the
+    whole path inside by level.
     """
 
     def __init__(self, time: np.ndarray, models: Sequence[str], modes: Sequence[str] = MODES,
@@ -121,13 +121,13 @@ class AdaptiveBands:
 
     @property
     def remaining_warm_up(self) -> float:
-        """Scored driving [s] still required before the first band of a forecast is issued."""
+        """Scored driving [s] still required before the first forecast band is issued."""
         return min(band.remaining_warm_up for (_, mode), band in self._bands.items() if mode == "forecast")
 
     def issue(self, start_ns: int, condition: Sequence[float], modes: Iterable[str]) -> tuple[set[ModelMode], str]:
-        """Update `half_widths` for predictions of these modes from start_ns. condition: of `conditions_now`.
+        """Update `half_widths` for predictions of these modes from start_ns. condition: from `conditions_now`.
 
-        Returns the (model, mode) pairs with a band, and the reason, in one line, why calibrated pairs have none.
+        Returns the (model, mode) pairs with a band, and the one-line reason if calibrated pairs have none.
         """
         reason = ""
         if self._calibrated and not self._calibrated(condition):
@@ -161,14 +161,13 @@ class AdaptiveBands:
 ALTERNATIVE_RATIO = 5.0 / 9.0
 """Ratio q / p: 50 % coverage of a 90 % band. Coverage above 73 %, within the variation between runs, reduces S."""
 HORIZONS = 7200.0  # minimum mean number of horizons to a false warning: ten hours with horizons of 5 s
-END_SHARE = 0.5  # fraction of its limit below which S ends a warning
+END_SHARE = 0.5  # fraction of the limit; a warning ends when S falls below it
 
 
 @dataclass
 class BandCoverage:
-    """Observed coverage of one model and mode. n: number of scored windows with a band. inside: number of these with
-    the whole path inside, by level. warns: whether the coverage is significantly too low. evidence: S, see the module.
-    """
+    """Observed coverage of one model and mode. n: number of scored windows with a band. inside: by level, number of
+    these with the whole path inside. warns: whether the coverage is significantly too low. evidence: S, see module."""
 
     n: int = 0
     inside: dict[float, int] = field(default_factory=dict)
@@ -196,7 +195,7 @@ class BandCoverage:
 
 
 class CoverageMonitor:
-    """Counts coverage. Stores at most MAXIMUM_WAITING published bands until the score of their prediction arrives."""
+    """Monitors coverage. Stores at most MAXIMUM_WAITING published bands until the score of each prediction arrives."""
 
     MAXIMUM_WAITING = 10_000
 
@@ -212,18 +211,18 @@ class CoverageMonitor:
             del self._waiting[next(iter(self._waiting))]
 
     def add(self, score: Score) -> None:
-        """Count the score of a prediction, unless it is incomplete."""
+        """Count the score of a prediction unless it is incomplete."""
         by_level = self._waiting.pop((score.model, score.mode, score.start_ns), None)
         if by_level is None or not score.complete:
             return
         errors = np.abs(to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1)))
-        # The start is left out, because it is the measurement itself.
+        # The start is left out, because its error is zero by definition.
         inside = {level: bool((errors[1:] <= widths[1:]).all()) for level, widths in by_level.items()}
         coverage = self.by_pair.setdefault((score.model, score.mode), BandCoverage())
         coverage.add(score.start_ns, float(score.horizon[-1]), inside)
 
     def describe_warnings(self) -> str:
-        """One line on bands with coverage significantly below the nominal level; empty if there are none."""
+        """One-line warning of bands with coverage significantly below the nominal level; empty if there are none."""
         found = [f"{mode} of {model} ({coverage.share(level):.0%} so far, nominal level {level:.0%})"
                  for (model, mode), coverage in self.by_pair.items() if coverage.warns
                  for level in [max(coverage.inside)]]

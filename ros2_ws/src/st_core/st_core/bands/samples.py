@@ -16,13 +16,13 @@ from .conditions import conditions_at
 from .scale import evenly_spaced
 
 STARTS_PER_RUN = 1000
-"""More predictions overlap more: they need memory (1.2 kB per model and mode) and add little information."""
+"""More predictions would overlap more, add little information, and need 1.2 kB each per model and mode."""
 
 ModelMode = tuple[str, str]  # (model, mode); errors in hindsight are due to the model, in a forecast also to the driver
 
 
 class NotFiniteError(StCoreError):
-    """Errors of a model are not finite though all its inputs were measured."""
+    """Errors of a model are not finite although all its inputs were measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ def to_predicted_frame(errors: np.ndarray) -> np.ndarray:
 
         (along, across) = R(-e_yaw) (longitudinal, lateral),   yaw unchanged
 
-    errors: (..., 3) longitudinal, lateral (left +) [m] and yaw [rad], predicted minus measured, as the result.
+    errors: (..., 3) longitudinal, lateral (left +) [m] and yaw [rad], predicted minus measured, like the result.
     """
     cosine, sine = np.cos(errors[..., 2]), np.sin(errors[..., 2])
     along = cosine * errors[..., 0] + sine * errors[..., 1]
@@ -52,8 +52,8 @@ def error_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: 
                   settings: EvaluationSettings) -> ErrorSamples:
     """Error curves of one drive from at most STARTS_PER_RUN evenly spaced starts.
 
-    Only starts with a completely measured horizon and known conditions are used. Raises StCoreError, one line, for a
-    drive without such a start, and NotFiniteError if a model's errors are not finite though all inputs were measured.
+    Only starts with a completely measured horizon and known conditions are used. Raises a one-line StCoreError for a
+    drive without such a start, and NotFiniteError.
     """
     horizon = settings.prediction.horizon
     log = signals.log
@@ -68,7 +68,7 @@ def error_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: 
     scored: list[np.ndarray] = []
     parts: dict[ModelMode, list[np.ndarray]] = {}
     for rows, block in evaluate_blocks(models, vehicle, signals, starts, settings):
-        complete = np.isfinite(block.conditions["speed"])  # known if, and only if, the whole horizon was measured
+        complete = np.isfinite(block.conditions["speed"])  # finite only if the whole horizon was measured
         scored.append(starts[rows][complete])
         for pair, errors in block.errors.items():
             curves = errors[complete]
@@ -93,7 +93,7 @@ def join_runs(runs: Sequence[ErrorSamples]) -> ErrorSamples:
 
 def _is_measured(models: Sequence[Model], signals: LogSignals, starts_ns: np.ndarray,
                  settings: EvaluationSettings) -> np.ndarray:
-    """Mask (n,) of starts with a completely measured horizon, also for models that shift recorded signals in time."""
+    """Mask (n,) of starts with a completely measured horizon, including after time shifts of signals by the models."""
     known = np.ones(len(starts_ns), bool)
     times = starts_ns[:, None] + half_step_grid(0, settings.prediction.steps, settings.prediction.step)
     own_logs = [correct_log(model, signals.log, signals.maximum_gap) for model in models]

@@ -3,8 +3,8 @@
     s_a(t | z)^2 = sigma_a(t | z)^2 + floor_a(t)^2,     floor_a(t)^2 = (NOISE_FACTOR n_a)^2 + (FLOOR_SHARE e_a t/T)^2
     log sigma_a(t_k | z) = phi(z) . C[a, k],     linear in log t between the knots t_k
 
-a: along, across [m] or yaw [rad]; phi: `features` of the conditions z. C is the maximum likelihood estimate for normal
-errors of mean 0, and also measures the scale of other distributions:
+a: along, across [m] or yaw [rad]; phi: `features` of the conditions z. C is the penalised maximum likelihood estimate
+for normal errors of mean 0, and also measures the scale of other distributions:
 
     minimise over C[a, k]   mean_w( log sigma + e^2 / (2 sigma^2) ) + RIDGE |C[a, k, 1:]|^2          (convex in C)
 
@@ -26,14 +26,14 @@ from ..errors import StCoreError
 
 KNOTS = (0.1, 0.5, 1.0, 2.0, 3.5, 5.0)  # s ahead for a horizon of 5 s; proportional for other horizons
 NOISE_FACTOR = 3.0  # ratio of the constant part of the floor to the RMS error at the first point
-FLOOR_SHARE = 0.2  # ratio of the part of the floor proportional to time to the RMS error at the end of the horizon
+FLOOR_SHARE = 0.2  # ratio of the floor's part proportional to time to the RMS error, at the end of the horizon
 ERROR_RESOLUTION = np.array([1.0e-3, 1.0e-3, 1.0e-4])  # m, m, rad; smaller errors are replaced by this resolution
 RIDGE = 1.0e-2
 MAX_STEPS, MAX_HALVINGS = 100, 20
 TOLERANCE = 1.0e-3
-"""Largest derivative at convergence: the relative error of the mean squares, which is far below their uncertainty."""
+"""Largest derivative at convergence, equal to the relative error of the mean squares; far below their uncertainty."""
 FIT_STARTS = 100  # largest number of starts of a run in the fit; neighbouring starts are redundant
-SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)  # m/s^2 of lateral acceleration, because tyre saturation is not quadratic
+SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)  # m/s^2 of lateral acceleration; quadratic terms cannot fit tyre saturation
 
 _FLOORS, _OFFSETS, _UNITS = (0.1, 0.0, 0.0, 0.0), (0.0, 0.3, 0.2, 0.005), (10.0, 1.5, 0.6, 0.02)
 _PAIRS = tuple(itertools.combinations_with_replacement(range(4), 2))
@@ -54,7 +54,7 @@ def features(conditions: np.ndarray) -> np.ndarray:
 
 def features_of_one(condition: Sequence[Any], log: Callable[[Any], Any] = math.log,
                     largest: Callable[[Any, Any], Any] = max) -> list[Any]:
-    """`features` of the four conditions of one start as floats, which takes half the time (a third with cold caches).
+    """`features` of the four conditions of one start as floats, in half the time (a third with cold caches).
 
     log, largest: functions for another number type, such as CasADi's symbols.
     """
@@ -70,21 +70,20 @@ def knots_of(horizon: float) -> np.ndarray:
 
 
 def interpolation_matrix(knots: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Matrix (time, knots) that interpolates from the knots to times ahead [s, > 0], linear in log t, constant outside.
-    """
+    """Matrix (time, knots) for interpolation from knots to times ahead [s, > 0]: linear in log t, constant outside."""
     return np.stack([np.interp(np.log(time), np.log(knots), row) for row in np.eye(len(knots))], axis=-1)
 
 
 def floor_at(floor: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Floor (points, 3) [m, m, rad] at times ahead (points,). floor: (2, 3), its constant part, and its part
-    proportional to time at the end of the horizon."""
+    """Floor (points, 3) [m, m, rad] at times ahead (points,). floor: (2, 3), its constant part, and the value of its
+    part proportional to time at the end of the horizon."""
     return np.hypot(floor[0], floor[1] * (time / time[-1])[:, None])
 
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """A fitted scale. coefficients: C (3, knots, features). floor: (2, 3) NOISE_FACTOR n and FLOOR_SHARE e [m, m, rad].
-    time: (points,) ahead [s, > 0]. knots: (knots,) [s]."""
+    """A fitted scale. coefficients: C (3, knots, features). floor: (2, 3), NOISE_FACTOR n and FLOOR_SHARE e [m, m,
+    rad]. time: (points,) ahead [s, > 0]. knots: (knots,) [s]."""
 
     coefficients: np.ndarray
     floor: np.ndarray
@@ -105,8 +104,8 @@ class Scale:
 
 
 def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], time: np.ndarray) -> Scale:
-    """Scale of the errors of several runs. conditions: (n, 4) of each run; errors: (n, points, 3) of each run; time:
-    (points,) ahead [s]. Raises StCoreError if the fit fails."""
+    """Scale of the errors of several runs. conditions, errors: (n, 4) and (n, points, 3) for each run. time: (points,)
+    ahead [s]. Raises StCoreError if the fit fails."""
     knots = knots_of(float(time[-1]))
     selected = [evenly_spaced(len(run)) for run in conditions]
     phi = np.concatenate([features(run[rows]) for run, rows in zip(conditions, selected, strict=True)])

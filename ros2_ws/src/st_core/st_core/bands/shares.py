@@ -1,4 +1,4 @@
-"""Decomposition of a model's mean square error into shares of parameters, of sensors and start state, and a residual.
+"""Decomposition of a model's mean square error into shares of parameters, sensors and initial state, and a residual.
 
     mean e_a(t)^2 = sum_p mean( (de_a(t)/dp sigma_p)^2 ) + sum_s mean( (de_a(t)/ds sigma_s)^2 ) + residual
 
@@ -86,7 +86,7 @@ def squared_contributions(model: Model, vehicle: VehicleParameters, signals: Log
 
 
 def _vary_vehicle(vehicle: VehicleParameters) -> dict[str, tuple[VehicleParameters, VehicleParameters]]:
-    """By uncertain parameter, the car with it one standard deviation lower and higher; without invalid cars."""
+    """By uncertain parameter, the cars with a value one standard deviation lower and higher; without invalid cars."""
     found = {}
     for key, provenance in vehicle.provenance.items():
         if provenance.uncertainty:
@@ -98,7 +98,7 @@ def _vary_vehicle(vehicle: VehicleParameters) -> dict[str, tuple[VehicleParamete
 
 
 def _vary_model(model: Model, intervals: Intervals) -> dict[str, tuple[Model, Model]]:
-    """By uncertain value of an effect, the model with it one standard deviation lower and higher, within its bounds."""
+    """By parameter of an effect, the models with a value one standard deviation lower and higher, within its bounds."""
     if not isinstance(model, AugmentedModel):
         return {}
     found: dict[str, tuple[Model, Model]] = {}
@@ -113,7 +113,7 @@ def _vary_model(model: Model, intervals: Intervals) -> dict[str, tuple[Model, Mo
 
 
 def _recompute_steering(signals: LogSignals, car: VehicleParameters, settings: EvaluationSettings) -> LogSignals:
-    """The drive with the road wheel angle recomputed by steering ratio and offset of a car."""
+    """The drive with the road wheel angle recomputed from the steering ratio and offset of a car."""
     return signals if signals.log.steering_wheel_angle is None else settings.signals(signals.log.with_steering(car))
 
 

@@ -21,7 +21,7 @@ from ..vehicle import VehicleParameters
 
 ODD, NEITHER = -1.0, 0.0
 TAIL_SHARE = 0.01  # fraction of the driving beyond either end of the range of a curve, where the curve is constant
-MIN_SPEED = 2.0  # m/s; at lower speed, slip angles are not defined
+MIN_SPEED = 2.0  # m/s; at lower speed, slip angles are ill-defined
 QUANTITIES = {"slip_front": "rad", "slip_rear": "rad", "steering": "rad", "acceleration_y": "m/s^2",
               "acceleration_x": "m/s^2", "speed": "m/s", "yaw_rate": "rad/s", "steering_rate": "rad/s",
               "lagging_steering": "rad", "lean": "m/s^2", "north": "1", "east": "1", "position_x": "m",
@@ -68,9 +68,8 @@ PAIRS = (("front_steer", "speed", "steering_rate"), ("front_steer", "speed", "st
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate relation. term: one of ALL_TERMS; quantity: one of QUANTITIES; parity: -1 for an odd curve, 0 for
-    any. low, high: driven range [unit of the quantity]. factor: one of FACTORS that multiplies the curve; "" for
-    none."""
+    """A candidate relation. term: one of ALL_TERMS. quantity: one of QUANTITIES. parity: -1 for an odd curve, 0 for any
+    curve. low, high: driven range [unit of the quantity]. factor: one of FACTORS that multiplies the curve, or ""."""
 
     term: str
     quantity: str
@@ -143,7 +142,7 @@ def run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
 
 
 def driven_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray]:
-    """Every quantity at the INS samples faster than MIN_SPEED; slip angles as measured."""
+    """Every quantity at the INS samples with a speed above MIN_SPEED; slip angles are measured values."""
     log = windows.joined
     moving = log.velocity_x > MIN_SPEED
     stamps, speed, rate = log.ins_time_ns, log.velocity_x, log.yaw_rate

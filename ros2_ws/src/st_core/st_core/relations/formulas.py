@@ -24,9 +24,9 @@ ShapeFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Formula:
-    """Formula of a relation. shape: its name. text: formula y(u) with numbers, u: the quantity [SI]. kept [1]:
-    fraction of the held-out gain of the curve that the formula retains when simulated in its place. causes: possible
-    causes from textbooks."""
+    """Formula of a relation. shape: name of the shape. text: formula y(u) with numbers; u is the quantity [SI]. kept
+    [1]: fraction of the held-out gain of the curve that the formula retains when simulated in its place. causes:
+    possible causes from textbooks."""
 
     shape: str
     text: str
@@ -36,8 +36,8 @@ class Formula:
 
 @dataclass(frozen=True, eq=False)
 class FittedShape:
-    """A shape fitted with the quadratic about the curve. numbers: fitted to all blocks; by_fold: without each fold.
-    explained [1]: fraction of the gain of the curve. held_out: (b,) loss from the quadratic."""
+    """A shape fitted by the quadratic about the curve. numbers: its parameters, fitted to all blocks; by_fold: fitted
+    without each fold. explained [1]: fraction of the gain of the curve. held_out: (b,) increase of the loss."""
 
     shape: str
     text: str
@@ -111,7 +111,7 @@ CAUSES: Mapping[tuple[str, ...], str] = {
     ("side_force", "north"): "wind or a slope, by the course", ("side_force", "east"): "wind or a slope, by the course",
     ("side_force", "position_x"): "a banked road or wind at a place",
     ("side_force", "position_y"): "a banked road or wind at a place",
-    # Of two quantities.
+    # Relations of two quantities.
     ("front_steer", "speed", "steering_rate"): "a delay of the steering that changes with speed (negative: later)",
     ("front_steer", "speed", "steering"): "a steering ratio that changes with speed, power steering, an active rack",
     ("rear_steer", "speed", "acceleration_y"): "roll steer or compliance of the rear that changes with speed",
@@ -132,16 +132,16 @@ def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadr
     """Up to MAX_FORMULAS shapes, the preferred one first. profile: quadratic of the loss about the coefficients (8,),
     by block, all other parameters profiled out; fold: (b,).
 
-    The parameters of a shape minimise the loss. Only shapes that explain MIN_EXPLAINED are considered; the best is the
-    one with the lowest held-out loss. A shape with fewer parameters is preferred if it explains FULL_SHARE of the gain
-    of the best; or NEAR_SHARE, with a held-out loss within one standard error of the paired differences of blocks
-    (Breiman et al. 1984).
+    The parameters of a shape minimise the loss. Only shapes that explain MIN_EXPLAINED are considered; the best has the
+    lowest held-out loss. A shape with fewer parameters is preferred if it explains FULL_SHARE of the gain of the best
+    shape, or NEAR_SHARE with a held-out loss within one standard error of the paired differences of the blocks (Breiman
+    et al. 1984).
     """
     at = np.linspace(candidate.low, candidate.high, POINTS)
     to_splines, value = np.linalg.pinv(candidate.splines(at).T, rcond=1e-6), coefficients @ candidate.splines(at)
 
     def rise(distance: np.ndarray) -> np.ndarray:
-        """(b,) increase of the loss above that of the curve, at a distance from its coefficients."""
+        """(b,) increase of the loss above that of the curve, at a `distance` from its coefficients."""
         return np.einsum("i,bij,j->b", distance, profile.hessian, distance) - 2.0 * profile.gradient @ distance
 
     total = float(rise(-coefficients).sum())
@@ -192,13 +192,13 @@ def _ordered(found: Sequence[FittedShape]) -> Sequence[FittedShape]:
 
 
 def simulated_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit) -> tuple[Formula, ...]:
-    """Formulas that keep MIN_KEPT_GAIN of the held-out gain of the curve when simulated in its place.
+    """Formulas that retain at least MIN_KEPT_GAIN of the held-out gain of the curve when simulated in its place.
 
-    Each fold is simulated with the numbers fitted to the others, after one refitting step of the parameters of the
-    discovered model. If a parameter of the vehicle file acts like a constant, a curve without odd symmetry is only
-    determined up to a constant; its formula gets an additional constant if it fails without one. Within the driven
-    range a formula must have the sign of the curve and stay below MAX_RANGE times its largest value, and it must not
-    increase the held-out position error of the discovered model.
+    Each fold is simulated with the numbers fitted to the other folds, after one refitting step of the parameters of the
+    discovered model. A curve without odd symmetry may be determined only up to a constant, which a parameter of the
+    vehicle file can imitate; its formula gets an additional constant if it fails without one. Within the driven range,
+    a formula must have the sign of the curve and stay below MAX_RANGE times its largest value, and it must not increase
+    the held-out position error of the discovered model.
     """
     assert fit.candidate is not None
     candidate, gain = fit.candidate, float((without.held_out - fit.held_out).sum())
@@ -220,7 +220,7 @@ def simulated_formulas(fits: RelationFits, fit: RelationFit, without: RelationFi
 
 def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape: FittedShape,
                with_offset: bool) -> tuple[float, float]:
-    """(held-out gain of a shape, its offset); the gain is -inf if sign, range or path of the shape is wrong."""
+    """(held-out gain of a shape, its offset); the gain is -inf for a wrong sign, a large range or a worse path."""
     candidate = fit.candidate
     assert candidate is not None
     at = np.linspace(candidate.low, candidate.high, POINTS)
@@ -228,7 +228,7 @@ def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape
     loss, to_splines = fits.loss_of(candidate), np.linalg.pinv(splines.T, rcond=1e-6)
 
     def refitted(numbers: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
-        """(vector with a shape in place of the curve and all other parameters fitted to the known blocks, offset)."""
+        """(vector with the shape in place of the curve and all other parameters fitted to `known` blocks, offset)."""
         scale = fits.space.scale[fit.indices]
         count = len(fit.coefficients)
         fixed = np.zeros(len(scale))
@@ -267,7 +267,7 @@ def _nonzero(number: float) -> float:
 
 def _least_squares(residual: Callable[[np.ndarray], np.ndarray], count: int, at: np.ndarray,
                    value: np.ndarray) -> np.ndarray:
-    """Numbers of a shape, from several starts where it is nonlinear in them. value: the curve at `at`."""
+    """Numbers of a shape by least squares, best of several starts. value: the curve at the points `at`."""
     size, reach = float(np.abs(value).max()), float(np.abs(at).max())
     sign = float(np.sign(np.sum(value * np.sign(at)))) or 1.0
     starts = [np.array([sign * size / max(reach, 1e-9), share * reach, share * reach][:count])

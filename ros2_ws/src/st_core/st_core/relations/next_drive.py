@@ -34,8 +34,8 @@ class Option:
 
 @dataclass(frozen=True, eq=False)
 class NextDrives:
-    """sparse: sparsely driven ranges of the quantity. current_separation: separation in the existing runs. options: all
-    simulated manoeuvres; none for a relation that depends on time or position."""
+    """Suggested drives. sparse: sparsely driven ranges of the quantity. current_separation: from each rival in the
+    existing runs. options: all simulated manoeuvres; none for INDEPENDENT_OF_MANOEUVRE."""
 
     sparse: Sequence[Range] = ()
     current_separation: Mapping[str, float] = field(default_factory=dict)
@@ -74,8 +74,8 @@ def sparse_ranges(at: np.ndarray, density: np.ndarray, parity: float) -> list[Ra
 
 def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, rivals: Mapping[str, RelationFit],
                 design_effect: float, at: np.ndarray, deviation: np.ndarray, sparse: Sequence[Range]) -> NextDrives:
-    """Expected gain of each manoeuvre, by simulation. rivals: equally good relations. at, deviation: (k,) of the curve.
-    Expected deviations are from the curvature of the loss at the fit."""
+    """Simulate what each manoeuvre would add to the runs. rivals: equally good relations. at, deviation: (k,) points of
+    the curve and its standard deviations. Expected deviations are from the curvature of the loss at the fit."""
     if candidate.quantity in INDEPENDENT_OF_MANOEUVRE:
         return NextDrives(sparse)
     splines = candidate.splines(at)
@@ -115,14 +115,14 @@ def _loss(fits: RelationFits, windows: Windows, candidate: Candidate, fit: Relat
 
 def _joint(loss: Loss, rows: np.ndarray, sensitivities: np.ndarray, of_rival: np.ndarray,
            fit: RelationFit) -> np.ndarray:
-    """Curvature of the loss in the other parameters, the coefficients of a rival, and a scale of the relation."""
+    """Curvature of the loss in the other parameters, the coefficients of a rival and a scale factor of the relation."""
     of_size = np.einsum("p,pnm->nm", fit.coefficients, sensitivities[-SPLINES:])
     joint = np.concatenate([sensitivities[:-SPLINES], of_rival, of_size[None]])
     return loss.quadratic(rows, joint).hessian.sum(axis=0)
 
 
 def _strength(h: np.ndarray, fit: RelationFit, other: RelationFit, design_effect: float) -> float:
-    """Separation of a relation from a rival, in standard deviations. h: of `_joint`."""
+    """Separation of a relation from a rival, in standard deviations. h: result of `_joint`."""
     n_others = len(fit.indices) - SPLINES
     penalty = np.zeros((len(h) - 1, len(h) - 1))
     penalty[n_others:, n_others:] = other.penalty[-SPLINES:, -SPLINES:]

@@ -21,13 +21,13 @@ from .candidates import Candidate, run_time
 
 RELATION = RelationEffect.name  # the three relation effects have the same indices in the vector
 SMOOTHING = (0.003, 0.03, 0.3)  # penalties on second differences, relative to the mean curvature of the coefficients
-SIZE_PENALTY = 0.1  # penalty on the coefficients, relative to that on second differences; shrinks uninformed ones to 0
+SIZE_PENALTY = 0.1  # penalty on coefficients, relative to that on second differences; shrinks uninformed ones to 0
 ITERATIONS, STEP_SHARES, MIN_LOSS_FALL = 8, (1.0, 0.5, 0.2), 2e-4  # as in discovery.fit
 BASE_FITS = 2  # fits of the discovered model without a relation
 RIDGE = 1e-6
 _SECOND = np.diff(np.eye(SPLINES), 2, axis=0)
 ROUGHNESS = _SECOND.T @ _SECOND + SIZE_PENALTY * np.eye(SPLINES)
-"""Penalty: sum of squared second differences, plus SIZE_PENALTY times the squares."""
+"""Penalty matrix: sum of squared second differences, plus SIZE_PENALTY times the sum of squares."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +35,8 @@ class RelationFit:
     """A fit with a candidate, or of the discovered model without a relation (candidate None).
 
     smooth: one of SMOOTHING. vector: in the space of the candidate. rows: (n, m) residuals. indices: (a,) free
-    parameters, the coefficients last. sensitivities: to these (a, n, m). penalty: (a, a). q: quadratic by block.
-    held_out: (b,) loss of each block at values fitted without its fold. steps: by fold, from the fit to those values.
+    parameters, the coefficients last. sensitivities: (a, n, m) to these parameters. penalty: (a, a). q: quadratic by
+    block. held_out: (b,) loss of each block at values fitted without its fold. steps: by fold, step to these values.
     """
 
     candidate: Candidate | None
@@ -75,10 +75,10 @@ class RunWindows(Windows):
 class RelationFits:
     """Fits of candidate relations in addition to one discovered model.
 
-    model: the discovered model. gain: its `Discovery.acceleration_gain`. names: of its effects. fold: (b,) fold of each
-    block. refitted: indices of the parameters fitted together with a relation. car: indices of the other vehicle
-    parameters, which are projected out of the evidence for it. All fits use the residual scale of the discovered model.
-    """
+    model: the discovered model. gain: its `Discovery.acceleration_gain`. names: names of its effects. fold: (b,) fold
+    of each block. refitted: indices of the parameters fitted together with a relation. car: indices of the other
+    vehicle parameters, which are projected out of its evidence. All fits use the residual scale of the discovered
+    model."""
 
     def __init__(self, windows: Windows, model: AugmentedModel, gain: float, names: Sequence[str],
                  settings: DiscoverySettings, threads: int = 1):
@@ -97,7 +97,7 @@ class RelationFits:
         self.car = np.setdiff1d(self.space.indices(*car_effects), self.refitted)
 
     def space_of(self, candidate: Candidate) -> Space:
-        """The space with the term, quantity and range of a candidate."""
+        """The parameter space for the term, quantity and range of a candidate."""
         kind = candidate.effect
         if kind not in self._spaces:
             self._spaces[kind] = Space(self.model, self.settings, (kind,))
@@ -106,7 +106,7 @@ class RelationFits:
         return space
 
     def loss_of(self, candidate: Candidate) -> Loss:
-        """Loss of the same windows with the term, quantity and range of a candidate; same residual scale."""
+        """Loss of the same windows, at the same residual scale, in the space of a candidate."""
         space = self.space_of(candidate)
         loss = copy(self.loss)
         loss.errors, loss.space = Errors(self.windows, space, self.threads), space
@@ -134,8 +134,8 @@ class RelationFits:
 
     def left_out_steps(self, q: Quadratic, penalty: np.ndarray,
                        distance: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
-        """({fold: step to the values fitted without it}, (b,) loss of each block there). distance: (a,) of the vector
-        from the start [parameter scales]."""
+        """({fold: step to the values fitted without it}, (b,) loss of each block at the values without its fold).
+        distance: (a,) distance of the vector from the start [parameter scales]."""
         h, g = add_ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ distance
         steps, held_out = {}, np.zeros(self.blocks)
         common = np.linalg.solve(h, g)
@@ -148,15 +148,15 @@ class RelationFits:
         return steps, held_out
 
     def predicted_held_out(self, q: Quadratic, penalty: np.ndarray, distance: np.ndarray) -> np.ndarray:
-        """(b,) held-out loss of each block at the optimum of the quadratic."""
+        """(b,) held-out loss of each block for the optimum of the quadratic."""
         step = np.linalg.solve(add_ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ distance)
         cost = q.cost - 2.0 * q.gradient @ step + np.einsum("i,bij,j->b", step, q.hessian, step)
         optimum = Quadratic(cost, q.gradient - q.hessian @ step, q.hessian)
         return self.left_out_steps(optimum, penalty, distance + step)[1]
 
     def fit(self, candidate: Candidate, without: RelationFit) -> RelationFit:
-        """Fit by Gauss-Newton with simulation: a sequence with decreasing smoothing, each started from the previous
-        one, the first from zero coefficients. Returns the last one that lowers the held-out loss."""
+        """Fit a candidate by Gauss-Newton with simulation, repeatedly with decreasing smoothing. The first fit starts
+        from zero coefficients, the others from the previous fit. Returns the last that lowers the held-out loss."""
         indices = np.concatenate([self.refitted, self.relation])
         loss = self.loss_of(candidate)
         sensitivities = np.concatenate([without.sensitivities, np.zeros((SPLINES, *without.sensitivities.shape[1:]))])
@@ -170,8 +170,8 @@ class RelationFits:
         return best
 
     def profile(self, fit: RelationFit) -> Quadratic:
-        """Quadratic by block about the fit in the coefficients alone: all other parameters, those of the vehicle file
-        included, are profiled out."""
+        """Quadratic by block about the fit, in the coefficients alone: all other parameters, including those of the
+        vehicle file, are profiled out."""
         assert fit.candidate is not None
         loss = self.loss_of(fit.candidate)
         car = loss.sensitivities(fit.vector, self.car)

@@ -1,4 +1,4 @@
-"""Search for one empirical relation that a result of `discover` lacks: a curve added to one term of the model."""
+"""Search for an empirical relation that a result of `discover` lacks: a curve added to one term of the model."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +17,7 @@ from .next_drive import NextDrives, next_drives, sparse_ranges
 from .relation_fit import RelationFit, RelationFits, RunWindows
 from .selection import RunShares, Screened
 
-MIN_BLOCKS = 10  # needed for a curve with eight coefficients
+MIN_BLOCKS = 10  # minimum number of blocks for a curve with eight coefficients
 MAX_DETECTABLE = 3.0  # typical magnitudes; model terms with a higher detection limit are reported as not examined
 MIN_REPORTED_RATIO = 1.25  # held-out error of a run with the relation to that without; smaller ratios are not reported
 MEASURED_BY = {"sensor_yaw_rate": ("yaw_rate",), "sensor_acceleration_y": ("acceleration_y",),
@@ -34,11 +34,11 @@ class Relation:
     quantity it depends on. coefficients: (8,) of the splines. at: (k,) values of the quantity; value, deviation: (k,)
     the curve there and its standard deviation [unit of the term]; density: (k,) fraction of the driving near each. gain
     [1]: reduction of the held-out loss per residual. p_value [1]: of the gain, corrected for the number of candidates.
-    position_5s [m]: held-out position error (without, with); runs: the same by run. model: the model without the
-    relation, at the values fitted with it. others: equally good relations, with the cosine similarity of their
-    effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. shares: its size by run.
-    redundant: effects of the result that the relation replaces, with the fraction of the residual [1] that returns if
-    the effect is dropped. drives: sparsely driven ranges, and manoeuvres to drive next.
+    position_5s [m]: held-out position error after 5 s (without, with); runs: the same by run. model: the model without
+    the relation, at the values fitted with it. others: equally good relations, with the cosine similarity of their
+    effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. shares: size of the
+    relation by run. redundant: effects of the result that the relation replaces, with the residual reduction [1] that
+    each still adds. drives: sparsely driven ranges, and manoeuvres to drive next.
     """
 
     candidate: Candidate
@@ -59,14 +59,14 @@ class Relation:
     drives: NextDrives = field(default_factory=NextDrives)
 
     def worse_runs(self) -> dict[str, tuple[float, float]]:
-        """Runs in which the held-out position error rises to MIN_REPORTED_RATIO or more: (without, with) [m]."""
+        """Held-out position error (without, with) [m] of runs where the ratio is MIN_REPORTED_RATIO or more."""
         return {name: pair for name, pair in self.runs.items() if pair[1] >= MIN_REPORTED_RATIO * pair[0]}
 
 
 @dataclass(frozen=True)
 class RelationSearch:
-    """Result of a search. relation: None if none is significant and large enough. why: the reason for that, or the gain
-    of the relation. tried: held-out gain [1] and p-value [1] of every candidate, best first. detection_limits: of each
+    """Result of a search. relation: None if none is significant and large enough. why: the reason for None, or the gain
+    of the relation. tried: held-out gain [1] and p-value [1] of every candidate, best first. detection_limits: by
     candidate, the smallest detectable value of a linear relation at the end of its range [unit of the curve]."""
 
     relation: Relation | None
@@ -75,7 +75,7 @@ class RelationSearch:
     detection_limits: Mapping[str, float] = field(default_factory=dict)
 
     def not_examined(self) -> list[str]:
-        """Model terms whose detection limit exceeds MAX_DETECTABLE typical magnitudes."""
+        """Model terms with a detection limit above MAX_DETECTABLE typical magnitudes."""
         smallest: dict[str, float] = {}
         for name, limit in self.detection_limits.items():
             term, _, quantities = name.partition(" over ")
@@ -85,7 +85,7 @@ class RelationSearch:
 
 
 def needs_search(found: Discovery) -> bool:
-    """Whether the residual of a discovery is large enough for a search: outcome unknown, or errors above
+    """Whether the residual of a discovery is large enough for a search: the outcome is unknown, or the errors exceed
     `limits.max_noise_ratio` times the noise."""
     return found.outcome == "unknown" or bool(found.signature)
 
@@ -93,15 +93,15 @@ def needs_search(found: Discovery) -> bool:
 def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParameters,
                   settings: DiscoverySettings | None = None, threads: int = 1, tick: Callable[[], None] = lambda: None,
                   reported: Collection[tuple[str, str]] = ()) -> RelationSearch:
-    """Find the relation that a result of `discover` lacks, or the reason for none.
+    """Find the relation that a result of `discover` lacks, or the reason why none is reported.
 
-    Every candidate is fitted together with the result; changes that a parameter of the vehicle file can reproduce are
-    projected out of its evidence. A relation is reported if its p-value over all candidates is below
-    `limits.false_alarm`, if its held-out gain reaches `limits.relevant` of the residual or `limits.relevant_position`
-    significantly, if the predicted path improves at level `limits.false_alarm` (not required of a sensor relation), and
-    if no run becomes significantly worse. Relations that the drives do not separate from it and redundant effects of
-    the result are listed. reported: (finding, channel) of `st check`; a relation that only imitates a late or wrong
-    sensor that a finding reports is not proposed.
+    Every candidate is fitted together with the effects of the result; changes that a parameter of the vehicle file can
+    reproduce are projected out of its evidence. A relation is reported if its p-value over all candidates is below
+    `limits.false_alarm`; if its held-out gain is significant and reaches `limits.relevant` of the residual or
+    `limits.relevant_position`; if the predicted path improves at level `limits.false_alarm` (not required of a sensor
+    relation); and if no run becomes significantly worse. Equally good relations and redundant effects of the result are
+    listed. reported: (finding, channel) of `st check`; a relation that may imitate a reported sensor fault is not
+    proposed.
     Raises StCoreError if the drives contain no usable prediction.
     """
     settings = settings or DiscoverySettings()
@@ -129,7 +129,7 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
 def _select(screened: Sequence[Screened], fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
             settings: DiscoverySettings, named: Sequence[str], reported: Collection[tuple[str, str]],
             tick: Callable[[], None]) -> RelationSearch:
-    """The best significant candidate, or the reason for none. named: effects of the result."""
+    """The best significant candidate, or the reason why none is reported. named: effects of the result."""
     limits, number = settings.limits, fits.loss.residual_count
     p_values = selection.p_values(screened, fits.blocks)
     tried = {s.candidate.name: (s.gain / number, p_values[s.candidate.name])
@@ -151,7 +151,7 @@ def _select(screened: Sequence[Screened], fits: RelationFits, without: RelationF
     if not accepted:
         first = next(trial for trial in significant if trial in against)
         return RelationSearch(None, against[first], tried, detection_limits)
-    # A candidate of two quantities must be better by the smallest relevant gain.
+    # A candidate of two quantities must be better by at least the smallest relevant gain.
     best = min(accepted, key=lambda s: float(accepted[s].held_out.sum())
                + (limits.relevant * number if s.candidate.factor else 0.0))
     relation, why = _make_relation(best, fitted, without, fits, p_values, settings, vehicle, named)
@@ -164,8 +164,7 @@ Fitted = dict[Screened, RelationFit]
 def _fit_candidates(significant: Sequence[Screened], fits: RelationFits, without: RelationFit,
                     vehicle: VehicleParameters, limits: Limits,
                     tick: Callable[[], None]) -> tuple[Fitted, Fitted, dict[Screened, str]]:
-    """Fit candidates by simulation: (those with a usable curve, those of them with a large enough gain, reasons against
-    the others)."""
+    """Fit candidates by simulation: (fits with a usable curve, the accepted ones, reasons to reject the others)."""
     fitted: Fitted = {}
     accepted: Fitted = {}
     against: dict[Screened, str] = {}
@@ -177,7 +176,7 @@ def _fit_candidates(significant: Sequence[Screened], fits: RelationFits, without
         if rejected := selection.describe_unusable_curve(fits, fit, vehicle):
             against[trial] = rejected
             continue
-        fitted[trial] = fit  # possibly an alternative to the accepted relation, even if rejected itself
+        fitted[trial] = fit  # may be an alternative to the accepted relation, even if it is rejected
         reason = selection.describe_deterioration(fits, name, before, after, limits) or selection.describe_small_gain(
             fits, trial.candidate, without.held_out - fit.held_out, before - after, limits)
         if reason:
@@ -188,7 +187,7 @@ def _fit_candidates(significant: Sequence[Screened], fits: RelationFits, without
 
 
 def _find_imitated_fault(candidate: Candidate, reported: Collection[tuple[str, str]]) -> str:
-    """Name of a finding of the checks that a candidate imitates; "" for none."""
+    """Name of a finding of the checks that a candidate imitates, or ""."""
     if candidate.term == "front_steer" and {candidate.quantity, candidate.factor} & set(STEERING_TIMING):
         return next((name for name, channel in reported if channel == "road_wheel_angle" and name.endswith("_lag")), "")
     return next((name for name, channel in reported if channel in MEASURED_BY.get(candidate.term, ())), "")

@@ -1,4 +1,4 @@
-"""Screening of candidate relations by held-out gain and p-value, reasons to reject one, rivals, redundant effects."""
+"""Screening of candidate relations, reasons to reject them, equally good rivals, and redundant effects."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from ..vehicle import VehicleParameters
 from .candidates import Candidate, candidates
 from .relation_fit import SMOOTHING, RelationFit, RelationFits
 
-DRAWS = 999  # draws of random signs of the blocks
-POINTS = 41  # at which a curve is evaluated
+DRAWS = 999  # number of draws of random block signs
+POINTS = 41  # number of points at which a curve is evaluated
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Screened:
     information: np.ndarray
 
     def detectable(self, p_value: float, blocks: int) -> float:
-        """Smallest detectable height of a straight line at the end of the range [unit of the curve], at a p-value."""
+        """Smallest detectable value of a linear relation at the end of its range [unit of the curve], at a p-value."""
         c = self.candidate
         at = np.linspace(c.low, c.high, POINTS)
         line = np.linalg.lstsq(c.splines(at).T, at / max(abs(c.low), abs(c.high)), rcond=1e-6)[0]
@@ -66,9 +66,9 @@ def screen(fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
 def p_values(screened: Sequence[Screened], blocks: int) -> dict[str, float]:
     """p-value of each candidate, corrected for the number of candidates: the smaller of the p-values of two tests.
 
-    Random signs of blocks: the largest statistic of all candidates in every draw. Likelihood ratio (F test): twice the
-    held-out gain divided by the larger design effect, of the candidate or the median of all, and by the degrees of
-    freedom, with Bonferroni's factor; it detects relations that act in few blocks.
+    Sign flips: the statistic is compared with the largest of all candidates under random block signs. Likelihood ratio
+    (F test): twice the held-out gain divided by the design effect (at least the median of all) and by the degrees of
+    freedom, with a Bonferroni correction; it detects relations that act in few blocks.
     """
     largest = np.max([s.drawn for s in screened], axis=0)
     median = float(np.median([s.design_effect for s in screened]))
@@ -112,7 +112,7 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
                     float((base - losses[smooth]).sum()), information)
 
 
-REFITTED = 10  # candidates fitted by simulation
+REFITTED = 10  # largest number of candidates fitted by simulation
 BOUND_MARGIN = 0.02  # fraction of the bound of the coefficients; a curve nearer to the bound counts as on it
 MIN_INFORMATION = 0.02  # fraction of the information on the relation; a run with less gets no separate estimate
 
@@ -137,7 +137,7 @@ def shortlist(significant: Sequence[Screened]) -> list[Screened]:
 
 
 def lower_bound(values: np.ndarray, p: float) -> float:
-    """One-sided lower confidence bound of the sum of `values`, (b,) by block, Student's t, at level 1 - p."""
+    """Lower confidence bound of the sum of `values` (b,) by block: one-sided, level 1 - p, by Student's t."""
     spread = float(values.std(ddof=1)) * np.sqrt(len(values))
     return float(values.sum() - stats.t.isf(p, len(values) - 1) * spread)
 
@@ -151,7 +151,7 @@ def average_by_block(fits: RelationFits, values: np.ndarray) -> np.ndarray:
 
 
 def describe_unusable_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParameters) -> str:
-    """Reason to reject a curve whatever its gain: it is at its bound, or the car is unstable with it; "" for none."""
+    """Reason to reject a curve whatever its gain, or "": it is at its bound, or it makes the car unstable."""
     assert fit.candidate is not None
     name = fit.candidate.name
     if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * MAX_COEFFICIENT:
@@ -165,8 +165,8 @@ def describe_unusable_curve(fits: RelationFits, fit: RelationFit, vehicle: Vehic
 
 
 def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray, limits: Limits) -> str:
-    """Reason to reject a relation that increases the mean held-out position error after 5 s, or the error in one run
-    significantly and by at least `limits.relevant_position`; "" for none. before, after: (n,) [m]."""
+    """Reason to reject a relation that increases the mean held-out position error after 5 s, or increases it in one run
+    significantly and by at least `limits.relevant_position`; "" if there is none. before, after: (n,) [m]."""
     rise = after - before
     if not np.isfinite(rise).any():
         return ""
@@ -195,9 +195,9 @@ def describe_gain(fits: RelationFits, gains: np.ndarray, position_gain: np.ndarr
 
 def describe_small_gain(fits: RelationFits, candidate: Candidate, gains: np.ndarray, position_gain: np.ndarray,
                         limits: Limits) -> str:
-    """Reason to reject a relation with a small effect, "" for none: a held-out gain that is below the thresholds or not
-    significant, or no significant gain in the predicted path. The path is not tested for sensor errors, nor with fewer
-    than two blocks with a position."""
+    """Reason to reject a relation with a small effect, or "": a held-out gain that is below the thresholds or not
+    significant, or a predicted path that does not improve significantly. The path is not tested for sensor errors, nor
+    with fewer than two blocks with a position."""
     small = (gains.sum() < limits.relevant * fits.loss.residual_count
              and finite_mean(position_gain) < limits.relevant_position)
     if small or lower_bound(gains, limits.undecided_p) <= 0.0:
@@ -271,7 +271,7 @@ def cosine(fits: RelationFits, first: RelationFit, other: RelationFit) -> float:
     effects = []
     for fit in (first, other):
         change = np.einsum("p,pnm->nm", fit.coefficients, fit.sensitivities[-SPLINES:]) / fits.loss.scale
-        # Without a named effect and an accelerometer there are no other parameters.
+        # The explicit shape is needed if `others` is empty: without a named effect and an accelerometer.
         others = (fit.sensitivities[:-SPLINES] / fits.loss.scale).reshape(len(fit.sensitivities) - SPLINES, change.size)
         change = np.where(fits.loss.known, change, 0.0).ravel()
         others = np.nan_to_num(others * fits.loss.known.ravel())
@@ -281,7 +281,7 @@ def cosine(fits: RelationFits, first: RelationFit, other: RelationFit) -> float:
 
 def redundant_effects(fits: RelationFits, candidate: Candidate, fit: RelationFit, without: RelationFit,
                       names: Sequence[str], limits: Limits) -> dict[str, float]:
-    """Effects of the result that the relation makes redundant, with the residual [1] that returns without each.
+    """Effects of the result that the relation makes redundant, with the residual reduction [1] that each still adds.
 
     An effect is redundant if its held-out gain in addition to the relation is too small or not significant, and the
     relation without it explains significantly more than the result without the relation.
