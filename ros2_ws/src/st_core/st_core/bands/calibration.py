@@ -57,8 +57,8 @@ def check_levels(levels: Sequence[float], runs: int) -> None:
 def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> np.ndarray:
     """Factors c of the levels, (levels,) [1]; see the module.
 
-    scores: for each run, the scores of its windows [1]. Raises StCoreError for scores that are not finite, for a run
-    without scores, and as `check_levels`.
+    scores: for each run, the scores of its windows [1]. Raises StCoreError for scores that are not finite and for a run
+    without scores, and the errors of `check_levels`.
     """
     count = len(scores)
     check_levels(levels, count)

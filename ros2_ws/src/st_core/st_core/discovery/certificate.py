@@ -67,8 +67,8 @@ def _power(problem: Problem, fit: Fit, index: int, share: float, information: fl
 
 
 def _required_gain(problem: Problem, rows: np.ndarray, reduction: float, limits: Limits) -> float:
-    """Smallest gain per residual at which an effect is named. rows: residuals of the final fit. reduction: by which the
-    effect reduces the mean position error [m]."""
+    """Smallest gain per residual at which an effect is named. rows: residuals of the final fit. reduction [m]: of the
+    mean position error by the effect."""
     required = limits.negligible if reduction > limits.relevant_position else limits.relevant
     unexplained = residual_over_noise(problem, rows) > limits.max_noise_ratio
     return max(required, limits.unexplained_share) if unexplained else required
@@ -104,9 +104,8 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
 
 def _detect_effects(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, sensitivities: np.ndarray,
                     required: float, limits: Limits, rng: np.random.Generator) -> list[str]:
-    """Effects that would be named on one simulated drive: the best effect and those inseparable from it, or none if it
-    is not significant. change: (n, m) change of the residuals due to the simulated effect. required: minimum gain per
-    residual."""
+    """Effects that would be named on one simulated drive: the best and those inseparable from it; empty if it is not
+    significant. change: (n, m) change of the residuals by the simulated effect. required: minimum gain per residual."""
     signs = rng.choice([-1.0, 1.0], problem.blocks)
     simulated = signs[problem.block][:, None] * rows + change
     q = problem.loss.quadratic(simulated, sensitivities).summed(problem.block, problem.blocks)

@@ -22,7 +22,7 @@ from .space import Space, known_quantities
 from .windows import Windows
 
 MAX_CLOCK_DEVIATION = 0.01  # s, largest standard deviation of a clock that counts as exact; a third of a typical delay
-ITERATIONS = 3  # repetitions of the joint fit, each with the corrected stamps
+ITERATIONS = 3  # repetitions of the joint fit, each with the corrected time stamps
 
 
 def clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,

@@ -396,7 +396,7 @@ class Search:
         return min(failing, key=lambda n: found.evidence[n].gain, default="")
 
     def _exchange(self, found: Found) -> Fit | None:
-        """Fill in `rivals`, and return the best significantly better fit with one effect exchanged, else `_merge`."""
+        """Fill in `rivals`. Returns the best fit with one effect exchanged if significantly better, else `_merge`."""
         p, better = self.problem, None
         around = p.all_sensitivities(found.fit.vector)
         q = p.quadratic_of_all(found.fit.vector)
@@ -426,7 +426,7 @@ class Search:
         return better or self._merge(found, alternatives)
 
     def _merge(self, found: Found, alternatives: Mapping[str, list[Fit]]) -> Fit | None:
-        """The fit with one effect in place of several, if the held-out loss per residual rises by less than
+        """The fit with one effect in place of several; None if the held-out loss per residual rises by more than
         `limits.negligible` per effect saved. alternatives: by effect, the fits in which it replaces another effect."""
         for fits in alternatives.values():
             fit = min(fits, key=lambda fit: float(fit.held_out.sum()))

@@ -76,8 +76,8 @@ def parameters(problem: Problem, fit: Fit, effect: str, partitions: Mapping[str,
     The half-width is the largest of three estimates: (1) from blocks taken as independent; (2) from the scatter between
     the parts of a partition, such as runs or sites; (3) from the `joint` fit with all other parameters free, multiplied
     by `unexplained`, the ratio of residual to noise (Birge, Phys. Rev. 40, 1932), plus the model error in quadrature.
-    To allow for errors of the model equations, the interval extends to the values in `near`, sets that fit nearly as
-    well."""
+    To allow for errors of the model equations, it extends to the values in `near`, sets that fit nearly as well.
+    """
     space, result = problem.space, {}
     indices = space.indices(effect)
     model_error = np.array([p.model_error for p in get_effect(effect).parameters if p.fit])

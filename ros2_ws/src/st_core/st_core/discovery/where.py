@@ -37,7 +37,7 @@ from .windows import STEP, Windows
 SHORT_HORIZON = 1.0  # s, for errors of velocity, yaw rate and acceleration, to locate where they arise
 RESAMPLES = 1000  # bootstrap samples
 MAX_RANGES = 3  # maximum number of statements about conditions per channel
-SIGNED = ("lateral acceleration", "steering angle", "steering rate")
+SIGNED = ("lateral acceleration", "steering angle", "steering rate")  # signed quantities that are binned by magnitude
 MIN_CONTRAST = 1.15  # minimum ratio of the error in a reported range to the error in all driving
 
 
@@ -94,7 +94,7 @@ def _squares(windows: Windows, squares: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _places_of_run(log: DriveLog, seconds: np.ndarray, horizon: float) -> dict[str, np.ndarray]:
-    """Position and conditions of the windows of one run. seconds: starts, since both INS and steering are available."""
+    """Position and conditions of the windows of one run. seconds: their starts, after both INS and steering began."""
     signals = LogSignals(log, 0.1, 5.0, "zero_phase")
     begin = max((int(t[0]) for t in (log.ins_time_ns, log.steering_time_ns) if len(t)), default=0)
     starts = begin + np.round(seconds / NANOSECOND).astype(np.int64)

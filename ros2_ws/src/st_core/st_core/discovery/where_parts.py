@@ -294,7 +294,7 @@ def _find_change_points(values: np.ndarray, first: int, last: int, block: int, r
 
 
 def _cusum(rows: np.ndarray) -> np.ndarray:
-    """|cumulative sum| of the deviations from the mean before each element, over standard deviation and root length."""
+    """|cumulative sum| of deviations from the mean before each element, over standard deviation times sqrt(length)."""
     centred = rows - rows.mean(axis=1, keepdims=True)
     sums = np.cumsum(centred, axis=1) - centred
     return np.abs(sums) / (rows.std(axis=1, keepdims=True) * math.sqrt(rows.shape[1]) + 1e-12)

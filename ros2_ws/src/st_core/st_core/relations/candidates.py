@@ -96,7 +96,7 @@ class Candidate:
 
     @property
     def changes_sides(self) -> bool:
-        """Whether it acts to the same side in left and right turns, so that its sign changes in a mirrored drive."""
+        """Whether it acts to the same side in left and right turns, so that it changes sign in a mirrored drive."""
         return self.parity == NEITHER and not self.factor and not self.term.endswith("_grip")
 
     @property

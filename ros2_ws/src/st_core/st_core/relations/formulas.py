@@ -13,9 +13,9 @@ from .relation_fit import RelationFit, RelationFits
 
 MAX_FORMULAS, POINTS = 3, 61
 MIN_EXPLAINED = 0.5  # fraction of the gain of the curve, from its quadratic, that a shape must explain
-MIN_EXPLAINED_MORE = 1e-3  # fraction of the gain of the curve that each further parameter of a shape must explain
+MIN_EXPLAINED_MORE = 1e-3  # the same, that a shape must explain in addition to any shape with fewer parameters
 FULL_SHARE = 0.98  # fraction of the gain of the best shape: a simpler shape that explains more is preferred
-NEAR_SHARE = 0.9  # the same, if the held-out loss of the simpler shape is not significantly higher
+NEAR_SHARE = 0.9  # the same for a simpler shape with a held-out loss that is not significantly higher
 MIN_KEPT_GAIN = 0.9  # minimum fraction of the held-out gain of the curve that a formula retains when simulated
 MAX_RANGE = 2.0  # maximum ratio of the largest value of a formula to that of the curve, within the driven range
 

@@ -24,7 +24,7 @@ SMOOTHING = (0.003, 0.03, 0.3)  # penalties on second differences, relative to t
 SIZE_PENALTY = 0.1  # penalty on coefficients, relative to that on second differences; shrinks uninformed ones to 0
 ITERATIONS, STEP_SHARES, MIN_LOSS_FALL = 8, (1.0, 0.5, 0.2), 2e-4  # as in discovery.fit
 BASE_FITS = 2  # fits of the discovered model without a relation
-RIDGE = 1e-6
+RIDGE = 1e-6  # added to the diagonal of a curvature before inversion
 _SECOND = np.diff(np.eye(SPLINES), 2, axis=0)
 ROUGHNESS = _SECOND.T @ _SECOND + SIZE_PENALTY * np.eye(SPLINES)
 """Penalty matrix: sum of squared second differences, plus SIZE_PENALTY times the sum of squares."""
@@ -77,8 +77,8 @@ class RelationFits:
 
     model: the discovered model. gain: its `Discovery.acceleration_gain`. names: names of its effects. fold: (b,) fold
     of each block. refitted: indices of the parameters fitted together with a relation. car: indices of the other
-    vehicle parameters, which are projected out of its evidence. All fits use the residual scale of the discovered
-    model."""
+    vehicle parameters, which are projected out of its evidence. All fits use the residual scale of `model`.
+    """
 
     def __init__(self, windows: Windows, model: AugmentedModel, gain: float, names: Sequence[str],
                  settings: DiscoverySettings, threads: int = 1):

@@ -21,7 +21,7 @@ MIN_BLOCKS = 10  # minimum number of blocks for a curve with eight coefficients
 MAX_DETECTABLE = 3.0  # typical magnitudes; model terms with a higher detection limit are reported as not examined
 MIN_REPORTED_RATIO = 1.25  # held-out error of a run with the relation to that without; smaller ratios are not reported
 MEASURED_BY = {"sensor_yaw_rate": ("yaw_rate",), "sensor_acceleration_y": ("acceleration_y",),
-               "sensor_velocity_y": ("velocity_y",), "sensor_heading": ("yaw",)}
+               "sensor_velocity_y": ("velocity_y",), "sensor_heading": ("yaw",)}  # channels of `st check` by term
 STEERING_TIMING = ("steering_rate", "lagging_steering")
 """Quantities of relations of the front steering that imitate a delayed or advanced steering signal."""
 
@@ -99,9 +99,8 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
     reproduce are projected out of its evidence. A relation is reported if its p-value over all candidates is below
     `limits.false_alarm`; if its held-out gain is significant and reaches `limits.relevant` of the residual or
     `limits.relevant_position`; if the predicted path improves at level `limits.false_alarm` (not required of a sensor
-    relation); and if no run becomes significantly worse. Equally good relations and redundant effects of the result are
-    listed. reported: (finding, channel) of `st check`; a relation that may imitate a reported sensor fault is not
-    proposed.
+    relation); and if no run becomes significantly worse. Equally good relations and redundant effects are listed.
+    reported: (finding, channel) of `st check`; relations that may imitate a reported sensor fault are rejected.
     Raises StCoreError if the drives contain no usable prediction.
     """
     settings = settings or DiscoverySettings()
