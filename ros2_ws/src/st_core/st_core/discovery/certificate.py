@@ -67,8 +67,8 @@ def _power(problem: Problem, fit: Fit, index: int, share: float, information: fl
 
 
 def _required_gain(problem: Problem, rows: np.ndarray, reduction: float, limits: Limits) -> float:
-    """Smallest gain per residual at which an effect is named. rows: residuals of the final fit. reduction [m]: of the
-    mean position error by the effect."""
+    """Smallest gain per residual at which an effect is named. rows: residuals of the final fit. reduction: decrease of
+    the mean position error due to the effect [m]."""
     required = limits.negligible if reduction > limits.relevant_position else limits.relevant
     unexplained = residual_over_noise(problem, rows) > limits.max_noise_ratio
     return max(required, limits.unexplained_share) if unexplained else required

@@ -36,7 +36,7 @@ class Checks:
 class Rival:
     """An effect that could replace the effect `replaces` in the model. share [1]: ratio of its gain to the gain of the
     replaced effect. p_no_worse [1]: p-value of the hypothesis that it is as good. deficit [1]: gain of the replaced
-    effect minus gain of the rival, per residual. evidence, values: of the rival in the set without the replaced effect.
+    effect minus gain of the rival, per residual. evidence, values: those of the rival in place of the replaced effect.
     shared: whether both are in the model and the rival explains a part of the replaced effect."""
 
     name: str

@@ -50,16 +50,15 @@ class Evidence:
     """Statistics of one effect in a set.
 
     gain [1]: reduction of the held-out loss per residual, about the relative reduction of the RMS error; the smaller of
-    two values, with blocks and with whole runs held out. healthy_gain [1]: the largest gain between drives of the
-    healthy car. p_value [1]: of the gain, corrected for the whole library. null_p_value [1]: of the start values.
-    shares [1]: by column, (error reduction divided by the baseline error, error without the effect divided by the
-    noise). position [m]: reduction of the mean held-out position error at the end of the horizon. position_somewhere
-    [m]: lower 95 % bound of this reduction in the driving condition where it is largest. noise_ratio [1]: error with
-    the effect divided by the noise, largest of all columns. bound_distance [1]: distance to the nearest bound; size
-    [1]: distance from the null, both in parameter scales. sensors_p_value, sensors_null_p_value [1]: of the fitted
-    value and of the null, given redundant sensors, or None. against_file: the quantity that the effect moves furthest
-    from the vehicle file, or None. agreement: by partition.
-    """
+    two values, with blocks and with whole runs held out. healthy_gain [1]: largest gain between drives of the healthy
+    car. p_value [1]: p-value of the gain, corrected for the whole library. null_p_value [1]: p-value of the start
+    values. shares [1]: by column, (error reduction divided by the baseline error, error without the effect divided by
+    the noise). position [m]: reduction of the mean held-out position error at the end of the horizon.
+    position_somewhere [m]: lower 95 % bound of this reduction in the driving condition where it is largest. noise_ratio
+    [1]: error with the effect divided by the noise, largest of all columns. bound_distance, size: distances to the
+    nearest bound and from the null [parameter scales]. sensors_p_value, sensors_null_p_value [1]: p-values of the
+    fitted value and the null, given redundant sensors, or None. against_file: the quantity that the effect moves
+    furthest from the vehicle file, or None. agreement: consistency between parts, by partition."""
 
     name: str
     gain: float
@@ -105,7 +104,7 @@ class Scores:
 
 def score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str,
           prior_gradient: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """((b, k) score, (k,) information) of an effect, with the effects `names` projected out. q: by block, in all
+    """((b, k) score, (k,) information) of an effect, with the effects `names` projected out. q: loss by block, in all
     parameters. prior_gradient: (p,) half the gradient of the prior, needed if q is about a fit."""
     new = problem.space.indices(effect)
     indices = np.setdiff1d(problem.free_indices(names), new)
@@ -145,8 +144,8 @@ def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
 
 def make_scores(q: Quadratic, by_effect: Mapping[str, np.ndarray], information: Mapping[str, np.ndarray],
                 gains: Mapping[str, tuple[np.ndarray, np.ndarray]], rng: np.random.Generator, draws: int) -> Scores:
-    """Make `Scores` from the scores and information of each effect. q: by block, in all parameters. draws: number of
-    draws of random signs."""
+    """Make `Scores` from the scores and information of each effect. q: loss by block, in all parameters. draws: number
+    of draws of random signs."""
     signs, largest, ratios = rng.choice([-1.0, 1.0], (draws, len(q.cost))), np.zeros(draws), []
     min_information = 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
     for effect, s in by_effect.items():
@@ -177,7 +176,7 @@ def library_p_value(best: np.ndarray, gain: np.ndarray, scores: Scores, library:
 
 def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scores, partitions: Mapping[str, Partition],
              sensors: Mapping[str, tuple[float, float, float]]) -> Evidence:
-    """Evidence for an effect of `fit`, compared with the fit `without` it. scores: of the library, at `without`.
+    """Evidence for an effect of `fit`, compared with the fit `without` it. scores: library scores at `without`.
     sensors: (value, low, high) of parameters from redundant sensors."""
     gain = without.held_out - fit.held_out
     block_scores = scores.by_effect.get(effect)
@@ -263,7 +262,7 @@ def effect_size(problem: Problem, fit: Fit, effect: str) -> float:
 
 
 def against_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:
-    """The quantity that an effect moves furthest from the vehicle file in standard deviations; None without one."""
+    """The quantity that an effect moves furthest from the vehicle file, in standard deviations, or None."""
     found = []
     for i in problem.space.indices(effect) if problem.prior is None else ():
         known, change = problem.quantities[i], float(fit.vector[i] - problem.space.null[i])

@@ -327,7 +327,7 @@ class Problem:
         """({fold: step to the values fitted without it}, (b,) loss of each block at the values fitted without its fold,
         including its share of the prior cost), from the quadratic approximation of the loss.
 
-        q: by block. fold: (b,). at_optimum: treat `vector` as the optimum, without the remaining Gauss-Newton step.
+        q: loss by block. fold: (b,). at_optimum: treat `vector` as the optimum, without a further Gauss-Newton step.
         With a prior from reference drives, leaving out a fold changes only the parameters of the effects `names`.
         """
         names = tuple(names)

@@ -5,7 +5,7 @@
 rho is the negative log-likelihood of Student's t distribution, r the residual (measured minus predicted) of a column at
 a scored point of the horizon, s its scale. The scale is estimated from the residuals and recomputed as the model
 improves, so that all channels have similar weight and small errors count once large errors are explained. The quadratic
-approximation is that of iteratively reweighted least squares:
+approximation is the one of iteratively reweighted least squares:
 
     cost(d) ~ cost - 2 g'd + d'H d,   d: step of the parameters, in parameter scales (`Space.scale`)
 

@@ -205,7 +205,7 @@ class Power:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Power of these drives. powers: for three sizes of each effect. alarms: number of simulated drives without any
+    """Power of these drives. powers: three sizes of each effect. alarms: number of simulated drives without any
     effect in which one was named. measured: whether the power is estimated by a step of the search on simulated drives
     (--certify); otherwise it is predicted from the curvature of the loss, and simulated_drives is 0."""
 
@@ -230,7 +230,7 @@ class ErrorCondition:
 @dataclass(frozen=True)
 class ChannelError:
     """Held-out error of a channel with the base model (base) and with effects (augmented) [unit]: root mean square at
-    the end of the horizon, but mean for position_5s. interval: 95 %, of base - augmented. floor: error due to noise
+    the end of the horizon, but mean for position_5s. interval: 95 %, for base - augmented. floor: error due to noise
     alone [unit]. worst_run, worst: run with the largest augmented error, and that error. worse_runs: runs in which the
     effects increase the error by more than the floor."""
 
@@ -259,7 +259,7 @@ class NextManoeuvre:
     """The manoeuvre that best separates an effect from its alternatives. name: name in the catalogue, and of the
     scenario of the virtual car. separates: the pair of effects with the smallest separation. strength: separation of
     this pair [standard deviations] expected after `times` further drives of the manoeuvre. options: strength by
-    manoeuvre. duration [s], speed [m/s]: of one drive."""
+    manoeuvre. duration [s] and speed [m/s] refer to one drive."""
 
     name: str
     separates: tuple[str, str]

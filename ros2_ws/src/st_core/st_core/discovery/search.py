@@ -29,8 +29,8 @@ Near = tuple[tuple[str, ...], np.ndarray]  # (names of the effects in a set, vec
 
 @dataclass
 class Found:
-    """State of the search. fit: fit of the current set. order: names in order of selection. evidence: by effect of the
-    set. without: fit without each effect of the set. rivals: effects tried in place of each effect of the set. refused:
+    """State of the search. fit: fit of the current set. order: names in order of selection. evidence, without, rivals:
+    by effect of the set, the evidence for it, the fit without it, and the effects tried in its place. refused:
     (evidence, verdict, fit) of each effect that was tried in addition and rejected. cached_scores: scores of the
     effects outside the set. near: sets that fit nearly as well, see `_near_sets`.
     """

@@ -13,8 +13,8 @@ from ..errors import ConfigurationError
 class Limits:
     """Thresholds of the decisions of a discovery.
 
-    false_alarm [1]: significance level of an effect, corrected for the whole library; also of the path improvement by a
-    relation and, with the default value, of a combination that differs from the vehicle file (`known_together`).
+    false_alarm [1]: significance level for an effect, corrected for the whole library, for the path improvement by a
+    relation and, at its default value, for combinations that differ from the vehicle file (`known_together`).
     undecided_p [1]: p-value above which a difference is undecided (between two effects, between the values in parts of
     the driving, or from the null); also the error probability of a one-sided confidence bound. relevant [1]: relative
     error reduction required of an effect: over all channels, relative to the errors without it, to be kept; in one
@@ -24,7 +24,7 @@ class Limits:
     an alternative to lower tyre stiffness.
     negligible [1]: relative reduction of the errors below which an effect is ignored, however significant.
     min_rival_gain [1]: fraction of an effect's gain that another must reach in its place to be an alternative.
-    max_file_deviation [1]: largest accepted deviation of a value from that of the vehicle file, in standard deviations.
+    max_file_deviation [1]: largest accepted deviation of a value from the vehicle file, in standard deviations.
     min_peak_force [1]: fraction of the peak force of an axle that the drives must reach for a peak to be named.
     at_bound [1]: distance to a bound, in parameter scales, below which a value counts as being at the bound.
     max_noise_ratio [1]: ratio of residual to noise above which the residual is reported as unexplained.

@@ -35,7 +35,7 @@ MIN_FLOOR_RATIO = 1.25  # minimum ratio of the error in a relevant bin to the fl
 
 CELL_SIZE = 20.0  # m, side of a cell of the map
 MIN_PART_DURATION = 8.0  # s between change points
-MAX_P_VALUE = 0.01  # of a change point
+MAX_P_VALUE = 0.01  # largest p-value of a reported change point
 MIN_ERROR_RATIO = 1.5  # minimum ratio of RMS errors for a reported stretch or cell
 MAX_CHANGES = 3  # change points per run and channel
 PERMUTATIONS = 299  # enough to resolve a p-value of 0.01

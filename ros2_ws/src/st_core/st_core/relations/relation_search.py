@@ -19,7 +19,7 @@ from .selection import RunShares, Screened
 
 MIN_BLOCKS = 10  # minimum number of blocks for a curve with eight coefficients
 MAX_DETECTABLE = 3.0  # typical magnitudes; model terms with a higher detection limit are reported as not examined
-MIN_REPORTED_RATIO = 1.25  # held-out error of a run with the relation to that without; smaller ratios are not reported
+MIN_REPORTED_RATIO = 1.25  # smallest reported ratio of the held-out errors of a run with and without the relation
 MEASURED_BY = {"sensor_yaw_rate": ("yaw_rate",), "sensor_acceleration_y": ("acceleration_y",),
                "sensor_velocity_y": ("velocity_y",), "sensor_heading": ("yaw",)}  # channels of `st check` by term
 STEERING_TIMING = ("steering_rate", "lagging_steering")
@@ -33,7 +33,7 @@ class Relation:
     candidate: the model term that it modifies (steering, axle force or grip, yaw moment, side force, a sensor), and the
     quantity it depends on. coefficients: (8,) of the splines. at: (k,) values of the quantity; value, deviation: (k,)
     the curve there and its standard deviation [unit of the term]; density: (k,) fraction of the driving near each. gain
-    [1]: reduction of the held-out loss per residual. p_value [1]: of the gain, corrected for the number of candidates.
+    [1]: reduction of the held-out loss per residual. p_value [1]: of this gain, corrected for the candidates tried.
     position_5s [m]: held-out position error after 5 s (without, with); runs: the same by run. model: the model without
     the relation, at the values fitted with it. others: equally good relations, with the cosine similarity of their
     effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. shares: size of the

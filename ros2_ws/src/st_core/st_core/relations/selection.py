@@ -27,7 +27,7 @@ class Screened:
     observed, drawn: score statistic, and (DRAWS,) its values for random signs of the blocks, both divided by the mean
     of the draws. degrees_of_freedom: effective number for the curve. design_effect: factor by which dependent windows
     increase the variance of the residual scores, at least 1. gain: reduction of the held-out loss. information:
-    (SPLINES, SPLINES), of the coefficients with the other parameters projected out.
+    (SPLINES, SPLINES) for the coefficients, with the other parameters projected out.
     """
 
     candidate: Candidate
