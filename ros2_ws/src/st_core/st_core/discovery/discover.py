@@ -390,7 +390,7 @@ class _Analysis:
         return collected
 
     def _as_varying_effect(self, v: Varying, position: float) -> VaryingEffect:
-        """Convert v for the result. position [m]: reduction of the mean position error after 5 s."""
+        """Convert v to a `VaryingEffect`. position [m]: reduction of the mean position error after 5 s."""
         free = next(f for f in self.space.free if (f.effect, f.parameter) == (v.name, v.parameter))
         value, spread = max(v.values.values(), key=lambda each: abs(each[0] - free.null))
         change = value - free.null or free.scale

@@ -379,7 +379,7 @@ def _raised(curvature: np.ndarray, reweighted: np.ndarray) -> np.ndarray:
 
 
 def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
-    """p-value of an effect's start values as null hypothesis: Hotelling's T^2 test with the sandwich covariance."""
+    """p-value of the hypothesis that an effect has its start values: Hotelling's T^2 test with sandwich covariance."""
     indices = problem.space.indices(effect)
     columns = np.searchsorted(fit.indices, indices)
     variance = covariance(problem, fit)[np.ix_(columns, columns)]

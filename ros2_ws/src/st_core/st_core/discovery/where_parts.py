@@ -301,7 +301,7 @@ def _cusum(rows: np.ndarray) -> np.ndarray:
 
 
 def find_cells(samples: Samples, channel: str, noise: float) -> list[Cell]:
-    """Cells driven in at least MIN_BLOCKS blocks, with the p-value that the conditions explain the errors there."""
+    """Cells driven in at least MIN_BLOCKS blocks; p tests whether the conditions alone explain the errors there."""
     residual = log_residuals(samples, samples.squares[channel], noise)
     known = np.isfinite(residual) & np.isfinite(samples.x) & np.isfinite(samples.y)
     key = np.stack([np.floor(samples.x[known] / CELL_SIZE), np.floor(samples.y[known] / CELL_SIZE)], axis=1)
