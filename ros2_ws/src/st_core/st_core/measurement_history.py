@@ -119,26 +119,26 @@ class MeasurementHistory:
 
     def add_ins(self, sample: InsSample) -> bool:
         """Add a sample at the INS point; False if it was refused."""
-        position, restarted = self.ins.add(sample.time_ns, sample[1:])
+        index, restarted = self.ins.add(sample.time_ns, sample[1:])
         if restarted:
             self.steering.clear()
             self.jump = None
             self.generation += 1
-        if position is None:
+        if index is None:
             return False
-        self._filter_from(position)
+        self._filter_from(index)
         if self._detects_jumps:
-            self._find_jumps(position)
+            self._find_jumps(index)
         return True
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
         """Add a road wheel angle [rad], left +, measured at time_ns; False if it was refused."""
-        position, _ = self.steering.add(time_ns, (road_wheel_angle,))
-        return position is not None
+        index, _ = self.steering.add(time_ns, (road_wheel_angle,))
+        return index is not None
 
-    def _find_jumps(self, position: int) -> None:
-        # A sample that was sorted in changes the steps before and after it.
-        for after in range(max(position, 1), min(position + 2, len(self.ins))):
+    def _find_jumps(self, index: int) -> None:
+        # A sample inserted in time order changes the steps before and after it.
+        for after in range(max(index, 1), min(index + 2, len(self.ins))):
             size = self._jump_size(after)
             time_ns = int(self.ins.times[after])
             was_jump = self.ins.breaks.pop(time_ns, None) is not None
@@ -156,10 +156,10 @@ class MeasurementHistory:
         before = slice(max(0, after - 1 - NOISE_STEPS), after)
         return size if _exceeds_noise(size, self.ins.times[before].tolist(), self.ins.rows[before].tolist()) else 0.0
 
-    def _filter_from(self, position: int) -> None:
-        # Usually only the newest sample is filtered; a sample that was sorted in changes all later results.
+    def _filter_from(self, index: int) -> None:
+        # Usually only the newest sample is filtered; a sample inserted in time order changes all later results.
         times, rows, (*_, cutoff) = self.ins.times, self.ins.rows, self._settings
-        for i in range(position, len(times)):
+        for i in range(index, len(times)):
             spacing_ns = int(times[i] - times[i - 1]) if i else 0
             now = float(rows[i, VELOCITY_X])
             if i == 0 or spacing_ns > self.ins.maximum_gap_ns:

@@ -141,7 +141,7 @@ def ins_path(message: Prediction) -> Path:
     return Path(to_nanoseconds(message.header.stamp), message.step, x, y, ribbons)
 
 
-def error_message(score: Score, map_frame: str, configuration_hash: str) -> PredictionError:
+def prediction_error_message(score: Score, map_frame: str, configuration_hash: str) -> PredictionError:
     message = PredictionError(model=score.model, mode=score.mode, complete=score.complete,
                               incomplete_reason=score.incomplete_reason,
                               longitudinal_mean=float(score.longitudinal_mean), lateral_mean=float(score.lateral_mean),

@@ -30,16 +30,16 @@ FILL_IN = "FILL_IN"
 """Placeholder for values that only the owner of the car can give; commands reject files that contain it."""
 MEASUREMENT_HINTS = {
     "mass": "four wheel scales, with driver and equipment",
-    "yaw_inertia": "at first from a comparable car, later identified",
+    "yaw_inertia": "value of a comparable car at first; identify it later",
     "wheelbase": "tape measure, or the registration papers",
-    "cg_to_front_axle": "wheelbase * load of the rear axle / mass",
+    "cg_to_front_axle": "wheelbase * mass on the rear axle / total mass",
     "cg_to_ins_x": "tape measure, from the CG to the unit's measurement point; behind the CG is negative",
     "steering_ratio": "turntables, mean of both front wheels",
-    "drive_front": "1: front-wheel drive, 0: rear-wheel drive, between: the front axle's share of all-wheel drive",
-    "cornering_stiffness_front": "at first from a comparable car, later identified",
-    "cornering_stiffness_rear": "at first from a comparable car, later identified",
+    "drive_front": "1: front-wheel drive, 0: rear-wheel drive, between: share of the drive torque on the front axle",
+    "cornering_stiffness_front": "value of a comparable car at first; identify it later",
+    "cornering_stiffness_rear": "value of a comparable car at first; identify it later",
 }
-"""Quantity that cannot be taken from another car -> how it is measured."""
+"""Quantity that must be given for each car -> how to obtain it."""
 ASSUMED_UNCERTAINTIES = {"cg_height": 0.1}
 """Quantity -> standard deviation [SI] of a value from another car; CG heights of passenger cars are 0.45 to 0.65 m."""
 STABILITY_SPEEDS = tuple(0.5 * k for k in range(1, 81))
@@ -92,7 +92,7 @@ steering_latency: 0.0    # s, delay from steering wheel motion to the stamp of i
 VEHICLE_TEMPLATE = """\
 # Every value has a unit and a source. FILL_IN marks the values and sources that only you know.
 # The other values are assumptions to start with. uncertainty: one standard deviation, in the unit of the value;
-# st discover keeps the value near it. Without it a default is used, which st car check prints.
+# st discover uses it as a prior of the value. Without it a default is used, which st car check prints.
 name: FILL_IN
 """
 
@@ -147,7 +147,7 @@ def list_remarks(folder: str) -> list[str]:
     vehicle = read_vehicle(file)
     notes = [f"{file}: unusual: {text}" for text in objections(vehicle)]
     notes += _suggest_speed_signals(car)
-    return [*notes, "uncertainty of each quantity, one standard deviation (st discover keeps the value near it):",
+    return [*notes, "uncertainty of each quantity, one standard deviation (the prior of st discover):",
             *(f"  {line}" for line in list_uncertainties(vehicle))]
 
 
@@ -185,9 +185,9 @@ def _find_vehicle_problems(file: Path) -> list[str]:
     step = PredictionSettings().step
     needed = slip_speed_needed(("linear", "nonlinear"), vehicle, STABILITY_SPEEDS, step)
     if needed is None:
-        return [f"{file}: mass, yaw_inertia, cornering_stiffness_front, cornering_stiffness_rear: this car is "
-                f"unstable at any minimum_slip_speed with integration steps of {1e3 * step:g} ms; is one of them in "
-                "another unit?"]
+        return [f"{file}: mass, yaw_inertia, cornering_stiffness_front, cornering_stiffness_rear: the "
+                f"numerical integration is unstable at any minimum_slip_speed with steps of {1e3 * step:g} ms; is one "
+                "of them in another unit?"]
     if needed <= vehicle.minimum_slip_speed:
         return []
     return [f"{file}: minimum_slip_speed: {vehicle.minimum_slip_speed:g} m/s is too low for integration steps of "
@@ -211,9 +211,9 @@ def _find_bus_problems(car: Car) -> list[str]:
                 "delete both"]
     try:
         if any(_find_unfilled_keys(read_yaml_mapping(car.signals))):
-            return [f"{car.signals}: messages: {FILL_IN}_message and {FILL_IN}_signal are not filled in: names in "
-                    f"{car.dbc.name} of the message and the signal with the steering wheel angle; if all recordings "
-                    "are CSV or bags, delete both files"]
+            return [f"{car.signals}: messages: {FILL_IN}_message and {FILL_IN}_signal are not filled in: enter the "
+                    f"names, as in {car.dbc.name}, of the message and the signal that carry the steering wheel angle; "
+                    "if all recordings are CSV or bags, delete both files"]
         table = load_table(car.dbc, car.signals)
     except (RunError, TableError) as error:
         return [str(error)]

@@ -26,10 +26,11 @@ def effects(
     own: Path | None = typer.Option(None, "--effects", help="list: folder of your own effects to include.", exists=True,
                                     file_okay=False),
 ) -> None:
-    """List the effects (kind, slot, hooks, similar effects, required channels), or check effect files of your own.
+    """List the effects (kind, where they act, similar effects, required channels), or check effect files of your own.
 
-    check: equal to the base model at null, finite within its bounds, equal for floats, batches, compiled and CasADi,
-    symmetric in left and right, stable. Exit status: 0 all requirements met, 1 some not, 2 a file cannot be loaded.
+    check: with its null values an effect must not change the base model; within its bounds it must be finite, stable,
+    symmetric in left and right, and equal for floats, arrays, compiled code and CasADi. Exit status: 0 all
+    requirements met, 1 some not, 2 a file cannot be loaded.
     """
     from st_core.effects import load_folder
 

@@ -44,7 +44,7 @@ class AcrossRuns:
         unit = "" if self.unit == "1" else f" {self.unit}"
         if self.consistent:
             return (f"{self.name} is consistent across all {self.runs} runs, {self.mean:.{digits}f} ± {half:.{digits}f}"
-                    f"{unit}: its cause is the sensor, its mounting, the projection or the car; the value is reliable")
+                    f"{unit}: the cause is the sensor, its mounting, the projection or the car; the value is reliable")
         return (f"{self.name} differs significantly between the {self.runs} runs, "
                 f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it depends on the place, the "
                 "load or the day, or some of the runs are faulty")
@@ -63,9 +63,9 @@ def compare_runs(runs: Sequence[Checked]) -> list[AcrossRuns]:
         if len(rows) < MIN_RUNS:
             continue
         reported = sum(any(finding.name == name for finding in run.findings) for run in runs)
-        mean, interval, between, excess = _random_effects(rows)
+        mean, interval, between, cochran_q = _random_effects(rows)
         outside = int(((rows[:, 1] > mean) | (rows[:, 2] < mean)).sum())
-        homogeneous = excess <= chi2.ppf(CONFIDENCE, len(rows) - 1)
+        homogeneous = cochran_q <= chi2.ppf(CONFIDENCE, len(rows) - 1)
         similar = between < MAX_RELATIVE_SPREAD * abs(mean - neutral_value(name))
         consistent = outside <= binom.ppf(CONFIDENCE, len(rows), 0.05) and (homogeneous or similar)
         if not consistent or not interval[0] <= neutral_value(name) <= interval[1]:

@@ -28,7 +28,7 @@ MIN_MOVING_SPEED = 1.0  # m/s
 MAX_BAD_SHARE = 0.5  # fraction of implausible samples above which the channel is unusable, and no sample is left out
 NOTE_SHARE = 0.01  # largest fraction of spikes that is reported as a note only
 WRAP_LIMIT = 0.3  # minimum wrap, divided by the largest plausible step; smaller wraps resemble real changes
-WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # largest deviation of a step, and largest sum of its ends, divided by the wrap
+WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # ratios to the wrap: tolerance of its step and of the symmetry of its ends
 MAX_WRAPPED_SHARE = 0.2  # fraction of wrapped samples above which the true range is uncertain
 MAX_NET_CHANGE = 0.5  # largest ratio of net change to sum of |steps| in noise; 1 for a turn in another unit
 JUMP_RATIO = 30.0  # minimum ratio of a jump to the 90th percentile of all steps; below 15 in seventeen real drives
@@ -51,7 +51,7 @@ class ChannelLimits:
 CHANNELS: Mapping[str, ChannelLimits] = {
     "x": ChannelLimits("m", 5.0), "y": ChannelLimits("m", 5.0),  # 100 m/s for 50 ms
     "yaw": ChannelLimits("rad", 0.2),  # 4 rad/s for 50 ms
-    "velocity_x": ChannelLimits("m/s", 1.0, 120.0),  # 20 m/s^2 for 50 ms; no road car is faster
+    "velocity_x": ChannelLimits("m/s", 1.0, 120.0),  # 20 m/s^2 for 50 ms; nearly no road car is faster
     "velocity_y": ChannelLimits("m/s", 1.0, 40.0),
     "yaw_rate": ChannelLimits("rad/s", 0.3, 5.0),  # 6 rad/s^2 for 50 ms, twice a step steer; spins reach 3 rad/s
     "acceleration_x": ChannelLimits("m/s^2", 15.0, 80.0),  # kerbs and potholes reach 10 m/s^2 in one sample
@@ -293,7 +293,7 @@ def _make_finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
     unit = channel.limits.unit
     # Codes for a missing measurement are round numbers in the unit of the file, which is often degrees.
     degrees = f" ({np.rad2deg(value):.6g} {unit.replace('rad', 'deg')})" if unit.startswith("rad") else ""
-    reading = f"{value:.6g} {unit}{degrees}" + (" plus full turns" if channel.name == "yaw" else "")
+    reading = f"{value:.6g} {unit}{degrees}" + (" (unwrapped)" if channel.name == "yaw" else "")
     when = f"at {where[0][0]:.2f} s" if len(samples) == 1 else f"between {times[0]:.2f} and {times[-1]:.2f} s"
     count = f"{len(samples)} of {len(channel.values)} samples"
     text = {
@@ -313,8 +313,8 @@ def _make_finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
                 Severity.NOTE if kind == "sample_spikes" and share <= NOTE_SHARE else Severity.WARNING)
     text += "" if severity is Severity.ERROR or kind == "channel_jumps" else "; these samples are left out"
     advice = {"channel_wraps": "change the definition of the signal: more bits, or a larger factor",
-              "channel_jumps": "look at the sensor and the logger",
-              }.get(kind, "look at the sensor and the logger; no command uses these samples")
+              "channel_jumps": "check the sensor and the settings of the logger",
+              }.get(kind, "check the sensor and the settings of the logger; no command uses these samples")
     return Finding(kind, severity, (channel.name,), text, value, unit, None, where[:MAX_LISTED],
                    advice=Advice("look", advice))
 

@@ -70,7 +70,7 @@ def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: Vehi
                   settings: DiscoverySettings, gain: float = 0.0) -> Samples:
     """Errors and conditions of all windows of the runs, see `windows.Windows`."""
     windows = Windows(runs, vehicle, settings)
-    squares = _squares(windows, np.square(windows.errors(model, gain)))
+    squares = _mean_squared_errors(windows, np.square(windows.errors(model, gain)))
     rows = [_places_of_run(log, windows.seconds[windows.run == number], float(windows.time[-1]))
             for number, log in enumerate(runs)]
     place = {name: np.concatenate([r[name] for r in rows]) for name in rows[0]}
@@ -81,7 +81,7 @@ def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: Vehi
                    {channel: values[known] for channel, values in squares.items()})
 
 
-def _squares(windows: Windows, squares: np.ndarray) -> dict[str, np.ndarray]:
+def _mean_squared_errors(windows: Windows, squares: np.ndarray) -> dict[str, np.ndarray]:
     """(n,) mean square error by channel over the first SHORT_HORIZON; for channels with accumulating errors, square
     error at the end of the horizon."""
     short = windows.time <= max(SHORT_HORIZON, float(windows.time[0]))
@@ -173,7 +173,7 @@ def _range_statement(group: Sequence[BinExcess], bins: Sequence[BinExcess], over
     if quantity in SIGNED and group[0].range.low and len(sides) == 2 and all(b.significant for b in sides.values()):
         condition += ", both directions"
     if with_reference and not all(b.covered for b in group):
-        condition += " (hardly driven in the reference)"
+        condition += " (poorly covered by the reference drives)"
     weights = np.array([b.blocks for b in group], float)
     excess = math.sqrt(float((weights * [b.excess ** 2 for b in group]).sum() / weights.sum()))
     low, high = (math.sqrt(float((weights * [b.interval[k] ** 2 for b in group]).sum() / weights.sum()))
@@ -207,7 +207,7 @@ def _place_statements(places: Sequence[Cell], overall: BinExcess) -> list[ErrorC
         reach = max(math.hypot(c.x - x, c.y - y) for c in cluster) + 0.5 * CELL_SIZE
         ratio = float(np.mean([c.ratio for c in cluster]))
         low, high = (float(np.mean([c.interval[k] for c in cluster])) for k in (0, 1))
-        text = f"within {reach:.0f} m of east {x:.0f} m, north {y:.0f} m, on every pass"
+        text = f"within {reach:.0f} m of (E {x:.0f} m, N {y:.0f} m), on average over the passes"
         statements.append(ErrorCondition(overall.channel, text, overall.excess * ratio,
                                          (overall.excess * low, overall.excess * high)))
     return sorted(statements, key=lambda s: -s.excess)[:2]

@@ -7,7 +7,8 @@ from ._base import ANY, Effect, Parameter, register
 class LateralAccelerationBias(Effect):
     name = "lateral_acceleration_bias"
     physics = "measured a_y = a_y + bias"
-    excited_by = "any driving with the lateral acceleration recorded; the same road in both directions"
+    excited_by = ("any driving with the lateral acceleration recorded; to separate it from road bank, the same road "
+                  "in both directions")
     kind, slot = "sensors", "acceleration"
     needs = ("acceleration_y",)
     confounded_with = ("road_bank", "crosswind")

@@ -6,11 +6,11 @@ follow from the force and moment balance of the single-track car, with a_y at th
 velocity at each axle. The stiffness is the slope of force versus slip; an intercept absorbs offsets of steering and
 INS. Slow and nearly straight driving, |a_y| above 4 m/s^2 and slip angles above 2 deg are left out.
 
-The slope is a secant: it is below the stiffness at zero slip if the tyre saturates within the slip range, or if the
-slip angle is noisy. `AxleRegression.model_error` is the resulting standard uncertainty of the stiffness at zero slip,
-from a second regression in the lower half of the slip range (`regression.extrapolation_uncertainty`, where the range a
-of each secant is the mean |alpha| weighted by alpha^2). Source: Aertssen et al., Short-Horizon Position Accuracy of
-Single-Track Models, section on parameter identification. Checked by: test_identification_driving.py,
+The slope is a mean over the slip range: it is below the stiffness at zero slip if the tyre saturates in that range, or
+if the slip angle is noisy. `AxleRegression.model_error` is the resulting standard uncertainty of the stiffness at zero
+slip, from a second regression in the lower half of the slip range (`regression.extrapolation_uncertainty`, with the
+mean |alpha|, weighted by alpha^2, as the slip angle of each slope). Source: Aertssen et al., Short-Horizon Position
+Accuracy of Single-Track Models, section on parameter identification. Checked by: test_identification_driving.py,
 test_axle_curve.py, test_stiffness_model_error.py.
 """
 
@@ -45,10 +45,10 @@ MAX_RANGE_RATIO = 0.8
 multiply the difference of the two slopes by more than 5."""
 MAX_RELATIVE_UNCERTAINTY = 0.1
 """Ratio of standard uncertainty to stiffness above which the stiffness is doubtful."""
-DRIVEN_QUANTILE = 0.995  # quantile of |slip angle| that is called the driven slip
+DRIVEN_QUANTILE = 0.995  # quantile of |slip angle| that counts as the largest slip angle of the drives
 
 Slope = tuple[float, Spread, np.ndarray, np.ndarray]
-"""(stiffness C [N/rad], its uncertainty, number of each block, influence of each block on C)."""
+"""(stiffness C [N/rad], its uncertainty, index of each block, influence of each block on C)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -82,8 +82,8 @@ def _subtract_means(values: np.ndarray, members: Iterable[np.ndarray]) -> np.nda
 
 MIN_ROWS = 5
 MIN_RANGE = math.radians(90.0)  # minimum range of the steering wheel angle
-MAX_STEERING_ANGLE = math.radians(1200.0)
-MAX_WHEEL_ANGLE = math.radians(60.0)
+MAX_STEERING_WHEEL_ANGLE = math.radians(1200.0)
+MAX_ROAD_WHEEL_ANGLE = math.radians(60.0)
 BIN = math.radians(90.0)
 
 
@@ -123,7 +123,7 @@ def identify_steering_ratio(data: Turntable) -> Identification:
                f"deviates by at most {largest:.2f} deg at the road wheel.")
     centre = 1.0 / (line.slope + cubic[0]) if significant else ratio
     if significant:
-        verdict += f" The ratio is not constant: {centre:.2f} about the centre of the range."
+        verdict += f" The ratio is not constant: {centre:.2f} on centre."
     estimate = Estimate("steering_ratio", ratio, "1", ratio**2 * line.uncertainty, (1.0 / high, 1.0 / low), method,
                         used, verdict)
     edges = BIN * np.arange(math.floor(data.steering.min() / BIN), math.ceil(data.steering.max() / BIN) + 1)
@@ -137,8 +137,9 @@ def identify_steering_ratio(data: Turntable) -> Identification:
 
 
 def _check_rows(data: Turntable) -> None:
-    columns = {"steering wheel": (data.steering, MAX_STEERING_ANGLE), "left wheel": (data.left, MAX_WHEEL_ANGLE),
-               "right wheel": (data.right, MAX_WHEEL_ANGLE)}
+    columns = {"steering wheel": (data.steering, MAX_STEERING_WHEEL_ANGLE),
+               "left wheel": (data.left, MAX_ROAD_WHEEL_ANGLE),
+               "right wheel": (data.right, MAX_ROAD_WHEEL_ANGLE)}
     if len(data.steering) < MIN_ROWS:
         raise IdentificationError(f"the table has {len(data.steering)} rows, at least {MIN_ROWS} are needed")
     for name, (angle, largest) in columns.items():

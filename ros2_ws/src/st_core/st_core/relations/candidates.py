@@ -26,11 +26,12 @@ QUANTITIES = {"slip_front": "rad", "slip_rear": "rad", "steering": "rad", "accel
               "acceleration_x": "m/s^2", "speed": "m/s", "yaw_rate": "rad/s", "steering_rate": "rad/s",
               "lagging_steering": "rad", "lean": "m/s^2", "north": "1", "east": "1", "position_x": "m",
               "position_y": "m", "run_time": "s"}
-"""Unit by quantity. lean: lateral acceleration with the lag of the body roll. north, east: sine and cosine of yaw."""
+"""Unit by quantity. acceleration_y: velocity_x times yaw_rate. lean: acceleration_y with the lag of the body roll.
+north, east: sine and cosine of yaw."""
 MIN_RANGES = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "acceleration_y": 0.5, "acceleration_x": 0.3,
               "speed": 1.0, "yaw_rate": 0.03, "steering_rate": 0.03, "lagging_steering": 0.01, "lean": 0.5,
               "north": 0.1, "east": 0.1, "position_x": 20.0, "position_y": 20.0, "run_time": 10.0}
-"""Minimum driven range of a quantity for candidates; smaller ranges are mostly noise and road unevenness."""
+"""Minimum range of a quantity in the drives for candidates; smaller ranges are mostly noise and road unevenness."""
 MEMORY = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
           "lean": ("acceleration_y", "lagging", 0.15)}
 """Quantity with memory -> (source, kind, lag [s])."""

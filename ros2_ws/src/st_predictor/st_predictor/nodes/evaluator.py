@@ -133,7 +133,7 @@ class EvaluatorNode(Node):
             self._statistics.setdefault((score.model, score.mode), ErrorStatistics()).add(score)
             self._coverages.add(score)
             key = score.model, score.mode, score.start_ns
-            message = convert.error_message(score, self._map_frame, self._hashes.pop(key, ""))
+            message = convert.prediction_error_message(score, self._map_frame, self._hashes.pop(key, ""))
             self._error_publisher.publish(message)
             self._record("errors", message)
 

@@ -56,7 +56,8 @@ class TickCounter:
         return max(0, round((next_due_ns - before) / period_ns) - 1)
 
     def count(self, missed: int, skipped: str | None) -> None:
-        """Count a tick and the `missed` ticks dropped before it. skipped: why it made no prediction, "stale" or "slow".
+        """Count a tick and the `missed` ticks dropped before it. skipped: why it made no prediction, "stale"
+        (inputs) or "slow" (below the minimum speed).
         """
         if not self._started and skipped == "stale":
             return
@@ -279,7 +280,7 @@ class PredictorNode(Node):
         if history.jump is None:
             return Check("position", diagnostics.OK, "no jump yet", values)
         ago = (self.get_clock().now().nanoseconds - history.jump.time_ns) * NANOSECOND
-        text = f"jump of {history.jump.size:.2f} m not explained by velocity, {history.jumps} since the start"
+        text = f"jump of {history.jump.size:.2f} m not explained by velocity; {history.jumps} since start-up"
         if ago < JUMP_WARNING_DURATION:
             return Check("position", diagnostics.WARN, f"{text}; no prediction or score extends across it", values)
         return Check("position", diagnostics.OK, f"last {text}", values | {"age [s]": ago})

@@ -13,10 +13,10 @@ from .ins_log import InsLog
 # Delays [s]: (expected value, standard deviation).
 INS_ON_CAN = (0.002, 0.002)  # default, from the measurement of an INS value to its frame in the log
 WHEEL_SPEED = (0.015, 0.015)  # wheel pulses are counted over a period before the speed is sent
-# Slip of the wheels divided by acceleration [s^2/m], which at speed v acts like a delay of this value times v. It is
+# Longitudinal slip divided by acceleration [s^2/m], which at speed v acts like a delay of this value times v. It is
 # 0.003 for a braked rear axle, 0.007 for a driven one, and 0 for an axle that rolls freely.
 WHEEL_SLIP = 0.002
-STEERING_LEAD = (-0.06, 0.06)  # steering leads the yaw rate by the response time of the car
+STEERING_LEAD = (-0.06, 0.06)  # negative: steering leads the yaw rate by the response time of the car
 
 NO_INS_FRAMES = "the log contains no INS frames that the DBC describes (RT_..., as in rt.dbc of `st car new`)"
 
@@ -25,10 +25,10 @@ MIN_VARIATION = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}
 MIN_CURVATURE_SPEED = 3.0  # m/s; at lower speeds, the curvature (yaw rate divided by speed) is noise
 MIN_MOVING_SPEED = 1.0  # m/s
 TIME_FRAME_RESOLUTION = {"RT_MilliTime": 0.001, "RT_DateTime": 0.01}  # s
-MAX_METHOD_DIFFERENCE = 0.01  # s, between the offsets from the time frame and from the shared signals
+MAX_METHOD_DIFFERENCE = 0.01  # s, between the offsets from the CAN time frame and from the shared signals
 MAX_CLOCK_ERROR = 60.0  # s, assumed for the clock of the logger if the signals allow several offsets
 MIN_RELATIVE_PEAK = 0.97  # minimum ratio of the correlation near the logger's clock to the best one
-CHECK_SEARCH = 2.0  # s, search range on both sides of the offset from the time frame
+CHECK_SEARCH = 2.0  # s, search range on both sides of the offset from the CAN time frame
 # Signal of the log -> channel with the plausibility limits that apply to it
 CHANNELS = {"ins_velocity_x": "velocity_x", "ins_yaw_rate": "yaw_rate", "ins_yaw": "yaw",
             "vehicle_speed": "velocity_x", "wheel_speed_rear_left": "velocity_x",
@@ -100,7 +100,7 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
         slip = WHEEL_SLIP * float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
         latency = delay, float(np.hypot(deviation, slip))
         return ([_make_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, latency)],
-                f"{NO_INS_FRAMES}: aligned by the wheel speed with an assumed delay of "
+                f"{NO_INS_FRAMES}: aligned by the vehicle or wheel speed with an assumed delay of "
                 f"{1e3 * latency[0]:.0f} ± {1e3 * latency[1]:.0f} ms (delay and slip are unknown)")
     steering = can.first_of("steering_wheel_angle")
     if steering is None:
@@ -160,7 +160,8 @@ def _describe_opposite_sign(pairs: list[SharedSignal], result: Alignment, search
         return ""
     opposite = align([replace(pairs[0], other=-pairs[0].other)], search=search)
     return "" if opposite.verdict is Verdict.REFUSED else (
-        f"with the opposite steering_sign, the two have a correlation of {opposite.signals[0].correlation:.2f}")
+        f"with the opposite steering_sign, curvature and steering have a correlation of "
+        f"{opposite.signals[0].correlation:.2f}")
 
 
 def _prefer_logger_clock(pairs: list[SharedSignal], result: Alignment) -> Alignment:
