@@ -56,8 +56,9 @@ class TickCounter:
         return max(0, round((next_due_ns - before) / period_ns) - 1)
 
     def count(self, missed: int, skipped: str | None) -> None:
-        """Count a tick and the `missed` ticks dropped before it. skipped: why it made no prediction, "stale"
-        (inputs) or "slow" (below the minimum speed).
+        """Count a tick and the `missed` ticks dropped before it.
+
+        skipped: why it made no prediction, "stale" (inputs) or "slow" (below the minimum speed).
         """
         if not self._started and skipped == "stale":
             return
