@@ -4,6 +4,11 @@
 """
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# No property fails because the machine is busy.
+settings.register_profile("without time limits", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("without time limits")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -4,15 +4,10 @@ import time
 from pathlib import Path
 
 import can
-import hypothesis
 import pytest
 import yaml
 from canedge_bridge.decode import Decoder
 from canedge_bridge.receiver import Receiver
-
-# A machine under load is no reason for a failure.
-hypothesis.settings.register_profile("no deadline", deadline=None)
-hypothesis.settings.load_profile("no deadline")
 
 CONFIG = Path(__file__).resolve().parents[4] / "config" / "can"
 
