@@ -174,7 +174,7 @@ def air_force(still_air: bool, drag_area: float, yaw: float, vx: float, vy: floa
     return 0.5 * AIR_DENSITY * airspeed * drag_area * along, side
 
 
-# One long function: the equations share two dozen symbols, and a call per equation would slow down every time step.
+# long: the equations share two dozen symbols, and a call per equation would slow down every time step.
 def derivative(s: Sequence[float], rack_target: float, drive_force: float, surroundings: tuple,  # noqa: PLR0915
                c: Constants) -> tuple[tuple, tuple]:
     """Time derivative of the state, and wheel forces, loads and velocities.
