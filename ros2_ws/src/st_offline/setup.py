@@ -16,6 +16,6 @@ setup(
     zip_safe=False,
     maintainer="The single-track authors",
     maintainer_email="single-track@example.org",
-    description="At the desk: checks, evaluation, identification, discovery, bands, reports.",
+    description="Offline tools: checks, evaluation, identification, discovery, bands, reports.",
     license="Apache-2.0",
 )

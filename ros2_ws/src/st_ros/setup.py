@@ -16,6 +16,6 @@ setup(
     zip_safe=False,
     maintainer='The single-track authors',
     maintainer_email='single-track@example.org',
-    description='Manners shared by the nodes: parameters with unit and range, diagnostics, stamps, clean exit.',
+    description='Code shared by the nodes: parameters with unit and range, diagnostics, stamps, clean exit.',
     license='Apache-2.0',
 )

@@ -315,7 +315,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     worst = int(np.argmax(np.abs(residual)))
     if abs(residual[worst]) > 0.02:
         doubts.append(f"the time frames do not lie on one line: {residual[worst] * 1e3:+.0f} ms at "
-                      f"{time[worst] - middle:+.0f} s from the middle (was a clock set?)")
+                      f"{time[worst] - middle:+.0f} s from the middle (a clock may have been set)")
     if abs(result.drift_ppm) - 2.0 * (result.drift_deviation or 0.0) > UNUSUAL_DRIFT_PPM:
         doubts.append(f"a drift of {result.drift_ppm:.0f} ppm exceeds that of quartz clocks")
     return result.with_doubts(*doubts)

@@ -189,7 +189,7 @@ def _consistency_problem(plan: PlannedInputs, start_ns: int, state: VehicleState
         planned = math.nan if values is None else float(plan._at(values, np.array([start_ns]))[0])
         if abs(planned - measured) > tolerance:
             return (f"plan: {name} is {planned:.3g} {unit} at the start, but {measured:.3g} {unit} was measured "
-                    f"(tolerance {tolerance:g} {unit}); wrong sign, frame or unit?")
+                    f"(tolerance {tolerance:g} {unit}); check sign, frame and unit")
     return ""
 
 

@@ -147,8 +147,8 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
         try:
             check_levels(levels, len(scores))
         except StCoreError as error:
-            raise StCoreError(f"{len(runs) - len(scores)} of {len(runs)} runs were driven under conditions that no "
-                              f"other run has; {error}") from None
+            raise StCoreError(f"{len(runs) - len(scores)} of {len(runs)} runs were driven under conditions that "
+                              f"fewer than two other runs have; {error}") from None
     levels = sorted({*levels, *(level for level in RELIABILITY if level <= highest_level(len(scores)))})
     factors = dict(zip(levels, conformal_factors(scores, levels).tolist(), strict=True))
     return Band(_fit_scale_of(runs, pair, time), factors, _pool_quantiles(ratios))

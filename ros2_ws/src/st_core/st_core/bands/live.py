@@ -228,5 +228,5 @@ class CoverageMonitor:
                  for level in [max(coverage.inside)]]
         if not found:
             return ""
-        return (f"coverage of bands is far below the nominal level: {', '.join(found)}; have the car, the road or the "
+        return (f"coverage of bands is far below the nominal level: {', '.join(found)}; has the car, the road or the "
                 "driving changed?")

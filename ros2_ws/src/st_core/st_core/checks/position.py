@@ -42,7 +42,7 @@ TEXT = {
     "x_scale": "x is {value:.4f} ± {half:.4f} times the integrated velocity: scaled by the cosine of another latitude?",
     "y_scale": "y is {value:.4f} ± {half:.4f} times the integrated velocity: projected with another earth radius?",
     "sphere": "{axis} is {value:.4f} ± {half:.4f} times the integrated velocity: projected on a spherical earth?",
-    "map_shear": "x {grows} by {size:.4f} ± {half:.4f} m for each metre north: projected far from its origin?",
+    "map_shear": "x {grows} by {size:.4f} ± {half:.4f} m per metre north: projected far from its origin?",
     "velocity_scale": "velocity is {value:.4f} ± {half:.4f} times the rate of change of positions",
     "yaw_offset": "yaw is {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too far {side} for positions and velocities",
     "position_lag": "positions {lag} velocity and yaw by {size:.3f} ± {half:.3f} s",

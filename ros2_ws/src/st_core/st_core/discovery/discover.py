@@ -288,7 +288,7 @@ class _Analysis:
 
     def _warn_of_low_excitation(self) -> None:
         if len(self.runs) < 3:
-            self.warnings.append(f"{'two runs' if len(self.runs) == 2 else 'one run'} only: stretches of them are "
+            self.warnings.append(f"{'two runs' if len(self.runs) == 2 else 'one run'} only: parts of them are "
                                  "compared with each other instead of whole runs")
         if not sites(self.windows).any():
             self.warnings.append("all driving is at one site: effects of the site, such as banked roads and wind, "
@@ -432,7 +432,7 @@ class _Analysis:
                                      f"it reduces the errors by {share_of(gain):.1%}; effects that reduce them by more "
                                      "were tried first")
             else:
-                verdict, gain = Reason("included", name, {}, "part of a named effect, or contains it"), 0.0
+                verdict, gain = Reason("included", name, {}, "overlaps an effect of the model"), 0.0
             rows.append(CandidateEffect(name, get_effect(name).kind, values, share_of(gain), verdict.rule,
                                         verdict.text))
         return tuple(sorted(rows, key=lambda c: -c.gain))

@@ -156,7 +156,7 @@ def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], d
     strength, pair = weakest[name]
     chosen = next(m for m in CATALOGUE if m.name == name)
     return NextManoeuvre(name, pair, strength, {n: s for n, (s, _) in weakest.items()}, REPETITIONS, chosen.duration,
-                         chosen.speed, f"separates {pair[0]} and {pair[1]} best, of the catalogue")
+                         chosen.speed, f"separates {pair[0]} and {pair[1]} best of all manoeuvres in the catalogue")
 
 
 def most_informative(problem: Problem, effect: str, driven: Catalogue) -> str:

@@ -49,7 +49,7 @@ HOOKS = {  # (signature, body) of the effect's method, by term
 OPPOSITE_AXLES = {"front_force": "cg_to_rear_axle", "rear_force": "cg_to_front_axle"}
 EFFECT_FILE = '''"""PROPOSAL, not an established effect: {title}.
 
-Fitted by st discover --propose to {count} drives, {created}: {runs}.
+Fitted by st discover to {count} drives, {created}: {runs}.
 Over {low:.3g} to {high:.3g} {quantity_unit} of {quantity}; constant beyond. {meaning}
 Held-out position error after 5 s: {before:.2f} -> {after:.2f} m; p = {p_value:.2g} over all candidates.
 {formulas}
@@ -104,7 +104,7 @@ def full_title(relation: Relation) -> str:
 
 def _title_with_causes(relation: Relation) -> str:
     causes = relation.formulas[0].causes if relation.formulas else ""
-    return full_title(relation) + (f" (in textbooks: {causes})" if causes else "")
+    return full_title(relation) + (f" (textbook causes: {causes})" if causes else "")
 
 
 def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:

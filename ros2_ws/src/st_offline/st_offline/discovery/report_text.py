@@ -193,7 +193,7 @@ def describe_varying(effect: VaryingEffect) -> str:
     name = f"{to_words(effect.resembles)} {format_briefly(effect.resembles, effect.parameters)}"
     reduction = format_metres(effect.position_5s_reduction)
     return (f"an effect that resembles {name} reduces the error by {reduction}, but varies with {effect.varies_with}, "
-            f"so it is not a property of the car; local values relative to the overall one: {ratios}{more}")
+            f"so it is not a property of the car; local values relative to this one: {ratios}{more}")
 
 
 def count_agreement(effect: FoundEffect) -> str:

@@ -200,7 +200,7 @@ def draw_error_against_horizon(drawing: Drawing) -> PageFigure:
         parts.append(f"{model.name} " + (f"after {evaluation.horizon[beyond[0]]:.1f} s" if len(beyond) else "never"))
     title = f"{drawing.name}: lateral RMSE exceeds {NOTICEABLE_ERROR:g} m in hindsight: {', '.join(parts)}"
     caption = ("RMSE over all starts at each point of the horizon. Hindsight uses the measured inputs and shows the "
-               "error of the model; the forecast holds the inputs of the start, as a planner without a plan does.")
+               "error of the model; the forecast holds the inputs constant at their values at the start.")
     return save_figure(figure, drawing.output, "error_against_horizon", title, caption)
 
 

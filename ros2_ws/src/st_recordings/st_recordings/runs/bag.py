@@ -269,7 +269,7 @@ def _read_one_by_one(path: Path, storage: Storage, topic: Topic, fields: Sequenc
         rows = [[get_field(message, field) for field in fields]
                 for _, message in deserialise(path, storage, topic, store)]
     except AttributeError as error:
-        raise RunError(path, f"its definition of {topic.type_name} differs from the one of ROS 2: {shorten(error)}",
+        raise RunError(path, f"its definition of {topic.type_name} differs from the ROS 2 definition: {shorten(error)}",
                        "name a topic whose type has the definition of ROS 2") from None
     return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 

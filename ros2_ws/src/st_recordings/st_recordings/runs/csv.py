@@ -183,7 +183,7 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
                        "`columns:`, and convert it with `correct:`")
     if missing:
         texts = [f"{name} (or {STEERING_WHEEL})" if name == ROAD_WHEEL else name for name in missing]
-        raise RunError(table.file, f"no column is known as {', '.join(texts)}; its columns are "
+        raise RunError(table.file, f"no column was recognised as {', '.join(texts)}; its columns are "
                        f"{', '.join(table.names)[:200]}", STEERING_ADVICE if missing == [ROAD_WHEEL] else
                        COLUMN_ADVICE.format(stem=table.file.stem, name=table.file.name, can=can, channel=missing[0],
                                             kind="vbo" if table.file.suffix.lower() == ".vbo" else "csv"))
@@ -355,10 +355,10 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[s
         speed = columns["velocity_x"]
         columns["velocity_x"], columns["velocity_y"] = speed * np.cos(sideslip), speed * np.sin(sideslip)
         if not np.nan_to_num(sideslip).any():
-            notes.append(f"{table.file}: no column is known as velocity_y, so the sideslip is not measured")
+            notes.append(f"{table.file}: no column was recognised as velocity_y, so the sideslip is not measured")
     if "yaw_rate" not in columns:
         columns["yaw_rate"] = differentiate_yaw(table, columns["yaw"])
-        notes.append(f"{table.file}: no column is known as yaw_rate; the derivative of yaw is used")
+        notes.append(f"{table.file}: no column was recognised as yaw_rate; the derivative of yaw is used")
 
 
 def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:

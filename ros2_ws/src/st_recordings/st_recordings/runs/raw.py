@@ -81,7 +81,7 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
         steering = find_steering(signals, can.files[0], table) if needs_steering else None
         used, total = (1e-9 * sum(end - start for start, end in spans) for spans in ([span], parts))
         notes.append(f"{can.files[0]}: its clock was set, or it contains several drives; the {used:.1f} of "
-                     f"{total:.1f} s ({100.0 * used / total:.0f} %) that fit the INS recording are used")
+                     f"{total:.1f} s ({100.0 * used / total:.0f} %) that match the INS recording are used")
     origin = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
     latency = "{:g} ± {:g} ms, ".format(*(1e3 * value for value in options["latency"])) + origin
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
