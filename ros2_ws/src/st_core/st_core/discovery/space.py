@@ -111,7 +111,8 @@ def _chosen(usable: Sequence[str], settings: DiscoverySettings, known: Sequence[
         if name not in EFFECTS:
             get_effect(name)
         if name not in known:
-            raise ConfigurationError(f"effects: {name} does not apply to this base model; available are {', '.join(known)}")
+            raise ConfigurationError(f"effects: {name} does not apply to this base model; available are "
+                                     f"{', '.join(known)}")
     chosen = tuple(n for n in usable if (requested is None or n in requested)
                    and set(get_effect(n).needs) <= set(settings.channels))
     if not chosen:

@@ -209,7 +209,8 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[C
     nan, count = float("nan"), int(samples.used.sum())
     reasons = [*reasons, *([] if count >= MIN_AXLE_SAMPLES else [
         f"too few samples: {count} of the {samples.axle} axle meet the limits of speed, radius, |a_y| and slip angle "
-        f"({np.rad2deg(MAX_SLIP):g} deg), {MIN_AXLE_SAMPLES} are needed; also check the steering offset and the INS lever arm"])]
+        f"({np.rad2deg(MAX_SLIP):g} deg), {MIN_AXLE_SAMPLES} are needed; also check the steering offset and "
+        "the INS lever arm"])]
     failed = (samples.axle, nan, nan, (nan, nan), samples, covered)
     if slope is None:
         return AxleRegression(*failed, tuple(reasons), f"{count} samples")

@@ -70,7 +70,8 @@ def draw_scales(found: Identification, output: FigureOutput) -> PageFigure:
             axes.grid(axis="y", visible=False)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower left", ncols=4)
-        caption = "One point per weighing. The interval includes their standard deviation and the uncertainty of the scales."
+        caption = ("One point per weighing. The interval includes their standard deviation and the uncertainty of the "
+                   "scales.")
         title = f"{found['mass'].verdict} {found['cg_to_front_axle'].verdict}"
         return save_figure(figure, output, "scales", title, caption)
 

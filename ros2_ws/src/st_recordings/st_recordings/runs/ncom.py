@@ -47,7 +47,7 @@ def read_ncom(file: Path) -> NcomLog:
     timed = fix & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
     if not timed.any():
         raise RunError(file, "no packet has the GPS minute (status channel 0 is missing)",
-                       "record for more than a few seconds; the unit sends it every 200 packets")
+                       "record for more than a few seconds; the unit sends it at least every 200 packets")
     found = np.flatnonzero(timed)
     used, notes = select_usable_rows(columns.utc_ns[found], "packets")
     rows = found[used]
