@@ -141,8 +141,8 @@ def test_course_and_speed_over_ground_of_a_gnss(tmp_path: Path, monkeypatch, cou
     np.testing.assert_allclose(drive.log.velocity_y, expected, atol=1e-9)
     np.testing.assert_allclose(drive.log.yaw_rate, 1.0, atol=1e-6)  # of yaw, not of its own column
     texts = [text.partition(": ")[2] for text in drive.warnings]
-    assert texts == [*(["no column was recognised as velocity_y, so the sideslip is not measured"] if course_is_yaw else []),
-                     "no column was recognised as yaw_rate; the derivative of yaw is used"]
+    lacking = ["no column was recognised as velocity_y, so the sideslip is not measured"] if course_is_yaw else []
+    assert texts == [*lacking, "no column was recognised as yaw_rate; the derivative of yaw is used"]
 
 
 @pytest.mark.parametrize("rows", [0, 1, 2])
