@@ -22,10 +22,12 @@ def test(
     # -rfEs lists failed, broken and skipped tests with their reasons.
     pytest = [sys.executable, "-m", "pytest", "-rfEs", "-q"]
     fast_only = "not slow and " if fast else ""
-    # Timing tests mostly wait: two at a time leave half of two cores idle. They run after all others.
+    # By file, in the order of testpaths: the longest files come first. Timing tests mostly wait, so that two run at a
+    # time, after all others.
+    by_file = ["--dist", "loadfile", "--no-loadscope-reorder"]
     parts = [
-        [*pytest, "-n", "auto", "--dist", "loadfile", "-m", f"{fast_only}not timing"],
-        [*pytest, "-n", "2", "--dist", "loadfile", "-m", f"{fast_only}timing"],
+        [*pytest, "-n", "auto", *by_file, "-m", f"{fast_only}not timing"],
+        [*pytest, "-n", "2", *by_file, "-m", f"{fast_only}timing"],
     ]
     if context.args:
         parts = [[*pytest, *(["-m", "not slow"] if fast else []), *context.args]]
