@@ -114,7 +114,7 @@ def test_a_course_that_does_not_fit_leaves_inputs_held(node, course: Course, roa
         course = course.shift(500.0, 500.0)
     one = given(node, course, at)
     used, _ = drive(one, road)
-    assert not any(used) and not one.used
+    assert not any(used) and not one.is_used
     assert one.check(True).level == level and "held" in one.check(True).message and reason in one.check(True).message
 
 
