@@ -126,8 +126,8 @@ class Combination:
 @dataclass(frozen=True)
 class ForceCurve:
     """Lateral force of an axle versus slip angle, within the driven range. slip: slip angle, >= 0 [rad]. force, low,
-    high, file: force, its 90 % band, and force of the vehicle file, positive against the slip [N]. density: fraction of
-    the driving between neighbouring values of slip."""
+    high, file: force, its 90 % band, and force at the start of the search (vehicle file or reference), positive against
+    the slip [N]. density: fraction of the driving between neighbouring values of slip."""
 
     axle: str
     slip: tuple[float, ...]

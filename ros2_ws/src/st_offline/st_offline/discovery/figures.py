@@ -112,16 +112,16 @@ def draw_axle_curves(scene: Scene) -> PageFigure | None:
                                       height_ratios=(4.0, 1.0))
         for (axes, below), curve in zip(panels.T, curves, strict=True):
             slip = np.rad2deg(curve.slip)
-            force, low, high, of_file = (1e-3 * np.array(v) for v in (curve.force, curve.low, curve.high, curve.file))
+            force, low, high, at_start = (1e-3 * np.array(v) for v in (curve.force, curve.low, curve.high, curve.file))
             axes.fill_between(slip, low, high, color=AFTER, alpha=0.25, lw=0)
             axes.plot(slip, force, color=AFTER)
-            axes.plot(slip, of_file, color=scene.colour, ls="--")
-            axes.set_title(f"{curve.axle} axle: {report_text.format_force_ratio(curve)}", fontsize=7)
+            axes.plot(slip, at_start, color=scene.colour, ls="--")
+            axes.set_title(f"{curve.axle} axle: {report_text.format_force_ratio(curve, scene.found.start)}", fontsize=7)
             below.stairs(100.0 * np.array(curve.density), slip, color=MEASURED_COLOUR, fill=True)
             below.set_xlabel("slip angle, °")
         panels[0][0].set_ylabel("lateral force, kN")
         panels[1][0].set_ylabel("samples, %")
-        handles = [Line2D([], [], color=scene.colour, ls="--", label="vehicle file"),
+        handles = [Line2D([], [], color=scene.colour, ls="--", label=scene.found.start),
                    Line2D([], [], color=AFTER, label="complete model"),
                    Patch(color=AFTER, alpha=0.25, label="90 % interval")]
         figure.legend(handles=handles, loc="outside lower left", ncols=3)

@@ -329,10 +329,10 @@ def list_priors(found: Discovery) -> list[str]:
     return [f"{', '.join(priors)}; {change}"] if priors else []
 
 
-def format_force_ratio(curve: ForceCurve) -> str:
-    """Ratio of fitted force to vehicle file force at the largest slip angle driven, with its 90 % interval."""
+def format_force_ratio(curve: ForceCurve, start: str) -> str:
+    """Ratio of the force to that of the start of the search, at the largest slip angle, with its 90 % interval."""
     force, low, high = (force_curve[-1] / curve.file[-1] for force_curve in (curve.force, curve.low, curve.high))
-    return f"{force:.2f} (90 %: {low:.2f} to {high:.2f}) times the vehicle file at {math.degrees(curve.slip[-1]):.1f}°"
+    return f"{force:.2f} (90 %: {low:.2f} to {high:.2f}) times the {start} at {math.degrees(curve.slip[-1]):.1f}°"
 
 
 def describe_effective(found: Discovery) -> list[str]:
