@@ -148,7 +148,8 @@ def test_effect_that_holds_is_named_or_kept(evidence, rule, figures):
 
 
 @pytest.mark.parametrize(("evidence", "checks", "rule"), [
-    (GOOD, Checks(), NAMED), (GOOD, Checks(null_outside=False), MINOR), (CONFIRMED, Checks(null_outside=False), NAMED),
+    (GOOD, Checks(), NAMED), (GOOD, Checks(excludes_null=False), MINOR),
+    (CONFIRMED, Checks(excludes_null=False), NAMED),
     (GOOD, Checks(crossing="factor"), MINOR), (GOOD, Checks(peak_force_share=0.5), MINOR),
     (GOOD, Checks(worse_axle="rear"), FORCES), (GOOD, Checks(summed=("steering_lag",)), MINOR),
     (CONFIRMED, Checks(objection="yaw_inertia: k^2 / (l_f l_r) 0.5 is outside 0.6 to 1.4"), IMPLAUSIBLE),

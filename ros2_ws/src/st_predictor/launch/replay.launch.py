@@ -23,7 +23,7 @@ ARGUMENTS = {
                                       "vehicle.yaml"]), "vehicle file"),
     "bag": (None, "bag directory to play"),
     "speed": ("1.0", "playback speed relative to the recording"),
-    "bands": ("", "bands.yaml of st calibrate; empty: bands without calibration"),
+    "bands": ("", "error bands, bands.yaml of st calibrate; empty: uncalibrated bands"),
     "course": ("", "course.yaml of st course build for this site; empty: none"),
     "output": (f"runs/replay-{datetime.now(UTC):%Y%m%d-%H%M%S}", "folder of the new recordings, must not exist"),
 }

@@ -25,7 +25,7 @@ ARGUMENTS = {
     "ncom_rate": ("100", "NCOM packets per second: 100 or 250"),
     "can_channel": ("239.74.163.2", "multicast group on the loopback interface"),
     "identify": ("false", "true: identify steering and stiffness online"),
-    "bands": ("", "bands.yaml of st calibrate; empty: bands without calibration"),
+    "bands": ("", "error bands, bands.yaml of st calibrate; empty: uncalibrated bands"),
     "course": ("", "course.yaml of st course build for this site; empty: none"),
     "output": (f"runs/sim-{datetime.now(UTC):%Y%m%d-%H%M%S}", "folder of the recordings, must not exist"),
 }

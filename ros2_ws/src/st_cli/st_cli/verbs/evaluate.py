@@ -49,7 +49,7 @@ def evaluate(
     scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler instead."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
-    """Predict every 100 ms of each run with each model, score it against the measurement, write tables and figures.
+    """Predict every --interval s of each run with each model, score the predictions, and write tables and figures.
 
     Unusable runs are reported and skipped. Exit status: 0 all runs evaluated, 1 some not, 2 none.
     """

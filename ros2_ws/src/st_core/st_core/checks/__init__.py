@@ -6,7 +6,7 @@
 All commands and the live node call the same function.
 """
 
-from .across_runs import AcrossRuns, compare_runs, pool_estimates
+from .across_runs import RunComparison, compare_runs, pool_estimates
 from .check import check
 from .finding import (
     SCHEMA,
@@ -21,5 +21,19 @@ from .finding import (
     Severity,
 )
 
-__all__ = ["SCHEMA", "AcrossRuns", "Advice", "AuxiliaryData", "Channel", "Checked", "Comparison", "Finding",
-           "InsQuality", "Series", "Severity", "check", "compare_runs", "pool_estimates"]
+__all__ = [
+    "SCHEMA",
+    "Advice",
+    "AuxiliaryData",
+    "Channel",
+    "Checked",
+    "Comparison",
+    "Finding",
+    "InsQuality",
+    "RunComparison",
+    "Series",
+    "Severity",
+    "check",
+    "compare_runs",
+    "pool_estimates",
+]

@@ -17,7 +17,7 @@ MAX_RELATIVE_SPREAD = 0.25  # largest standard deviation between consistent runs
 
 
 @dataclass(frozen=True)
-class AcrossRuns:
+class RunComparison:
     """One quantity [unit] in several runs.
 
     mean, interval: by random effects, including the variance between runs (DerSimonian and Laird 1986). between:
@@ -54,7 +54,7 @@ class AcrossRuns:
         return {**asdict(self), "text": self.text}
 
 
-def compare_runs(runs: Sequence[Checked]) -> list[AcrossRuns]:
+def compare_runs(runs: Sequence[Checked]) -> list[RunComparison]:
     """Comparison of the quantities in the findings with estimates in at least MIN_RUNS runs, most reported first."""
     units = {finding.name: finding.unit for run in runs for finding in run.findings if finding.interval is not None}
     compared = []
@@ -69,7 +69,7 @@ def compare_runs(runs: Sequence[Checked]) -> list[AcrossRuns]:
         similar = between < MAX_RELATIVE_SPREAD * abs(mean - neutral_value(name))
         consistent = outside <= binom.ppf(CONFIDENCE, len(rows), 0.05) and (homogeneous or similar)
         if not consistent or not interval[0] <= neutral_value(name) <= interval[1]:
-            compared.append(AcrossRuns(name, unit, len(rows), reported, mean, interval, between,
+            compared.append(RunComparison(name, unit, len(rows), reported, mean, interval, between,
                                        float(rows[:, 0].min()), float(rows[:, 0].max()), bool(consistent)))
     return sorted(compared, key=lambda quantity: -quantity.reported)
 

@@ -190,8 +190,8 @@ def _is_moving(log: DriveLog) -> np.ndarray:
 def _find_jumps(channel: _Channel, large: np.ndarray, implausible: np.ndarray) -> np.ndarray:
     """Samples after a step that is much larger than usual, in any unit, and is neither reversed nor a wrap-around."""
     same = channel.step == 0.0  # a step next to a held value belongs to a frozen channel
-    on_hold = np.append(same[:1], same) | np.append(same, same[-1:])
-    excluded = implausible | (on_hold & (channel.update <= 1.5 * channel.spacing))
+    is_held = np.append(same[:1], same) | np.append(same, same[-1:])
+    excluded = implausible | (is_held & (channel.update <= 1.5 * channel.spacing))
     extreme = large & (channel.step > JUMP_RATIO * float(np.percentile(channel.step[channel.step > 0.0], 90)))
     return 1 + np.flatnonzero(extreme & ~channel.gap & ~excluded[1:] & ~excluded[:-1])
 

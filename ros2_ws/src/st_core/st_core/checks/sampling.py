@@ -25,7 +25,7 @@ MIN_CLIP_TIME = 0.3  # s; minimum duration of a clipped value
 MIN_CURVATURE_CHANGE = 0.1  # minimum relative change of the curvature while a clipped steering angle is constant
 CLIP_RATIO = 8.0  # minimum number of samples at a clipped value, divided by the number at each adjacent value
 FREEZE_PAUSE_RATIO = 10.0  # minimum duration of a frozen value, divided by the channel's usual time without a change
-DISPENSABLE_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # not needed to score predicted paths
+OPTIONAL_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # not needed to score predicted paths
 MAX_STEP_RATIO = 1.5  # largest ratio of a sampling interval to the median; in a longer interval a sample was lost
 MAX_GYRO_BIAS = 0.02  # rad/s; a constant yaw counts as frozen only if the yaw rate is larger
 
@@ -272,7 +272,7 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
     if name == "velocity_y" and not values.any():
         text = "velocity_y is 0 throughout: it was not measured, and the sideslip at each start is unknown"
     throughout = seconds > 0.5 * float(time[-1] - time[0])
-    severity = Severity.ERROR if throughout and name not in DISPENSABLE_CHANNELS else Severity.WARNING
+    severity = Severity.ERROR if throughout and name not in OPTIONAL_CHANNELS else Severity.WARNING
     if throughout:
         advice = Advice("look", f"record {name}; no correction can replace it")
     elif name == "road_wheel_angle":
@@ -295,7 +295,7 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
         return change > max(3.0 * step, 0.05 if name == "yaw" else 1.0)
     related, min_change = RELATED_RATES[name]
     rate = related(motion)[inside]
-    rounding = 3.0 * step if name in IN_UNIT_OF_RELATED else 0.0
+    rounding = 3.0 * step if name in CHANNELS_WITH_RELATED_UNIT else 0.0
     low, high = np.percentile(rate, [5, 95])
     if name == "road_wheel_angle":  # the steering may rest at its mechanical stop while the speed changes the yaw rate
         curvature = rate / np.maximum(motion.velocity_x[inside], 2.0)
@@ -324,7 +324,7 @@ RELATED_RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
     "yaw_rate": (lambda m: _smooth_rate(m.time, m.yaw), 0.05),
     "road_wheel_angle": (lambda m: np.where(m.velocity_x > 2.0, m.yaw_rate, 0.0), 0.05),
 }
-IN_UNIT_OF_RELATED = ("velocity_x", "acceleration_x", "acceleration_y", "yaw_rate")
+CHANNELS_WITH_RELATED_UNIT = ("velocity_x", "acceleration_x", "acceleration_y", "yaw_rate")
 
 
 def _check_resolution(name: str, motion: Motion, speed: float) -> list[Finding]:

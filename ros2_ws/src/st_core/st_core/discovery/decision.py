@@ -17,14 +17,14 @@ from .settings import Limits
 
 @dataclass(frozen=True)
 class Checks:
-    """Checks of an effect that need intervals and axle curves. null_outside: whether an interval excludes the null.
+    """Checks of an effect that need intervals and axle curves. excludes_null: whether an interval excludes the null.
     crossing: parameter with an interval that crosses a bound, or "". peak_force_share [1]: largest axle force in the
     drives divided by the peak force, for an effect on the peak. worse_axle: an axle on which the effect acts, and with
     measured forces closer to the vehicle file than to the final model, or "". summed: other effects of the model; only
     their sum with this effect is identifiable. objection: reason why the car with this effect would be implausible (see
     `handling.objections`), or ""."""
 
-    null_outside: bool = True
+    excludes_null: bool = True
     crossing: str = ""
     peak_force_share: float = 1.0
     worse_axle: str = ""
@@ -212,7 +212,7 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
                       f"it is significant, but reduces the errors by only {e.share:.1%}, to {e.noise_ratio:.1f} times "
                       f"the noise; {limits.unexplained_share:.0%} is required, as it may imitate an unmodelled effect: "
                       "it stays in the model, but is not named")
-    if not checks.null_outside and not by_sensors:
+    if not checks.excludes_null and not by_sensors:
         return Reason(MINOR, e.name, {"gain": e.gain}, "it reduces the errors, but other sets of effects that fit "
                       "nearly as well do not need it: it stays in the model, but is not named")
     if is_relevant(e, limits):

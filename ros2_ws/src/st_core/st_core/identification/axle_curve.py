@@ -17,7 +17,7 @@ from ..augmented import AugmentedModel
 from ..errors import ConfigurationError, StCoreError
 from ..models import Model, get_model
 from ..vehicle import VehicleParameters
-from .cornering_stiffness import DRIVEN_QUANTILE, AxleSamples
+from .cornering_stiffness import SLIP_QUANTILE, AxleSamples
 
 SPEED = 20.0  # m/s, at which the curve is evaluated; above every minimum_slip_speed
 MIN_DRAWS = 20
@@ -107,7 +107,7 @@ def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven
     abs_slip = abs_slip[np.isfinite(abs_slip)]
     if len(abs_slip) < 2 or not abs_slip.max() > 0.0:
         raise StCoreError(f"{axle} axle: {len(abs_slip)} driven slip angles; at least two above 0 are needed")
-    slip = np.linspace(0.0, float(np.quantile(abs_slip, DRIVEN_QUANTILE)), 41)
+    slip = np.linspace(0.0, float(np.quantile(abs_slip, SLIP_QUANTILE)), 41)
     model = get_model(model)
     if original is None:
         original = model.base if isinstance(model, AugmentedModel) else model

@@ -45,7 +45,7 @@ MAX_RANGE_RATIO = 0.8
 multiply the difference of the two slopes by more than 5."""
 MAX_RELATIVE_UNCERTAINTY = 0.1
 """Ratio of standard uncertainty to stiffness above which the stiffness is doubtful."""
-DRIVEN_QUANTILE = 0.995  # quantile of |slip angle| that counts as the largest slip angle of the drives
+SLIP_QUANTILE = 0.995  # quantile of |slip angle| that counts as the largest slip angle of the drives
 
 Slope = tuple[float, Spread, np.ndarray, np.ndarray]
 """(stiffness C [N/rad], its uncertainty, index of each block, influence of each block on C)."""
@@ -71,7 +71,7 @@ class AxleSamples:
         """
         slip = self.slip - self.zero_force_slip()
         size, force = np.abs(slip), -self.force * np.sign(slip)
-        number = np.digitize(size, np.linspace(0.0, float(np.quantile(size, DRIVEN_QUANTILE)), SLIP_BIN_COUNT + 1)) - 1
+        number = np.digitize(size, np.linspace(0.0, float(np.quantile(size, SLIP_QUANTILE)), SLIP_BIN_COUNT + 1)) - 1
         members = [number == k for k in range(SLIP_BIN_COUNT)]
         members = [member for member in members if member.sum() >= max(0.01 * len(size) / SLIP_BIN_COUNT, 5)]
         return (np.array([size[member].mean() for member in members]),
@@ -120,9 +120,9 @@ class AxleRegression:
             text, status = "; ".join(self.reasons), "unidentifiable"
             verdict = f"{text[0].upper()}{text[1:]}."
         else:
-            slip = np.rad2deg(np.quantile(np.abs(self.samples.slip[self.samples.used]), DRIVEN_QUANTILE))
+            slip = np.rad2deg(np.quantile(np.abs(self.samples.slip[self.samples.used]), SLIP_QUANTILE))
             model_error = (f"model error +/- {100 * self.model_error / self.stiffness:.1f} % included"
-                           if np.isfinite(self.model_error) else "its change with the slip range is unknown")
+                           if np.isfinite(self.model_error) else "its dependence on the slip range is unknown")
             verdict = (f"{self.stiffness:.0f} N/rad +/- {100 * self.uncertainty / self.stiffness:.1f} % from "
                        f"{self.basis}. Secant over slip angles up to {slip:.1f} deg, compliance and roll steer "
                        f"included; {model_error}.")
@@ -161,7 +161,7 @@ def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tupl
     masks, rejected = zip(*(_select_samples(run) for run in runs), strict=True)
     times = [run.time for run in runs]
     covered = (
-        signal_coverage("speed in bends", "m/s", SPEED_EDGES,
+        signal_coverage("cornering speed", "m/s", SPEED_EDGES,
                         [run.velocity_x[m] for run, m in zip(runs, masks, strict=True)], times, 2.0, 1),
         signal_coverage("lateral acceleration", "m/s^2", ACCELERATION_EDGES,
                         [run.lateral_acceleration[m] for run, m in zip(runs, masks, strict=True)], times, 1.0, 3))
@@ -185,7 +185,7 @@ def _fit_slope(samples: AxleSamples) -> Slope:
 def _estimate_model_error(samples: AxleSamples, slope: Slope) -> float:
     """Standard uncertainty of the secant as an estimate of the stiffness at zero slip [N/rad]; NaN if unknown."""
     size = np.abs(samples.slip - samples.zero_force_slip())
-    low = replace(samples, used=samples.used & (size <= 0.5 * np.quantile(size[samples.used], DRIVEN_QUANTILE)))
+    low = replace(samples, used=samples.used & (size <= 0.5 * np.quantile(size[samples.used], SLIP_QUANTILE)))
     mean, mean_low = (float(np.average(used, weights=used**2)) if used.any() else np.inf
                       for used in (size[samples.used], size[low.used]))
     if low.used.sum() < MIN_AXLE_SAMPLES or mean_low > MAX_RANGE_RATIO * mean:
@@ -237,7 +237,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
     runs = [run_samples(log, vehicle) for log in logs]
     regressions, correlation, rejected = _regressions(runs, vehicle)
     require_coverage(regressions[0].coverage,
-                     "Drive bends to both sides at several speeds, with 0.5 to 4 m/s^2 of lateral acceleration.")
+                     "Drive left and right corners at several speeds, with 0.5 to 4 m/s^2 of lateral acceleration.")
     for regression in regressions:
         if int(regression.samples.used.sum()) < MIN_AXLE_SAMPLES:
             raise IdentificationError("; ".join(regression.reasons))

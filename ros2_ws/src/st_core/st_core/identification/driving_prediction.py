@@ -34,7 +34,7 @@ from ..models import Model, get_model
 from ..regression import correlation_matrix, extrapolation_uncertainty
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
-from .cornering_stiffness import DRIVEN_QUANTILE, MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, slip_angles
+from .cornering_stiffness import MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, SLIP_QUANTILE, slip_angles
 from .driving_fit import (
     DELAY,
     FREE_PARAMETERS,
@@ -128,13 +128,13 @@ def slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
 
 def driven_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings) -> np.ndarray:
-    """DRIVEN_QUANTILE of |slip angle| of (front, rear) axle [rad], at the speeds and accelerations of the settings."""
+    """SLIP_QUANTILE of |slip angle| of (front, rear) axle [rad], at the speeds and accelerations of the settings."""
     driven = []
     for run in (run_samples(log, vehicle) for log in logs):
         used = ((run.velocity_x >= settings.minimum_speed)
                 & (np.abs(run.velocity_x * run.yaw_rate) <= settings.maximum_acceleration))
         driven.append(np.abs(slip_angles(run, vehicle))[:, used])
-    return np.quantile(np.concatenate(driven, axis=1), DRIVEN_QUANTILE, axis=1)
+    return np.quantile(np.concatenate(driven, axis=1), SLIP_QUANTILE, axis=1)
 
 
 def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,

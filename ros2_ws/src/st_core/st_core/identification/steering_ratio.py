@@ -38,7 +38,7 @@ class Line:
 
 
 def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
-    """Least-squares fit of a line. groups: name of the group by point. Raises IdentificationError for a constant x."""
+    """Least-squares fit of a line. groups: group name of each point. Raises IdentificationError for a constant x."""
     members = {str(name): np.asarray(groups) == name for name in dict.fromkeys(groups)}
     centred_x, centred_y = (_subtract_means(v, members.values()) for v in (x, y))
     square_sum = float(centred_x @ centred_x)
@@ -54,7 +54,7 @@ def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
 
 
 def fit_cubic(x: np.ndarray, line: Line, names: Sequence[str]) -> tuple[tuple[float, float], bool]:
-    """((c_1, c_3) of a cubic fitted to the residuals of a line, whether it is significant). names: group by point.
+    """((c_1, c_3) of a cubic fitted to the residuals of a line, whether it is significant). names: group of each point.
 
         e = c_1 x + c_3 x^3 + e_c,    F = (sum e^2 - sum e_c^2) / (sum e_c^2 / (n - J - 2))
     """

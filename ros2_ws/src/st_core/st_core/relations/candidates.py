@@ -32,7 +32,7 @@ MIN_RANGES = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "accele
               "speed": 1.0, "yaw_rate": 0.03, "steering_rate": 0.03, "lagging_steering": 0.01, "lean": 0.5,
               "north": 0.1, "east": 0.1, "position_x": 20.0, "position_y": 20.0, "run_time": 10.0}
 """Minimum range of a quantity in the drives for candidates; smaller ranges are mostly noise and road unevenness."""
-MEMORY = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
+FILTERED = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
           "lean": ("acceleration_y", "lagging", 0.15)}
 """Quantity with memory -> (source, kind, lag [s])."""
 ALL_TERMS = {**TERMS, "both_grip": ("1", "relative change of the lateral force of both axles")}
@@ -88,7 +88,8 @@ class Candidate:
         """Name of the effect that implements it."""
         if self.quantity == "run_time":
             return TimedRelationEffect.name
-        return LaggedRelationEffect.name if self.quantity in MEMORY or self.factor in MEMORY else RelationEffect.name
+        is_filtered = self.quantity in FILTERED or self.factor in FILTERED
+        return LaggedRelationEffect.name if is_filtered else RelationEffect.name
 
     @property
     def is_sensor_error(self) -> bool:
@@ -118,8 +119,8 @@ class Candidate:
         known = {"low": self.low, "spacing": (self.high - self.low) / INTERVALS, "parity": self.parity,
                  **{f"to_{term}": self.typical_size for term in terms}}
         for quantity, weight in ((self.quantity, "in"), (self.factor, "by")):
-            if quantity in MEMORY:
-                source, kind, tau = MEMORY[quantity]
+            if quantity in FILTERED:
+                source, kind, tau = FILTERED[quantity]
                 known |= {f"of_{source}": 1.0, "tau": tau, f"{weight}_{kind}": 1.0}
             elif quantity and quantity != "run_time":
                 known[f"{weight}_{quantity}"] = 1.0
@@ -142,7 +143,7 @@ def run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
     return (time_ns - begins[order][run]) * NANOSECOND
 
 
-def driven_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray]:
+def covered_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray]:
     """Every quantity at the INS samples with a speed above MIN_SPEED; slip angles are measured values."""
     log = windows.joined
     moving = log.velocity_x > MIN_SPEED
@@ -157,7 +158,7 @@ def driven_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str,
                  "acceleration_x": np.gradient(moving_average(stamps, speed, SMOOTHING_NS), time * NANOSECOND),
                  "speed": speed, "yaw_rate": rate, "north": np.sin(log.yaw), "east": np.cos(log.yaw),
                  "position_x": log.x, "position_y": log.y, "run_time": run_time(windows, stamps)}
-        for name, (source, kind, tau) in MEMORY.items():
+        for name, (source, kind, tau) in FILTERED.items():
             lagging = moving_average(stamps, found[source], round(2.0 * tau / NANOSECOND))
             found[name] = np.gradient(lagging, time * NANOSECOND) if kind == "rate" else lagging
     return {name: values[moving] for name, values in found.items()}
@@ -166,7 +167,7 @@ def driven_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str,
 def candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candidate]:
     """Candidates that these drives excite: quantities with a range above MIN_RANGES, sensor terms of measured channels,
     and positions only at a single site, because the maps of several sites may have different origins."""
-    values, found = driven_quantities(windows, vehicle), []
+    values, found = covered_quantities(windows, vehicle), []
     one_site = int(sites(windows).max()) == 0
     admissible = [(p, q, parity, "") for p, quantities in ADMISSIBLE.items() for q, parity in quantities]
     for term, quantity, parity, factor in [*admissible, *((p, q, NEITHER, factor) for p, q, factor in PAIRS)]:

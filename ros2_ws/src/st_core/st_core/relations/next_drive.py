@@ -11,7 +11,7 @@ from ..discovery.windows import Windows
 from ..effects._relation import SPLINES
 from ..manoeuvres import Manoeuvre
 from ..regression import add_ridge
-from .candidates import ODD, Candidate, driven_quantities
+from .candidates import ODD, Candidate, covered_quantities
 from .relation_fit import RIDGE, RelationFit, RelationFits
 
 MIN_IMPROVEMENT = 1.3  # factor on separation or precision; a manoeuvre with less is not suggested
@@ -98,7 +98,7 @@ def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, riva
             of_rival = _loss(fits, windows, other.candidate, other).sensitivities(other.vector, fits.relation)
             more_joint = REPETITIONS * _joint(loss, rows, sensitivities, of_rival, fit)
             separation[name] = _strength(recorded[name] + more_joint, fit, other, design_effect)
-        u = driven_quantities(windows, windows.vehicle)[candidate.quantity]
+        u = covered_quantities(windows, windows.vehicle)[candidate.quantity]
         size = np.abs(u) if candidate.parity == ODD else u
         seconds = [manoeuvre.duration * float(((size >= low) & (size <= high)).mean()) for low, high in sparse]
         options.append(Option(manoeuvre, deviation * np.minimum(ratio, 1.0), separation, seconds))

@@ -11,7 +11,7 @@ from ..discovery.settings import DiscoverySettings, Limits
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from . import selection
-from .candidates import FACTORS, TYPICAL_SIZES, Candidate, driven_quantities
+from .candidates import FACTORS, TYPICAL_SIZES, Candidate, covered_quantities
 from .formulas import Formula, simulated_formulas
 from .next_drive import NextDrives, next_drives, sparse_ranges
 from .relation_fit import RelationFit, RelationFits, RunWindows
@@ -214,7 +214,7 @@ def _make_relation(best: Screened, fitted: Fitted, without: RelationFit, fits: R
     excess = np.array([fitted[trial].held_out - fit.held_out for trial in rivals])
     as_good = selection.find_equally_good(excess, limits.undecided_p, settings.seed)
     equal = {trial.candidate.name: fitted[trial] for trial, is_equal in zip(rivals, as_good, strict=True) if is_equal}
-    u = driven_quantities(fits.windows, vehicle)[c.quantity]
+    u = covered_quantities(fits.windows, vehicle)[c.quantity]
     at = np.linspace(c.low, c.high, selection.POINTS)
     splines = c.splines(at)
     deviation = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", splines, fit.covariance(), splines), 0.0))

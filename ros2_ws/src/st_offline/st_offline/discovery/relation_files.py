@@ -9,7 +9,7 @@ from st_core.discovery.next_manoeuvre import REPETITIONS
 from st_core.effects import Effect, load_file, source_file, unload_folder
 from st_core.model_file import Estimate, ModelFile, ModelProvenance
 from st_core.relations import Candidate, Relation, RelationSearch
-from st_core.relations.candidates import ALL_TERMS, MEMORY, QUANTITIES
+from st_core.relations.candidates import ALL_TERMS, FILTERED, QUANTITIES
 from st_core.vehicle import VehicleParameters
 
 from . import quantities
@@ -149,21 +149,21 @@ def _hooks_source(relation: Relation) -> str:
 
 def _quantity_with_memory(c: Candidate) -> str:
     """The quantity of a candidate that depends on earlier values, such as a lag; "" for none."""
-    return next((q for q in (c.quantity, c.factor) if q in MEMORY), "")
+    return next((q for q in (c.quantity, c.factor) if q in FILTERED), "")
 
 
 def _expression(name: str) -> str:
     """Python expression of a quantity, for a hook of the effect file."""
-    if name not in MEMORY:
+    if name not in FILTERED:
         return STATE_EXPRESSIONS[name]
-    source, kind, tau = MEMORY[name]
+    source, kind, tau = FILTERED[name]
     return "extra[0]" if kind == "lagging" else f"({STATE_EXPRESSIONS[source]} - extra[0]) / {tau!r}"
 
 
 def _memory_declaration(c: Candidate) -> str:
     if not _quantity_with_memory(c):
         return ""
-    unit = QUANTITIES[MEMORY[_quantity_with_memory(c)][0]]
+    unit = QUANTITIES[FILTERED[_quantity_with_memory(c)][0]]
     return f'\n    extra_states = ("lagging",)\n    extra_units = ("{unit}",)'
 
 
@@ -171,7 +171,7 @@ def _memory_hooks(c: Candidate) -> str:
     """Hooks that integrate the quantity with memory; "" without one."""
     if not _quantity_with_memory(c):
         return ""
-    source, _, tau = MEMORY[_quantity_with_memory(c)]
+    source, _, tau = FILTERED[_quantity_with_memory(c)]
     current = STATE_EXPRESSIONS[source]
     return (f"\n\n    @staticmethod\n    def start(slips, instant, prepared, theta):\n        return ({current},)\n\n"
             "    @staticmethod\n    def rates(extra, slips, forces, instant, prepared, theta):\n"
