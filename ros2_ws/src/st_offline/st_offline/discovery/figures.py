@@ -116,7 +116,7 @@ def draw_axle_curves(scene: Scene) -> PageFigure | None:
             axes.fill_between(slip, low, high, color=AFTER, alpha=0.25, lw=0)
             axes.plot(slip, force, color=AFTER)
             axes.plot(slip, at_start, color=scene.colour, ls="--")
-            axes.set_title(f"{curve.axle} axle: {report_text.format_force_ratio(curve, scene.found.start)}", fontsize=7)
+            axes.set_title(f"{curve.axle} axle\n{report_text.format_force_ratio(curve, scene.found.start)}", fontsize=7)
             below.stairs(100.0 * np.array(curve.density), slip, color=MEASURED_COLOUR, fill=True)
             below.set_xlabel("slip angle, °")
         panels[0][0].set_ylabel("lateral force, kN")
@@ -125,7 +125,7 @@ def draw_axle_curves(scene: Scene) -> PageFigure | None:
                    Line2D([], [], color=AFTER, label="complete model"),
                    Patch(color=AFTER, alpha=0.25, label="90 % interval")]
         figure.legend(handles=handles, loc="outside lower left", ncols=3)
-        return save_figure(figure, scene.output, "axle_curves", "Axle force versus slip angle, within the driven range",
+        return save_figure(figure, scene.output, "axle_curves", "Axle force versus slip angle, in the range of the drives",
                            "The band includes the uncertainty of the other vehicle parameters.")
 
 
