@@ -108,8 +108,8 @@ def draw_axle_curves(scene: Scene) -> PageFigure | None:
     if not curves or not scene.found.model:
         return None
     with style():
-        figure, panels = plt.subplots(2, len(curves), figsize=(HALF_WIDTH, 3.0), sharex="col", squeeze=False,
-                                      height_ratios=(4.0, 1.0))
+        figure, panels = plt.subplots(2, len(curves), figsize=(HALF_WIDTH, 3.3), sharex="col", squeeze=False,
+                                      height_ratios=(3.0, 1.0))
         for (axes, below), curve in zip(panels.T, curves, strict=True):
             slip = np.rad2deg(curve.slip)
             force, low, high, at_start = (1e-3 * np.array(v) for v in (curve.force, curve.low, curve.high, curve.file))
@@ -125,7 +125,8 @@ def draw_axle_curves(scene: Scene) -> PageFigure | None:
                    Line2D([], [], color=AFTER, label="complete model"),
                    Patch(color=AFTER, alpha=0.25, label="90 % interval")]
         figure.legend(handles=handles, loc="outside lower left", ncols=3)
-        return save_figure(figure, scene.output, "axle_curves", "Axle force versus slip angle, in the range of the drives",
+        title = "Axle force versus slip angle, in the range of the drives"
+        return save_figure(figure, scene.output, "axle_curves", title,
                            "The band includes the uncertainty of the other vehicle parameters.")
 
 
