@@ -292,11 +292,11 @@ def decide(a: SearchResult, limits: Limits) -> tuple[Outcome, Reason]:
         return because("unknown", "errors are significant, but no effect of the library explains them within its "
                        "bounds")
     if a.noise_ratio > limits.max_noise_ratio:
-        return because("unknown", f"errors are up to {a.noise_ratio:.1f} times the noise, and no effect of the library "
-                       "reduces them significantly", noise_ratio=a.noise_ratio, max_noise_ratio=limits.max_noise_ratio)
+        return because("unknown", f"the position error is {a.noise_ratio:.1f} times the noise, and no effect of the "
+                       "library reduces it significantly", noise_ratio=a.noise_ratio, max_noise_ratio=limits.max_noise_ratio)
     if a.detectable_share < limits.detection_power:
         return because("not_testable", f"only {a.detectable_share:.0%} of the library's effects would be detectable "
                        "in these drives at their typical size", detectable_share=a.detectable_share,
                        detection_power=limits.detection_power)
-    return because("none", f"errors are up to {a.noise_ratio:.1f} times the noise", noise_ratio=a.noise_ratio,
+    return because("none", f"the position error is {a.noise_ratio:.1f} times the noise", noise_ratio=a.noise_ratio,
                    max_noise_ratio=limits.max_noise_ratio)

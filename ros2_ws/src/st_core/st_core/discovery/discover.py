@@ -483,7 +483,7 @@ class _Analysis:
         """Description of the residual; empty if the residual is near the noise."""
         if residual <= self.limits.max_noise_ratio:
             return ()
-        return (f"errors are up to {residual:.1f} times the noise",
+        return (f"the position error is {residual:.1f} times the noise",
                 *(f"{w.channel}: {w.condition}" for w in statements[:5]))
 
     def _locate_errors(self, fit: Fit, floor: Mapping[str, float]) -> tuple[ErrorCondition, ...]:
