@@ -293,7 +293,8 @@ def decide(a: SearchResult, limits: Limits) -> tuple[Outcome, Reason]:
                        "bounds")
     if a.noise_ratio > limits.max_noise_ratio:
         return because("unknown", f"the position error is {a.noise_ratio:.1f} times the noise, and no effect of the "
-                       "library reduces it significantly", noise_ratio=a.noise_ratio, max_noise_ratio=limits.max_noise_ratio)
+                       "library reduces it significantly", noise_ratio=a.noise_ratio,
+                       max_noise_ratio=limits.max_noise_ratio)
     if a.detectable_share < limits.detection_power:
         return because("not_testable", f"only {a.detectable_share:.0%} of the library's effects would be detectable "
                        "in these drives at their typical size", detectable_share=a.detectable_share,
