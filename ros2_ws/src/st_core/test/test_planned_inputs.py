@@ -89,7 +89,7 @@ def test_a_steady_turn_follows_the_planned_curvature(leaf):
     ({"road_wheel_angle": 0.02 + 0.2 * (np.arange(61) % 2)}, "steering rate"),
     ({"velocity_x_dot": np.linspace(0.5, 20.0, 61)}, "limit 12"),
     ({"road_wheel_angle": np.linspace(0.02, 0.5, 61)}, "limit 12"),
-    ({"road_wheel_angle": np.full(61, -0.06)}, "wrong sign, frame or unit"),
+    ({"road_wheel_angle": np.full(61, -0.06)}, "check sign, frame and unit"),
     ({"velocity_x_dot": np.full(61, -4.0)}, "velocity_x_dot is -4 m/s^2 at the start, but 0.5 m/s^2 was measured"),
     ({"speed": np.full(61, 15.0)}, "speed is 15 m/s at the start, but 10 m/s was measured"),
 ])

@@ -73,7 +73,7 @@ def test_a_plan_of_the_true_inputs_predicts_as_hindsight(driven) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("place", "reason"), [
     (0, "road_wheel_angle is not finite"), (1, "header.frame_id is 'map', expected 'base_link'"), (2, "issued"),
-    (3, "it ends"), (4, "wrong sign, frame or unit"), (5, "issued"),
+    (3, "it ends"), (4, "check sign, frame and unit"), (5, "issued"),
 ])
 def test_a_plan_that_cannot_be_used_is_refused_and_inputs_are_held(driven, place: int, reason: str) -> None:
     zero_ns, messages = driven

@@ -80,9 +80,9 @@ def test_semicolons_and_other_column_orders(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        ([""], "no column is known as t, x"),
+        ([""], "no column was recognised as t, x"),
         (["t,x,y,yaw", "0,0,0,0"],
-         "no column is known as velocity_x, .*; its columns are t, x, y, yaw; .*columns: {velocity_x: NAME"),
+         "no column was recognised as velocity_x, .*; its columns are t, x, y, yaw; .*columns: {velocity_x: NAME"),
         ([HEADER], "it contains fewer than two usable rows"),
         ([HEADER, *rows(3), *["1,2,3"] * 7, *rows(3)], "a row cannot be read"),
         ([HEADER, *rows(1), *["a,b,c,d,e,f,g,h,i,j"] * 3], "it contains fewer than two usable rows"),
@@ -160,7 +160,7 @@ def test_a_named_column_with_and_without_its_unit(tmp_path: Path, named: str, co
 
 def test_a_table_without_steering_is_answered_with_its_option(tmp_path: Path) -> None:
     file = write(tmp_path, [HEADER.replace("delta", "EPS_Pos"), *rows(20)])
-    with pytest.raises(RunError, match=r"known as road_wheel_angle \(or steering_wheel_angle\).*--steering-field"):
+    with pytest.raises(RunError, match=r"recognised as road_wheel_angle \(or steering_wheel_angle\).*--steering-field"):
         read_csv(file)
 
 

@@ -221,7 +221,7 @@ def test_a_table_in_parts_is_one_run(tmp_path: Path, drive, kind: str) -> None:
      "its first line contains numbers instead of the names"),
     (lambda log: csv(rows(log), ",".join(NAMES).replace("yaw,", "yaw [?],")), r"column yaw \[\?\] is not used: '\?'"),
     (lambda log: stamped(log, lambda s: f"{s * 1e9:.0f}"), r"cannot be in s; .*units: \{t: ns\}"),
-    (lambda log: csv(rows(log), ",".join(NAMES).replace(",x,", ",a/pos_x,b/pos_x,")[:-21]), "is known as x"),
+    (lambda log: csv(rows(log), ",".join(NAMES).replace(",x,", ",a/pos_x,b/pos_x,")[:-21]), "was recognised as x"),
     (lambda log: "timestamp,arbitration_id,dlc,data\n0.1,0x2,8,AAAA\n", "this is a CAN log as a table; export it as"),
     (lambda log: geographic(log).replace("latitude,longitude", "longitude,latitude"), "are interchanged: they agree"),
     (lambda log: in_radians(geographic(log)), r"are in radians: if read as degrees, they give 1/\d\d of the driven"),

@@ -100,9 +100,9 @@ LOGS: list[tuple[str, Callable[[list[str]], str], str, str]] = [
     ("run.asc", lambda lines: asc(lines, "Wed Sep 3 18:00:00.005 pm 2025"), "utf-8", ""),
     ("run.asc", lambda lines: asc(lines, "Mi Mär 3 18:00:00.005 2025"), "cp1252", ""),
     ("run.asc", lambda lines: asc(lines, "mercredi 3 septembre"), "utf-8", "its date .* cannot be read"),
-    ("run.asc", lambda lines: asc(lines) * 2, "utf-8", r"the 2\d\.\d of 5\d\.\d s \(50 %\) that fit"),
-    ("run.log", lambda lines: "\n".join([*lines, *earlier(lines)]), "utf-8", r" of 3\d\.\d s \(75 %\) that fit the"),
-    ("run.log", lambda lines: "\n".join([*earlier(lines), *lines]), "utf-8", r" of 3\d\.\d s \(75 %\) that fit the"),
+    ("run.asc", lambda lines: asc(lines) * 2, "utf-8", r"the 2\d\.\d of 5\d\.\d s \(50 %\) that match"),
+    ("run.log", lambda lines: "\n".join([*lines, *earlier(lines)]), "utf-8", r" of 3\d\.\d s \(75 %\) that match the"),
+    ("run.log", lambda lines: "\n".join([*earlier(lines), *lines]), "utf-8", r" of 3\d\.\d s \(75 %\) that match the"),
     ("run.log", lambda lines: replaced(lines, later(lines[5001])), "utf-8", ""),
     ("run.trc", lambda lines: trc(lines, True), "ascii", ""),
     ("run.trc", lambda lines: trc(lines, False), "ascii", ""),
@@ -280,7 +280,7 @@ def test_a_bag_of_another_encoding_is_named(tmp_path: Path, drive) -> None:
 def test_another_definition_of_a_known_type_is_named(tmp_path: Path, drive) -> None:
     file = write_bag(tmp_path / "a.mcap", drive[1], 0, 5, compression=CompressionType.NONE, enable_crcs=False)
     file.write_bytes(file.read_bytes().replace(b"Vector3 linear", b"Vector3 planar"))
-    with pytest.raises(RunError, match=r"definition of nav_msgs/msg/Odometry differs from the one of .*linear"):
+    with pytest.raises(RunError, match=r"nav_msgs/msg/Odometry differs from the ROS 2 definition.*linear"):
         read(find_runs([file])[0], CAR)
 
 

@@ -75,7 +75,7 @@ def test_a_drive_of_a_folder_that_lacks_a_column_is_reported(tmp_path: Path) -> 
     touch(tmp_path, "way.csv", content="x,y,yaw,speed\n0,0,0,1\n1,0,0,1\n")
     runs = by_name(find_runs([tmp_path]))
     assert set(runs) == {"whole", "lacks"}
-    with pytest.raises(RunError, match=r"lacks\.csv: no column is known as velocity_x"):
+    with pytest.raises(RunError, match=r"lacks\.csv: no column was recognised as velocity_x"):
         read(runs["lacks"])
 
 
@@ -129,7 +129,7 @@ def test_a_table_with_foreign_columns_and_its_can_log_are_a_run(tmp_path: Path) 
     for given in ([tmp_path], files):
         (run,) = find_runs(given)
         assert (run.kind, run.files, run.can) == ("csv", (files[0],), (files[1],))
-        with pytest.raises(RunError, match=r"known as t, .*; its columns are Takt, .*.*can: .*columns: {t:"):
+        with pytest.raises(RunError, match=r"recognised as t, .*; its columns are Takt, .*.*can: .*columns: {t:"):
             read(run, leaf)
     touch(tmp_path, "b.log", content=FRAMES)
     alone = find_runs([tmp_path / "b.log"])
@@ -150,7 +150,7 @@ def test_one_run_yaml_for_each_drive_of_a_folder(tmp_path: Path) -> None:
         assert "unknown key yaw_rte" in str(runs["c.run.yaml"].problem)
         assert [name for name, run in runs.items() if run.can] == ["a", "d"]
         assert all(runs[name].settings["layout"].columns["x"] == "Rechts" for name in "ade")
-        with pytest.raises(RunError, match="no column is known as road_wheel_angle"):
+        with pytest.raises(RunError, match="no column was recognised as road_wheel_angle"):
             read(runs["e"], leaf)
 
 

@@ -237,7 +237,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
     runs = [run_samples(log, vehicle) for log in logs]
     regressions, correlation, rejected = _regressions(runs, vehicle)
     require_coverage(regressions[0].coverage,
-                     "Drive left and right corners at several speeds, with 0.5 to 4 m/s^2 of lateral acceleration.")
+                     "Drive bends to both sides at several speeds, with 0.5 to 4 m/s^2 of lateral acceleration.")
     for regression in regressions:
         if int(regression.samples.used.sum()) < MIN_AXLE_SAMPLES:
             raise IdentificationError("; ".join(regression.reasons))
