@@ -7,6 +7,7 @@ import numpy as np
 from scipy import stats
 
 from ..contract import describe_instability
+from ..discovery.evidence import TWO_SIDED
 from ..discovery.settings import Limits
 from ..effects import get_effect
 from ..effects._relation import MAX_COEFFICIENT, SPLINES
@@ -127,7 +128,7 @@ class RunShares:
 
     def absent(self) -> list[str]:
         """Runs with a ratio significantly (two-sided 95 %) below one half."""
-        return [name for name, (ratio, deviation) in self.by_run.items() if ratio + 1.96 * deviation < 0.5]
+        return [name for name, (ratio, deviation) in self.by_run.items() if ratio + TWO_SIDED * deviation < 0.5]
 
 
 def shortlist(significant: Sequence[Screened]) -> list[Screened]:

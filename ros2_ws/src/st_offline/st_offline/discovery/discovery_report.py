@@ -206,7 +206,7 @@ FILE_MEANINGS = {
     "vehicle.yaml": "the corrected vehicle file, for --vehicle of every command",
     "effects": "the proposed relation as an effect; give its folder as --effects to st evaluate, st demo, st live",
     "proposed.yaml": "a model with the relation, for --model with --effects and the original vehicle file",
-    "model.yaml": "what vehicle.yaml does not contain of the effects, for --model of st demo, st live, st evaluate"}
+    "model.yaml": "effects to add to the vehicle file, for --model of st demo, st live, st evaluate"}
 MAX_ADVICE = 3  # sentences on the terminal; the page contains all
 
 
