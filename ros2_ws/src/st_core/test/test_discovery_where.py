@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
-from st_core.discovery.where import largest_errors
-from st_core.discovery.where_parts import (
+from st_core.discovery.where import (
     CELL_SIZE,
     Range,
     Samples,
     compute_excesses,
     find_cells,
     find_changes,
+    largest_errors,
     membership,
     range_text,
 )

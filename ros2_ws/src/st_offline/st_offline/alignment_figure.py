@@ -43,7 +43,13 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
     if "curvature" in signal.name:  # a linear function of the reference, to which it is fitted
         known = np.isfinite(signal.reference)
         values = np.polyval(np.polyfit(np.interp(reference[known], other, values), signal.reference[known], 1), values)
-    start = -np.inf if whole else _find_most_active(reference, signal.reference, other)
+    start = -np.inf
+    if not whole:  # the section, within the overlap of both recordings, where the signal varies most
+        low, high = max(reference[0], other[0]), min(reference[-1], other[-1]) - CLOSE_UP_DURATION
+        starts = np.arange(low, max(high, low + 1e-3), CLOSE_UP_DURATION / 4)
+        edges = np.searchsorted(reference, np.stack([starts, starts + CLOSE_UP_DURATION]))
+        sections = (signal.reference[a:b] for a, b in edges.T)
+        start = float(starts[np.argmax([np.nanstd(v) if np.isfinite(v).sum() > 5 else 0.0 for v in sections])])
     for time, line, colour, width, alpha, label in (
             (reference, signal.reference, MEASURED_COLOUR, 3.0, 0.55, "INS recording"),
             (other, values, OTHER_COLOUR, 1.0, 1.0, "CAN log")):
@@ -54,15 +60,6 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
     unit = next((unit for word, unit in units.items() if word in signal.name), "rad")
     ax.set(title="Aligned" if whole else f"The most active {CLOSE_UP_DURATION:.0f} s",
            xlabel="s after the first INS measurement", ylabel=f"{signal.name.split(' (')[0]}, {unit}")
-
-
-def _find_most_active(time: np.ndarray, values: np.ndarray, other: np.ndarray) -> float:
-    """Start [s] of the close-up: the section, within the overlap of both recordings, where the signal varies most."""
-    low, high = max(time[0], other[0]), min(time[-1], other[-1]) - CLOSE_UP_DURATION
-    starts = np.arange(low, max(high, low + 1e-3), CLOSE_UP_DURATION / 4)
-    edges = np.searchsorted(time, np.stack([starts, starts + CLOSE_UP_DURATION]))
-    deviations = [np.nanstd(values[a:b]) if np.isfinite(values[a:b]).sum() > 5 else 0.0 for a, b in edges.T]
-    return float(starts[int(np.argmax(deviations))])
 
 
 def _draw_correlation(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: Alignment) -> None:

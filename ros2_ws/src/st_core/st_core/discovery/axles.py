@@ -10,7 +10,7 @@ from ..effects import COMBINATIONS, EFFECTS, TOTAL_DELAY, get_effect
 from ..errors import StCoreError
 from ..handling import stability_factor
 from ..identification.axle_curve import axle_curve, axle_force, axle_forces, draw_models, force_error, valid_models
-from ..identification.cornering_stiffness import AxleRegression, axle_regressions
+from ..identification.cornering_stiffness import axle_regressions
 from ..log import DriveLog
 from ..readings import correct_log
 from ..sideslip import steady_velocity_y
@@ -38,7 +38,17 @@ class Axles:
         self.problem, self.fit, self.runs, self.vehicle = problem, fit, runs, vehicle
         self.model = problem.space.at(fit.vector)
         self.sideslip = "velocity_y" in problem.errors.windows.settings.channels
-        self.regressions = self._regressions()
+        # Measured slip and force of both axles, corrected only for fitted effects of steering, sensors and load.
+        logs, additions = [], problem.space.additions
+        corrected = self.model.only(e for e in self.model.effects
+                                    if e.kind == "sensors" or e.slot == "steering" or e.name in additions)
+        car, p = corrected.effective_vehicle(vehicle), corrected.parameters(vehicle)
+        for run in runs:
+            log = correct_log(corrected, run)
+            angle = corrected.inputs(log.road_wheel_angle, np.zeros(len(log.road_wheel_angle)), p)[0]
+            log = replace(log, road_wheel_angle=np.asarray(angle), steering_wheel_angle=None)
+            logs.append(log if self.sideslip else replace(log, velocity_y=steady_velocity_y(log, car)))
+        self.regressions = axle_regressions(logs, car)
         self.near = valid_models([problem.space.at(vector) for vector in near], vehicle) if joint is not None else []
         self.draws: list[AugmentedModel] = []
         if joint is not None:
@@ -50,19 +60,6 @@ class Axles:
             model_error = np.array([p.model_error for _, p in self.model.free])[indices]
             covariance[indices, indices] += np.square(model_error)
             self.draws = draw_models(self.model, covariance, vehicle, DRAWS)
-
-    def _regressions(self) -> tuple[AxleRegression, AxleRegression]:
-        """Measured slip and force of both axles, corrected only for fitted effects of steering, sensors and load."""
-        logs, additions = [], self.problem.space.additions
-        model = self.model.only(e for e in self.model.effects
-                                if e.kind == "sensors" or e.slot == "steering" or e.name in additions)
-        car, p = model.effective_vehicle(self.vehicle), model.parameters(self.vehicle)
-        for run in self.runs:
-            log = correct_log(model, run)
-            angle = model.inputs(log.road_wheel_angle, np.zeros(len(log.road_wheel_angle)), p)[0]
-            log = replace(log, road_wheel_angle=np.asarray(angle), steering_wheel_angle=None)
-            logs.append(log if self.sideslip else replace(log, velocity_y=steady_velocity_y(log, car)))
-        return axle_regressions(logs, car)
 
     def curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
         """`ForceCurve` of each axle in the driven slip range. base: model for its `file` values."""
@@ -107,10 +104,7 @@ class Axles:
     def contradicting(self, base: AugmentedModel,
                       leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
         """Axles with measured forces that agree less with the model than with the vehicle file; none without measured
-        sideslip or with low excitation.
-
-        leave_one_out: values by run, fitted without this run.
-        """
+        sideslip or with low excitation. leave_one_out: see `Discovery`."""
         space, found = self.problem.space, []
         base = base.with_values({name: space.values(name, self.fit.vector) for name in space.additions})
         for regression in self.regressions if self.sideslip else ():

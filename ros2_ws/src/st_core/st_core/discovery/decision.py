@@ -117,11 +117,7 @@ def _reject_varying(e: Evidence, limits: Limits) -> Reason | None:
 def _format_with_unit(known: AgainstFile, number: float) -> str:
     """A value of the quantity, with its unit."""
     unit = "" if known.unit == "1" else f" {known.unit}"
-    return f"{_format_number(number)}{unit}"
-
-
-def _format_number(number: float) -> str:
-    return f"{float(f'{number:.3g}'):.0f}" if abs(number) >= 100.0 else f"{number:.3g}"
+    return f"{float(f'{number:.3g}'):.0f}{unit}" if abs(number) >= 100.0 else f"{number:.3g}{unit}"
 
 
 def _reject_insignificant(e: Evidence, limits: Limits) -> Reason | None:

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..augmented import AugmentedModel
 from ..channels import CHANNEL_OF_COLUMN, CHANNELS
 from ..effects import TOTAL_DELAY, get_effect
 from ..errors import StCoreError
@@ -14,7 +13,7 @@ from ..handling import objections
 from ..log import DriveLog
 from ..models import Model
 from ..vehicle import VehicleParameters
-from . import certificate, decision, waterfall
+from . import certificate, decision, result, waterfall
 from .axles import Axles
 from .clocks import MAX_CLOCK_DEVIATION, apply_clock_corrections, clock_corrections
 from .decision import Rival
@@ -24,29 +23,10 @@ from .loss import Errors, Loss
 from .next_manoeuvre import Catalogue, catalogue, most_informative, next_manoeuvre, separability
 from .partitions import Partition, partitions, sites
 from .reference import healthy_car
-from .result import (
-    Assumed,
-    CandidateEffect,
-    Certificate,
-    ChannelError,
-    Combination,
-    Discovery,
-    ErrorCondition,
-    FittedParameter,
-    ForceCurve,
-    FoundEffect,
-    LocalEstimate,
-    NotTestable,
-    Outcome,
-    Reason,
-    Run,
-    VaryingEffect,
-    known_together,
-)
 from .search import Found, Search
 from .settings import DiscoverySettings
 from .space import Space, known_quantities
-from .varying import Varying, evidence_of, find_varying_effects
+from .varying import evidence_of, find_varying_effects
 from .where import largest_errors
 from .windows import MARGIN_NS, Windows, noise_floor
 
@@ -59,7 +39,7 @@ NOT_TESTABLE = {"drag": IN_INPUT, "rolling_resistance": IN_INPUT, "grade": f"{IN
 def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
              reference: Sequence[DriveLog] = (), settings: DiscoverySettings | None = None,
              progress: Progress | None = None, sensor_estimates: Sensors | None = None, parallel: int = 1,
-             clocks: Mapping[str, float] | None = None) -> Discovery:
+             clocks: Mapping[str, float] | None = None) -> result.Discovery:
     """Find the effects that the base model lacks to explain the runs.
 
     runs: suspect drives. vehicle: parameters of the vehicle file, from which the search starts. reference: drives of
@@ -72,7 +52,7 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
     the base model. Checked by: test_discovery*.py, bench/discovery.
     """
     return _Analysis(runs, vehicle, base, reference, settings or DiscoverySettings(), progress, sensor_estimates or {},
-                     parallel, clocks or {}).result()
+                     parallel, clocks or {}).analyse()
 
 
 def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model, names: Sequence[str],
@@ -96,13 +76,13 @@ class _JudgedEffects(NamedTuple):
     """The effects of the final fit, by verdict. minor: in the model, but not named. contradicted: refuted by the
     measured axle forces, or leading to an implausible car. leave_one_out: see `Discovery`."""
 
-    named: tuple[FoundEffect, ...]
-    minor: tuple[FoundEffect, ...]
-    contradicted: tuple[FoundEffect, ...]
-    verdicts: dict[str, Reason]
+    named: tuple[result.FoundEffect, ...]
+    minor: tuple[result.FoundEffect, ...]
+    contradicted: tuple[result.FoundEffect, ...]
+    verdicts: dict[str, result.Reason]
     leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]
-    curves: tuple[ForceCurve, ...]
-    combinations: tuple[Combination, ...]
+    curves: tuple[result.ForceCurve, ...]
+    combinations: tuple[result.Combination, ...]
 
 
 class _Analysis:
@@ -127,9 +107,11 @@ class _Analysis:
         if len(self.windows) < 3:
             raise StCoreError(f"only {len(self.windows)} predictions of {settings.horizon:g} s fit into the runs: "
                               "drive longer, above walking speed, without gaps")
-        self.sensors = self._match_sensor_estimates(sensor_estimates)
+        # Estimates from redundant sensors, keyed by "effect.parameter".
+        self.sensors = {f"{effect}.{p.name}": sensor_estimates[p.identity] for effect in self.space.hypotheses
+                        for p in get_effect(effect).parameters if p.identity and p.identity in sensor_estimates}
 
-    def result(self) -> Discovery:
+    def analyse(self) -> result.Discovery:
         settings, space = self.settings, self.space
         problem, by_column = self._make_problem()
         self.problem = problem
@@ -145,18 +127,17 @@ class _Analysis:
         judged = self._judge_effects(search, found, parts, floor)
         steps, base = waterfall.steps(problem, found.fit, found.order, horizon_errors, parts)
         errors, named_errors = (waterfall.channel_errors(horizon_errors, base, f, floor) for f in (fit, found.fit))
-        fit_of_varying = next((fit for _, fit in varied), None)
-        budget = waterfall.budget(problem, base, found.fit, fit, fit_of_varying, horizon_errors)
+        budget = waterfall.budget(problem, base, found.fit, fit, next((fit for _, fit in varied), None), horizon_errors)
         power = (certificate.measure_power(problem, found.fit, self.limits, settings.seed, self._ticker("certifying"))
                  if settings.certify else certificate.predict_power(problem, found.fit, found.scores, self.limits))
         effects, design_effect = judged.named, found.scores.design_effect
         drives = self._simulate_catalogue(found, effects)
         untestable = self._find_untestable(found, power, judged, drives)
-        residual = _noise_ratio(named_errors, floor)
-        unattributed = known_together(judged.combinations, effects)
-        outcome, why = self._decide_outcome(found, effects, untestable, residual, len(varied), unattributed)
+        position = named_errors.get("position_5s")
+        residual = 1.0 if position is None else position.augmented / max(floor.get("position_5s", 0.0), 1e-9)
+        outcome, why = self._decide_outcome(found, judged, untestable, residual, len(varied))
         statements = self._locate_errors(base, floor) if settings.where else ()
-        return Discovery(
+        return result.Discovery(
             outcome=outcome, effects=effects, minor=judged.minor,
             effective=(*judged.contradicted, *self._list_corrections(without_priors, fit, found)),
             varying=tuple(v for v, _ in varied), steps=tuple(steps), errors=errors, named_errors=named_errors,
@@ -166,8 +147,9 @@ class _Analysis:
             separability=separability(problem, found.fit, effects, design_effect), certificate=power,
             signature=self._describe_residual(residual, statements), runs=self._list_runs(),
             start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
-            model=space.at(fit.vector) if fit.names else None, named=self._make_named_model(found, judged),
-            warnings=tuple(self.warnings), leave_one_out=judged.leave_one_out, axle_curves=judged.curves,
+            model=space.at(fit.vector) if fit.names else None, warnings=tuple(self.warnings),
+            named=space.at(problem.vector_without(found.fit, *(e.name for e in judged.contradicted)))
+            if found.order else None, leave_one_out=judged.leave_one_out, axle_curves=judged.curves,
             assumed=self._list_assumed(), combinations=judged.combinations, clock_errors=self.clock_errors,
             # The residual of the best model counts as noise in all later comparisons, whatever its cause.
             noise={c: error.augmented for c, error in errors.items()}, acceleration_gain=float(fit.vector[-1]))
@@ -181,8 +163,16 @@ class _Analysis:
         position = problem.position_error(problem.held_out_rows(found.fit))
         unexplained = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
                        if np.isfinite(position).any() else 1.0)
-        effects = [replace(self._make_effect(name, found, parts, joint_fit, unexplained),
-                           joint=search.cancelling(found.fit, name)) for name in found.order]
+        known, effects = {} if self.reference else self.sensors, []
+        for name in found.order:
+            evidence = found.evidence[name]
+            others = sorted(filter(self._is_alternative, found.rivals.get(name, ())), key=lambda r: -r.share)
+            values = waterfall.parameters(problem, found.fit, name, parts, found.near, joint_fit, unexplained)
+            effects.append(result.FoundEffect(
+                name, get_effect(name).kind,
+                {n: with_sensor_interval(p, known.get(f"{name}.{n}")) for n, p in values.items()},
+                tuple(r.name for r in others), evidence.position, _local_estimates(evidence),
+                search.cancelling(found.fit, name), *decision.most_affected(evidence, self.limits)))
         leave_one_out = waterfall.leave_one_out(problem, found.fit)
         axles, curves, combinations = self._analyse_axles(found, joint_fit, unexplained)
         verdicts = self._name_effects(found, effects, axles, leave_one_out)
@@ -190,24 +180,15 @@ class _Analysis:
             (decision.NAMED,), (decision.MINOR,), (decision.FORCES, decision.IMPLAUSIBLE)))
         return _JudgedEffects(named, minor, contradicted, verdicts, leave_one_out, curves, combinations)
 
-    def _make_named_model(self, found: Found, judged: _JudgedEffects) -> AugmentedModel | None:
-        """The final model without the contradicted effects; None if no effect was found."""
-        if not found.fit.names:
-            return None
-        return self.space.at(self.problem.vector_without(found.fit, *(e.name for e in judged.contradicted)))
-
-    def _decide_outcome(self, found: Found, effects: Sequence[FoundEffect], untestable: Sequence[NotTestable],
-                        residual: float, varying_effects: int, unattributed: Sequence[Combination],
-                        ) -> tuple[Outcome, Reason]:
-        """Outcome and reason. residual [1]: ratio of position error to noise. varying_effects: number of varying
-        effects. unattributed: combinations that differ from the vehicle file, but that no named effect changes."""
+    def _decide_outcome(self, found: Found, judged: _JudgedEffects, untestable: Sequence[result.NotTestable],
+                        residual: float, varying_effects: int) -> tuple[result.Outcome, result.Reason]:
+        """Outcome and reason. residual [1]: ratio of position error to noise."""
         hypotheses = self.space.hypotheses
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         refused = [evidence for evidence, *_ in found.refused.values()]
-        named = [found.evidence[e.name] for e in effects]
-        result = decision.SearchResult(named, found.rivals, refused, residual, detectable, varying_effects,
-                                       [c.name for c in unattributed])
-        return decision.decide(result, self.limits)
+        return decision.decide(decision.SearchResult(
+            [found.evidence[e.name] for e in judged.named], found.rivals, refused, residual, detectable,
+            varying_effects, [c.name for c in result.known_together(judged.combinations, judged.named)]), self.limits)
 
     def _add_corrections(self, found: Found, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:
         """(problem, fit) with effective corrections in addition to the effects found, without the priors of the vehicle
@@ -281,11 +262,6 @@ class _Analysis:
                                  f"{'it' if len(left_out) == 1 else 'them'} are not searched")
         return replace(settings, channels=tuple(c for c in settings.channels if c not in left_out))
 
-    def _match_sensor_estimates(self, sensor_estimates: Sensors) -> Sensors:
-        """Estimates from redundant sensors, keyed by "effect.parameter"."""
-        return {f"{effect}.{p.name}": sensor_estimates[p.identity] for effect in self.space.hypotheses
-                for p in get_effect(effect).parameters if p.identity and p.identity in sensor_estimates}
-
     def _warn_of_low_excitation(self) -> None:
         if len(self.runs) < 3:
             self.warnings.append(f"{'two runs' if len(self.runs) == 2 else 'one run'} only: parts of them are "
@@ -305,27 +281,18 @@ class _Analysis:
 
     # Results
 
-    def _make_effect(self, name: str, found: Found, parts: Mapping[str, Partition], joint_fit: Joint | None,
-                     unexplained: float) -> FoundEffect:
-        evidence = found.evidence[name]
-        others = sorted(filter(self._is_alternative, found.rivals.get(name, ())), key=lambda r: -r.share)
-        values = waterfall.parameters(self.problem, found.fit, name, parts, found.near, joint_fit, unexplained)
-        known = {} if self.reference else self.sensors
-        parameters = {n: with_sensor_interval(p, known.get(f"{name}.{n}")) for n, p in values.items()}
-        return FoundEffect(name, get_effect(name).kind, parameters, tuple(r.name for r in others), evidence.position,
-                           _local_estimates(evidence), (), *decision.most_affected(evidence, self.limits))
-
     def _is_alternative(self, rival: Rival) -> bool:
         return decision.judge_alternative(rival, self.limits).rule == "alternative"
 
-    def _list_assumed(self) -> tuple[Assumed, ...]:
+    def _list_assumed(self) -> tuple[result.Assumed, ...]:
         """The quantities of the vehicle file that are used as priors."""
-        known = {q.key: Assumed(q.key, q.unit, q.value, q.deviation, q.stated)
+        known = {q.key: result.Assumed(q.key, q.unit, q.value, q.deviation, q.stated)
                  for q in self.problem.quantities if q is not None}
         return tuple(known.values())
 
-    def _analyse_axles(self, found: Found, joint_fit: Joint | None,
-                       unexplained: float) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[Combination, ...]]:
+    def _analyse_axles(
+            self, found: Found, joint_fit: Joint | None, unexplained: float,
+            ) -> tuple[Axles | None, tuple[result.ForceCurve, ...], tuple[result.Combination, ...]]:
         """(axle forces of the final model, force curves, combinations); (None, (), ()) for a base model without tyres,
         for driving without slip, and for values so uncertain that they exceed the limits of a vehicle file. With a
         reference, combinations are left out: they are compared with the vehicle file, not with the healthy car."""
@@ -337,8 +304,8 @@ class _Analysis:
         except StCoreError:
             return None, (), ()
 
-    def _name_effects(self, found: Found, effects: Sequence[FoundEffect], axles: Axles | None,
-                      leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Reason]:
+    def _name_effects(self, found: Found, effects: Sequence[result.FoundEffect], axles: Axles | None,
+                      leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, result.Reason]:
         """Verdict on each effect of the final fit. With a reference, intervals include the uncertainty of the healthy
         car, so verdicts do not use them."""
         worse_axle: dict[str, str] = {}
@@ -351,23 +318,26 @@ class _Analysis:
             for name in names:
                 alone = self.space.at(self.problem.start).with_values({name: self.space.values(name, found.fit.vector)})
                 objection[name] = next(iter(objections(alone.effective_vehicle(self.vehicle), self.vehicle)), "")
+        # Only the total delay of the steering is identifiable, not its parts.
+        delays = [n for n in names if TOTAL_DELAY in get_effect(n).combinations] if axles is not None else []
         return {e.name: decision.naming_verdict(found.evidence[e.name], self.limits, decision.Checks(
             bool(self.reference) or excludes_null(e), "" if self.reference else find_parameter_across_bound(e),
             reached_force_ratio if get_effect(e.name).at_peak_force else 1.0, worse_axle.get(e.name, ""),
-            _find_summed_delays(e.name, names) if axles is not None else (),
+            tuple(n for n in delays if n != e.name) if e.name in delays else (),
             objection.get(e.name, ""))) for e in effects}
 
-    def _list_corrections(self, problem: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
+    def _list_corrections(self, problem: Problem, fit: Fit, found: Found) -> tuple[result.FoundEffect, ...]:
         """Effective corrections: the effects of `fit` that are not in `found.fit`."""
         horizon_errors = waterfall.HorizonErrors(problem, self.settings.seed)
-        return tuple(FoundEffect(n, get_effect(n).kind, waterfall.parameters(problem, fit, n, {}), (),
+        return tuple(result.FoundEffect(n, get_effect(n).kind, waterfall.parameters(problem, fit, n, {}), (),
                                  horizon_errors.position_without(fit, n), {})
                      for n in fit.names if n not in found.fit.names)
 
-    def _find_varying(self, found: Found, parts: Mapping[str, Partition]) -> list[tuple[VaryingEffect, Fit | None]]:
+    def _find_varying(self, found: Found,
+                      parts: Mapping[str, Partition]) -> list[tuple[result.VaryingEffect, Fit | None]]:
         """Find at most one significant effect that varies between parts of the drives: one that the search rejected for
         this reason, with its fit, otherwise the one with the largest gain from separate values, without a fit."""
-        collected: list[tuple[VaryingEffect, Fit | None]] = []
+        collected: list[tuple[result.VaryingEffect, Fit | None]] = []
         # An effect of the final fit, or an alternative to one, is not also reported as varying.
         rivals = [r for others in found.rivals.values() for r in others]
         reported = [*found.fit.names, *(r.name for r in filter(self._is_alternative, rivals))]
@@ -375,13 +345,22 @@ class _Analysis:
             if (verdict.rule == decision.VARIES and not self.space.overlaps(name, reported)
                     and decision.is_relevant(evidence, self.limits) and not collected):
                 partition = decision.varying_partition(evidence, self.limits)
-                collected.append((VaryingEffect(name, partition, waterfall.parameters(self.problem, fit, name, {}),
-                                                _local_estimates(evidence)[partition], evidence.position), fit))
+                collected.append((result.VaryingEffect(
+                    name, partition, waterfall.parameters(self.problem, fit, name, {}),
+                    _local_estimates(evidence)[partition], evidence.position), fit))
         if not collected:
             for v in find_varying_effects(self.problem, found.fit, parts):
                 evidence = evidence_of(self.problem, found.fit, v, parts)
                 if decision.varies_relevantly(evidence, self.limits) and not self.space.overlaps(v.name, reported):
-                    collected.append((self._as_varying_effect(v, evidence.position), None))
+                    free = next(f for f in self.space.free if (f.effect, f.parameter) == (v.name, v.parameter))
+                    value, spread = max(v.values.values(), key=lambda each: abs(each[0] - free.null))
+                    change = value - free.null or free.scale
+                    ratios = tuple(result.LocalEstimate(part, (x - free.null) / change, s / abs(change))
+                                   for part, (x, s) in v.values.items())
+                    interval = value - 1.96 * spread, value + 1.96 * spread
+                    fitted = result.FittedParameter(value, free.unit, interval, free.null)
+                    collected.append((result.VaryingEffect(v.name, v.varies_with, {v.parameter: fitted}, ratios,
+                                                           evidence.position), None))
                     break
         for effect, _ in collected:
             self.warnings.append(f"an effect that resembles {effect.resembles.replace('_', ' ')} is significant, but "
@@ -389,22 +368,12 @@ class _Analysis:
                                  "named")
         return collected
 
-    def _as_varying_effect(self, v: Varying, position: float) -> VaryingEffect:
-        """Convert v to a `VaryingEffect`. position [m]: reduction of the mean position error after 5 s."""
-        free = next(f for f in self.space.free if (f.effect, f.parameter) == (v.name, v.parameter))
-        value, spread = max(v.values.values(), key=lambda each: abs(each[0] - free.null))
-        change = value - free.null or free.scale
-        ratios = tuple(LocalEstimate(part, (x - free.null) / change, s / abs(change))
-                       for part, (x, s) in v.values.items())
-        found = FittedParameter(value, free.unit, (value - 1.96 * spread, value + 1.96 * spread), free.null)
-        return VaryingEffect(v.name, v.varies_with, {v.parameter: found}, ratios, position)
-
-    def _collect_reasons(self, found: Found, named: Mapping[str, Reason]) -> list[Reason]:
+    def _collect_reasons(self, found: Found, named: Mapping[str, result.Reason]) -> list[result.Reason]:
         rivals = (r for others in found.rivals.values() for r in others)
         return [*named.values(), *(decision.judge_alternative(r, self.limits) for r in rivals),
                 *(verdict for _, verdict, _ in found.refused.values())]
 
-    def _list_candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[CandidateEffect, ...]:
+    def _list_candidates(self, found: Found, named: Mapping[str, result.Reason]) -> tuple[result.CandidateEffect, ...]:
         """Every effect of the library with its gain and verdict, in order of decreasing gain."""
         problem, space, rows = self.problem, self.space, []
         # An effect that was tried in place of several others is listed with the one that it replaces best.
@@ -428,24 +397,24 @@ class _Analysis:
                 p_value = library_p_value(found.scores.by_effect[name], gains, found.scores, len(space.hypotheses))
                 verdict = decision.judge(Evidence(name, gain, p_value), self.limits)
                 if verdict.rule == decision.ACCEPTED:
-                    verdict = Reason("explains less", name, {"gain": gain},
+                    verdict = result.Reason("explains less", name, {"gain": gain},
                                      f"it reduces the errors by {share_of(gain):.1%}; effects that reduce them by more "
                                      "were tried first")
             else:
-                verdict, gain = Reason("included", name, {}, "overlaps an effect of the model"), 0.0
-            rows.append(CandidateEffect(name, get_effect(name).kind, values, share_of(gain), verdict.rule,
+                verdict, gain = result.Reason("included", name, {}, "overlaps an effect of the model"), 0.0
+            rows.append(result.CandidateEffect(name, get_effect(name).kind, values, share_of(gain), verdict.rule,
                                         verdict.text))
         return tuple(sorted(rows, key=lambda c: -c.gain))
 
-    def _simulate_catalogue(self, found: Found, effects: Sequence[FoundEffect]) -> Catalogue | None:
+    def _simulate_catalogue(self, found: Found, effects: Sequence[result.FoundEffect]) -> Catalogue | None:
         """Simulate the manoeuvres of the catalogue; None if they are not needed."""
         if not self.settings.where and not any(e.alternatives for e in effects):
             return None
         self._ticker("next drive")()
         return catalogue(self.problem, found.fit)
 
-    def _find_untestable(self, found: Found, power: Certificate, judged: _JudgedEffects,
-                         manoeuvres: Catalogue | None) -> tuple[NotTestable, ...]:
+    def _find_untestable(self, found: Found, power: result.Certificate, judged: _JudgedEffects,
+                         manoeuvres: Catalogue | None) -> tuple[result.NotTestable, ...]:
         """Effects that these drives cannot show, each with the reason and a manoeuvre that would show it."""
         listed = {*(name for e in judged.named for name in (e.name, *e.alternatives)), *(e.name for e in judged.minor)}
         collected = []
@@ -460,44 +429,43 @@ class _Analysis:
             why = (f"in these drives it cannot be separated from {other.replace('_', ' ')}; it is visible" if other
                    else "it is visible")
             size = f"{100 * largest.size:.3g} %" if largest.unit == "1" else f"{largest.size:.3g} {largest.unit}"
-            collected.append(NotTestable(name, f"a change of {size} would be detected with probability "
+            collected.append(result.NotTestable(name, f"a change of {size} would be detected with probability "
                                          f"{largest.probability:.2f}; {why} in {get_effect(name).excited_by}", drive))
         for name in self.space.without_signal:
             signals = ", ".join(get_effect(name).signals)
-            collected.append(NotTestable(name, f"it needs the signal {signals}, which is not recorded"))
-        return (*collected, *(NotTestable(name, reason) for name, reason in NOT_TESTABLE.items()))
+            collected.append(result.NotTestable(name, f"it needs the signal {signals}, which is not recorded"))
+        return (*collected, *(result.NotTestable(name, reason) for name, reason in NOT_TESTABLE.items()))
 
     @staticmethod
     def _channel_noise(by_column: Mapping[str, float]) -> dict[str, float]:
         """Noise of each channel at the end of the horizon [SI], and mean position error due to noise alone [m]."""
-        result: dict[str, float] = {}
+        noise: dict[str, float] = {}
         for column, value in by_column.items():
             channel = CHANNEL_OF_COLUMN[column].name if column in CHANNEL_OF_COLUMN else column
-            result[channel] = float(np.hypot(result.get(channel, 0.0), value))
-        if "position" in result:  # mean of a Rayleigh distribution
-            noise = result["position"] * float(np.sqrt(np.pi) / 2.0)
-            result["position_5s"] = max(result.get("position_5s", 0.0), noise)
-        return result
+            noise[channel] = float(np.hypot(noise.get(channel, 0.0), value))
+        if "position" in noise:  # mean of a Rayleigh distribution
+            noise["position_5s"] = max(noise.get("position_5s", 0.0), noise["position"] * float(np.sqrt(np.pi) / 2.0))
+        return noise
 
-    def _describe_residual(self, residual: float, statements: Sequence[ErrorCondition]) -> tuple[str, ...]:
+    def _describe_residual(self, residual: float, statements: Sequence[result.ErrorCondition]) -> tuple[str, ...]:
         """Description of the residual; empty if the residual is near the noise."""
         if residual <= self.limits.max_noise_ratio:
             return ()
         return (f"the position error is {residual:.1f} times the noise",
                 *(f"{w.channel}: {w.condition}" for w in statements[:5]))
 
-    def _locate_errors(self, fit: Fit, floor: Mapping[str, float]) -> tuple[ErrorCondition, ...]:
+    def _locate_errors(self, fit: Fit, floor: Mapping[str, float]) -> tuple[result.ErrorCondition, ...]:
         self._ticker("where")()
         noise = {channel: value for channel, value in floor.items() if channel != "position_5s"}
         return largest_errors(self.runs, self.space.at(fit.vector), self.vehicle, self.settings, self.reference, noise,
                               float(fit.vector[-1]))
 
-    def _list_runs(self) -> tuple[Run, ...]:
+    def _list_runs(self) -> tuple[result.Run, ...]:
         site = sites(self.windows)
         windows = [np.flatnonzero(self.windows.run == k) for k in range(len(self.runs))]
-        return (*(Run(log.name, "suspect", log.overlap, int(site[rows[0]]) if len(rows) else 0, len(rows))
+        return (*(result.Run(log.name, "suspect", log.overlap, int(site[rows[0]]) if len(rows) else 0, len(rows))
                   for log, rows in zip(self.runs, windows, strict=True)),
-                *(Run(log.name, "reference", log.overlap, 0, 0) for log in self.reference))
+                *(result.Run(log.name, "reference", log.overlap, 0, 0) for log in self.reference))
 
     def _ticker(self, stage: str) -> Callable[[], None]:
         """A function that reports the progress of a stage."""
@@ -508,25 +476,12 @@ class _Analysis:
         return tick
 
 
-def _local_estimates(evidence: Evidence) -> dict[str, tuple[LocalEstimate, ...]]:
-    return {partition: tuple(LocalEstimate(part, ratio, deviation) for part, (ratio, deviation) in a.ratios.items())
+def _local_estimates(evidence: Evidence) -> dict[str, tuple[result.LocalEstimate, ...]]:
+    return {partition: tuple(result.LocalEstimate(part, *estimate) for part, estimate in a.ratios.items())
             for partition, a in evidence.agreement.items()}
 
 
-def _noise_ratio(errors: Mapping[str, ChannelError], floor: Mapping[str, float]) -> float:
-    """Ratio of the position error after 5 s to the error due to noise [1]; 1 if position is not a channel."""
-    if "position_5s" not in errors:
-        return 1.0
-    return errors["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
-
-
-def _find_summed_delays(name: str, names: Sequence[str]) -> tuple[str, ...]:
-    """The other effects that delay the steering, if `name` does: only the total delay is identifiable."""
-    parts = [n for n in names if TOTAL_DELAY in get_effect(n).combinations]
-    return tuple(n for n in parts if n != name) if name in parts else ()
-
-
-def find_parameter_across_bound(effect: FoundEffect) -> str:
+def find_parameter_across_bound(effect: result.FoundEffect) -> str:
     """Name of a parameter with an interval that crosses a bound; "" if there is none. Ignores bounds that equal the
     null or the theoretical value, and bounds of shape parameters."""
     for p in get_effect(effect.name).parameters:
@@ -537,12 +492,13 @@ def find_parameter_across_bound(effect: FoundEffect) -> str:
     return ""
 
 
-def excludes_null(effect: FoundEffect) -> bool:
+def excludes_null(effect: result.FoundEffect) -> bool:
     """Whether the interval of at least one value excludes the null."""
     return any(not p.interval[0] <= p.null <= p.interval[1] for p in effect.parameters.values())
 
 
-def with_sensor_interval(fitted: FittedParameter, known: tuple[float, float, float] | None) -> FittedParameter:
+def with_sensor_interval(fitted: result.FittedParameter,
+                         known: tuple[float, float, float] | None) -> result.FittedParameter:
     """The fitted value. Its interval becomes as wide as that of the redundant sensors, `known` (value, low, high), if
     the fitted interval contains the null, and the sensors agree with the value and exclude the null."""
     _, low, high = known or (0.0, -np.inf, np.inf)

@@ -182,6 +182,7 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
     block_scores = scores.by_effect.get(effect)
     if block_scores is None:
         block_scores = score_of(problem, without, effect, fit.sensitivities)
+    size = np.abs((fit.vector - problem.space.null) / problem.space.scale)[problem.space.indices(effect)].max()
     rows, after = problem.held_out_rows(without), problem.held_out_rows(fit)
     reduction = problem.position_error(rows) - problem.position_error(after)
     if problem.prior is not None:  # the other values are known from the healthy car, so they do not compensate
@@ -191,7 +192,7 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
                     library_p_value(block_scores, gain, scores, len(problem.space.hypotheses)),
                     null_p_value(problem, fit, effect),
                     shares(problem, rows, after), overall, somewhere, residual_over_noise(problem, after),
-                    distance_to_bound(problem, fit, effect), problem.healthy_gain, effect_size(problem, fit, effect),
+                    distance_to_bound(problem, fit, effect), problem.healthy_gain, float(size),
                     *sensor_p_values(problem, fit, effect, sensors), against_file(problem, fit, effect),
                     {name: agreement(problem, fit, effect, *partition) for name, partition in partitions.items()})
 
@@ -253,12 +254,6 @@ def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
             if edge not in (null, space.free[i].theory):
                 nearest = min(nearest, abs(fit.vector[i] - edge) / space.scale[i])
     return float(nearest)
-
-
-def effect_size(problem: Problem, fit: Fit, effect: str) -> float:
-    """Largest distance of the effect's values from their null, in parameter scales."""
-    indices = problem.space.indices(effect)
-    return float(np.abs((fit.vector - problem.space.null) / problem.space.scale)[indices].max())
 
 
 def against_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:

@@ -120,10 +120,12 @@ class Problem:
                  noise: np.ndarray | None = None, healthy_gain: float = 0.0, quantities: Quantities | None = None):
         self.loss, self.space, self.start, self.prior = loss, loss.space, start, prior
         self.errors, self.healthy_gain, self.design_effect = loss.errors, healthy_gain, 1.0
+        self.residual_count = loss.residual_count
         self.set_quantities((None,) * len(self.space) if quantities is None else quantities)
         self.noise = np.zeros(len(self.errors.windows.columns)) if noise is None else noise
         self.block, self.blocks = block, int(block.max()) + 1
         self.fold = np.arange(self.blocks) % min(FOLDS, self.blocks)
+        self._residual_counts = np.bincount(block, loss.known.sum(axis=1), self.blocks)
         self._cached_sensitivities: list[Sensitivities] = []
 
     def set_quantities(self, quantities: Quantities) -> None:
@@ -138,6 +140,10 @@ class Problem:
         """(c,) RMS of the baseline residuals, see `column_rms`."""
         return np.maximum(self.column_rms(self.errors.at(self.start)), 1e-12)
 
+    @cached_property
+    def _baseline_scale(self) -> np.ndarray:
+        return self.loss.scale_of(self.start)
+
     def column_rms(self, rows: np.ndarray) -> np.ndarray:
         """(c,) RMS of the residuals of each column at all points of the horizon [SI]; residuals are clipped at
         MAX_SCALED scales of the baseline residuals."""
@@ -145,10 +151,6 @@ class Problem:
         square = np.square(np.clip(np.nan_to_num(rows, nan=np.inf), -limit, limit))
         points = np.where(self.loss.known, square, 0.0).sum(axis=0) / np.maximum(self.loss.known.sum(axis=0), 1)
         return np.sqrt(points.reshape(len(self.errors.windows.time), -1).mean(axis=0))
-
-    @cached_property
-    def _baseline_scale(self) -> np.ndarray:
-        return self.loss.scale_of(self.start)
 
     @cached_property
     def held_out_groups(self) -> np.ndarray:
@@ -167,11 +169,6 @@ class Problem:
         other = copy(self)
         other.set_quantities((None,) * len(self.space))
         return other
-
-    @property
-    def residual_count(self) -> int:
-        """Number of residuals in the loss."""
-        return self.loss.residual_count
 
     def free_indices(self, names: Iterable[str]) -> np.ndarray:
         """(a,) indices of the parameters that are free in a fit of the effects `names`."""
@@ -356,18 +353,11 @@ class Problem:
             steps[int(k)] = d = base + d
             rise = np.einsum("i,bij,j->b", d, q.hessian[out], d) - 2.0 * q.gradient[out] @ d
             prior_cost = (distance + d) @ prior @ (distance + d) / len(q.cost)
-            held_out[out] = q.cost[out] + self._robust(rise, out) + prior_cost
+            # The robust loss grows with the logarithm of its quadratic approximation above 1 per residual.
+            count = np.maximum(self._residual_counts[out], 1)
+            robust = np.where(rise > count, count * (1.0 + np.log(np.maximum(rise / count, 1.0))), rise)
+            held_out[out] = q.cost[out] + robust + prior_cost
         return steps, held_out
-
-    def _robust(self, rise: np.ndarray, blocks: np.ndarray) -> np.ndarray:
-        """Increase of the robust loss for a `rise` of its quadratic approximation: logarithmic above 1 per residual."""
-        count = np.maximum(self._residual_counts[blocks], 1)
-        return np.where(rise > count, count * (1.0 + np.log(np.maximum(rise / count, 1.0))), rise)
-
-    @cached_property
-    def _residual_counts(self) -> np.ndarray:
-        """(b,) number of residuals of each block."""
-        return np.bincount(self.block, self.loss.known.sum(axis=1), self.blocks)
 
     def leave_out_of(self, fit: Fit, groups: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """`leave_out` for the optimum of a fit. groups: (b,) group of each block."""

@@ -17,8 +17,11 @@ Partition = tuple[np.ndarray, list[str]]
 def partitions(windows: Windows) -> dict[str, Partition]:
     """Partitions by name; only those with at least two parts."""
     site, driven = sites(windows), windows.driven
+    longest = np.zeros(len(windows.names))
+    np.maximum.at(longest, windows.run, windows.seconds)
+    third = np.minimum((3.0 * windows.seconds / np.maximum(longest[windows.run], 1e-9)).astype(int), 2)
     parts = {"run": runs(windows), "site": (site, [f"site {k + 1}" for k in range(int(site.max()) + 1)]),
-             "time": (_thirds(windows), list(TIMES)), "place": places(driven["x"], driven["y"]),
+             "time": (third, list(TIMES)), "place": places(driven["x"], driven["y"]),
              "condition": conditions(driven["speed"], driven["lateral_acceleration"])}
     if site.max() + 1 == len(windows.names):
         del parts["site"]  # each run is a site
@@ -68,11 +71,3 @@ def conditions(speed: np.ndarray, lateral: np.ndarray) -> Partition:
     for half in (fast, ~fast):
         hard[half] = lateral[half] > np.median(lateral[half]) if half.any() else False
     return fast + 2 * hard, list(CONDITIONS)
-
-
-def _thirds(windows: Windows) -> np.ndarray:
-    """(n,) third of the run in which each window starts: 0, 1 or 2."""
-    longest = np.zeros(len(windows.names))
-    np.maximum.at(longest, windows.run, windows.seconds)
-    share = windows.seconds / np.maximum(longest[windows.run], 1e-9)
-    return np.minimum((3.0 * share).astype(int), 2)

@@ -53,7 +53,15 @@ def healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Spa
     problem = Problem(loss, space.null, windows.block, prior)
     q = problem.quadratic_of_all(vector)
     h = q.hessian.sum(axis=0) + prior
-    spread = np.sqrt(2.0 * _design_effects(q, np.diag(h), windows))
+    design_effects = np.ones(len(h))  # at least 1; see `Problem.update_design_effect`
+    for part in (windows.block, windows.run):
+        gradient = q.summed(part).gradient
+        number = len(gradient)
+        if number > 2:
+            wider = (float(stats.t.ppf(0.975, number - 1)) / TWO_SIDED) ** 2  # for few blocks or runs
+            variance = wider * 2.0 * number * gradient.var(axis=0, ddof=1)
+            design_effects = np.maximum(design_effects, variance / np.diag(h))
+    spread = np.sqrt(2.0 * design_effects)
     position = problem.position_error(problem.errors.at(vector))
     by_run = [position[windows.run == k] for k in np.unique(windows.run)]
     largest = max((float(np.nanmean(error)) for error in by_run if np.isfinite(error).any()), default=0.0)
@@ -95,19 +103,6 @@ def _minimum(h: np.ndarray, g: np.ndarray, centre: np.ndarray, prior: np.ndarray
     """Minimum over x of x'Hx - 2 g'x + (x - centre)' prior (x - centre)."""
     x = np.linalg.solve(h + prior + 1e-9 * np.eye(len(h)), g + prior @ centre)
     return float(x @ h @ x - 2.0 * g @ x + (x - centre) @ prior @ (x - centre))
-
-
-def _design_effects(q: Quadratic, curvature: np.ndarray, windows: Windows) -> np.ndarray:
-    """(p,) design effect of each value, at least 1: variance of its score between blocks, or between runs if larger,
-    divided by the variance for independent windows; increased by Student's t quantile for few blocks or runs."""
-    effects = np.ones(len(curvature))
-    for part in (windows.block, windows.run):
-        gradient = q.summed(part).gradient
-        number = len(gradient)
-        if number > 2:
-            wider = (float(stats.t.ppf(0.975, number - 1)) / TWO_SIDED) ** 2
-            effects = np.maximum(effects, wider * 2.0 * number * gradient.var(axis=0, ddof=1) / curvature)
-    return effects
 
 
 def theoretical_values(space: Space) -> np.ndarray:

@@ -78,7 +78,13 @@ class Search:
         for names in ([*first.fit.names, *physics], [n for n in library if not get_effect(n).members]):
             scale, design_effect = p.loss.scale, p.design_effect
             start = self._prune(first.fit.vector, list(dict.fromkeys(names)))
-            candidates.append(self._step_from(self._drop_failing(start)) if start else None)
+            while start and start.names:  # remove the effects that fail the test, weakest first
+                state = Found(start, list(start.names), cached_scores=self._scores(start))
+                weakest = self._weakest_failing(state, self.limits.relevant)
+                if not weakest:
+                    break
+                start = self._rescale(self._refit_without(start, weakest))
+            candidates.append(self._step_from(start) if start else None)
             if candidates[-1] is None:
                 p.loss.scale, p.design_effect = scale, design_effect
         found = self._exchange_until_accepted(self._select([a for a in candidates if a]))
@@ -97,7 +103,13 @@ class Search:
         p, names = self.problem, found.fit.names
         for other in (n for n in p.space.additions if names and n not in names and not p.space.overlaps(n, names)):
             for size in (p.space.deviation[p.space.indices(other)], self.limits.min_relative_size):
-                fit = self._with_other(found.fit, other, size)
+                # The load is fixed at its start value. With a reference all parameters are free: it is the prior mean.
+                laden, load, vector = copy(p), p.space.indices(other), found.fit.vector.copy()
+                laden.start = p.start.copy()
+                laden.start[load] += size * p.space.scale[load]
+                vector[load] = laden.start[load]
+                self.tick()
+                fit = laden.refit(laden.fit(names, laden.all_sensitivities(vector), vector))
                 difference = fit.held_out - found.fit.held_out
                 own = p.space.indices(*(n for n in names if n in confounded_effects(other)))
                 nearer = own[np.abs(fit.vector - p.start)[own] < np.abs(found.fit.vector - p.start)[own]]
@@ -110,17 +122,6 @@ class Search:
                         found.rivals[rival.replaces] = [*(r for r in others if r.name != other), rival]
                     found.near.append(((), fit.vector))
                     break
-
-    def _with_other(self, fit: Fit, name: str, size: np.ndarray | float) -> Fit:
-        """The fit of the same set with another effect fixed at `size` parameter scales above its start value. With a
-        reference all parameters are free, and this value is the prior mean."""
-        p, own = copy(self.problem), self.problem.space.indices(name)
-        p.start = p.start.copy()
-        p.start[own] += size * p.space.scale[own]
-        vector = fit.vector.copy()
-        vector[own] = p.start[own]
-        self.tick()
-        return p.refit(p.fit(fit.names, p.all_sensitivities(vector), vector))
 
     def corrections(self, fit: Fit) -> Fit:
         """The best fit with all effects of `fit`, which is from another problem, and further effects."""
@@ -166,16 +167,6 @@ class Search:
         self.problem.loss.rescale(fit.vector)
         self.problem.update_design_effect(fit.vector)
         return self.problem.refit(fit)
-
-    def _drop_failing(self, fit: Fit) -> Fit:
-        """Remove the effects that fail the test from a fit, weakest first."""
-        while fit.names:
-            found = Found(fit, list(fit.names), cached_scores=self._scores(fit))
-            weakest = self._weakest_failing(found, self.limits.relevant)
-            if not weakest:
-                break
-            fit = self._rescale(self._refit_without(fit, weakest))
-        return fit
 
     def _scores(self, fit: Fit) -> Scores:
         return screen(self.problem, fit, np.random.default_rng(self.seed))
@@ -236,17 +227,13 @@ class Search:
             found.refused[effect] = e, verdict, fits[effect]
             if verdict.rule not in (GAIN_INSIGNIFICANT, NULL):
                 best = max(best, gain)
-        return self._add_confirmed(found, without, [n for n in gains if n not in fits])
-
-    def _add_confirmed(self, found: Found, without: Fit, names: list[str]) -> Fit | None:
-        """The fit with a further effect that redundant sensors confirm, whatever its gain; None if there is none."""
-        for effect in names:
-            null = null_by_sensors(self.problem.space, effect, self.sensors)
-            if self.problem.prior is not None or null is None or null > self.limits.false_alarm:
-                continue
-            fit = self._refit_with(without, effect, found.scores.gains[effect][1])
-            if self._judge(self._evidence(without, fit, effect, found.scores), self.limits).rule == ACCEPTED:
-                return fit
+        # An effect that redundant sensors confirm is added whatever its gain.
+        for effect in (n for n in gains if n not in fits and p.prior is None):
+            null = null_by_sensors(p.space, effect, self.sensors)
+            if null is not None and null <= limits.false_alarm:
+                fit = self._refit_with(without, effect, gains[effect][1])
+                if self._judge(self._evidence(without, fit, effect, found.scores), limits).rule == ACCEPTED:
+                    return fit
         return None
 
     def _refit_with(self, fit: Fit, effect: str, start: np.ndarray, around: Sensitivities | None = None) -> Fit:
@@ -399,12 +386,16 @@ class Search:
         """Fill in `rivals`. Returns the best fit with one effect exchanged if significantly better, else `_merge`."""
         p, better = self.problem, None
         around = p.all_sensitivities(found.fit.vector)
-        q = p.quadratic_of_all(found.fit.vector)
+        q, to_start = p.quadratic_of_all(found.fit.vector), -p.distance(found.fit.vector)
+        every = np.arange(len(p.space))
         found.rivals, alternatives = {}, defaultdict(list)
         for name, without in found.without.items():
             gain = self._gain(without, found.fit)
-            others = {n: self._exchange_step(q, found.fit, without.names, n) for n in p.space.hypotheses
-                      if n != name and not p.space.overlaps(n, without.names)}
+            others = {}
+            for n in (n for n in p.space.hypotheses if n != name and not p.space.overlaps(n, without.names)):
+                free = np.isin(every, p.free_indices((*without.names, n)))
+                cost, step = _constrained_step(p, q, found.fit.vector, every, np.where(free, 0.0, to_start), free)
+                others[n] = cost, p.moved(found.fit.vector, every, step)
             found.rivals[name] = []
             for other in sorted(others, key=lambda n: others[n][0])[:CONTENDERS // 2]:
                 if others[other][0] > (1.0 - 0.5 * self.limits.min_rival_gain) * gain:
@@ -437,15 +428,6 @@ class Search:
                 if fewer > 0 and float((fit.held_out - found.fit.held_out).sum()) < price:
                     return fit
         return None
-
-    def _exchange_step(self, q: Quadratic, fit: Fit, names: tuple[str, ...], other: str) -> tuple[float, np.ndarray]:
-        """(increase of the loss, vector) for the effects `names` and `other`, from the quadratic q about the fit."""
-        p = self.problem
-        indices = np.arange(len(p.space))
-        free = np.isin(indices, p.free_indices((*names, other)))
-        to_start = np.where(free, 0.0, -p.distance(fit.vector))
-        cost, step = _constrained_step(p, q, fit.vector, indices, to_start, free)
-        return cost, p.moved(fit.vector, indices, step)
 
 
 def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, indices: np.ndarray, fixed: np.ndarray,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..augmented import AugmentedModel, augment, set_effects_to_null
-from ..effects import EFFECTS, applicable, get_effect
+from ..effects import applicable, get_effect
 from ..errors import ConfigurationError
 from ..models import Model, get_model
 from ..vehicle import DEFAULT_UNCERTAINTIES, VehicleParameters, quantity, value_of
@@ -108,8 +108,7 @@ def _chosen(usable: Sequence[str], settings: DiscoverySettings, known: Sequence[
     effects do not apply, or if no effect remains."""
     requested = settings.effects
     for name in requested or ():
-        if name not in EFFECTS:
-            get_effect(name)
+        get_effect(name)
         if name not in known:
             raise ConfigurationError(f"effects: {name} does not apply to this base model; available are "
                                      f"{', '.join(known)}")

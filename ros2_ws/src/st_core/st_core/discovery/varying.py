@@ -4,7 +4,7 @@ An effect that begins in the middle of a drive has no single value that reduces 
 cannot find it. Here each part of a partition has a separate value, from the quadratic approximation at the final fit.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +15,6 @@ from .evidence import MIN_INFORMATION_SHARE, Evidence, error_reductions, inverse
 from .fit import Fit, Problem
 from .loss import Quadratic
 from .partitions import Partition
-
-Part = tuple[int, np.ndarray, np.ndarray]  # (number of a part, half the gradient (k,), curvature (k, k) of its loss)
 
 
 @dataclass(frozen=True)
@@ -63,6 +61,7 @@ def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, p
     if len(others):
         projection[others] = -inverse(h[np.ix_(others, others)]) @ h[np.ix_(others, indices)]
     gradient, curvature = q.gradient @ projection, projection.T @ q.hessian @ projection
+    # (part, half the gradient (k,), curvature (k, k)) of the loss
     every = [(k, gradient[number == k].sum(axis=0), curvature[number == k].sum(axis=0)) for k in np.unique(number)]
     information = np.diag(sum(hk for *_, hk in every))
     if information.min() <= 1e-9 * float(np.trace(h)) / len(h):
@@ -74,7 +73,13 @@ def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, p
     separate = sum(float(gk @ inverse(hk) @ gk) for _, gk, hk in parts)
     total = sum(gk for _, gk, _ in parts)
     gain = separate - float(total @ inverse(sum(hk for *_, hk in parts)) @ total)
-    design = _design_effect(problem, number, parts, gradient, curvature) * problem.blocks / blocks
+    residual = gradient.copy()  # at the separate values; the scores of its blocks give the design effect
+    for k, gk, hk in parts:
+        residual[number == k] -= curvature[number == k] @ (inverse(hk) @ gk)
+    scores = np.zeros((problem.blocks, len(indices)))
+    np.add.at(scores, problem.block, residual)
+    scatter = float(np.trace(inverse(curvature.sum(axis=0)) @ scores.T @ scores))
+    design = max(2.0 * scatter / len(indices), 1.0) * problem.blocks / blocks
     p_value = min(tests * float(stats.f.sf(2.0 * gain / design / degrees_of_freedom, degrees_of_freedom, blocks)), 1.0)
     best = int(np.argmax(information))
     index = indices[best]
@@ -83,20 +88,6 @@ def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, p
                          scale * float(np.sqrt(0.5 * design * inverse(hk)[best, best]))) for k, gk, hk in parts}
     steps = {int(k): projection @ (inverse(hk) @ gk) for k, gk, hk in parts}
     return Varying(effect, name, gain / problem.residual_count, p_value, space.free[index].parameter, values, steps)
-
-
-def _design_effect(problem: Problem, number: np.ndarray, parts: Sequence[Part], gradient: np.ndarray,
-                   curvature: np.ndarray) -> float:
-    """Design effect of the values, at least 1, from the scores of the blocks at a separate value for each part. number:
-    (n,) part of each window. gradient: (n, k). curvature: (n, k, k)."""
-    residual = gradient.copy()
-    for k, gk, hk in parts:
-        inside = number == k
-        residual[inside] -= curvature[inside] @ (inverse(hk) @ gk)
-    scores = np.zeros((problem.blocks, gradient.shape[1]))
-    np.add.at(scores, problem.block, residual)
-    scatter = float(np.trace(inverse(curvature.sum(axis=0)) @ scores.T @ scores))
-    return max(2.0 * scatter / gradient.shape[1], 1.0)
 
 
 def evidence_of(problem: Problem, fit: Fit, v: Varying, partitions: Mapping[str, Partition]) -> Evidence:

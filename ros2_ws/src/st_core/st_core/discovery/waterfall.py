@@ -91,10 +91,13 @@ def parameters(problem: Problem, fit: Fit, effect: str, partitions: Mapping[str,
         deviation, shift = joint.of(indices)
         joint_half = np.hypot(quantile * deviation, shift) * space.scale[indices] * max(unexplained, 1.0)
         half = np.maximum(half, np.hypot(joint_half, TWO_SIDED * model_error))
-    change = np.abs(fit.vector - space.null)[indices]
-    for name, partition in partitions.items():
-        if name != "place":
-            half = np.maximum(half, change * _prediction_interval(agreement(problem, fit, effect, *partition).ratios))
+    for partition in (partition for name, partition in partitions.items() if name != "place"):
+        ratios = agreement(problem, fit, effect, *partition).ratios
+        if len(ratios) > 2:  # 95 % prediction interval for another part, relative to the value
+            values, deviations = np.array(list(ratios.values())).T
+            _, error, between, _ = random_effects(values, np.square(deviations))
+            ratio_half = TWO_SIDED * float(np.sqrt(between + error**2))
+            half = np.maximum(half, np.abs(fit.vector - space.null)[indices] * ratio_half)
     others = np.array([v[indices] for v in (fit.vector, *(vector for names, vector in near if effect in names))])
     others -= fit.vector[indices]
     for i, r, below, above in zip(indices, half, others.min(axis=0), others.max(axis=0), strict=True):
@@ -104,15 +107,6 @@ def parameters(problem: Problem, fit: Fit, effect: str, partitions: Mapping[str,
         interval = value + float(below - r), value + float(above + r)
         result[f.parameter] = FittedParameter(value, f.unit, interval, f.null)
     return result
-
-
-def _prediction_interval(ratios: Mapping[str, tuple[float, float]]) -> float:
-    """Half-width of the 95 % prediction interval for another part, relative to the value; 0 with fewer than 3 parts."""
-    if len(ratios) < 3:
-        return 0.0
-    values, deviations = np.array(list(ratios.values())).T
-    _, error, between, _ = random_effects(values, np.square(deviations))
-    return TWO_SIDED * float(np.sqrt(between + error**2))
 
 
 def steps(problem: Problem, final: Fit, order: Sequence[str], errors: HorizonErrors,

@@ -148,7 +148,8 @@ class Windows:
         times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
         self._times, self._measured = times, self._readings(times)
         self.starts_ns, self.run, self.seconds = starts, run, seconds
-        self.block = _blocks(run, seconds, settings.block)
+        blocks = np.stack([run, (seconds // settings.block).astype(int)], axis=1)  # stretches of a run
+        self.block = np.unique(blocks, axis=0, return_inverse=True)[1].ravel()
         self._length = horizon * STEP
 
     def __len__(self) -> int:
@@ -298,12 +299,6 @@ def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,
     if not starts:
         raise StCoreError("no run in which both INS and steering were measured")
     return np.concatenate(starts), np.concatenate(number), np.concatenate(seconds)
-
-
-def _blocks(run: np.ndarray, seconds: np.ndarray, length: float) -> np.ndarray:
-    """(n,) number of the block of each window; a block is a stretch of `length` seconds of one run."""
-    keys = np.stack([run, (seconds // length).astype(int)], axis=1)
-    return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
 
 
 def noise_floor(windows: Windows) -> dict[str, float]:

@@ -2,9 +2,10 @@
 
 import hashlib
 import importlib
+import itertools
 import pkgutil
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from importlib.machinery import FileFinder
 from types import ModuleType
 
@@ -97,21 +98,14 @@ def _load(finder: FileFinder, package: str, names: Sequence[str]) -> None:
     try:
         for name in names:
             _import(f"{package}.{name}", f"{finder.path}/{name}.py")
-        _check_others(set(EFFECTS) - known, {*EFFECTS, *_list_modules(finder)}, finder.path)
+        available = {*EFFECTS, *_list_modules(finder)}  # each file has the name of its effect
+        for name, key in itertools.product(sorted(set(EFFECTS) - known), ("confounded_with", "members")):
+            for other in (other for other in getattr(EFFECTS[name], key) if other not in available):
+                raise ConfigurationError(f"{finder.path}: effect {name}: {key}: unknown effect {other}"
+                                         f"{suggest_key(other, available)}")
     except ConfigurationError:
         unload_folder(finder.path)
         raise
-
-
-def _check_others(names: Iterable[str], known: Iterable[str], folder: str) -> None:
-    """Raises ConfigurationError for unknown effects in confounded_with and members. known: names of all effects and of
-    the files in the folder; each file has the name of its effect."""
-    for name in sorted(names):
-        for key in ("confounded_with", "members"):
-            for other in getattr(EFFECTS[name], key):
-                if other not in known:
-                    raise ConfigurationError(f"{folder}: effect {name}: {key}: unknown effect {other}"
-                                             f"{suggest_key(other, known)}")
 
 
 def _import(module: str, file: str) -> None:

@@ -203,24 +203,15 @@ UNLISTED: dict[str, type[Effect]] = {}
 """Effects that are not in the library of a search, but that `get_effect` finds."""
 
 
-def register(effect: type[Effect]) -> type[Effect]:
+def register(effect: type[Effect], registry: dict[str, type[Effect]] = EFFECTS) -> type[Effect]:
     """Class decorator: checks an effect and adds it to EFFECTS. Raises ConfigurationError naming effect and problem."""
-    return _add(effect, EFFECTS)
-
-
-def register_unlisted(effect: type[Effect]) -> type[Effect]:
-    """Class decorator like `register`, but adds the effect to UNLISTED."""
-    return _add(effect, UNLISTED)
-
-
-def _add(effect: type[Effect], registry: dict[str, type[Effect]]) -> type[Effect]:
     name = effect.__dict__.get("name")
     if not issubclass(effect, Effect) or not isinstance(name, str) or not re.fullmatch("[a-z][a-z0-9_]*", name):
         raise ConfigurationError(f"{effect.__qualname__}: must be a subclass of Effect with a name of a-z, 0-9 and _")
     known = EFFECTS.get(name) or UNLISTED.get(name)
     if known:
         raise ConfigurationError(f"effect {name}: already registered by {source_file(known)}")
-    for problem in chain(_check_attributes(effect), _check_missing(effect), _check_names(effect), _check_pairs(effect)):
+    for problem in chain(_check_attributes(effect), _check_missing(effect), _check_names(effect)):
         raise ConfigurationError(f"effect {name}: {problem}")
     names = [*(p.name for p in effect.parameters), "constants"]
     theta = namedtuple("Theta", names, module=effect.__module__)  # type: ignore[misc]  # names known at run time only
@@ -272,9 +263,6 @@ def _check_names(effect: type[Effect]) -> Iterator[str]:
     names = [p.name for p in effect.parameters]
     if len(set(names)) != len(names) or "constants" in names:
         yield f"parameters {', '.join(names)}: a name is used twice, or the reserved name constants is used"
-
-
-def _check_pairs(effect: type[Effect]) -> Iterator[str]:
     if bool(effect.extra_states) != (effect.rates is not None):
         yield "extra_states requires rates, and rates extra_states"
     if effect.extra_units and len(effect.extra_units) != len(effect.extra_states):

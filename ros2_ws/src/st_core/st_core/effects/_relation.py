@@ -12,17 +12,18 @@ There are three kinds: `law` is a function of present quantities, `law_memory` o
 and `law_timed` of the time in the run, a signal that only recordings have.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 from ..ops import absolute, cos, maximum, minimum, sin
-from ._base import Effect, Parameter, register_unlisted
+from ._base import UNLISTED, Effect, Parameter, register
 
 SPLINES = 8  # number of splines of a curve
 MAX_COEFFICIENT = 100.0  # 1; the coefficients are scaled by their typical magnitude
 INTERVALS = 5.0  # number of intervals between the knots of u
-MOTION = ("steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate", "north", "east", "position_x",
-          "position_y")
-INPUTS = ("slip_front", "slip_rear", *MOTION)
+INPUTS = ("slip_front", "slip_rear", "steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate", "north",
+          "east", "position_x", "position_y")
+_register = partial(register, registry=UNLISTED)
 FACTOR_INPUTS = ("steering", "acceleration_y")
 TERMS = {
     "front_steer": ("rad", "added to the road wheel angle, left +"),
@@ -108,7 +109,7 @@ def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
         *(_constant(f"to_{name}", f"{meaning}, {unit}") for name, (unit, meaning) in TERMS.items()), *more)
 
 
-@register_unlisted
+@_register
 class RelationEffect(Effect):
     name = "law"
     physics = "a smooth curve of one quantity, added to one term of the model"
@@ -146,7 +147,7 @@ class RelationEffect(Effect):
         return _add_to_readings(measured, -curve_of_readings(measured, theta), theta)
 
 
-@register_unlisted
+@_register
 class LaggedRelationEffect(Effect):
     name = "law_memory"
     physics = "a smooth curve of a quantity that lags, or of its rate, added to the steering of an axle"
@@ -176,7 +177,7 @@ class LaggedRelationEffect(Effect):
         return ((lagging_quantity(instant, theta) - extra[0]) / theta.tau,)
 
 
-@register_unlisted
+@_register
 class TimedRelationEffect(Effect):
     name = "law_timed"
     physics = "a smooth curve of the time in the run, added to the steering or to the grip of an axle"

@@ -17,6 +17,7 @@ from .next_drive import NextDrives, next_drives, sparse_ranges
 from .relation_fit import RelationFit, RelationFits, RunWindows
 from .selection import RunShares, Screened
 
+REFITTED = 10  # largest number of candidates fitted by simulation
 MIN_BLOCKS = 10  # minimum number of blocks for a curve with eight coefficients
 MAX_DETECTABLE = 3.0  # typical magnitudes; model terms with a higher detection limit are reported as not examined
 MIN_REPORTED_RATIO = 1.25  # smallest reported ratio of the held-out errors of a run with and without the relation
@@ -111,9 +112,13 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
         return RelationSearch(None, "the model is kinematic without tyre slip, and has no axle forces for a relation "
                               "to act on: use --base linear or --base nonlinear", {})
     windows = RunWindows(runs, vehicle, settings)
-    too_short = _describe_shortage(windows, settings)
-    if too_short:
-        return RelationSearch(None, too_short, {})
+    blocks = int(windows.block.max()) + 1 if len(windows) else 0
+    if len(set(windows.run)) == 1:
+        return RelationSearch(None, "only one run: a relation needs a second drive for validation; give two or more",
+                              {})
+    if len(windows) < 3 or blocks < MIN_BLOCKS:
+        return RelationSearch(None, f"only {blocks} blocks of {settings.block:g} s; a curve needs {MIN_BLOCKS}: drive "
+                              "longer, or give more runs", {})
     names = [e.name for e in (*found.effects, *found.minor)]
     fits = RelationFits(windows, model, found.acceleration_gain, names, settings, threads)
     tick()
@@ -168,7 +173,9 @@ def _fit_candidates(significant: Sequence[Screened], fits: RelationFits, without
     accepted: Fitted = {}
     against: dict[Screened, str] = {}
     before = selection.held_out_positions(fits, without)
-    for trial in selection.shortlist(significant):
+    # The best candidate of every term is fitted first.
+    first = {trial.candidate.term: trial for trial in reversed(significant)}
+    for trial in list(dict.fromkeys([*sorted(first.values(), key=lambda s: -s.gain), *significant]))[:REFITTED]:
         tick()
         fit = fits.fit(trial.candidate, without)
         name, after = trial.candidate.name, selection.held_out_positions(fits, fit)
@@ -190,17 +197,6 @@ def _find_imitated_fault(candidate: Candidate, reported: Collection[tuple[str, s
     if candidate.term == "front_steer" and {candidate.quantity, candidate.factor} & set(STEERING_TIMING):
         return next((name for name, channel in reported if channel == "road_wheel_angle" and name.endswith("_lag")), "")
     return next((name for name, channel in reported if channel in MEASURED_BY.get(candidate.term, ())), "")
-
-
-def _describe_shortage(windows: RunWindows, settings: DiscoverySettings) -> str:
-    """Reason why these drives are too short for a relation; "" if they are long enough."""
-    if len(set(windows.run)) == 1:
-        return "only one run: a relation needs a second drive for validation; give two or more"
-    blocks = int(windows.block.max()) + 1 if len(windows) else 0
-    if len(windows) < 3 or blocks < MIN_BLOCKS:
-        return (f"only {blocks} blocks of {settings.block:g} s; a curve needs {MIN_BLOCKS}: drive longer, or give more "
-                "runs")
-    return ""
 
 
 def _make_relation(best: Screened, fitted: Fitted, without: RelationFit, fits: RelationFits,

@@ -113,7 +113,6 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
                     float((base - losses[smooth]).sum()), information)
 
 
-REFITTED = 10  # largest number of candidates fitted by simulation
 BOUND_MARGIN = 0.02  # fraction of the bound of the coefficients; a curve nearer to the bound counts as on it
 MIN_INFORMATION = 0.02  # fraction of the information on the relation; a run with less gets no separate estimate
 
@@ -129,12 +128,6 @@ class RunShares:
     def absent(self) -> list[str]:
         """Runs with a ratio significantly (two-sided 95 %) below one half."""
         return [name for name, (ratio, deviation) in self.by_run.items() if ratio + TWO_SIDED * deviation < 0.5]
-
-
-def shortlist(significant: Sequence[Screened]) -> list[Screened]:
-    """The best candidate of every term, followed by the others; at most REFITTED. significant: best first."""
-    first = {trial.candidate.term: trial for trial in reversed(significant)}
-    return list(dict.fromkeys([*sorted(first.values(), key=lambda s: -s.gain), *significant]))[:REFITTED]
 
 
 def lower_bound(values: np.ndarray, p: float) -> float:

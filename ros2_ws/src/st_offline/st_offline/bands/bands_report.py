@@ -93,18 +93,6 @@ def adaptive_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
             for model, modes in (content or {}).items() for mode, scores in modes.items()]
 
 
-def _terminal_tables(top: str) -> dict[str, tuple[str, ...]]:
-    """Columns of `band_rows` by table title; a single table would be wider than 80 characters."""
-    level = _percent(top)
-    return {
-        "Bands: share of paths entirely inside": ("starts", "no band", "50 % covers", f"{level} covers"),
-        f"Bands: conditions with the lowest coverage of the {level} band": ("worst cell",),
-        "Bands: scores and size, along | across": (
-            f"interval score {level}, along | across, m", "CRPS, along | across, m",
-            f"half-width {level}, along | across, m"),
-    }
-
-
 def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Console) -> None:
     """Print the tables for all runs pooled.
 
@@ -113,8 +101,14 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
     pooled = pool_sums(sums)
     if tested:
         content = summarise_bands(pooled)
-        rows = band_rows(content)
-        for title, columns in _terminal_tables(_top_level(content)).items():
+        rows, level = band_rows(content), _percent(_top_level(content))
+        # A single table would be wider than 80 characters.
+        for title, columns in (
+                ("Bands: share of paths entirely inside", ("starts", "no band", "50 % covers", f"{level} covers")),
+                (f"Bands: conditions with the lowest coverage of the {level} band", ("worst cell",)),
+                ("Bands: scores and size, along | across", (
+                    f"interval score {level}, along | across, m", "CRPS, along | across, m",
+                    f"half-width {level}, along | across, m"))):
             reported = [{column: row[column] for column in ("model", "inputs", *columns)} for row in rows]
             console.print(rows_table(reported, title=title, width=min(console.width, 120)), highlight=False)
         if known := content["known_recordings"]:

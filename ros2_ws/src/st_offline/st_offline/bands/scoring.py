@@ -90,15 +90,10 @@ def summarise_adaptive(sums: Sums) -> dict[str, Any]:
                     for mode, counts in modes.items()} for model, modes in sums.get("adaptive", {}).items()}
 
 
-def scored_levels(band: Band) -> list[float]:
-    """Levels to score: the LEVELS of the band, and its highest level up to the last of LEVELS."""
-    return sorted({*(level for level in LEVELS if level in band.factors),
-                   max(level for level in band.factors if level <= LEVELS[-1])})
-
-
 def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
     """Sums over starts with a band. conditions: (n, 4). errors: (n, points, 3) [m, m, rad], in the predicted frame.
 
+    Levels: the LEVELS of the band, and its highest level up to the last of LEVELS.
     coverage: number of paths entirely inside, by level; axes: the same for each axis alone; seconds: number inside
     throughout each second; cells: the same by speed, lateral acceleration and second. Each [m, m, rad]: interval_score,
     mean over the horizon; crps, mean over the whole seconds; half_width, at the whole seconds.
@@ -107,7 +102,8 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
 
     scale, size = band.scale(conditions), np.abs(errors)
     ratio = size / scale
-    time, levels = band.scale.time, scored_levels(band)
+    time, known = band.scale.time, [level for level in band.factors if level <= LEVELS[-1]]
+    levels = sorted({*(level for level in LEVELS if level in known), max(known)})
     # Rounding is needed because 20 steps of 0.05 s add up to 1.0000000000000002 s in floats.
     second = np.ceil(np.round(time, 6)).astype(int)
     whole = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]
@@ -170,22 +166,15 @@ def _cell_label(name: str, cell: int) -> str:
     return f"{edges[cell]:g} to {edges[cell + 1]:g} {unit}"
 
 
-def pool_sums(entries: Sequence[Sums]) -> Sums:
+def pool_sums(entries: Sequence[Mapping[str, Any]]) -> Sums:
     """Add nested sums, key by key; lists are concatenated."""
     total: Sums = {}
-    for one in entries:
-        _add_sums(total, one)
-    return total
-
-
-def _add_sums(total: Sums, one: Mapping[str, Any]) -> None:
-    for key, value in one.items():
+    for key, value in (item for one in entries for item in one.items()):
         if isinstance(value, Mapping):
-            _add_sums(total.setdefault(key, {}), value)
-        elif isinstance(value, list):
-            total[key] = [*total.get(key, []), *value]
+            total[key] = pool_sums([total.get(key, {}), value])
         else:
-            total[key] = total.get(key, 0) + value
+            total[key] = total.get(key, [] if isinstance(value, list) else 0) + value
+    return total
 
 
 def summarise_bands(sums: Sums) -> dict[str, Any]:
@@ -222,7 +211,4 @@ def worst_cell(cells: Mapping[str, Mapping[str, Any]], level: str) -> dict[str, 
     """The cell with at least MIN_STARTS and the lowest coverage at a level; None without such a cell."""
     known = [(counts["coverage"][level] / counts["starts"], name, counts["starts"]) for name, counts in cells.items()
              if counts["starts"] >= MIN_STARTS and level in counts["coverage"]]
-    if not known:
-        return None
-    coverage, name, starts = min(known)
-    return {"cell": name, "coverage": coverage, "starts": starts}
+    return dict(zip(("coverage", "cell", "starts"), min(known), strict=True)) if known else None

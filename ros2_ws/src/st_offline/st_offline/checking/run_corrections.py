@@ -43,7 +43,9 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
             continue
         applicable = finding.advice.kind == "run.yaml" and finding.severity is not Severity.NOTE
         readable = applicable and (source.kind in TABLE_KEYS or not CSV_KEYS & finding.advice.entry.keys())
-        if not (readable and merge_entry(corrections, finding.advice.entry)):
+        if readable and _is_consistent(corrections, finding.advice.entry):
+            _merge_into(corrections, as_yaml_values(finding.advice.entry))
+        else:
             reason = ("" if not applicable else
                       "not applied, a more severe finding has another value: " if readable else
                       "not applied, only a csv or vbo has columns and units: ")
@@ -57,14 +59,6 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
              **({"can": [_relative(path, file) for path in source.can]} if source.can else {})}
     content = {"name": source.name, **files, **settings}
     return "".join(lines) + yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)
-
-
-def merge_entry(corrections: dict[str, Any], entry: Mapping[str, Any]) -> bool:
-    """Add an entry to `corrections` and return True; return False if it contradicts an earlier entry."""
-    if not _is_consistent(corrections, entry):
-        return False
-    _merge_into(corrections, as_yaml_values(entry))
-    return True
 
 
 def append_corrections(settings: Mapping[str, Any], corrections: Mapping[str, Any]) -> dict[str, Any]:

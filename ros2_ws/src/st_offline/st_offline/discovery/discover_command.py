@@ -40,7 +40,10 @@ def run_command(request: Request, console: Console) -> int:
     Raises ConfigurationError, StCoreError.
     """
     check_formats(request.formats)
-    own = load_own_effects(request.effects)
+    own: dict[str, str] = {}  # sha256 of each file of user-defined effects
+    if request.effects is not None:
+        load_folder(str(request.effects.absolute()))
+        own = {f.name: hashlib.sha256(f.read_bytes()).hexdigest() for f in sorted(request.effects.glob("*.py"))}
     base = load_base_model(request.base, request.vehicle, request.vehicle_file)
     folder = new_folder(request.output, "discover")
     marks = [time.perf_counter()]
@@ -74,14 +77,6 @@ def run_command(request: Request, console: Console) -> int:
     recordings = (*drives, *reference)
     print_result(found, update, recordings, files, from_cache, console, report)
     return 1 if any(d.problem for d in recordings) else 0
-
-
-def load_own_effects(folder: Path | None) -> dict[str, str]:
-    """Load a folder of user-defined effects; returns sha256 of its files by name. Raises ConfigurationError."""
-    if folder is None:
-        return {}
-    load_folder(str(folder.absolute()))
-    return {f.name: hashlib.sha256(f.read_bytes()).hexdigest() for f in sorted(folder.glob("*.py"))}
 
 
 def load_base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) -> Model:
@@ -118,7 +113,11 @@ def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[
     if reference_sources and not _logs(reference):
         raise ConfigurationError("no --reference run can be used: " + join_problems(d.problem for d in reference))
     _check_reference(suspect, reference)
-    return suspect, _rename_duplicates(suspect, reference)
+    names, renamed = {d.name for d in suspect}, []
+    for drive in reference:  # results identify runs by name
+        name = f"{drive.name} (reference)" if drive.name in names else drive.name
+        renamed.append(replace(drive, name=name, log=replace(drive.log, name=name) if drive.log else None))
+    return suspect, renamed
 
 
 def _check_reference(suspect: Sequence[Drive], reference: Sequence[Drive]) -> None:
@@ -132,17 +131,6 @@ def _check_reference(suspect: Sequence[Drive], reference: Sequence[Drive]) -> No
             car, name = next(iter(cars.items()))
             raise ConfigurationError(f"--reference {drive.name} was recorded with {drive.about['vehicle']!r}, {name} "
                                      f"with {car!r}: a reference is a drive of the same car without the fault")
-
-
-def _rename_duplicates(suspect: Sequence[Drive], reference: Sequence[Drive]) -> list[Drive]:
-    """The reference drives; one with the name of a suspect drive is renamed, because results identify runs by name."""
-    names = {d.name for d in suspect}
-    renamed = []
-    for drive in reference:
-        name = drive.name if drive.name not in names else f"{drive.name} (reference)"
-        log = replace(drive.log, name=name) if drive.log is not None else None
-        renamed.append(replace(drive, name=name, log=log))
-    return renamed
 
 
 def _logs(drives: Sequence[Drive]) -> list[DriveLog]:

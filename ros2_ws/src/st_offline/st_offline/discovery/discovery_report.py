@@ -132,9 +132,7 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
             g.base, g.augmented, g.floor, g.worst, *g.interval))
         channels.append((f"{quantities.channel_label(name)}, {unit}", base, after, f"{low} to {high}", floor,
                          f"{g.worst_run} {worst}" if g.worst_run else "", ", ".join(g.worse_runs)))
-    changes = [(_key_with_unit(key), f"{one['before']:.5g}", f"{one['after']:.5g}{_limit_note(key, one['after'])}",
-                f"{one['interval'][0]:.5g} to {one['interval'][1]:.5g}")
-               for key, one in content["files"]["vehicle.yaml"]["changes"].items()]
+    changes = [_change_row(key, one) for key, one in content["files"]["vehicle.yaml"]["changes"].items()]
     parts = [(one.part, f"{metres(one.last)}, {one.share_last:.0%}", f"{metres(one.first)}, {one.share_first:.0%}",
               f"{one.loss_last:.0%}", f"{one.loss_first:.0%}") for one in sorted(found.budget, key=lambda b: -b.last)]
     where = [(quantities.channel_label(w.channel), *report_text.describe_condition(w))
@@ -165,6 +163,17 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
     return {"narrow": [one for one in narrow if one.rows], "wide": [one for one in _wide_tables(found) if one.rows]}
 
 
+def _change_row(key: str, change: Mapping[str, Any]) -> tuple[str, str, str, str]:
+    """Row of a changed entry of the vehicle file [SI]."""
+    known = quantity(key)
+    unit = known.si_unit.removesuffix("1").replace("^2", "²") if known else ""
+    ends = (known.minimum, known.maximum) if known else ()
+    at_limit = any(math.isclose(change["after"], end, rel_tol=1e-4) for end in ends)
+    return (f"{key}, {unit}" if unit else key, f"{change['before']:.5g}",
+            f"{change['after']:.5g}{' (limit of the file)' if at_limit else ''}",
+            f"{change['interval'][0]:.5g} to {change['interval'][1]:.5g}")
+
+
 def _wide_tables(found: Discovery) -> list[Table]:
     plain = quantities.to_words
     tried = [c for c in found.candidates if c.name not in {e.name for e in (*found.effects, *found.minor)}]
@@ -188,19 +197,6 @@ def _wide_tables(found: Discovery) -> list[Table]:
               f"the first {len(undetectable)} of {len(found.not_testable)}")]
 
 
-def _key_with_unit(key: str) -> str:
-    known = quantity(key)
-    unit = known.si_unit.removesuffix("1") if known else ""
-    return f"{key}, {unit.replace('^2', '²')}" if unit else key
-
-
-def _limit_note(key: str, value: float) -> str:
-    """Remark on a value [SI] that is at a limit of the vehicle file; "" for other values."""
-    known = quantity(key)
-    ends = () if known is None else (known.minimum, known.maximum)
-    return " (limit of the file)" if any(math.isclose(value, end, rel_tol=1e-4) for end in ends) else ""
-
-
 FILE_MEANINGS = {
     "report.html": "one page, with all figures", "discovery.json": "all numbers; keys in docs/manual/discovery.md",
     "vehicle.yaml": "the corrected vehicle file, for --vehicle of every command",
@@ -212,11 +208,8 @@ MAX_ADVICE = 3  # sentences on the terminal; the page contains all
 
 def print_result(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive], files: Mapping[str, Path],
                  from_cache: bool, console: Console, relation: RelationReport | None = None) -> None:
-    """Print the result, the values of its effects, recommendations, and the files.
-
-    recordings: all runs, including those that could not be used. from_cache: whether the result is from the cache.
-    relation: result of the search for a relation beyond the library.
-    """
+    """Print the result, the values of its effects, recommendations, and the files. recordings: all runs, including
+    those that could not be used."""
     def print_line(name: str, text: str) -> None:
         console.print(f"[bold]{name}[/bold]: {escape(text)}", highlight=False)
 

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from st_core.channels import UNITS
 from st_core.discovery import Discovery
 from st_core.discovery.result import LocalEstimate, Step
-from st_core.discovery.where_parts import Samples
+from st_core.discovery.where import Samples
 from st_core.log import DriveLog
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.relations import Relation
@@ -24,6 +24,7 @@ from .relation_files import full_title
 
 AFTER = MODEL_COLOUR["augmented"]
 HALF_WIDTH = 6.8  # inch; for two figures side by side on the page
+MIN_CHANGE = 0.005  # m; if the position error changes less, the most reduced channel error is reported instead
 MIN_ASPECT = 0.3  # width / length of a track; the axes of narrower tracks have different scales
 
 
@@ -45,7 +46,9 @@ class Scene:
     @property
     def channel(self) -> str:
         """Channel with the largest significant excess over the expected error."""
-        return report_text.worst_channel(self.found, list(self.before.squares))
+        channels = list(self.before.squares)
+        known = [w for w in self.found.where if w.channel in channels]
+        return max(known, key=lambda w: w.interval[0]).channel if known else channels[0]
 
 
 def draw_waterfall(scene: Scene) -> PageFigure | None:
@@ -67,11 +70,9 @@ def draw_waterfall(scene: Scene) -> PageFigure | None:
             axes.barh(row, before - after, left=after, color=AFTER if after <= before else BAD, height=0.62, alpha=0.65)
             ends = [before - edge for edge in step.position_5s.interval]
             axes.plot(ends, [row, row], color=TEXT, lw=1.0)
-            text = f"{after - before:+.2f} m".replace("-", "−")
-            if abs(after - before) < report_text.MIN_CHANGE:
-                text = report_text.most_reduced_channel(step) or text
+            label, text = _step_texts(scene.found, step)
             _annotate(axes, max(before, after, *ends), row, text)
-            rows.append(_step_label(scene.found, step))
+            rows.append(label)
         end = "model without effective corrections" if scene.found.effective else "complete model"
         axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
         axes.barh(len(steps) + 1, last, color=AFTER, height=0.62)
@@ -80,7 +81,7 @@ def draw_waterfall(scene: Scene) -> PageFigure | None:
         axes.set_yticks(range(len(steps) + 2), [*rows, end])
         axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
                  xlabel="mean position error after 5 s on held-out driving, m")
-        rises = any(s.position_5s.augmented - s.position_5s.base > report_text.MIN_CHANGE for s in steps)
+        rises = any(s.position_5s.augmented - s.position_5s.base > MIN_CHANGE for s in steps)
         handles = [Patch(color=scene.colour, label=f"{scene.found.base.base.name} model"),
                    Patch(color=AFTER, label=end),
                    Patch(color=AFTER, alpha=0.65, label="reduction"),
@@ -92,10 +93,17 @@ def draw_waterfall(scene: Scene) -> PageFigure | None:
         return save_figure(figure, scene.output, "waterfall", "Error of each step of the search", caption)
 
 
-def _step_label(found: Discovery, step: Step) -> str:
-    """Effect and values of a step, in parentheses if it is not named."""
-    text = f"{quantities.to_words(step.effect)}  {quantities.format_briefly(step.effect, step.parameters)}"
-    return f"+ {text}" if step.effect in {e.name for e in found.effects} else f"+ ({text})"
+def _step_texts(found: Discovery, step: Step) -> tuple[str, str]:
+    """(effect and values of a step, in parentheses if it is not named; change of the error)."""
+    label = f"{quantities.to_words(step.effect)}  {quantities.format_briefly(step.effect, step.parameters)}"
+    change = step.position_5s.augmented - step.position_5s.base
+    text = f"{change:+.2f} m"
+    ratios = {key: one.augmented / one.base for key, one in step.channels.items() if one.base > 0}
+    if abs(change) < MIN_CHANGE and ratios:
+        best = min(ratios, key=ratios.__getitem__)
+        text = f"{quantities.channel_label(best)} error {100 * (ratios[best] - 1.0):+.0f} %"
+    is_named = step.effect in {e.name for e in found.effects}
+    return f"+ {label}" if is_named else f"+ ({label})", text.replace("-", "−")
 
 
 def _annotate(axes: plt.Axes, x: float, row: int, text: str) -> None:
@@ -116,7 +124,9 @@ def draw_axle_curves(scene: Scene) -> PageFigure | None:
             axes.fill_between(slip, low, high, color=AFTER, alpha=0.25, lw=0)
             axes.plot(slip, force, color=AFTER)
             axes.plot(slip, at_start, color=scene.colour, ls="--")
-            axes.set_title(f"{curve.axle} axle\n{report_text.format_force_ratio(curve, scene.found.start)}", fontsize=7)
+            end, *ends = (v[-1] / curve.file[-1] for v in (curve.force, curve.low, curve.high))
+            axes.set_title(f"{curve.axle} axle\n{end:.2f} (90 %: {ends[0]:.2f} to {ends[1]:.2f}) times the "
+                           f"{scene.found.start} at {slip[-1]:.1f}°", fontsize=7)
             below.stairs(100.0 * np.array(curve.density), slip, color=MEASURED_COLOUR, fill=True)
             below.set_xlabel("slip angle, °")
         panels[0][0].set_ylabel("lateral force, kN")

@@ -53,12 +53,6 @@ def format_metres(value: float) -> str:
     return f"{value:.2f} m" if abs(value) >= 0.095 else f"{value:.3f} m"
 
 
-def count_decimals(uncertainty: float) -> int:
-    """Number of decimals up to the second significant digit of an uncertainty; 3 if the uncertainty is unknown."""
-    is_known = math.isfinite(uncertainty) and uncertainty > 0.0
-    return max(1 - math.floor(math.log10(uncertainty) + 1e-6), 0) if is_known else 3
-
-
 def format_decimal(number: float, count: int) -> str:
     """A number with `count` decimals; with an exponent if `count` exceeds MAX_DECIMALS."""
     if count <= MAX_DECIMALS:
@@ -77,8 +71,9 @@ def format_parameter(p: FittedParameter, parameter: Parameter | None = None, int
     bounds = [] if parameter is None or parameter.shape else [
         bound for bound in parameter.bounds if bound not in (parameter.null, parameter.theory)]
     half_width = 0.5 * (p.interval[1] - p.interval[0]) * display_factor(p.unit)
-    number, *ends = (format_decimal(x * display_factor(p.unit), count_decimals(half_width))
-                     for x in (p.value, *p.interval))
+    known = math.isfinite(half_width) and half_width > 0.0
+    decimals = max(1 - math.floor(math.log10(half_width) + 1e-6), 0) if known else 3  # second significant digit
+    number, *ends = (format_decimal(x * display_factor(p.unit), decimals) for x in (p.value, *p.interval))
     text = f"× {number}" if p.unit == "1" and p.null == 1.0 else append_unit(number, p.unit)
     on_bound = " on its bound" if any(abs(p.value - bound) < BOUND_TOLERANCE * typical_size for bound in bounds) else ""
     return f"{text}{on_bound}{f' ({ends[0]} to {ends[1]})' if interval else ''}"

@@ -125,9 +125,10 @@ def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
         p_value=relation.p_value, formulas=formulas, heights=terms,
         cls="".join(word.title() for word in effect_name(relation).split("_")),
         odd=", odd=True" if c.changes_sides else "", name=effect_name(relation),
-        ops=IMPORTED_OPS.get(c.quantity, "absolute, maximum, minimum"), memory=_memory_declaration(c),
+        ops=IMPORTED_OPS.get(c.quantity, "absolute, maximum, minimum"), memory=_memory_source(c)[0],
         physics=f"y = curve of {c.quantity}: {meaning}", body=_hooks_source(relation),
-        kind=_effect_kind(c), slot=SLOTS[c.term])
+        kind="surroundings" if c.quantity in MAP_QUANTITIES else "sensors" if c.is_sensor_error else "physics",
+        slot=SLOTS[c.term])
 
 
 def _hooks_source(relation: Relation) -> str:
@@ -144,12 +145,7 @@ def _hooks_source(relation: Relation) -> str:
         before = ("\n    @staticmethod\n    def constants(vehicle):  # static load of the axle [N]\n"
                   f"        return 9.81 * vehicle.mass * vehicle.{OPPOSITE_AXLES[c.term]} / vehicle.wheelbase\n")
     y = f"theta.share * relation({_expression(c.quantity)})" + (f" * {_expression(c.factor)}" if c.factor else "")
-    return f"{before}\n    @staticmethod\n    def {hook}:\n        {text.format(y=y)}{_memory_hooks(c)}"
-
-
-def _quantity_with_memory(c: Candidate) -> str:
-    """The quantity of a candidate that depends on earlier values, such as a lag; "" for none."""
-    return next((q for q in (c.quantity, c.factor) if q in FILTERED), "")
+    return f"{before}\n    @staticmethod\n    def {hook}:\n        {text.format(y=y)}{_memory_source(c)[1]}"
 
 
 def _expression(name: str) -> str:
@@ -160,28 +156,18 @@ def _expression(name: str) -> str:
     return "extra[0]" if kind == "lagging" else f"({STATE_EXPRESSIONS[source]} - extra[0]) / {tau!r}"
 
 
-def _memory_declaration(c: Candidate) -> str:
-    if not _quantity_with_memory(c):
-        return ""
-    unit = QUANTITIES[FILTERED[_quantity_with_memory(c)][0]]
-    return f'\n    extra_states = ("lagging",)\n    extra_units = ("{unit}",)'
-
-
-def _memory_hooks(c: Candidate) -> str:
-    """Hooks that integrate the quantity with memory; "" without one."""
-    if not _quantity_with_memory(c):
-        return ""
-    source, _, tau = FILTERED[_quantity_with_memory(c)]
+def _memory_source(c: Candidate) -> tuple[str, str]:
+    """(declaration of the state, hooks that integrate it) for a quantity that depends on earlier values, such as a lag;
+    two empty texts for other quantities."""
+    name = next((q for q in (c.quantity, c.factor) if q in FILTERED), "")
+    if not name:
+        return "", ""
+    source, _, tau = FILTERED[name]
     current = STATE_EXPRESSIONS[source]
-    return (f"\n\n    @staticmethod\n    def start(slips, instant, prepared, theta):\n        return ({current},)\n\n"
+    return (f'\n    extra_states = ("lagging",)\n    extra_units = ("{QUANTITIES[source]}",)',
+            f"\n\n    @staticmethod\n    def start(slips, instant, prepared, theta):\n        return ({current},)\n\n"
             "    @staticmethod\n    def rates(extra, slips, forces, instant, prepared, theta):\n"
             f"        return (({current} - extra[0]) / {tau!r},)")
-
-
-def _effect_kind(c: Candidate) -> str:
-    if c.quantity in MAP_QUANTITIES:
-        return "surroundings"
-    return "sensors" if c.is_sensor_error else "physics"
 
 
 def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequence[str], created: str,

@@ -5,19 +5,10 @@ from collections.abc import Mapping, Sequence
 
 from st_core.channels import LABELS
 from st_core.checks import Finding, Severity
+from st_core.discovery import result
 from st_core.discovery.decision import FILE, FORCES, IMPLAUSIBLE, MINOR
 from st_core.discovery.next_manoeuvre import MIN_SEPARATION
-from st_core.discovery.result import (
-    PARTS,
-    Combination,
-    Discovery,
-    ErrorCondition,
-    ForceCurve,
-    FoundEffect,
-    Power,
-    Step,
-    VaryingEffect,
-)
+from st_core.discovery.result import PARTS, Discovery
 from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, get_effect
 from st_core.vehicle import VEHICLE_QUANTITIES
@@ -38,7 +29,6 @@ from .vehicle_update import SLIP_SPEED_KEY, VehicleUpdate
 MAX_PARTS = 6  # local estimates of a varying effect listed in a sentence
 MAX_UNDETECTABLE = 4  # effects listed in a sentence; the table contains all
 MAX_KEYS = 3  # keys of a vehicle file listed in a sentence; the table contains all
-MIN_CHANGE = 0.005  # m; if the position error changes less, the most reduced channel error is reported instead
 MAX_SEPARATION = 10.0  # standard deviations; larger separations are outside the linear range of the prediction
 MAX_RATIO = 1000.0  # of an error to the expected error; with larger errors, predictions have diverged
 Z95 = 1.96
@@ -52,11 +42,9 @@ EFFECT_NOTE = ("Errors are those of the complete model on held-out drives; \"wit
                f"{LIMITS.min_relative_size:g} times its typical size")
 
 
-def name_with_alternatives(found: Discovery, effect: FoundEffect, short: str = "") -> str:
-    """Name and value of an effect and of its alternatives; the value of an added load is reported as an upper limit.
-
-    short: replaces the name and value of the effect.
-    """
+def name_with_alternatives(found: Discovery, effect: result.FoundEffect, short: str = "") -> str:
+    """Name and value of an effect (or `short`) and of its alternatives; the value of an added load is reported as an
+    upper limit."""
     numbers = {c.name: c.parameters for c in found.candidates}
     prefix = {name: "up to " for name in effect.alternatives
               if any(p.deviation < math.inf for p in get_effect(name).parameters)}
@@ -65,7 +53,7 @@ def name_with_alternatives(found: Discovery, effect: FoundEffect, short: str = "
     return " or ".join((short or f"{to_words(effect.name)} {format_briefly(effect.name, effect.parameters)}", *others))
 
 
-def sort_by_size(effects: Sequence[FoundEffect]) -> list[FoundEffect]:
+def sort_by_size(effects: Sequence[result.FoundEffect]) -> list[result.FoundEffect]:
     """Effects sorted by how much the position error increases without them, largest first."""
     return sorted(effects, key=lambda e: -e.position_5s_increase)
 
@@ -78,20 +66,16 @@ def effect_rows(found: Discovery) -> list[tuple[str, str, str, str, str]]:
              count_agreement(e)) for e in sort_by_size(found.effects)]
 
 
-def most_reduced_channel(step: Step) -> str:
-    """The channel with the largest relative error reduction in a step, and the reduction; "" without a channel."""
-    ratios = {key: one.augmented / one.base for key, one in step.channels.items() if one.base > 0}
-    best = min(ratios, key=ratios.__getitem__, default=None)
-    return f"{channel_label(best)} error {100 * (ratios[best] - 1.0):+.0f} %".replace("-", "−") if best else ""
-
-
 def title(found: Discovery) -> str:
     """The result in one line."""
     if found.outcome == "not_testable":
         return "These drives have too little excitation for a result"
     effects = [name_with_alternatives(found, e) for e in sort_by_size(found.effects)]
     together = map(format_combination, found.known_together)
-    named = "; ".join((*effects, *together) if _one_effect_dominates(found) else (*together, *effects))
+    position = found.errors.get("position_5s")
+    one_dominates = position is None or any(e.position_5s_increase > 0.5 * (position.base - position.augmented)
+                                            for e in found.effects)
+    named = "; ".join((*effects, *together) if one_dominates else (*together, *effects))
     if found.outcome == "unknown":
         known = f"; in addition {named}" if named else ""
         return f"{_describe_errors(found)}: a significant error that no effect of the library explains{known}"
@@ -103,13 +87,6 @@ def title(found: Discovery) -> str:
                    f"varies with {b.varies_with}" for b in found.varying]
         return f"{_describe_errors(found)}: {'; '.join((*unexplained, *varying, 'no effect is named'))}"
     return f"{_describe_errors(found)}: no significant model error"
-
-
-def _one_effect_dominates(found: Discovery) -> bool:
-    """Whether one named effect accounts for more than half of the reduction of the position error."""
-    position = found.errors.get("position_5s")
-    return position is None or any(e.position_5s_increase > 0.5 * (position.base - position.augmented)
-                                   for e in found.effects)
 
 
 def _describe_errors(found: Discovery) -> str:
@@ -133,10 +110,8 @@ def _describe_errors(found: Discovery) -> str:
 
 def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[str, Sequence[Finding]]
             ) -> list[tuple[str, str]]:
-    """(heading, text) pairs: combinations; residual, inseparable and undetectable effects; recordings; recommendations.
-
-    findings: results of the checks, by run.
-    """
+    """(heading, text) pairs: combinations; residual and effects that are not separable or detectable; recordings;
+    recommendations."""
     unknown = [describe_residual(found), list_inseparable(found), list_undetectable(found)]
     serious = [(one, names) for one, names in group_by_name(findings) if one.severity is not Severity.NOTE]
     recordings = ""
@@ -148,7 +123,8 @@ def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[st
         recordings = f"{one.text} ({', '.join(filter(None, (*names, describe_effect(one))))}){more}. {correction}"
     together = [f"{format_combination(one)}: {', '.join(map(to_words, one.effects[:-1]))} or "
                 f"{to_words(one.effects[-1])}, which these drives do not separate" for one in found.known_together]
-    advice = [*list_contradicted(found), recommend(found, update)[0], describe_next_drive(found)]
+    contradicted = {r.subject: f"{to_words(r.subject)}: {r.text}" for r in found.reasons if r.rule == FILE}
+    advice = [*contradicted.values(), recommend(found, update)[0], describe_next_drive(found)]
     pairs = [("only the combination is identifiable", "; ".join(together)),
              ("not known", "; ".join(filter(None, unknown))), ("recordings", recordings),
              ("to do", "; ".join(filter(None, advice)))]
@@ -185,7 +161,7 @@ def explain_effects(found: Discovery) -> list[str]:
     return lines
 
 
-def describe_varying(effect: VaryingEffect) -> str:
+def describe_varying(effect: result.VaryingEffect) -> str:
     """Sentence on an effect that varies between parts of the drives, with its most significant local values."""
     ranked = sorted(effect.values, key=lambda v: -abs(v.ratio) / max(v.deviation, 1e-9))[:MAX_PARTS]
     ratios = "; ".join(f"{v.where}: {v.ratio:.2f} ± {Z95 * v.deviation:.2f}" for v in effect.values if v in ranked)
@@ -196,7 +172,7 @@ def describe_varying(effect: VaryingEffect) -> str:
             f"so it is not a property of the car; local values relative to this one: {ratios}{more}")
 
 
-def count_agreement(effect: FoundEffect) -> str:
+def count_agreement(effect: result.FoundEffect) -> str:
     """Number of runs, or parts of runs, and of sites in which an effect is significant on its own."""
     counts = []
     for partition in ("run", "site"):
@@ -205,15 +181,6 @@ def count_agreement(effect: FoundEffect) -> str:
         significant = sum(v.ratio - Z95 * v.deviation > 0.0 for v in parts)
         counts += [f"{significant} of {len(parts)} {noun}"] if parts else []
     return ", ".join(counts) or "-"
-
-
-def describe_certainty(found: Discovery) -> list[str]:
-    """The rule that decided the outcome, and its measured false alarm rate."""
-    lines = [reason.text for reason in found.reasons if reason.subject == "outcome"]
-    if found.certificate.measured:
-        lines.append(f"false alarms: an effect was named in {found.certificate.alarms} of "
-                     f"{found.certificate.simulated_drives} simulated drives without any")
-    return lines
 
 
 def describe_residual(found: Discovery) -> str:
@@ -230,7 +197,7 @@ def describe_residual(found: Discovery) -> str:
     return text
 
 
-def format_combination(combination: Combination) -> str:
+def format_combination(combination: result.Combination) -> str:
     """Name and value of a combination with 95 % interval: a delay in s, others relative to the vehicle file."""
     low, high = combination.interval
     if combination.is_time:
@@ -280,12 +247,6 @@ def list_undetectable(found: Discovery) -> str:
     return f"not detectable in these drives: {names}{f' and {more} more' if more > 0 else ''}" if names else ""
 
 
-def list_contradicted(found: Discovery) -> list[str]:
-    """Sentences on quantities of the vehicle file that the best fit contradicts."""
-    texts = {r.subject: r.text for r in found.reasons if r.rule == FILE}
-    return [f"{to_words(name)}: {text}" for name, text in texts.items()]
-
-
 def format_separation(strength: float) -> str:
     """Text of a separation [standard deviations of the noise]."""
     return f"{strength:.1f}" if strength < MAX_SEPARATION else f"more than {MAX_SEPARATION:g}"
@@ -293,7 +254,7 @@ def format_separation(strength: float) -> str:
 
 def list_detectable(found: Discovery) -> str:
     """The smallest detectable size of each effect in these drives, vehicle parameters first."""
-    best: dict[str, Power] = {}
+    best: dict[str, result.Power] = {}
     for power in sorted(found.certificate.powers, key=lambda p: abs(p.size)):
         if power.probability >= LIMITS.detection_power:
             best.setdefault(power.effect, power)
@@ -327,12 +288,6 @@ def list_priors(found: Discovery) -> list[str]:
               for a in found.assumed if not a.key.startswith("tyre_")]
     change = "to change an uncertainty, set `uncertainty` in the entry of the vehicle file"
     return [f"{', '.join(priors)}; {change}"] if priors else []
-
-
-def format_force_ratio(curve: ForceCurve, start: str) -> str:
-    """Ratio of the force to that of the start of the search, at the largest slip angle, with its 90 % interval."""
-    force, low, high = (force_curve[-1] / curve.file[-1] for force_curve in (curve.force, curve.low, curve.high))
-    return f"{force:.2f} (90 %: {low:.2f} to {high:.2f}) times the {start} at {math.degrees(curve.slip[-1]):.1f}°"
 
 
 def describe_effective(found: Discovery) -> list[str]:
@@ -431,9 +386,13 @@ def format_changes(changes: Mapping[str, Sequence[float]]) -> str:
 def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, list[str]]]:
     """(heading, sentences) below the summary; headings without sentences are left out."""
     why = {r.subject: r.text for r in found.reasons if r.rule in (MINOR, FORCES, IMPLAUSIBLE)}
+    decided = [reason.text for reason in found.reasons if reason.subject == "outcome"]
+    if found.certificate.measured:
+        decided.append(f"false alarms: an effect was named in {found.certificate.alarms} of "
+                       f"{found.certificate.simulated_drives} simulated drives without any")
     minor = [f"{name_with_alternatives(found, e)}: {why[e.name]}" for e in sort_by_size(found.minor) if e.name in why]
     sections = [*((role, [text]) for role, text in describe_drives(found)), ("meaning", explain_effects(found)),
-                ("decision rule", describe_certainty(found)), ("not named", minor),
+                ("decision rule", decided), ("not named", minor),
                 ("what to do", recommend(found, update)[1:]), ("effective corrections", describe_effective(found)),
                 ("taken from the vehicle file", list_priors(found)),
                 ("varying, not named", list(map(describe_varying, found.varying))),
@@ -441,7 +400,7 @@ def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, l
     return [(heading, texts) for heading, section in sections if (texts := [text for text in section if text])]
 
 
-def describe_condition(error: ErrorCondition) -> tuple[str, str]:
+def describe_condition(error: result.ErrorCondition) -> tuple[str, str]:
     """(driving condition of an error, its ratio to the expected error with the 95 % interval)."""
     preposition = {"everywhere": "", "within": "", **dict.fromkeys(("speed", "lateral", "steering", "forward"), "at ")}
     where = preposition.get(error.condition.split()[0], "in ") + error.condition.replace("^2", "²")
@@ -449,9 +408,3 @@ def describe_condition(error: ErrorCondition) -> tuple[str, str]:
         return where, f"more than {MAX_RATIO:g}"
     low, high = error.interval
     return where, f"{error.excess:.1f} ({f'{low:.1f} to {high:.1f}' if high < MAX_RATIO else f'more than {low:.1f}'})"
-
-
-def worst_channel(found: Discovery, channels: Sequence[str]) -> str:
-    """The channel with the largest significant excess over the expected error; default the first of `channels`."""
-    known = [w for w in found.where if w.channel in channels]
-    return max(known, key=lambda w: w.interval[0]).channel if known else channels[0]

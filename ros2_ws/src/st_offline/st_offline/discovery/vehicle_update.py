@@ -12,6 +12,7 @@ from scipy import stats
 from st_core.augmented import AugmentedModel, fold
 from st_core.batch import LogBatch
 from st_core.discovery import Discovery
+from st_core.discovery.result import Run
 from st_core.effects import Effect, get_effect
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.handling import objections
@@ -90,11 +91,8 @@ def fold_named_effects(found: Discovery, request: Request) -> VehicleUpdate | No
     drives = [d.log for d in request.drives if d.log is not None]
     expected = _final_errors(found.named, request.vehicle, drives)
     folded: tuple[type[Effect], ...] = ()
-    not_folded = {}
-    named = {e.name for e in found.effects}
-    for effect in found.named.effects:
-        if not effect.fold or effect.name not in named:
-            continue
+    not_folded, named = {}, {e.name for e in found.effects}
+    for effect in (e for e in found.named.effects if e.fold and e.name in named):
         candidate = (*folded, effect)
         try:
             car = fold(request.vehicle, candidate, found.named.values)
@@ -120,7 +118,8 @@ def fold_named_effects(found: Discovery, request: Request) -> VehicleUpdate | No
                for key, change in _changed_values(request.vehicle, car).items()}
     if SLIP_SPEED_KEY in changes:  # computed for stability, not estimated
         changes[SLIP_SPEED_KEY] = (*changes[SLIP_SPEED_KEY][:2], car.minimum_slip_speed, car.minimum_slip_speed)
-    text = updated_vehicle_text(request, car, changes, *_source_and_provenance(found, folded))
+    runs = [run for run in found.runs if run.role == "suspect"]
+    text = updated_vehicle_text(request, car, changes, runs, ", ".join(e.name for e in folded))
     vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
     reported = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
     return VehicleUpdate(vehicle, text, model, tuple(effect.name for effect in folded), reported, not_folded, error,
@@ -141,14 +140,6 @@ def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float
     step = PredictionSettings().step
     needed = [slip_speed_needed((one,), car, STABILITY_SPEEDS, step) for one in ("linear", "nonlinear", model)]
     return max((speed for speed in needed if speed is not None), default=car.minimum_slip_speed)
-
-
-def _source_and_provenance(found: Discovery, folded: Sequence[type[Effect]]) -> tuple[str, Provenance]:
-    """(source of the values, provenance of the file)."""
-    runs, date = [run for run in found.runs if run.role == "suspect"], f"{datetime.now(UTC):%Y-%m-%d}"
-    source = (f"st discover, {date}, {len(runs)} run{'' if len(runs) == 1 else 's'}, "
-              f"{sum(run.seconds for run in runs):.0f} s: {', '.join(e.name for e in folded)}")
-    return source, Provenance(None, "st discover", ", ".join(run.name for run in runs), date)
 
 
 def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
@@ -248,12 +239,16 @@ def _confidence_interval(found: Discovery, vehicle: VehicleParameters, folded: S
 
 
 def updated_vehicle_text(request: Request, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]],
-                         source: str, about: Provenance) -> str:
+                         runs: Sequence[Run], effects: str) -> str:
     """The user's vehicle file with these keys replaced; comments and all other entries are unchanged.
 
-    A derived lambda_ky is written only if the edited file would result in another value. If the edited file does not
-    load as `car`, a new file is written.
+    runs, effects: sources of the values. A derived lambda_ky is written only if the edited file would result in another
+    value. If the edited file does not load as `car`, a new file is written.
     """
+    date = f"{datetime.now(UTC):%Y-%m-%d}"
+    source = (f"st discover, {date}, {len(runs)} run{'' if len(runs) == 1 else 's'}, "
+              f"{sum(run.seconds for run in runs):.0f} s: {effects}")
+    about = Provenance(None, "st discover", ", ".join(run.name for run in runs), date)
     original = yaml.safe_load(request.vehicle_text)
     derived = [f"{tyre}.lambda_ky" for tyre in TYRES if "lambda_ky" not in original[tyre]]
     stable = f"stable with steps of {1e3 * PredictionSettings().step:g} ms"
@@ -274,10 +269,8 @@ def updated_vehicle_text(request: Request, car: VehicleParameters, changes: Mapp
 
 def edit_or_rewrite(text: str, entries: Mapping[str, Callable[[str, float], str]], car: VehicleParameters,
                     tolerance: float) -> str:
-    """A vehicle file with these entries replaced; a new file if the edited one does not load as `car`.
-
-    tolerance: largest relative difference of a value.
-    """
+    """A vehicle file with these entries replaced; a new file if a value of the edited one differs from that of `car` by
+    more than a relative `tolerance`."""
     try:
         new = edit_entries(text, entries)
         read = VehicleParameters.from_yaml(new)
@@ -291,10 +284,8 @@ def _agrees(car: VehicleParameters, other: VehicleParameters, key: str, toleranc
 
 
 def _entry_writer(change: Sequence[float], source: str, about: Provenance) -> Callable[[str, float], str]:
-    """Function that formats a YAML entry, called with the unit of the file and its factor to SI.
-
-    change: (before, after[, low, high]), SI.
-    """
+    """Function that formats a YAML entry, called with the unit of the file and its factor to SI. change: (before,
+    after[, low, high]) [SI]."""
     def entry(unit: str, factor: float) -> str:
         before, after, *ends = (number(float(f"{value / factor:.{SIGNIFICANT_DIGITS}g}")) for value in change)
         interval = f", 95 % interval {ends[0]} to {ends[1]}" if ends else ""

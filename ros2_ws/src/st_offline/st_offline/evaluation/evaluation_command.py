@@ -92,27 +92,21 @@ def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, schedul
             return lambda done, total: progress.update(starts, description=escape(source.name), total=total,
                                                        completed=done)
 
-        try:
-            for report in evaluate_runs(sources, task, workers, scheduler, watch):
-                found[report.name] = report
-                progress.advance(runs)
-        except WorkersError as error:
-            raise ConfigurationError(str(error)) from None
+        for report in evaluate_runs(sources, task, workers, scheduler, watch):
+            found[report.name] = report
+            progress.advance(runs)
     return [found[source.name] for source in sources]
 
 
 MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is restarted, and its run fails
 
 
-class WorkersError(RuntimeError):
-    """Dask workers are not available; the message gives the reason."""
-
-
 def evaluate_runs(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
                   progress: Callable[[RunSource], Progress] | None = None) -> Iterator[RunReport]:
     """Yield the report of each run: without Dask in the order of the sources, else in the order of completion.
 
-    scheduler: address of a Dask scheduler; its workers read the files under the same paths. Raises WorkersError.
+    scheduler: address of a Dask scheduler; its workers read the files under the same paths. Raises ConfigurationError
+    if the workers are not available.
     """
     if workers <= 1 and not scheduler:
         for source in sources:
@@ -121,7 +115,7 @@ def evaluate_runs(sources: Sequence[RunSource], task: Task, workers: int, schedu
     try:
         from distributed import Client, LocalCluster, as_completed
     except ImportError:
-        raise WorkersError("Dask is not installed: leave out --workers and --scheduler") from None
+        raise ConfigurationError("Dask is not installed: leave out --workers and --scheduler") from None
     with contextlib.ExitStack() as stack:
         try:
             cluster = scheduler or stack.enter_context(LocalCluster(
@@ -130,7 +124,7 @@ def evaluate_runs(sources: Sequence[RunSource], task: Task, workers: int, schedu
             client = stack.enter_context(Client(cluster, timeout="10s"))
         except (OSError, TimeoutError) as error:
             problem = f"no Dask scheduler at {scheduler}" if scheduler else "Dask workers cannot be started"
-            raise WorkersError(f"{problem}: {error}") from None
+            raise ConfigurationError(f"{problem}: {error}") from None
         futures = {client.submit(evaluate_run, source, task, pure=False, retries=0): source for source in sources}
         for future in as_completed(futures):
             failure = future.exception()

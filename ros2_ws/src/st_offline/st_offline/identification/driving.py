@@ -52,10 +52,7 @@ def draw_offset(found: Identification, output: FigureOutput) -> PageFigure:
 
 
 def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
-    """Draw the ratio of lateral to forward velocity, corrected for slip, versus curvature, and the residuals.
-
-    The slope of the fitted line is the distance of the INS ahead of the rear axle [m].
-    """
+    """Draw the ratio of lateral to forward velocity, corrected for slip, versus curvature, and the residuals."""
     data = found.figure
     with style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
@@ -211,10 +208,8 @@ RECORDINGS_HELP = "recordings of drives (several are better): folders, .ncom wit
 
 def drive_experiment(name: str, what: str, needs: str, compute: Callable[..., Identification], draw,
                      predicts: bool = False) -> Experiment:
-    """Experiment that uses recorded drives.
-
-    compute: called with (logs, vehicle) and, if `predicts`, with the model as keyword argument `base`.
-    """
+    """Experiment that uses recorded drives. compute: called with (logs, vehicle) and, if `predicts`, with the model as
+    keyword argument `base`."""
     def identify(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
         if not predicts and setup.model is not MODELS["nonlinear"]:
             raise IdentificationError(f"{name} uses no model: remove --model")

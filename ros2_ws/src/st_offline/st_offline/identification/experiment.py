@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from st_core.identification.result import Estimate, Identification
+from st_core.identification.result import Identification
 from st_core.models import MODELS, Model
 from st_core.vehicle import VehicleParameters, quantity, value_of
 from st_recordings.runs import ReadSettings
@@ -57,18 +57,14 @@ COLUMN_NAMES = ("parameter", "value", "±", "95 % interval", "unit", "in the fil
 
 def estimate_rows(found: Identification, vehicle: VehicleParameters) -> list[Sequence[str]]:
     """Table row of each estimate, with the columns of COLUMN_NAMES; "in the file" is the value of `vehicle`."""
-    return [_estimate_row(estimate, vehicle) for estimate in found.estimates]
-
-
-def _estimate_row(estimate: Estimate, vehicle: VehicleParameters) -> Sequence[str]:
-    factor, unit = (180.0 / math.pi, "deg") if estimate.unit == "rad" else (1.0, estimate.unit)
-    uncertainty = estimate.standard_uncertainty * factor
-    before = ""
-    if quantity(estimate.parameter) is not None:
-        before = f"{value_of(vehicle, estimate.parameter) * factor:.5g}"
-    low, high = (format_rounded(end * factor, uncertainty) for end in estimate.interval95)
-    return (estimate.parameter, format_rounded(estimate.value * factor, uncertainty),
-            format_rounded(uncertainty, uncertainty), f"{low} to {high}", unit, before, estimate.status)
+    rows: list[Sequence[str]] = []
+    for e in found.estimates:
+        factor, unit = (180.0 / math.pi, "deg") if e.unit == "rad" else (1.0, e.unit)
+        before = "" if quantity(e.parameter) is None else f"{value_of(vehicle, e.parameter) * factor:.5g}"
+        value, uncertainty, low, high = (format_rounded(x * factor, e.standard_uncertainty * factor)
+                                         for x in (e.value, e.standard_uncertainty, *e.interval95))
+        rows.append((e.parameter, value, uncertainty, f"{low} to {high}", unit, before, e.status))
+    return rows
 
 
 def format_rounded(value: float, uncertainty: float) -> str:

@@ -60,9 +60,14 @@ def run_command(job: IdentificationJob, console: Console) -> int:
     Raises StCoreError, RunError, OutputError.
     """
     with console.status(f"identifying: {job.experiment.what}"):
+        if job.experiment.files_needed and not job.files:
+            raise IdentificationError(f"no files were given; {job.experiment.name} needs {job.experiment.files}")
+        try:
+            found = job.experiment.identify(job.files, job.setup)
+        except IdentificationError as error:
+            raise IdentificationError(f"{', '.join(map(str, job.files[:3]))}: {error}") from None
         found = tuple(replace(outcome, warnings=(*outcome.warnings, *filter(None, (
-            compare_with_file(job.setup.vehicle, estimate) for estimate in outcome.estimates))))
-                      for outcome in run_experiment(job))
+            compare_with_file(job.setup.vehicle, estimate) for estimate in outcome.estimates)))) for outcome in found)
     now = datetime.now(UTC)
     car = apply_to_vehicle(job.setup.vehicle, found, f"{now:%Y-%m-%d}")
     found = (replace(found[0], warnings=(*found[0].warnings, *objections(car, job.setup.vehicle))), *found[1:])
@@ -74,16 +79,6 @@ def run_command(job: IdentificationJob, console: Console) -> int:
                 files["vehicle.yaml"]: "vehicle file with the identified values",
                 files["report.html"]: "figures, correlations, data used and left out"}, console)
     return 0 if any(e.status != "unidentifiable" for outcome in found for e in outcome.estimates) else 1
-
-
-def run_experiment(job: IdentificationJob) -> tuple[Identification, ...]:
-    """Run the experiment; messages of errors in the data begin with the file names."""
-    if job.experiment.files_needed and not job.files:
-        raise IdentificationError(f"no files were given; {job.experiment.name} needs {job.experiment.files}")
-    try:
-        return job.experiment.identify(job.files, job.setup)
-    except IdentificationError as error:
-        raise IdentificationError(f"{', '.join(map(str, job.files[:3]))}: {error}") from None
 
 
 def print_results(found: Sequence[Identification], vehicle: VehicleParameters, stale: Sequence[str],
