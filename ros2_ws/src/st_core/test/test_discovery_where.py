@@ -14,7 +14,7 @@ from st_core.discovery.where import (
     compute_excesses,
     find_cells,
     find_changes,
-    largest_errors,
+    find_error_regions,
     membership,
     range_text,
 )
@@ -157,7 +157,7 @@ def test_lag_is_missed_where_the_steering_moves(leaf):
     plain, lagging = augment("nonlinear", {}), augment("nonlinear", {"steering_lag": {"time_constant": 0.15}})
     settings = DiscoverySettings(channels=("velocity_y", "yaw_rate"))
     healthy, suspect = weave(leaf, plain, "healthy", 1), weave(leaf, lagging, "suspect", 2)
-    statements = largest_errors([suspect], plain, leaf, settings, [healthy])
+    statements = find_error_regions([suspect], plain, leaf, settings, [healthy])
     result = [s for s in statements if s.channel == "yaw_rate" and s.condition.startswith("steering rate")]
     assert result and result[0].interval[0] > 2.0 and result[0].condition.startswith("steering rate 0.1 to 0.2 rad/s")
-    assert not largest_errors([weave(leaf, plain, "another", 3)], plain, leaf, settings, [healthy])
+    assert not find_error_regions([weave(leaf, plain, "another", 3)], plain, leaf, settings, [healthy])

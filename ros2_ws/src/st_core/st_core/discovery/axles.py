@@ -1,4 +1,4 @@
-"""Axle forces of a fitted model: force curves in the driven slip range, measured forces, parameter combinations."""
+"""Axle forces of a fitted model: force curves over the slip angles of the drives, measured forces, combinations."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -62,7 +62,7 @@ class Axles:
             self.draws = draw_models(self.model, covariance, vehicle, DRAWS)
 
     def curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
-        """`ForceCurve` of each axle in the driven slip range. base: model for its `file` values."""
+        """`ForceCurve` of each axle in the slip range of the drives. base: model for its `file` values."""
         found = (axle_curve(self.model, self.vehicle, regression.axle, regression.samples.slip, self.draws, base,
                             also=self.near) for regression in self.regressions)
         return tuple(ForceCurve(c.axle, *(tuple(values.tolist()) for values in (
@@ -84,13 +84,13 @@ class Axles:
         for regression in self.regressions:
             slip = np.linspace(0.0, MAX_SLIP, 61)
             force = axle_force(self.model, self.vehicle, regression.axle, slip)
-            driven = float(np.quantile(np.abs(regression.samples.slip), 0.995))
-            reached = float(np.interp(driven, slip, np.maximum.accumulate(force)))
+            largest = float(np.quantile(np.abs(regression.samples.slip), 0.995))
+            reached = float(np.interp(largest, slip, np.maximum.accumulate(force)))
             found[regression.axle] = reached / max(float(force.max()), 1.0)
         return found
 
     def acting(self, axle: str, names: Sequence[str]) -> tuple[str, ...]:
-        """The effects among `names` that change the force of an axle at the driven slip."""
+        """The effects among `names` that change the force of an axle at the slip angles of the drives."""
         samples = next(regression.samples for regression in self.regressions if regression.axle == axle)
         slip = np.quantile(np.abs(samples.slip), (0.5, 0.95))
         force = axle_force(self.model, self.vehicle, axle, slip)

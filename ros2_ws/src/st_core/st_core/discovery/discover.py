@@ -27,7 +27,7 @@ from .search import Found, Search
 from .settings import DiscoverySettings
 from .space import Space, known_quantities
 from .varying import evidence_of, find_varying_effects
-from .where import largest_errors
+from .where import find_error_regions
 from .windows import MARGIN_NS, Windows, noise_floor
 
 Progress = Callable[[str, int, int], None]
@@ -447,18 +447,18 @@ class _Analysis:
             noise["position_5s"] = max(noise.get("position_5s", 0.0), noise["position"] * float(np.sqrt(np.pi) / 2.0))
         return noise
 
-    def _describe_residual(self, residual: float, statements: Sequence[result.ErrorCondition]) -> tuple[str, ...]:
+    def _describe_residual(self, residual: float, statements: Sequence[result.LargeErrorRegion]) -> tuple[str, ...]:
         """Description of the residual; empty if the residual is near the noise."""
         if residual <= self.limits.max_noise_ratio:
             return ()
         return (f"the position error is {residual:.1f} times the noise",
                 *(f"{w.channel}: {w.condition}" for w in statements[:5]))
 
-    def _locate_errors(self, fit: Fit, floor: Mapping[str, float]) -> tuple[result.ErrorCondition, ...]:
+    def _locate_errors(self, fit: Fit, floor: Mapping[str, float]) -> tuple[result.LargeErrorRegion, ...]:
         self._ticker("where")()
         noise = {channel: value for channel, value in floor.items() if channel != "position_5s"}
-        return largest_errors(self.runs, self.space.at(fit.vector), self.vehicle, self.settings, self.reference, noise,
-                              float(fit.vector[-1]))
+        return find_error_regions(self.runs, self.space.at(fit.vector), self.vehicle, self.settings, self.reference,
+                                  noise, float(fit.vector[-1]))
 
     def _list_runs(self) -> tuple[result.Run, ...]:
         site = sites(self.windows)

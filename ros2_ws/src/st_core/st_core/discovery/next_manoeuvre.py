@@ -81,16 +81,16 @@ def simulate_manoeuvres(windows: Windows, base: Model) -> Iterator[tuple[Manoeuv
         if log.overlap < settings.horizon + 3.0:
             continue
         unknown: dict[str, Any] = {n: None for n in OPTIONAL_INS_SIGNALS if getattr(windows.joined, n) is None}
-        driven = Windows([replace(log, **unknown)], windows.vehicle, settings)
-        if len(driven):
-            yield manoeuvre, driven
+        simulated = Windows([replace(log, **unknown)], windows.vehicle, settings)
+        if len(simulated):
+            yield manoeuvre, simulated
 
 
 def catalogue(problem: Problem, fit: Fit) -> Catalogue:
     """Curvatures at the values of a fit, for REPETITIONS drives of each manoeuvre."""
     space, result = problem.space, {}
-    for manoeuvre, driven in simulate_manoeuvres(problem.errors.windows, space.model.base):
-        loss = Loss(Errors(driven, space, problem.errors.threads), fit.vector)
+    for manoeuvre, simulated in simulate_manoeuvres(problem.errors.windows, space.model.base):
+        loss = Loss(Errors(simulated, space, problem.errors.threads), fit.vector)
         loss.scale = problem.loss.scale
         rows = loss.errors.at(fit.vector)
         q = loss.quadratic(0.0 * np.nan_to_num(rows), loss.sensitivities(fit.vector, np.arange(len(space))))
@@ -129,7 +129,7 @@ def separability(problem: Problem, fit: Fit, effects: Sequence[FoundEffect],
     return tuple(found)
 
 
-def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven: Catalogue,
+def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], manoeuvres: Catalogue,
                    design_effect: float) -> NextManoeuvre | None:
     """The manoeuvre with the largest minimum separation over all pairs that these drives separate by less than
     MIN_SEPARATION. None if no manoeuvre reaches MIN_SEPARATION, or without such a pair, since more driving does not
@@ -146,7 +146,7 @@ def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], d
     if not pairs:
         return None
     weakest = {}
-    for name, more in driven.items():
+    for name, more in manoeuvres.items():
         strengths = {pair: strength_of(pair, h + more) for pair in pairs}
         pair = min(strengths, key=strengths.__getitem__)
         weakest[name] = strengths[pair], pair
@@ -159,11 +159,11 @@ def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], d
                          chosen.speed, f"separates {pair[0]} and {pair[1]} best of all manoeuvres in the catalogue")
 
 
-def most_informative(problem: Problem, effect: str, driven: Catalogue) -> str:
+def most_informative(problem: Problem, effect: str, manoeuvres: Catalogue) -> str:
     """Name of the manoeuvre with the most information on an effect, or ""."""
     indices = problem.space.indices(effect)
     strength = {}
-    for name, h in driven.items():
+    for name, h in manoeuvres.items():
         others = np.setdiff1d(problem.free_indices(()), indices)
         information = h[np.ix_(indices, indices)]
         if len(others):

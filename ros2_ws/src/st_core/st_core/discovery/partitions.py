@@ -16,13 +16,13 @@ Partition = tuple[np.ndarray, list[str]]
 
 def partitions(windows: Windows) -> dict[str, Partition]:
     """Partitions by name; only those with at least two parts."""
-    site, driven = sites(windows), windows.driven
+    site, driving = sites(windows), windows.driving
     longest = np.zeros(len(windows.names))
     np.maximum.at(longest, windows.run, windows.seconds)
     third = np.minimum((3.0 * windows.seconds / np.maximum(longest[windows.run], 1e-9)).astype(int), 2)
     parts = {"run": runs(windows), "site": (site, [f"site {k + 1}" for k in range(int(site.max()) + 1)]),
-             "time": (third, list(TIMES)), "place": places(driven["x"], driven["y"]),
-             "condition": conditions(driven["speed"], driven["lateral_acceleration"])}
+             "time": (third, list(TIMES)), "place": places(driving["x"], driving["y"]),
+             "condition": conditions(driving["speed"], driving["lateral_acceleration"])}
     if site.max() + 1 == len(windows.names):
         del parts["site"]  # each run is a site
     return {name: partition for name, partition in parts.items() if len(np.unique(partition[0])) > 1}
@@ -46,7 +46,7 @@ def runs(windows: Windows) -> Partition:
 def sites(windows: Windows) -> np.ndarray:
     """(n,) site of each window. Runs with common `places`, directly or through other runs, are at one site. Distance
     does not count, because the maps of different sites may have different origins."""
-    number = places(windows.driven["x"], windows.driven["y"])[0]
+    number = places(windows.driving["x"], windows.driving["y"])[0]
     visited = [set(number[windows.run == run]) for run in range(len(windows.names))]
     site = list(range(len(visited)))
     for i, a in enumerate(visited):

@@ -125,9 +125,9 @@ class Combination:
 
 @dataclass(frozen=True)
 class ForceCurve:
-    """Lateral force of an axle versus slip angle, within the driven range. slip: slip angle, >= 0 [rad]. force, low,
-    high, file: force, its 90 % band, and force at the start of the search (vehicle file or reference), positive against
-    the slip [N]. density: fraction of the driving between neighbouring values of slip."""
+    """Lateral force of an axle versus slip angle, within the range of the drives. slip: slip angle, >= 0 [rad]. force,
+    low, high, file: force, its 90 % band, and force at the start of the search (vehicle file or reference), positive
+    against the slip [N]. density: fraction of the driving between neighbouring values of slip."""
 
     axle: str
     slip: tuple[float, ...]
@@ -216,7 +216,7 @@ class Certificate:
 
 
 @dataclass(frozen=True)
-class ErrorCondition:
+class LargeErrorRegion:
     """Condition, time or place in which the error exceeds the floor, which is the error in the reference drives or the
     error due to noise. channel: one of CHANNELS. excess [1]: ratio of the root mean square error to the floor;
     interval: 95 %."""
@@ -324,7 +324,7 @@ class Discovery:
     budget: tuple[BudgetLine, ...]
     reasons: tuple[Reason, ...]
     candidates: tuple[CandidateEffect, ...]
-    where: tuple[ErrorCondition, ...]
+    where: tuple[LargeErrorRegion, ...]
     not_testable: tuple[NotTestable, ...]
     next_manoeuvre: NextManoeuvre | None
     separability: tuple[Separability, ...]

@@ -31,7 +31,7 @@ from ..log import DriveLog
 from ..log_signals import LogSignals
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
-from .result import ErrorCondition
+from .result import LargeErrorRegion
 from .settings import DiscoverySettings
 from .windows import STEP, Windows
 
@@ -153,9 +153,9 @@ def range_text(quantity: str, unit: str, low: float, high: float) -> str:
     return f"{quantity} {low:g} to {high:g} {unit}"
 
 
-def largest_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
+def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
                    settings: DiscoverySettings, reference: Sequence[DriveLog] = (),
-                   noise: Mapping[str, float] | None = None, gain: float = 0.0) -> tuple[ErrorCondition, ...]:
+                   noise: Mapping[str, float] | None = None, gain: float = 0.0) -> tuple[LargeErrorRegion, ...]:
     """Conditions, times and places in which the errors of a model exceed those in the reference drives or, without a
     reference, the sensor noise.
 
@@ -221,7 +221,7 @@ def _places_of_run(log: DriveLog, seconds: np.ndarray, horizon: float) -> dict[s
 
 
 def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], places: Sequence[Cell],
-                samples: Samples, with_reference: bool) -> list[ErrorCondition]:
+                samples: Samples, with_reference: bool) -> list[LargeErrorRegion]:
     """Statements on one channel; empty without a significant bin."""
     of_channel = [b for b in bins if b.channel == channel]
     if not any(b.significant for b in of_channel):
@@ -233,7 +233,7 @@ def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], 
                    key=lambda s: -s.interval[0])
     statements = [*clear[:MAX_RANGES]]
     if overall.significant:
-        statements.append(ErrorCondition(channel, EVERYWHERE, overall.excess, overall.interval))
+        statements.append(LargeErrorRegion(channel, EVERYWHERE, overall.excess, overall.interval))
     statements += [_part_statement(part, overall, samples) for part in parts if part.channel == channel]
     statements += _place_statements([c for c in places if c.channel == channel], overall)
     return statements
@@ -259,11 +259,11 @@ def _group_neighbours(bins: Sequence[BinExcess]) -> list[list[BinExcess]]:
 
 
 def _range_statement(group: Sequence[BinExcess], bins: Sequence[BinExcess], overall: BinExcess,
-                     with_reference: bool) -> ErrorCondition:
+                     with_reference: bool) -> LargeErrorRegion:
     """Statement on a group of ranges. bins: all bins of the channel. overall: the bin of all driving."""
     quantity = group[0].range.quantity
     if quantity == "direction":
-        return ErrorCondition(overall.channel, f"{group[0].range.label} turns" if group[0].range.label != "straight"
+        return LargeErrorRegion(overall.channel, f"{group[0].range.label} turns" if group[0].range.label != "straight"
                               else "straight driving", group[0].excess, group[0].interval)
     unit = group[0].range.label.rsplit(" ", 1)[1]
     low, high = group[0].range.low, group[-1].range.high
@@ -278,21 +278,21 @@ def _range_statement(group: Sequence[BinExcess], bins: Sequence[BinExcess], over
     excess = math.sqrt(float((weights * [b.excess ** 2 for b in group]).sum() / weights.sum()))
     low, high = (math.sqrt(float((weights * [b.interval[k] ** 2 for b in group]).sum() / weights.sum()))
                  for k in (0, 1))
-    return ErrorCondition(overall.channel, condition, excess, (low, high))
+    return LargeErrorRegion(overall.channel, condition, excess, (low, high))
 
 
-def _part_statement(part: Part, overall: BinExcess, samples: Samples) -> ErrorCondition:
+def _part_statement(part: Part, overall: BinExcess, samples: Samples) -> LargeErrorRegion:
     """Statement on a stretch of a run; its excess is the overall excess times the ratio of the stretch."""
     last = float(samples.time[samples.run == part.run].max())
     name = samples.names[part.run]
     when = (f"from {part.start:.0f} s on" if part.end >= last - 1.0 else f"until {part.end:.0f} s" if part.start < 2.0
             else f"from {part.start:.0f} to {part.end:.0f} s")
     text = f"run {name}, {when}: {part.ratio:.1f} times the error of the rest of the run under similar conditions"
-    return ErrorCondition(part.channel, text, overall.excess * part.ratio,
+    return LargeErrorRegion(part.channel, text, overall.excess * part.ratio,
                           (overall.interval[0] * part.ratio, overall.interval[1] * part.ratio))
 
 
-def _place_statements(places: Sequence[Cell], overall: BinExcess) -> list[ErrorCondition]:
+def _place_statements(places: Sequence[Cell], overall: BinExcess) -> list[LargeErrorRegion]:
     """Statements on the two places with the largest excess; neighbouring cells form one place."""
     remaining, statements = list(places), []
     while remaining:
@@ -308,7 +308,7 @@ def _place_statements(places: Sequence[Cell], overall: BinExcess) -> list[ErrorC
         ratio = float(np.mean([c.ratio for c in cluster]))
         low, high = (float(np.mean([c.interval[k] for c in cluster])) for k in (0, 1))
         text = f"within {reach:.0f} m of (E {x:.0f} m, N {y:.0f} m), on average over the passes"
-        statements.append(ErrorCondition(overall.channel, text, overall.excess * ratio,
+        statements.append(LargeErrorRegion(overall.channel, text, overall.excess * ratio,
                                          (overall.excess * low, overall.excess * high)))
     return sorted(statements, key=lambda s: -s.excess)[:2]
 
@@ -446,7 +446,7 @@ def _cusum(rows: np.ndarray) -> np.ndarray:
 
 
 def find_cells(samples: Samples, channel: str, noise: float) -> list[Cell]:
-    """Cells driven in at least MIN_BLOCKS blocks; p tests whether the conditions alone explain the errors there."""
+    """Cells visited in at least MIN_BLOCKS blocks; p tests whether the conditions alone explain the errors there."""
     residual = log_residuals(samples, samples.squares[channel], noise)
     known = np.isfinite(residual) & np.isfinite(samples.x) & np.isfinite(samples.y)
     key = np.stack([np.floor(samples.x[known] / CELL_SIZE), np.floor(samples.y[known] / CELL_SIZE)], axis=1)

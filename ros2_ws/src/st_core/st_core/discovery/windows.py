@@ -200,7 +200,7 @@ class Windows:
         return self._times <= last[:, None]
 
     @cached_property
-    def driven(self) -> dict[str, np.ndarray]:
+    def driving(self) -> dict[str, np.ndarray]:
         """Driving in each window, (n,) by name: x, y of the start [m], mean speed [m/s], mean magnitude of the lateral
         acceleration [m/s^2]."""
         grid = self.starts_ns[:, None] + np.round(np.linspace(0.0, self._length, 12) / NANOSECOND).astype(np.int64)

@@ -3,8 +3,8 @@
     D = peak D of the file,   1 - E = curvature (1 - E of the file) at every load,   slope K unchanged
 
 curvature > 1 means an earlier and sharper peak, < 1 a later one. p_ey1 and p_ey2 stay within the limits of the vehicle
-file. A fit determines only the part of the curve within the driven slip, which `st_core.identification.axle_curve`
-computes with its band. Source: Pacejka, Tire and Vehicle Dynamics, ch. 4.3.
+file. A fit determines the curve only within the slip angles of the drives; `st_core.identification.axle_curve` computes
+this part with its band. Source: Pacejka, Tire and Vehicle Dynamics, ch. 4.3.
 """
 
 from dataclasses import replace

@@ -70,7 +70,7 @@ PAIRS = (("front_steer", "speed", "steering_rate"), ("front_steer", "speed", "st
 @dataclass(frozen=True)
 class Candidate:
     """A candidate relation. term: one of ALL_TERMS. quantity: one of QUANTITIES. parity: -1 for an odd curve, 0 for any
-    curve. low, high: driven range [unit of the quantity]. factor: one of FACTORS that multiplies the curve, or ""."""
+    curve. low, high: range of the quantity in the drives. factor: one of FACTORS that multiplies the curve, or ""."""
 
     term: str
     quantity: str

@@ -17,7 +17,7 @@ MIN_EXPLAINED_MORE = 1e-3  # the same, that a shape must explain in addition to 
 FULL_SHARE = 0.98  # fraction of the gain of the best shape: a simpler shape that explains more is preferred
 NEAR_SHARE = 0.9  # the same for a simpler shape with a held-out loss that is not significantly higher
 MIN_KEPT_GAIN = 0.9  # minimum fraction of the held-out gain of the curve that a formula retains when simulated
-MAX_RANGE = 2.0  # maximum ratio of the largest value of a formula to that of the curve, within the driven range
+MAX_RANGE = 2.0  # maximum ratio of the largest value of a formula to that of the curve, within its range
 
 ShapeFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 

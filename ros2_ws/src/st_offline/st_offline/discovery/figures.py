@@ -258,23 +258,23 @@ def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
     at, value = x_scale * relation.at, y_scale * relation.value
     half_width = y_scale * report_text.Z95 * relation.deviation
     with style():
-        figure, (curve, driven) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
+        figure, (curve, shares) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
         curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")
         curve.fill_between(at, value - half_width, value + half_width, color=AFTER, alpha=0.25, lw=0,
                            label="95 % interval")
         curve.plot(at, value, color=AFTER, label="proposed relation")
         for k, (low, high) in enumerate(relation.drives.sparse):
-            for axes in (curve, driven):
+            for axes in (curve, shares):
                 axes.axvspan(x_scale * low, x_scale * high, color=MEASURED_COLOUR, alpha=0.12, lw=0,
                              label="sparsely driven" if axes is curve and not k else None)
         curve.set_ylabel(f"{textwrap.fill(quantities.axis_label(c), 28)}, {unit}")
         curve.legend(loc="best")
-        driven.set_axisbelow(True)
-        driven.bar(at, 100.0 * relation.density, width=at[1] - at[0], color=MEASURED_COLOUR)
+        shares.set_axisbelow(True)
+        shares.bar(at, 100.0 * relation.density, width=at[1] - at[0], color=MEASURED_COLOUR)
         # Most driving is straight at constant speed; a linear scale would hide the other bins.
-        driven.set(yscale="log", ylim=(0.02, 100.0), yticks=(0.1, 1.0, 10.0, 100.0))
-        driven.yaxis.set_major_formatter("{x:g}")
-        driven.set(ylabel="share of the\ndriving, %", xlabel=f"{quantities.QUANTITIES[c.quantity]}, {x_unit}")
+        shares.set(yscale="log", ylim=(0.02, 100.0), yticks=(0.1, 1.0, 10.0, 100.0))
+        shares.yaxis.set_major_formatter("{x:g}")
+        shares.set(ylabel="share of the\ndriving, %", xlabel=f"{quantities.QUANTITIES[c.quantity]}, {x_unit}")
         before, after = relation.position_5s
         title = (f"PROPOSAL: {full_title(relation)}; held-out position error after 5 s: "
                  f"{before:.3f} m without it, {after:.3f} m with it")

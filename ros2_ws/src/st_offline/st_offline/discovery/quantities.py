@@ -155,14 +155,6 @@ def explain_unit(c: Candidate, vehicle: VehicleParameters) -> str:
     return f"y = {unit} corresponds to a {load}, with the {source} of the vehicle file"
 
 
-def relation_title(c: Candidate, constant: bool = False) -> str:
-    """Description of a relation by its term and quantity. constant: whether its formula is a constant."""
-    per = f", for each {QUANTITIES[c.factor]}" if c.factor else ""
-    if constant:
-        return f"{TERMS[c.term]}{per}, the same at every {QUANTITIES[c.quantity]}"
-    return f"{TERMS[c.term]}{per}, as a function of the {QUANTITIES[c.quantity]}"
-
-
 def spell_out(name: str) -> str:
     """Description of the relation with this `Candidate.name`."""
     term, _, rest = name.partition(" over ")

@@ -98,8 +98,10 @@ def effect_name(relation: Relation) -> str:
 
 def full_title(relation: Relation) -> str:
     """Description of the relation by its term and quantity."""
-    is_constant = bool(relation.formulas) and relation.formulas[0].shape == "constant"
-    return quantities.relation_title(relation.candidate, is_constant)
+    c, is_constant = relation.candidate, bool(relation.formulas) and relation.formulas[0].shape == "constant"
+    per = f", for each {quantities.QUANTITIES[c.factor]}" if c.factor else ""
+    course = "the same at every" if is_constant else "as a function of the"
+    return f"{quantities.TERMS[c.term]}{per}, {course} {quantities.QUANTITIES[c.quantity]}"
 
 
 def _title_with_causes(relation: Relation) -> str:

@@ -82,7 +82,7 @@ def _formula(relation: Relation, vehicle: VehicleParameters) -> list[str]:
 
 
 def _uncertainty(relation: Relation) -> list[str]:
-    """Sentences on the driven range, the widest interval, sparsely driven ranges and the variation between runs."""
+    """Sentences on the range of the quantity, the widest interval, sparse ranges and the variation between runs."""
     c, widest = relation.candidate, int(relation.deviation.argmax())
     (y_scale, unit), (x_scale, x_unit) = display_unit(c.unit), display_unit(QUANTITIES[c.quantity])
     lines = [f"driven: {quantities.QUANTITIES[c.quantity]} from {x_scale * c.low:.3g} to {x_scale * c.high:.3g} "

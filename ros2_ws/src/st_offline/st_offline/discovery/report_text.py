@@ -400,7 +400,7 @@ def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, l
     return [(heading, texts) for heading, section in sections if (texts := [text for text in section if text])]
 
 
-def describe_condition(error: result.ErrorCondition) -> tuple[str, str]:
+def describe_condition(error: result.LargeErrorRegion) -> tuple[str, str]:
     """(driving condition of an error, its ratio to the expected error with the 95 % interval)."""
     preposition = {"everywhere": "", "within": "", **dict.fromkeys(("speed", "lateral", "steering", "forward"), "at ")}
     where = preposition.get(error.condition.split()[0], "in ") + error.condition.replace("^2", "²")
