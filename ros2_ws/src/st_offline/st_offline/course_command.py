@@ -18,10 +18,8 @@ from .terminal import print_line
 
 def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: ReadSettings, output: Path,
                  console: Console) -> int:
-    """Run the command; returns the exit status: 0 if every run was used, else 1.
-
-    Raises ConfigurationError or OutputError if no course can be built or written.
-    """
+    """Run the command; returns the exit status: 0 if every run was used, else 1. Raises ConfigurationError or
+    OutputError if no course can be built or written."""
     if output.exists():
         raise OutputError(f"{output} exists: choose another --output (existing files are not overwritten)")
     passes: list[Pass] = []  # in the map frame of the first run with a known origin

@@ -40,10 +40,8 @@ def columns(head: Sequence[str], rows: Iterable[Sequence[Any]], names: int) -> l
 
 
 def template(name: str, **filters: Callable) -> jinja2.Template:
-    """Load a template, by its path in this package.
-
-    filters: added to the filters `drawing`, which inserts an SVG unescaped, and `cells`, the values of a row.
-    """
+    """Load a template, by its path in this package. filters: added to the filters `drawing`, which inserts an SVG
+    unescaped, and `cells`, the values of a row."""
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True,
                                      undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters.update(drawing=Markup, cells=lambda row: list(row.values()), **filters)

@@ -388,11 +388,9 @@ def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
 
 
 def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: list[str]) -> Agreement:
-    """Compare the values of an effect in the parts of the driving by a random-effects model.
-
-    The ratio of a part is 1 plus the Newton step of its loss in the direction of the fitted values; the other fitted
-    parameters are free, with a weak prior (PART_PRIOR). Variances include the design effect.
-    """
+    """Compare the values of an effect in the parts of the driving by a random-effects model. The ratio of a part is 1
+    plus the Newton step of its loss in the direction of the fitted values; the other fitted parameters are free, with a
+    weak prior (PART_PRIOR). Variances include the design effect."""
     columns = np.searchsorted(fit.indices, problem.space.indices(effect))
     others = np.setdiff1d(np.arange(len(fit.indices)), columns)
     d = ((fit.vector - problem.space.null) / problem.space.scale)[fit.indices[columns]]

@@ -34,10 +34,8 @@ Catalogue = Mapping[str, np.ndarray]
 
 
 def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameters) -> DriveLog:
-    """Log of a manoeuvre simulated with the model and noise-free sensors, `duration` seconds sampled every PERIOD.
-
-    The steering compensates for the understeer of the vehicle file, so that the target lateral acceleration is reached.
-    """
+    """Log of a manoeuvre simulated with the model and noise-free sensors, `duration` seconds sampled every PERIOD. The
+    steering compensates for the understeer of the vehicle file, so that the target lateral acceleration is reached."""
     lead, steps = round(LEAD_TIME / PERIOD), round(manoeuvre.duration / PERIOD)
     times = 0.5 * PERIOD * np.arange(-2 * lead, 2 * steps + 1)
     understeer = max(vehicle.wheelbase * stability_factor(vehicle), 0.0)

@@ -38,11 +38,9 @@ class Healthy:
 
 def healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
                 threads: int, tick: Callable[[], None]) -> Healthy:
-    """Fit the healthy car to its drives.
-
-    The prior is the predictive distribution for a new drive of the same car. Its covariance is the covariance of the
-    values times the design effect, and times 2 because both the reference and the new drive are uncertain.
-    """
+    """Fit the healthy car to its drives. The prior is the predictive distribution for a new drive of the same car. Its
+    covariance is the covariance of the values times the design effect, and times 2 because both the reference and the
+    new drive are uncertain."""
     windows = Windows(runs, vehicle, settings)
     prior, quantities = weak_prior(space), known_quantities(space, vehicle)
     fits = []

@@ -364,9 +364,8 @@ class Search:
 
     def _weakest_failing(self, found: Found, required: float = np.inf) -> str:
         """Fill in `evidence` and `without`, and return the weakest effect that fails the test; "" if none fails.
-
-        required: an effect passes without a refit if its removal raises the loss per residual by over three times this.
-        """
+        required: an effect passes without a refit if its removal raises the loss per residual by over three times
+        this."""
         p = self.problem
         found.cached_scores = found.cached_scores or self._scores(found.fit)
         found.evidence, found.without = {}, {}

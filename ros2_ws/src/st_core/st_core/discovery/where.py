@@ -157,11 +157,8 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
                    settings: DiscoverySettings, reference: Sequence[DriveLog] = (),
                    noise: Mapping[str, float] | None = None, gain: float = 0.0) -> tuple[LargeErrorRegion, ...]:
     """Conditions, times and places in which the errors of a model exceed those in the reference drives or, without a
-    reference, the sensor noise.
-
-    noise: standard deviation by channel [unit], required without a reference. gain: see `Windows.errors`. Channels that
-    are not measured in the runs or in the reference are left out.
-    """
+    reference, the sensor noise. noise: standard deviation by channel [unit], required without a reference. gain: see
+    `Windows.errors`. Channels that are not measured in the runs or in the reference are left out."""
     samples = window_errors(runs, model, vehicle, settings, gain)
     expected = window_errors(reference, model, vehicle, settings, gain) if reference else None
     if expected is not None:
@@ -388,10 +385,8 @@ def log_residuals(samples: Samples, squares: np.ndarray, noise: float) -> np.nda
 
 
 def find_changes(samples: Samples, channel: str, noise: float, block: float, seed: int, resamples: int) -> list[Part]:
-    """Find the stretches with larger errors than the other parts of the run, by binary segmentation.
-
-    A change point is significant if the cumulative sum of `log_residuals` is larger than with shuffled blocks.
-    """
+    """Find the stretches with larger errors than the other parts of the run, by binary segmentation. A change point is
+    significant if the cumulative sum of `log_residuals` is larger than with shuffled blocks."""
     residual = log_residuals(samples, samples.squares[channel], noise)
     rng = np.random.default_rng((seed, 17))
     parts = []

@@ -42,10 +42,8 @@ SCORED_SHARES = (0.1, 0.25, 0.5, 1.0)  # scored points, as fractions of the hori
 
 
 class Signals(LogSignals):
-    """Signals of a drive. Forward acceleration is the central difference of the forward speed over 2 STEP.
-
-    The neighbouring samples of requested instants are cached, as a fit requests the same instants thousands of times.
-    """
+    """Signals of a drive. Forward acceleration is the central difference of the forward speed over 2 STEP. The
+    neighbouring samples of requested instants are cached, as a fit requests the same instants thousands of times."""
 
     def __init__(self, log: DriveLog, maximum_gap: float):
         self.log, self.maximum_gap = log, maximum_gap
@@ -210,10 +208,8 @@ class Windows:
                     "lateral_acceleration": np.abs(np.nan_to_num(rate * speed)).mean(axis=1)}
 
     def errors(self, model: AugmentedModel, gain: float = 0.0) -> np.ndarray:
-        """(n, k, c) errors of a model, measured minus predicted [SI], by `time` and `columns`; NaN where unknown.
-
-        gain [1]: relative excess of the measured lateral specific force over its true value, e.g. due to body roll.
-        """
+        """(n, k, c) errors of a model, measured minus predicted [SI], by `time` and `columns`; NaN where unknown. gain
+        [1]: relative excess of the measured lateral specific force over its true value, e.g. due to body roll."""
         readings = self._predicted_readings(model, gain)
         with np.errstate(all="ignore"):  # predictions may diverge
             parts = [part for channel in self.channels for part in channel.residuals(self._measured, readings)]

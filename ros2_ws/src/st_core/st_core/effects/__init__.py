@@ -41,11 +41,9 @@ __all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS",
 
 
 def load_folder(path: str) -> tuple[str, ...]:
-    """Import every module of a folder, except names with a leading _, and return the names of its effects, sorted.
-
-    A folder that is already loaded is not read again. Raises ConfigurationError, naming the file, for a missing folder,
-    a module that fails to import or registers nothing, and a name in use. No effect of the folder is then registered.
-    """
+    """Import every module of a folder, except names with a leading _, and return the names of its effects, sorted. A
+    folder that is already loaded is not read again. Raises ConfigurationError, naming the file, for a missing folder, a
+    module that fails to import or registers nothing, and a name in use. No effect of the folder is then registered."""
     finder, package = _package(path)
     if package not in sys.modules:
         names = _list_modules(finder)

@@ -10,10 +10,8 @@ Maps = tuple[np.ndarray, np.ndarray]
 
 
 def scan(maps: Maps, compose: Callable[[Maps, Maps], Maps]) -> Maps:
-    """Compositions of the maps 0 to k for every k, in log2(n) passes (Hillis and Steele, 1986).
-
-    maps: two numbers per map, (n,) each. compose(earlier, later): the two numbers of the map later(earlier(y)).
-    """
+    """Compositions of the maps 0 to k for every k, in log2(n) passes (Hillis and Steele, 1986). maps: two numbers per
+    map, (n,) each. compose(earlier, later): the two numbers of the map later(earlier(y))."""
     first, second = (np.array(a, float) for a in maps)
     reach = 1
     while reach < len(first):

@@ -211,10 +211,8 @@ def finite_mean(values: np.ndarray) -> float:
 
 def find_equally_good(worse: np.ndarray, p: float, seed: int) -> np.ndarray:
     """(k,) whether each rival is as good as the best. worse: (k, b) held-out loss of the rival minus that of the best.
-
     Paired t test: a rival is worse if its t exceeds the quantile 1 - p of the largest t of all rivals under random
-    signs of whole blocks (Romano and Wolf 2005).
-    """
+    signs of whole blocks (Romano and Wolf 2005)."""
     if not len(worse):
         return np.zeros(0, bool)
     count = worse.shape[1]
@@ -275,11 +273,9 @@ def cosine(fits: RelationFits, first: RelationFit, other: RelationFit) -> float:
 
 def redundant_effects(fits: RelationFits, candidate: Candidate, fit: RelationFit, without: RelationFit,
                       names: Sequence[str], limits: Limits) -> dict[str, float]:
-    """Effects of the result that the relation makes redundant, with the residual reduction [1] that each still adds.
-
-    An effect is redundant if its held-out gain in addition to the relation is too small or not significant, and the
-    relation without it explains significantly more than the result without the relation.
-    """
+    """Effects of the result that the relation makes redundant, with the residual reduction [1] that each still adds. An
+    effect is redundant if its held-out gain in addition to the relation is too small or not significant, and the
+    relation without it explains significantly more than the result without the relation."""
     found = {}
     with_both = held_out_positions(fits, fit)
     # An effect that turns the base model into another (`converts`) is a precondition of the relation.

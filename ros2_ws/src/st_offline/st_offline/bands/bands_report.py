@@ -94,10 +94,8 @@ def adaptive_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
 
 
 def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Console) -> None:
-    """Print the tables for all runs pooled.
-
-    sums: one entry for each run. tested, adaptive: whether bands and adaptive bands were scored.
-    """
+    """Print the tables for all runs pooled. sums: one entry for each run. tested, adaptive: whether bands and adaptive
+    bands were scored."""
     pooled = pool_sums(sums)
     if tested:
         content = summarise_bands(pooled)
@@ -162,9 +160,7 @@ def _name_seconds(values: np.ndarray) -> dict[str, dict[str, float]]:
 
 def summarise_shares(sums: Sums) -> dict[str, Any]:
     """By model: number of starts, RMS of the error and of each cause [m, m, rad], fractions of the mean square error.
-
-    The fractions of all causes and of the residual add up to 1.
-    """
+    The fractions of all causes and of the residual add up to 1."""
     summary = {}
     for model, squares_of_model in sums.get("shares", {}).items():
         if not squares_of_model["starts"]:

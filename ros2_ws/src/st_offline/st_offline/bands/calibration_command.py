@@ -45,10 +45,8 @@ class CalibrationJob:
 
 
 def run_command(job: CalibrationJob, console: Console) -> int:
-    """Run the command; returns the exit status: 0 if every run was used, else 1.
-
-    Raises StCoreError or OutputError if no bands can be calibrated or written.
-    """
+    """Run the command; returns the exit status: 0 if every run was used, else 1. Raises StCoreError or OutputError if
+    no bands can be calibrated or written."""
     if job.output.exists():
         raise OutputError(f"{job.output} exists: choose another --output (existing files are not overwritten)")
     models = load_models(job.task)
@@ -71,10 +69,8 @@ def run_command(job: CalibrationJob, console: Console) -> int:
 
 def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Model], recordings: dict[str, str],
                    problems: list[str], console: Console) -> list[ErrorSamples]:
-    """Prediction errors of each run. An unusable run is left out; its problem is printed and added to `problems`.
-
-    The files of the used runs are added to `recordings` (sha256 by name).
-    """
+    """Prediction errors of each run. An unusable run is left out; its problem is printed and added to `problems`. The
+    files of the used runs are added to `recordings` (sha256 by name)."""
     samples: list[ErrorSamples] = []
     for source in sources:
         try:

@@ -27,11 +27,9 @@ MODELS = ("linear", "nonlinear")  # checked for stable integration
 
 @dataclass(frozen=True)
 class CheckJob:
-    """Options of `st check`.
-
-    vehicle: read from vehicle_file; vehicle_is_given: whether the user named that file. output: folder, None for
-    runs/check-<time>. json: file instead of check.json in that folder. correction_file: run.yaml to write.
-    """
+    """Options of `st check`. vehicle: read from vehicle_file; vehicle_is_given: whether the user named that file.
+    output: folder, None for runs/check-<time>. json: file instead of check.json in that folder. correction_file:
+    run.yaml to write."""
 
     paths: Sequence[Path]
     vehicle: VehicleParameters
@@ -44,10 +42,8 @@ class CheckJob:
 
 
 def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str], None] | None = None) -> int:
-    """Run the command; returns the exit status: 1 if a run has an error or could not be read, else 0.
-
-    report_vehicle: called with each vehicle file in use, if none was given. Raises ConfigurationError, OutputError.
-    """
+    """Run the command; returns the exit status: 1 if a run has an error or could not be read, else 0. report_vehicle:
+    called with each vehicle file in use, if none was given. Raises ConfigurationError, OutputError."""
     sources = find_runs(job.paths)
     if job.correction_file is not None:
         check_file_name(job.correction_file)

@@ -117,10 +117,8 @@ def describe_correction(advice: Advice | None) -> str:
 
 
 def advise_steering_sign(findings: Iterable[Finding], source: str = "RUN", can: bool | None = None) -> str:
-    """Advice for a steering angle with the opposite sign; empty if the sign is right.
-
-    can: whether the steering is in a CAN log (or in a table); None if unknown.
-    """
+    """Advice for a steering angle with the opposite sign; empty if the sign is right. can: whether the steering is in a
+    CAN log (or in a table); None if unknown."""
     if not any(finding.name == "steering_sign" for finding in findings):
         return ""
     log = "add --steering-sign -1 (1 if car.yaml has -1), or change steering_sign in car.yaml"
@@ -167,11 +165,9 @@ def _zone_note(offset: float) -> str:
 
 @dataclass(frozen=True)
 class CheckedRun:
-    """One run of `st check`.
-
-    vehicle_from: file or recording with the vehicle parameters. duration: [s]. warnings: of the reader, including its
-    corrections. files: sha256 by name. alignment: from `summarise_alignment`. where: files or folder given by the user.
-    """
+    """One run of `st check`. vehicle_from: file or recording with the vehicle parameters. duration: [s]. warnings: of
+    the reader, including its corrections. files: sha256 by name. alignment: from `summarise_alignment`. where: files or
+    folder given by the user."""
 
     name: str
     checked: Checked
@@ -274,10 +270,8 @@ def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
 
 
 def group_by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
-    """Group the findings of several runs: (finding with the largest effect, names of the runs), most severe first.
-
-    The findings of a group have the same name, channels and sign of the value, because the text states the sign.
-    """
+    """Group the findings of several runs: (finding with the largest effect, names of the runs), most severe first. The
+    findings of a group have the same name, channels and sign of the value, because the text states the sign."""
     by_key: dict[tuple[str, tuple[str, ...], bool], list[tuple[Finding, str]]] = {}
     for name, findings in runs.items():
         for finding in findings:

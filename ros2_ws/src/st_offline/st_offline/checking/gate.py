@@ -66,10 +66,8 @@ def make_run_check(where: Path | str, vehicle: VehicleParameters,
 
 
 def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings | None = None) -> list[Finding]:
-    """Check a bag with `vehicle`, else the vehicle stored in it, and with the stored models and step.
-
-    Raises RefusedRunError, and RunError for a bag that cannot be read.
-    """
+    """Check a bag with `vehicle`, else the vehicle stored in it, and with the stored models and step. Raises
+    RefusedRunError, and RunError for a bag that cannot be read."""
     run = read(RunSource(bag.stem, "bag", (bag,)), settings=settings)
     car, recorded, _ = find_configuration(run.provenance["recorded"], vehicle)
     # The bag is read before its vehicle is known: a steering wheel angle is read with ratio 1 and converted here.

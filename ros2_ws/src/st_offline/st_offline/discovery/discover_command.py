@@ -35,10 +35,8 @@ from .vehicle_update import VehicleUpdate, update_vehicle
 
 
 def run_command(request: Request, console: Console) -> int:
-    """Run the command; returns the exit status: 1 if a run could not be used, else 0.
-
-    Raises ConfigurationError, StCoreError.
-    """
+    """Run the command; returns the exit status: 1 if a run could not be used, else 0. Raises ConfigurationError,
+    StCoreError."""
     check_formats(request.formats)
     own: dict[str, str] = {}  # sha256 of each file of user-defined effects
     if request.effects is not None:

@@ -66,10 +66,8 @@ def provenance(found: Discovery, request: Request, seconds: Mapping[str, float])
 
 
 def build_model_file(found: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
-    """Model file with the effects of `update.model` that are not at their neutral values; None without any.
-
-    Intervals of changes from the reference drives are shifted to the total values.
-    """
+    """Model file with the effects of `update.model` that are not at their neutral values; None without any. Intervals
+    of changes from the reference drives are shifted to the total values."""
     intervals: dict[tuple[str, str], Interval] = {}
     for one in found.effects:
         for name, p in one.parameters.items():

@@ -33,11 +33,9 @@ RESULT_FORMAT = 3  # version of the format of cached results; other versions are
 
 @dataclass(frozen=True)
 class Drive:
-    """One run. log: None if a problem prevents its use.
-
-    about: data for the report, including findings and estimates of the checks and the name of the recorded car ("" if
-    unknown); only the findings for a refused run, empty for an unreadable run.
-    """
+    """One run. log: None if a problem prevents its use. about: data for the report, including findings and estimates of
+    the checks and the name of the recorded car ("" if unknown); only the findings for a refused run, empty for an
+    unreadable run."""
 
     name: str
     log: DriveLog | None

@@ -63,10 +63,8 @@ def format_decimal(number: float, count: int) -> str:
 
 
 def format_parameter(p: FittedParameter, parameter: Parameter | None = None, interval: bool = True) -> str:
-    """Value and 95 % interval; a parameter with the neutral value 1 is written as a factor.
-
-    parameter: definition of `p`, needed to report a value on a bound. The interval may cross a bound.
-    """
+    """Value and 95 % interval; a parameter with the neutral value 1 is written as a factor. parameter: definition of
+    `p`, needed to report a value on a bound. The interval may cross a bound."""
     typical_size = abs(parameter.initial - parameter.null) if parameter else 0.0
     bounds = [] if parameter is None or parameter.shape else [
         bound for bound in parameter.bounds if bound not in (parameter.null, parameter.theory)]

@@ -240,11 +240,9 @@ def _confidence_interval(found: Discovery, vehicle: VehicleParameters, folded: S
 
 def updated_vehicle_text(request: Request, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]],
                          runs: Sequence[Run], effects: str) -> str:
-    """The user's vehicle file with these keys replaced; comments and all other entries are unchanged.
-
-    runs, effects: sources of the values. A derived lambda_ky is written only if the edited file would result in another
-    value. If the edited file does not load as `car`, a new file is written.
-    """
+    """The user's vehicle file with these keys replaced; comments and all other entries are unchanged. runs, effects:
+    sources of the values. A derived lambda_ky is written only if the edited file would result in another value. If the
+    edited file does not load as `car`, a new file is written."""
     date = f"{datetime.now(UTC):%Y-%m-%d}"
     source = (f"st discover, {date}, {len(runs)} run{'' if len(runs) == 1 else 's'}, "
               f"{sum(run.seconds for run in runs):.0f} s: {effects}")

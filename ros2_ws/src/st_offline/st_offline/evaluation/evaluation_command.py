@@ -31,11 +31,9 @@ FILE_DESCRIPTIONS = {
 
 def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: str, vehicle_file: str, workers: int,
                 scheduler: str | None, console: Console, tolerance: float | None = None) -> int:
-    """Run the command; returns the exit status: 0 if every run was evaluated, else 1.
-
-    over: means or samples, for the table. tolerance: lateral error [m] for the advice on models; None for no advice.
-    Raises ConfigurationError, OutputError.
-    """
+    """Run the command; returns the exit status: 0 if every run was evaluated, else 1. over: means or samples, for the
+    table. tolerance: lateral error [m] for the advice on models; None for no advice. Raises ConfigurationError,
+    OutputError."""
     check_formats(task.formats)
     began = time.perf_counter()
     sources = find_runs(paths)
@@ -104,10 +102,8 @@ MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is restarted, and its r
 def evaluate_runs(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
                   progress: Callable[[RunSource], Progress] | None = None) -> Iterator[RunReport]:
     """Yield the report of each run: without Dask in the order of the sources, else in the order of completion.
-
     scheduler: address of a Dask scheduler; its workers read the files under the same paths. Raises ConfigurationError
-    if the workers are not available.
-    """
+    if the workers are not available."""
     if workers <= 1 and not scheduler:
         for source in sources:
             yield evaluate_run(source, task, progress(source) if progress else None)

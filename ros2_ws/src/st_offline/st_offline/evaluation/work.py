@@ -67,12 +67,9 @@ class Task:
 
 @dataclass(frozen=True)
 class RunReport:
-    """Results of one run, picklable.
-
-    problem: why the run was not evaluated; `about` then contains at most the findings of the checks. finding: ranking
-    of the models in one sentence. about: provenance, counts, alignment, warnings, findings of the checks. bands: sums
-    of bands.scoring. seconds: wall time [s] of reading, predicting and drawing.
-    """
+    """Results of one run, picklable. problem: why the run was not evaluated; `about` then contains at most the findings
+    of the checks. finding: ranking of the models in one sentence. about: provenance, counts, alignment, warnings,
+    findings of the checks. bands: sums of bands.scoring. seconds: wall time [s] of reading, predicting and drawing."""
 
     name: str
     problem: str = ""

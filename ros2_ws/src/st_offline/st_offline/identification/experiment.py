@@ -18,11 +18,8 @@ from ..evaluation.drawing import FigureOutput, PageFigure
 
 @dataclass(frozen=True)
 class Setup:
-    """Inputs of every experiment in addition to its files.
-
-    read: options for reading recordings. force: whether to use drives in which the checks find errors. model: base
-    model of fits by prediction.
-    """
+    """Inputs of every experiment in addition to its files. read: options for reading recordings. force: whether to use
+    drives in which the checks find errors. model: base model of fits by prediction."""
 
     vehicle: VehicleParameters
     read: ReadSettings = field(default_factory=ReadSettings)
@@ -38,10 +35,8 @@ class Setup:
 @dataclass(frozen=True)
 class Experiment:
     """One experiment. name: as on the command line. what: description in one line. files: description of the files.
-
     identify: reads the files and computes one or more results; raises StCoreError or RunError. draw: draws the figure
-    of a result. files_needed: whether files must be given. drives: whether the files are recordings of drives.
-    """
+    of a result. files_needed: whether files must be given. drives: whether the files are recordings of drives."""
 
     name: str
     what: str
@@ -95,10 +90,8 @@ class Table:
 
 def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Mapping[str, Sequence[str]] | None = None,
                  texts: Sequence[str] = ()) -> Table:
-    """Read a CSV table: all `required` columns, and those of `optional` and `texts` that exist.
-
-    required, optional: permitted units by name. Raises RunError with the file and the invalid column or row.
-    """
+    """Read a CSV table: all `required` columns, and those of `optional` and `texts` that exist. required, optional:
+    permitted units by name. Raises RunError with the file and the invalid column or row."""
     check_readable(file)
     try:
         lines = [line for line in file.read_text(encoding="utf-8-sig").splitlines() if line.strip() and line[0] != "#"]

@@ -55,10 +55,8 @@ class IdentificationJob:
 
 
 def run_command(job: IdentificationJob, console: Console) -> int:
-    """Run the command; returns the exit status: 0 if at least one parameter was identified, else 1.
-
-    Raises StCoreError, RunError, OutputError.
-    """
+    """Run the command; returns the exit status: 0 if at least one parameter was identified, else 1. Raises StCoreError,
+    RunError, OutputError."""
     with console.status(f"identifying: {job.experiment.what}"):
         if job.experiment.files_needed and not job.files:
             raise IdentificationError(f"no files were given; {job.experiment.name} needs {job.experiment.files}")
@@ -136,10 +134,8 @@ def write_results(job: IdentificationJob, found: Sequence[Identification], car: 
 
 
 def updated_vehicle_text(file: Path, car: VehicleParameters, found: Sequence[Identification]) -> str:
-    """The user's vehicle file with the identified entries replaced; comments and other entries are unchanged.
-
-    If the edited file does not load as `car`, for example because a derived scale changes, a new file is written.
-    """
+    """The user's vehicle file with the identified entries replaced; comments and other entries are unchanged. If the
+    edited file does not load as `car`, for example because a derived scale changes, a new file is written."""
     keys = [e.parameter for outcome in found for e in outcome.estimates
             if quantity(e.parameter) is not None and e.status != "unidentifiable"]
 
