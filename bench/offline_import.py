@@ -89,14 +89,15 @@ def _spent(seconds: dict[str, float], wall: float) -> dict[str, float]:
 
 def measure_import(logs: Path, output: Path) -> dict:
     from st_core.vehicle import VehicleParameters
-    from st_offline.checking.gate import make_run_check
+    from st_offline.checking.gate import check_for_use
     from st_recordings.runs import ReadSettings, find_runs, write
 
     leaf = VehicleParameters.from_yaml(config("vehicle/leaf.yaml").read_text(), "leaf.yaml")
     (source,) = find_runs([logs])
     seconds = _timed(_reading())
     start = time.perf_counter()
-    done = write.import_run(source, leaf, output, ReadSettings(), make_run_check(source.where, leaf, force=False))
+    done = write.import_run(source, leaf, output, ReadSettings(),
+                            lambda run: check_for_use(source.where, run, leaf, False))
     total = time.perf_counter() - start
     return {"minutes": done.span / 60, "ncom_packets": done.counts["/ins/ncom"], "can_frames": len(done.run.can.frames),
             "verdict": str(done.run.alignment.verdict), "times_real_time": done.span / total, **_spent(seconds, total),

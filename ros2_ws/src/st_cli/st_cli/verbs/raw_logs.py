@@ -159,7 +159,7 @@ def _import_one(source, parameters, folder: Path, settings, force: bool, console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
     from st_offline.alignment_figure import draw_alignment
     from st_offline.checking.check_report import print_findings
-    from st_offline.checking.gate import make_run_check
+    from st_offline.checking.gate import check_for_use
     from st_offline.terminal import print_line
     from st_recordings.runs.write import import_run
 
@@ -167,7 +167,8 @@ def _import_one(source, parameters, folder: Path, settings, force: bool, console
     with Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console,
                   transient=True) as progress:
         task = progress.add_task(f"{source.name}: reading and aligning", total=None)
-        done = import_run(source, parameters, folder, settings, make_run_check(source.where, parameters, force),
+        done = import_run(source, parameters, folder, settings,
+                          lambda run: check_for_use(source.where, run, parameters, force),
                           lambda share: progress.update(task, description=f"{source.name}: writing", total=1.0,
                                                         completed=share))
     seconds = time.perf_counter() - began

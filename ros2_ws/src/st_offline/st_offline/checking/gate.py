@@ -1,9 +1,8 @@
 """Checks recordings before a command uses them, and rejects those with errors."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from st_core.checks import AuxiliaryData, Checked, Finding, Severity, check
 from st_core.checks.trial import step_too_long
@@ -16,7 +15,6 @@ from st_recordings.recorded_results import find_configuration
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 
 from . import check_report
-from .check_report import findings_as_json
 
 STEP = PredictionSettings().step
 RUN_ERRORS = (RunError, StCoreError, MemoryError, OSError)
@@ -54,17 +52,6 @@ def refuse_errors(where: Path | str, findings: Sequence[Finding], force: bool) -
         raise RefusedRunError(where, findings)
 
 
-def make_run_check(where: Path | str, vehicle: VehicleParameters,
-                   force: bool) -> Callable[[LoadedRun], tuple[Finding, ...]]:
-    """Function for `import_run` that returns the findings of a drive, or raises RefusedRunError."""
-    def check_run(run: LoadedRun) -> tuple[Finding, ...]:
-        findings = check_log(run.log, vehicle, run.auxiliary).findings
-        refuse_errors(where, findings, force)
-        return findings
-
-    return check_run
-
-
 def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings | None = None) -> list[Finding]:
     """Check a bag with `vehicle`, else the vehicle stored in it, and with the stored models and step. Raises
     RefusedRunError, and RunError for a bag that cannot be read."""
@@ -81,11 +68,11 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
 
 
 def check_for_use(where: Path | str, run: LoadedRun, vehicle: VehicleParameters, force: bool,
-                  models: Sequence[str | Model] = (), step: float = STEP) -> list[dict[str, Any]]:
-    """Check a drive; returns its findings as JSON values. Raises RefusedRunError for errors, unless forced."""
+                  models: Sequence[str | Model] = (), step: float = STEP) -> tuple[Finding, ...]:
+    """Check a drive; returns its findings. Raises RefusedRunError for errors, unless forced."""
     findings = check_log(run.log, vehicle, run.auxiliary, models, step).findings
     refuse_errors(where, findings, force)
-    return findings_as_json(findings)
+    return findings
 
 
 def describe_problem(error: Exception, source: RunSource) -> str:

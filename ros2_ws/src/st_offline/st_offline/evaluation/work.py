@@ -168,7 +168,8 @@ def _check_run(source: RunSource, run: LoadedRun, task: Task,
                models: Sequence[Model]) -> list[dict[str, Any]] | RefusedRunError:
     """Findings of the checks, or the error for a refused run."""
     try:
-        return check_for_use(source.where, run, task.vehicle, task.force, models, task.settings.prediction.step)
+        return findings_as_json(check_for_use(source.where, run, task.vehicle, task.force, models,
+                                              task.settings.prediction.step))
     except RefusedRunError as error:
         return error
 
