@@ -17,7 +17,7 @@ from pathlib import Path
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Header, MessageIndex, Schema
+from mcap.records import Channel, Chunk, Header, MessageIndex, Metadata, Schema
 
 from . import bag_metadata
 from .bag_metadata import BagFile, BagInformation, Qos, Topic, collect_custom_data, format_qos
@@ -78,12 +78,9 @@ class BagWriter:
         # Create the file first: of two writers that start together only one succeeds, and the other changes nothing.
         self._file = _LockedFile(self.path)
         self._information().save(self.directory)
-        header = RecordBuilder()
-        Header(profile="ros2", library="st_predictor").write(header)
-        self._file.write(MAGIC + header.end())
-        self._header_length = self._file.tell()
-        for name, entries in (records or {}).items():
-            self._contents.append_metadata(self._file, name, dict(entries))
+        self._file.write(MAGIC)
+        self._contents.append(self._file, Header(profile="ros2", library="st_predictor"), *(
+            Metadata(name, dict(entries)) for name, entries in (records or {}).items()))
         self._next_flush = self._next_path_check = time.monotonic() + FLUSH_PERIOD
         if synced:
             self.syncer = Syncer(self._file.descriptor, (self.directory, self.directory.parent))
@@ -111,7 +108,7 @@ class BagWriter:
         if not (self.closed or self.error):
             try:
                 # Definitions are outside of chunks, so that a damaged chunk loses only its own messages.
-                self._contents.append_definitions(self._file, new)
+                self._contents.append(self._file, *new)
             except OSError as error:
                 self._stop(error)
         return len(self._topics)
@@ -164,7 +161,7 @@ class BagWriter:
                 if self._messages:
                     self._write_chunk()
                 description = {"serialized_metadata": self._information().text()}
-                self._contents.append_metadata(self._file, "rosbag2", description)
+                self._contents.append(self._file, Metadata("rosbag2", description))
                 self._finish(self.directory)
                 self._close_file()
             except OSError as error:
@@ -181,7 +178,7 @@ class BagWriter:
         times = [record[0] for index in messages.values() for record in index.records]
         chunk = Chunk(compression="zstd", data=self._compressor.compress(data), message_start_time=min(times),
                       message_end_time=max(times), uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data))
-        self._contents.append_chunk(self._file, chunk, messages)
+        self._contents.append(self._file, chunk, *messages.values())
         if self.syncer:
             self.syncer.wake()
 
@@ -217,11 +214,10 @@ class BagWriter:
         """Closes the bag after its last complete chunk, and drops chunks until index and metadata.yaml fit."""
         self.error = f"recording stopped: {error.strerror or error} ({self.path})"
         written = self.message_count
-        length = max(self._header_length, self._contents.end_offset())
+        length = self._file.tell()
         while True:
             try:
                 self._file.truncate(length)
-                self._contents.drop_after(length)
                 counts, times = self._contents.counts(), self._contents.times()
                 for channel_id, topic in enumerate(self._topics, start=1):
                     topic.count = counts[channel_id]
@@ -229,14 +225,14 @@ class BagWriter:
                 self._finish(self.directory)
                 break
             except OSError as failed:
-                last = self._contents.last_chunk_offset()
-                if last is None or failed.errno not in DISK_FULL_ERRORS:
+                dropped = self._contents.drop_last_chunk() if failed.errno in DISK_FULL_ERRORS else None
+                if dropped is None:
                     self.error += (f"; its index could not be written either ({failed.strerror}): repair the bag with "
                                    "`recover`")
                     with contextlib.suppress(OSError):
                         self._file.truncate(length)
                     break
-                length = last
+                length = dropped
         self.lost += written - self.message_count
         self._close_file()
 
@@ -255,12 +251,12 @@ class _LockedFile:
     def write(self, data: bytes) -> int:
         view = memoryview(data)
         while view:
-            written = os.write(self.descriptor, view)
-            self._length += written
-            view = view[written:]
+            view = view[os.write(self.descriptor, view):]
+        self._length += len(data)
         return len(data)
 
     def tell(self) -> int:
+        """The end of the last complete write."""
         return self._length
 
     def truncate(self, length: int) -> None:

@@ -15,6 +15,7 @@ from typing import Any, BinaryIO, NamedTuple, Protocol
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
+    Attachment,
     AttachmentIndex,
     Channel,
     Chunk,
@@ -22,6 +23,7 @@ from mcap.records import (
     DataEnd,
     Footer,
     McapRecord,
+    Message,
     MessageIndex,
     Metadata,
     MetadataIndex,
@@ -29,11 +31,13 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
 DROPPABLE_CHUNKS = 100
 """Number of most recent chunks that can be dropped when the disk is full."""
 MAGIC = b"\x89MCAP0\r\n"
+_LISTED_RECORDS = (Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA,
+                   Opcode.ATTACHMENT)
 _HEAD = struct.Struct("<BQ")  # opcode, length of the content
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 
@@ -53,10 +57,6 @@ class Record(NamedTuple):
 class WritableStream(Protocol):
     def write(self, data: bytes, /) -> int: ...
     def tell(self) -> int: ...
-
-
-class DamagedError(ValueError):
-    """A record of full length has invalid content."""
 
 
 def _serialise(*records: McapRecord) -> bytes:
@@ -80,15 +80,11 @@ def read_records(stream: BinaryIO, size: int, offset: int = len(MAGIC)) -> Itera
 @dataclass
 class _ChunkEntry:
     index: ChunkIndex
-    messages: dict[int, MessageIndex]  # by channel id
+    messages: Mapping[int, MessageIndex]  # by channel id
     counts: dict[int, int]  # messages by channel id
 
     def times(self) -> list[int]:
         return [self.index.message_start_time, self.index.message_end_time] if self.counts else []
-
-    def add_message_index(self, channel_id: int, offset: int, length: int) -> None:
-        self.index.message_index_offsets[channel_id] = offset
-        self.index.message_index_length += length
 
 
 class Contents:
@@ -107,7 +103,6 @@ class Contents:
         self._older_times: list[int] = []
         self._metadata_indexes: list[MetadataIndex] = []
         self._attachment_indexes: list[AttachmentIndex] = []
-        self._definitions_end = 0
 
     def counts(self) -> Counter[int]:
         """Number of messages by channel id."""
@@ -121,51 +116,56 @@ class Contents:
         times = self._older_times + [t for entry in self._chunks for t in entry.times()]
         return (min(times), max(times)) if times else (0, 0)
 
-    def add(self, record: Record, offset: int) -> None:
-        """Adds one record of the data section. offset: position of the record in the file that will get the index.
+    def add(self, record: Record, offset: int) -> bool:
+        """Adds one record of the data section; returns False, and adds nothing, if its content is invalid.
 
-        Raises DamagedError for invalid content, which is not added.
+        offset: position of the record in the file that will get the index.
         """
+        if record.opcode not in _LISTED_RECORDS:
+            return True
         try:
-            self._add(record, offset)
-        except DamagedError:
-            raise
-        except Exception as error:  # any, because decoders do not check the bytes
-            raise DamagedError(f"{type(error).__name__}: {error}") from error
+            parsed = next(StreamReader(BytesIO(record.raw), skip_magic=True, emit_chunks=True).records)
+            if isinstance(parsed, Message) and parsed.channel_id not in self.channels:
+                return False
+            if isinstance(parsed, MessageIndex) and parsed.channel_id not in self._chunks[-1].counts:
+                return False
+            messages = self._index_messages(parsed) if isinstance(parsed, Chunk) else {}
+        except Exception:  # any, because the library does not check the bytes
+            return False
+        self._add(parsed, offset, len(record.raw), messages)
+        return True
 
-    def _add(self, record: Record, offset: int) -> None:
-        stream = ReadDataStream(BytesIO(record.content))
-        length = _HEAD.size + len(record.content)
-        if record.opcode == Opcode.CHUNK:
-            self._read_chunk(Chunk.read(stream), offset, length)
-        elif record.opcode == Opcode.MESSAGE_INDEX:
-            channel_id = MessageIndex.read(stream).channel_id
-            if not self._chunks or channel_id not in self._chunks[-1].counts:
-                raise DamagedError(f"index of channel {channel_id}, which is not in the chunk before it")
-            self._chunks[-1].add_message_index(channel_id, offset, length)
-        elif record.opcode == Opcode.SCHEMA:
-            schema = Schema.read(stream)
-            self.schemas[schema.id] = schema
-        elif record.opcode == Opcode.CHANNEL:
-            channel = Channel.read(stream)
-            self.channels[channel.id] = channel
-        elif record.opcode == Opcode.MESSAGE:
-            channel_id, _, log_time, _ = _MESSAGE.unpack_from(record.content)
-            if channel_id not in self.channels:
-                raise DamagedError(f"message of unknown channel {channel_id}")
-            self._add_older({channel_id: 1}, [log_time])
-        elif record.opcode == Opcode.METADATA:
-            entry = Metadata.read(stream)
-            self.metadata[entry.name] = entry.metadata
-            self._metadata_indexes.append(MetadataIndex(offset=offset, length=length, name=entry.name))
-        elif record.opcode == Opcode.ATTACHMENT:
-            self._attachment_indexes.append(_read_attachment_index(stream, offset, length))
+    def _add(self, record: McapRecord, offset: int, length: int, messages: Mapping[int, MessageIndex]) -> None:
+        """messages: message indexes of a chunk, if they may be missing in the file."""
+        match record:
+            case Chunk():
+                self._add_chunk(record, messages, offset, length)
+            case MessageIndex():
+                newest = self._chunks[-1]
+                newest.counts.setdefault(record.channel_id, len(record.records))
+                newest.index.message_index_offsets[record.channel_id] = offset
+                newest.index.message_index_length += length
+            case Schema():
+                self.schemas[record.id] = record
+            case Channel():
+                self.channels[record.id] = record
+            case Message():
+                self._add_older({record.channel_id: 1}, [record.log_time])
+            case Metadata():
+                self.metadata[record.name] = record.metadata
+                self._metadata_indexes.append(MetadataIndex(offset=offset, length=length, name=record.name))
+            case Attachment():
+                self._attachment_indexes.append(AttachmentIndex(
+                    offset=offset, length=length, log_time=record.log_time, create_time=record.create_time,
+                    data_size=len(record.data), name=record.name, media_type=record.media_type))
 
-    def _read_chunk(self, chunk: Chunk, offset: int, length: int) -> None:
+    def _index_messages(self, chunk: Chunk) -> dict[int, MessageIndex]:
+        """Indexes the messages of a chunk by channel id, and adds its schemas and channels. Raises an exception for
+        damaged content."""
         stream, size = get_chunk_data_stream(chunk, validate_crc=True)
         data = stream.read(size)
         if len(data) != chunk.uncompressed_size:
-            raise DamagedError(f"chunk has {len(data)} bytes, {chunk.uncompressed_size} declared")
+            raise ValueError("the declared size of a chunk is wrong")
         schemas, channels = dict(self.schemas), dict(self.channels)
         messages: dict[int, MessageIndex] = {}
         position = 0
@@ -173,11 +173,11 @@ class Contents:
             opcode, inner = _HEAD.unpack_from(data, position)
             start, end = position + _HEAD.size, position + _HEAD.size + inner
             if end > size:
-                raise DamagedError("record reaches beyond its chunk")
+                raise ValueError("a record reaches beyond its chunk")
             if opcode == Opcode.MESSAGE:
                 channel_id, _, log_time, _ = _MESSAGE.unpack_from(data, start)
                 if channel_id not in channels:
-                    raise DamagedError(f"message of unknown channel {channel_id}")
+                    raise ValueError("a message has an unknown channel")
                 messages.setdefault(channel_id, MessageIndex(channel_id, [])).records.append((log_time, position))
             elif opcode == Opcode.SCHEMA:
                 schema = Schema.read(ReadDataStream(BytesIO(data[start:end])))
@@ -187,9 +187,9 @@ class Contents:
                 channels[channel.id] = channel
             position = end
         self.schemas, self.channels = schemas, channels
-        self._add_chunk(chunk, messages, offset, length)
+        return messages
 
-    def _add_chunk(self, chunk: Chunk, messages: dict[int, MessageIndex], offset: int, length: int) -> None:
+    def _add_chunk(self, chunk: Chunk, messages: Mapping[int, MessageIndex], offset: int, length: int) -> None:
         if self._chunks:
             self._chunks[-1].messages = {}  # its index is in the file; only the newest chunk may lack one
         index = ChunkIndex(
@@ -210,60 +210,34 @@ class Contents:
         times = [*self._older_times, *times]
         self._older_times = [min(times), max(times)] if times else []
 
-    def append_chunk(self, stream: WritableStream, chunk: Chunk, messages: dict[int, MessageIndex]) -> None:
-        """Writes a new chunk with its message indexes; after an OSError the inventory is unchanged."""
-        parts = [_serialise(record) for record in (chunk, *messages.values())]
+    def append(self, stream: WritableStream, *records: McapRecord) -> None:
+        """Writes records and adds them; after an OSError the inventory is unchanged."""
+        parts = [_serialise(record) for record in records]
         offset = stream.tell()
         stream.write(b"".join(parts))
-        self._add_chunk(chunk, messages, offset, len(parts[0]))
-        offset += len(parts[0])
-        for channel_id, part in zip(messages, parts[1:], strict=True):
-            self._chunks[-1].add_message_index(channel_id, offset, len(part))
+        for record, part in zip(records, parts, strict=True):
+            self._add(record, offset, len(part), {})
             offset += len(part)
 
-    def append_definitions(self, stream: WritableStream, records: Sequence[Schema | Channel]) -> None:
-        """Writes schemas and channels."""
-        stream.write(_serialise(*records))
-        self._definitions_end = stream.tell()
-        self.schemas.update({r.id: r for r in records if isinstance(r, Schema)})
-        self.channels.update({r.id: r for r in records if isinstance(r, Channel)})
+    def drop_last_chunk(self) -> int | None:
+        """Removes the newest chunk, and the metadata after it, from the inventory.
 
-    def append_metadata(self, stream: WritableStream, name: str, entries: dict[str, str]) -> None:
-        offset, data = stream.tell(), _serialise(Metadata(name=name, metadata=entries))
-        stream.write(data)
-        self.metadata[name] = entries
-        self._metadata_indexes.append(MetadataIndex(offset=offset, length=len(data), name=name))
-
-    def drop_after(self, length: int) -> None:
-        """Removes the content after the first `length` bytes of the file from the inventory, at most DROPPABLE_CHUNKS
-        chunks."""
-        while self._chunks and self._chunks[-1].index.chunk_start_offset >= length:
-            self._chunks.pop()
-        self._definitions_end = min(self._definitions_end, length)
-        self._metadata_indexes = [i for i in self._metadata_indexes if i.offset < length]
-
-    def end_offset(self) -> int:
-        """End of the last record that was appended; 0 if there is none."""
-        ends = [self._definitions_end, *(i.offset + i.length for i in self._metadata_indexes)]
-        if self._chunks:
-            newest = self._chunks[-1].index
-            ends.append(newest.chunk_start_offset + newest.chunk_length + newest.message_index_length)
-        return max(ends)
-
-    def last_chunk_offset(self) -> int | None:
-        """Start of the newest chunk; None if no chunk can be dropped."""
-        return self._chunks[-1].index.chunk_start_offset if self._chunks else None
+        Returns the position of the chunk in the file; None if DROPPABLE_CHUNKS have been dropped or there is none.
+        """
+        if not self._chunks:
+            return None
+        offset = self._chunks.pop().index.chunk_start_offset
+        self._metadata_indexes = [i for i in self._metadata_indexes if i.offset < offset]
+        return offset
 
     def finish(self, stream: WritableStream) -> None:
         """Appends the end of the file: missing message indexes of the last chunk, end of data, summary and footer."""
         if self._chunks:
             newest = self._chunks[-1]
-            for channel_id in newest.messages.keys() - newest.index.message_index_offsets.keys():
-                data = _serialise(newest.messages[channel_id])
-                newest.add_message_index(channel_id, stream.tell(), len(data))
-                stream.write(data)
-        stream.write(_serialise(DataEnd(0)))
-        stream.write(self._summary(stream.tell()) + MAGIC)
+            missing = newest.messages.keys() - newest.index.message_index_offsets.keys()
+            self.append(stream, *(newest.messages[channel_id] for channel_id in missing))
+        data_end = _serialise(DataEnd(0))
+        stream.write(data_end + self._summary(stream.tell() + len(data_end)) + MAGIC)
 
     def _summary(self, summary_start: int) -> bytes:
         counts, (start_ns, end_ns) = self.counts(), self.times()
@@ -295,10 +269,3 @@ class Contents:
         crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start), zlib.crc32(summary))
         return summary + _serialise(Footer(summary_start=summary_start, summary_offset_start=offset_start,
                                            summary_crc=crc))
-
-
-def _read_attachment_index(stream: ReadDataStream, offset: int, length: int) -> AttachmentIndex:
-    log_time, create_time = stream.read8(), stream.read8()
-    name, media_type = stream.read_prefixed_string(), stream.read_prefixed_string()
-    return AttachmentIndex(offset=offset, length=length, log_time=log_time, create_time=create_time,
-                           data_size=stream.read8(), name=name, media_type=media_type)

@@ -6,7 +6,6 @@ The original is kept as NAME.mcap.cut. A bag that needs no repair is not changed
 
 import fcntl
 import os
-import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator
@@ -17,17 +16,15 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import yaml
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Footer, Statistics
+from mcap.records import DataEnd, Footer, Statistics
+from mcap.stream_reader import StreamReader
 
 from .bag_metadata import FILE_NAME, BagFile, BagInformation, Topic, collect_custom_data, read_information
-from .mcap_contents import MAGIC, Contents, DamagedError, read_records
+from .mcap_contents import MAGIC, Contents, read_records
 from .paths import natural_sort_key
 
-FOOTER_LENGTH = 29
-_DATA_END = struct.pack("<BQI", Opcode.DATA_END, 4, 0)
+DATA_END_LENGTH = 13  # bytes of the record that ends the data section
 
 
 class RecoveryError(ValueError):
@@ -134,7 +131,7 @@ def _recover_file(source: Path, target: Path, report: RecoveryReport) -> Content
         _check_recoverable(stream, source, size)
         contents, found = Contents(), FileReport(target)
         found.kept_bytes = len(MAGIC) + sum(map(len, _read_undamaged_records(stream, size, contents, found)))
-        found.intact = not found.damaged_records and _is_closed(stream, size, contents, found)
+        found.intact = not found.damaged_records and _is_closed(stream, contents, found)
         if not (found.intact and target == source):
             contents = _write_repaired(stream, size, source, target, found)
     found.messages = contents.counts().total()
@@ -157,27 +154,19 @@ def _check_recoverable(stream: BinaryIO, source: Path, size: int) -> None:
         raise RecoveryError(f"{source} was cut before anything was recorded")
 
 
-def _is_closed(stream: BinaryIO, size: int, contents: Contents, found: FileReport) -> bool:
+def _is_closed(stream: BinaryIO, contents: Contents, found: FileReport) -> bool:
     """Whether a valid summary that counts the same messages follows the data, as in a closed file."""
-    summary_start = found.kept_bytes + len(_DATA_END)
-    footer_at = size - FOOTER_LENGTH - len(MAGIC) - summary_start
     stream.seek(found.kept_bytes)
-    head, end = stream.read(len(_DATA_END)), stream.read()
-    if footer_at <= 0 or not (head.startswith(_DATA_END[:9]) and end.endswith(MAGIC)
-                              and end[footer_at] == Opcode.FOOTER):
-        return False
-    footer = Footer.read(ReadDataStream(BytesIO(end[footer_at + 9:])))
-    if footer.summary_start != summary_start or footer.summary_crc not in (0, zlib.crc32(end[:-len(MAGIC) - 4])):
-        return False
-    records = list(read_records(stream, size, summary_start))
-    if not records or records[-1].offset != summary_start + footer_at:
-        return False  # other bytes are in between
+    end = BytesIO(stream.read())
     try:
-        counts = [Statistics.read(ReadDataStream(BytesIO(record.content))).message_count for record in records
-                  if record.opcode == Opcode.STATISTICS]
-    except (McapError, struct.error):
+        data_end, *summary, footer = StreamReader(end, skip_magic=True).records
+    except Exception:  # any, because the library does not check the bytes
         return False
-    return all(count == contents.counts().total() for count in counts)
+    crc = zlib.crc32(end.getvalue()[DATA_END_LENGTH : -len(MAGIC) - 4])
+    return (isinstance(data_end, DataEnd) and isinstance(footer, Footer) and not end.read()
+            and footer.summary_start == found.kept_bytes + DATA_END_LENGTH and footer.summary_crc in (0, crc)
+            and all(record.message_count == contents.counts().total() for record in summary
+                    if isinstance(record, Statistics)))
 
 
 def _read_undamaged_records(stream: BinaryIO, size: int, contents: Contents, found: FileReport) -> Iterator[bytes]:
@@ -193,9 +182,7 @@ def _read_undamaged_records(stream: BinaryIO, size: int, contents: Contents, fou
         end = record.offset + len(raw)
         if chunk_left_out and record.opcode == Opcode.MESSAGE_INDEX:
             continue
-        try:
-            contents.add(record, kept)
-        except DamagedError:
+        if not contents.add(record, kept):
             found.damaged_records += 1
             chunk_left_out = record.opcode == Opcode.CHUNK
             continue
