@@ -80,12 +80,12 @@ class CanedgeBridge(Node):
             self._open, self._on_frame, on_state=self._on_state, on_error=self._on_error,
             silence=settings.silence_after,
             network_interface=settings.channel if settings.interface == "socketcan" else "")
-        bus_name = f"{settings.interface}:{settings.channel}"
+        self._bus_name = bus_name = f"{settings.interface}:{settings.channel}"
         self._health = Health(bus_name, self._decoder, self._receiver.status, time.time_ns)
         self._diagnostics = Diagnostics(self, bus_name, self._health.checks)
         # The receive thread reports a change through this, because only the executor may publish diagnostics.
         self._bus_changed = self.create_guard_condition(self._diagnostics.publish)
-        self._report_start(bus_name)
+        self._log_start()
         self._receiver.start()
 
     def close(self) -> None:
@@ -130,16 +130,16 @@ class CanedgeBridge(Node):
                 steering_wheel_angle=calibration.steering_wheel_angle(sensor),
                 road_wheel_angle=calibration.road_wheel_angle(sensor)))
         now = time.monotonic()
-        for output, to_message in ((self._wheel_speeds, to_wheel_speeds), (self._ins_on_can, to_ins_on_can)):
-            if output.has_subscribers(now) and (message := to_message(decoded)) is not None:
-                output.publish(message)
+        if self._wheel_speeds.has_subscribers(now) and (fields := _select_fields(decoded, _WHEEL_SPEEDS)):
+            self._wheel_speeds.publish(WheelSpeeds(header=_header(decoded.time_ns), valid=decoded.valid, **fields))
+        if self._ins_on_can.has_subscribers(now) and (fields := _select_fields(decoded, _INS)):
+            self._ins_on_can.publish(InsOnCan(header=_header(decoded.time_ns), **fields))
 
     def _publish_frames(self) -> None:
         with self._frames_lock:
             frames, self._frames = self._frames, []
         if frames:
-            bus = f"{self._settings.interface}:{self._settings.channel}"
-            self._can_frames.publish(serialise_frames(frames, bus))
+            self._can_frames.publish(serialise_frames(frames, self._bus_name))
 
     def _on_state(self, state: BusState, reason: str) -> None:
         if rclpy.ok():
@@ -150,11 +150,11 @@ class CanedgeBridge(Node):
         if rclpy.ok():
             self.get_logger().error(f"a frame could not be processed: {error!r}", throttle_duration_sec=5.0)
 
-    def _report_start(self, bus_name: str) -> None:
+    def _log_start(self) -> None:
         logger, table = self.get_logger(), self._decoder.table
         needed = ", ".join(m.name for m in table.needed) or "nothing"
         absent = f"; not in the DBC: {', '.join(table.absent)}" if table.absent else ""
-        logger.info(f"bus {bus_name}, {table.dbc_file} with {table.signals_file}: "
+        logger.info(f"bus {self._bus_name}, {table.dbc_file} with {table.signals_file}: "
                     f"decodes {len(table.messages)} messages, requires {needed}{absent}")
         if self._calibration is not None:
             logger.info(self._calibration.formula())
@@ -186,18 +186,6 @@ def _read_vehicle(file: str) -> VehicleParameters:
         raise ConfigurationError(f"canedge_bridge.vehicle_file: {error}") from None
 
 
-def to_wheel_speeds(decoded: Decoded) -> WheelSpeeds | None:
-    """st_msgs/WheelSpeeds; None if the frame has no speed."""
-    fields = _message_fields(decoded, _WHEEL_SPEEDS)
-    return WheelSpeeds(header=_header(decoded.time_ns), valid=decoded.valid, **fields) if fields else None
-
-
-def to_ins_on_can(decoded: Decoded) -> InsOnCan | None:
-    """st_msgs/InsOnCan; None if the frame has no signal of the INS."""
-    fields = _message_fields(decoded, _INS)
-    return InsOnCan(header=_header(decoded.time_ns), **fields) if fields else None
-
-
 def serialise_frame(frame: can.Message, time_ns: int) -> bytes:
     """st_msgs/CanFrame as CDR, padded to four bytes; ten times as fast as filling and serialising a message."""
     data, (seconds, nanoseconds) = bytes(frame.data), divmod(time_ns, 1_000_000_000)
@@ -216,8 +204,8 @@ def _header(time_ns: int) -> Header:
     return Header(stamp=from_nanoseconds(time_ns))
 
 
-def _message_fields(decoded: Decoded, names: dict[str, str]) -> dict[str, float]:
-    """Value of each message field, NaN if the frame has none; empty if the frame has no value for any field."""
+def _select_fields(decoded: Decoded, names: dict[str, str]) -> dict[str, float]:
+    """Value of each field in `names` (signal -> field): NaN if the frame lacks the signal; empty if it lacks all."""
     if not any(name in decoded.values for name in names):
         return {}
     return {field: decoded.values.get(name, math.nan) for name, field in names.items()}

@@ -143,11 +143,9 @@ def find_problems(folder: str) -> list[str]:
 def list_remarks(folder: str) -> list[str]:
     """Lists remarks on a valid car: values that are unusual for a road car, and the uncertainties in use."""
     car = load_car(folder)
-    file = car.vehicle
-    vehicle = read_vehicle(file)
-    notes = [f"{file}: unusual: {text}" for text in objections(vehicle)]
-    notes += _suggest_speed_signals(car)
-    return [*notes, "uncertainty of each quantity, one standard deviation (the prior of st discover):",
+    vehicle = read_vehicle(car.vehicle)
+    return [*(f"{car.vehicle}: unusual: {text}" for text in objections(vehicle)), *_suggest_speed_signals(car),
+            "uncertainty of each quantity, one standard deviation (the prior of st discover):",
             *(f"  {line}" for line in list_uncertainties(vehicle))]
 
 

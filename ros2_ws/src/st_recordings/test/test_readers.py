@@ -19,10 +19,7 @@ def another_ins() -> Iterator[Reader]:
     def read_ins(source, settings):
         return read_ncom(source.where)
 
-    def read_it(source, vehicle, settings):
-        return read_raw_run(source, vehicle, settings, read_ins)
-
-    yield register(Reader("another", "ins", (".other",), read_it, read_ins, lacks_steering=None))
+    yield register(Reader("another", "ins", (".other",), read_raw_run, read_ins, lacks_steering=None))
     del READERS["another"]
 
 

@@ -250,7 +250,12 @@ def _decompress_chunks(stream: BinaryIO, chunks: Sequence[ChunkIndex]) -> Iterat
 
 
 def _read_block(stream: BinaryIO, chunk: ChunkIndex, channel: int, buffer: np.ndarray) -> Block:
-    times, offsets = _read_message_index(stream, chunk.message_index_offsets[channel])
+    stream.seek(chunk.message_index_offsets[channel])
+    head = stream.read(_RECORD_HEAD + 6)
+    if len(head) < _RECORD_HEAD + 6 or head[0] != Opcode.MESSAGE_INDEX:
+        raise ValueError("a message index is missing")
+    entries = stream.read(struct.unpack_from("<I", head, _RECORD_HEAD + 2)[0])
+    times, offsets = np.frombuffer(entries, "<u8").astype(np.int64).reshape(-1, 2).T
     words = np.ndarray((max(len(buffer) - 7, 0),), "<u8", buffer.data, 0, (1,))
     if len(offsets) and not 0 <= int(offsets.min()) <= int(offsets.max()) <= len(buffer) - _MESSAGE_HEAD:
         raise ValueError("a message index points outside its chunk")
@@ -271,14 +276,3 @@ def _read_chunk(stream: BinaryIO, chunk: ChunkIndex) -> bytes:
     except CRCValidationError:
         raise ValueError(f"the chunk at byte {chunk.chunk_start_offset} is damaged: wrong checksum") from None
     return content.read(size)
-
-
-def _read_message_index(stream: BinaryIO, at: int) -> tuple[np.ndarray, np.ndarray]:
-    """(log times, offsets in the chunk) of the messages of one channel."""
-    stream.seek(at)
-    head = stream.read(_RECORD_HEAD + 6)
-    if len(head) < _RECORD_HEAD + 6 or head[0] != Opcode.MESSAGE_INDEX:
-        raise ValueError("a message index is missing")
-    size = struct.unpack_from("<I", head, _RECORD_HEAD + 2)[0]
-    entries = np.frombuffer(stream.read(size), "<u8").reshape(-1, 2)
-    return entries[:, 0].astype(np.int64), entries[:, 1].astype(np.int64)

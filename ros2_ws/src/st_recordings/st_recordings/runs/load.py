@@ -35,7 +35,10 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     # Hashing releases the GIL, so it runs in parallel with reading.
     with ThreadPoolExecutor(1) as pool:
         digests = pool.submit(hash_files, (*source.files, *source.can))
-        loaded = _read(source, vehicle, settings)
+        reader = READERS[source.kind]
+        if source.can and reader.read_ins and not reader.needs_can and not settings.steering:
+            reader = READERS["ncom"]  # it combines an INS recording of any kind with CAN logs
+        loaded = reader.read(source, vehicle, settings)
     start_ns = int(loaded.log.ins_time_ns[0]) if len(loaded.log.ins_time_ns) else 0
     log, implausible = drop_implausible(loaded.log, start_ns)
     if vehicle is not None and log.steering_wheel_angle is not None:
@@ -49,15 +52,6 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     loaded = replace(loaded, warnings=(*loaded.warnings, *check_coverage(source, loaded.log)))
     log_warnings(loaded.warnings)
     return replace(loaded, provenance={**loaded.provenance, "files": digests.result()})
-
-
-def _read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
-    reader = READERS[source.kind]
-    if source.can and not reader.needs_can and reader.read_ins and not settings.steering:
-        from .raw import read_raw_run  # slow import: see readers/ncom.py
-
-        return read_raw_run(source, vehicle, settings, reader.read_ins)
-    return reader.read(source, vehicle, settings)
 
 
 def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None) -> LoadedRun:

@@ -1,6 +1,6 @@
 """Decodes the INS recording and CAN logs of a run, and aligns their clocks."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -49,15 +49,13 @@ class RawRun:
     warnings: tuple[str, ...]
 
 
-ReadIns = Callable[[RunSource, ReadSettings], InsLog]
-
-
-def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_frames: bool = True,
+def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True,
              needs_steering: bool = True) -> RawRun:
     """Reads and aligns the INS recording and CAN logs of a run.
 
-    keep_frames: False discards the raw frames after decoding, because they use most of the memory. Raises RunError; a
-    refused alignment does not raise but is part of the result.
+    keep_frames: False discards the raw frames after decoding, because they use most of the memory. needs_steering:
+    False if the run need not contain a steering angle, and a CSV file no position. Raises RunError; a refused alignment
+    does not raise but is part of the result.
     """
     if source.problem is not None:
         raise source.problem
@@ -71,6 +69,8 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns, keep_
     parts = _split_log(can)
     if not keep_frames:
         can = replace(can, frames=empty_frames())
+    read_ins = csv.read_motion if source.kind == "csv" and not needs_steering else READERS[source.kind].read_ins
+    assert read_ins is not None  # every kind of recording that can be combined with CAN logs has it
     ins, options = read_ins(source, settings), choose_clock_settings(source, settings)
     alignment, shared = align_clocks(ins, signals, **options)
     notes = []
@@ -111,13 +111,12 @@ def _find_alignable_part(ins: InsLog, signals: CanSignals, parts: Sequence[tuple
     return None
 
 
-def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings,
-                 read_ins: ReadIns) -> LoadedRun:
+def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
     """Reads the drive in an INS recording and CAN logs. Raises RunError."""
     if vehicle is None:
         raise RunError(source.where, "the road wheel angle of a CAN log needs the steering ratio and offset of the car",
                        "give the vehicle file of the car")
-    return build_drive(source, vehicle, settings, read_raw(source, settings, read_ins, keep_frames=False))
+    return build_drive(source, vehicle, settings, read_raw(source, settings, keep_frames=False))
 
 
 def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> LoadedRun:
@@ -130,7 +129,7 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
         warnings.append(f"{source.where}: the alignment of the clocks is {verdict}: {reasons}")
     ins, steering = run.ins, run.steering
     assert steering is not None
-    steering_ns = steering_times(run, settings)
+    steering_ns = move_to_ins_clock(run, settings, steering.time_ns)
     good = steering.valid & (np.diff(steering_ns, prepend=steering_ns[0] - 1) > 0)
     wheel = settings.steering_sign * steering.values[good]
     accelerations = dict(zip(OPTIONAL_INS_SIGNALS, ins.acceleration, strict=False))
@@ -163,18 +162,13 @@ def _describe_rejected_steering(run: RawRun, settings: ReadSettings) -> tuple[Fi
     message = run.steering.message
     if message not in run.signals.rejected or not len(run.ins.time_ns):
         return ()
-    time_ns = _steering_to_ins_clock(run, settings, run.signals.rejected[message])
+    time_ns = move_to_ins_clock(run, settings, run.signals.rejected[message])
     return (rejected_frames_finding((time_ns - run.ins.time_ns[0]) * 1e-9, len(time_ns) + len(run.steering.time_ns),
                                     run.signals.faults[message]),)
 
 
-def steering_times(run: RawRun, settings: ReadSettings) -> np.ndarray:
-    """Times of the steering angles on the INS clock [ns], corrected for the steering latency."""
-    assert run.steering is not None
-    return _steering_to_ins_clock(run, settings, run.steering.time_ns)
-
-
-def _steering_to_ins_clock(run: RawRun, settings: ReadSettings, time_ns: np.ndarray) -> np.ndarray:
+def move_to_ins_clock(run: RawRun, settings: ReadSettings, time_ns: np.ndarray) -> np.ndarray:
+    """Times of steering angles [ns], converted from the CAN clock and corrected for the steering latency."""
     return run.alignment.to_reference_ns(time_ns) - round(settings.steering_latency * 1e9)
 
 
@@ -202,10 +196,7 @@ def read_pair(files: Sequence[Path], settings: ReadSettings) -> RawRun:
 
     files: INS recording (NCOM, VBO, or CSV with speed and yaw rate) and logs, or their folder, or a run.yaml.
     """
-    source = _find_pair(files)
-    read_ins = csv.read_motion if source.kind == "csv" else READERS[source.kind].read_ins
-    assert read_ins is not None  # every kind of recording that can be combined with CAN logs has it
-    return read_raw(source, settings, read_ins, keep_frames=False, needs_steering=False)
+    return read_raw(_find_pair(files), settings, keep_frames=False, needs_steering=False)
 
 
 def _find_pair(files: Sequence[Path]) -> RunSource:

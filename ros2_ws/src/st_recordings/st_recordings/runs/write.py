@@ -18,8 +18,7 @@ from .cdr import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEED
 from .errors import RunError
 from .load import apply_run_file, check_coverage, hash_files
 from .ncom import NcomLog
-from .raw import RawRun, build_drive, read_raw, steering_times, summarise_alignment
-from .readers.ncom import read_ins
+from .raw import RawRun, build_drive, move_to_ins_clock, read_raw, summarise_alignment
 from .run_types import LoadedRun, ReadSettings, RunSource
 from .serialiser import Covariances, Messages, Serialiser, merge_in_time_order
 
@@ -55,7 +54,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     if source.problem is None and source.kind != "ncom":
         raise RunError(source.where, f"st import converts NCOM packets and CAN frames, but this run is {source.kind}",
                        "use it without conversion: st evaluate, check, identify and discover read it directly")
-    run = read_raw(source, settings, read_ins)
+    run = read_raw(source, settings)
     drive = apply_run_file(source, build_drive(source, vehicle, settings, run), vehicle)
     uncovered_time = check_coverage(source, drive.log)
     findings = tuple(check(drive))
@@ -96,12 +95,17 @@ class _MessageBlocks:
         self._covariances = Covariances(columns)
         is_structure_b = columns.navigation_status == 11  # a packet without regular navigation data
         self._packets = np.nonzero(~is_structure_b)[0]
-        self._packet_ns = _make_monotonic(columns.utc_ns[self._packets], run.ins.time_ns)
+        # A packet with no time near the fixes gets the time of the previous one.
+        utc_ns, fix_ns = columns.utc_ns[self._packets], run.ins.time_ns
+        near = (utc_ns >= fix_ns[0] - TIME_MARGIN_NS) & (utc_ns <= fix_ns[-1] + TIME_MARGIN_NS)
+        near &= utc_ns != file_decoder.UNKNOWN_TIME
+        first = int(utc_ns[near].min()) if near.any() else int(fix_ns[0])
+        self._packet_ns = np.maximum.accumulate(np.where(near, utc_ns, first))
         to_reference = run.alignment.to_reference_ns
         self._frame_ns = to_reference(run.can.frames.time_ns)
         buses = np.unique(run.can.frames.bus).tolist()
         self._frames = [(bus, np.nonzero(run.can.frames.bus == bus)[0]) for bus in buses]
-        self._steering_ns = steering_times(run, settings)
+        self._steering_ns = move_to_ins_clock(run, settings, run.steering.time_ns)
         messages = {message for name, message in run.signals.signals if name in WHEEL_FIELDS}
         self._wheels = [serialiser.wheel_speeds(m, run.signals, to_reference) for m in sorted(messages)]
         times = [run.ins.time_ns, self._packet_ns, self._frame_ns, self._steering_ns]
@@ -130,14 +134,6 @@ class _MessageBlocks:
 
 def _select_between(time_ns: np.ndarray, start_ns: int, end_ns: int) -> slice:
     return slice(*np.searchsorted(time_ns, (start_ns, end_ns)).tolist())
-
-
-def _make_monotonic(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
-    """Makes the times of packets monotonic; a packet with no time near the fixes gets the time of the previous one."""
-    known = utc_ns != file_decoder.UNKNOWN_TIME
-    near = known & (utc_ns >= fix_ns[0] - TIME_MARGIN_NS) & (utc_ns <= fix_ns[-1] + TIME_MARGIN_NS)
-    first = int(utc_ns[near].min()) if near.any() else int(fix_ns[0])
-    return np.maximum.accumulate(np.where(near, utc_ns, first))
 
 
 def _build_metadata_records(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings,

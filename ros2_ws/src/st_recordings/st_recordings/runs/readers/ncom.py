@@ -16,7 +16,7 @@ def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
     from ..raw import read_raw_run  # imports scipy.signal and CAN libraries, which takes two seconds
 
-    return read_raw_run(source, vehicle, settings, read_ins)
+    return read_raw_run(source, vehicle, settings)
 
 
 register(Reader("ncom", "ins", (".ncom", ".xcom", ".pcap", ".pcapng"), read, read_ins, lacks_steering=None))
