@@ -4,7 +4,7 @@ Each part of the benchmark replaces its own rows."""
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from _markers import line, part, renew, table
+from _pages import format_records, format_table, read_part, replace_part
 from st_recordings.paths import project_root
 
 PAGE = project_root() / "docs" / "measurements" / "bands.md"
@@ -19,13 +19,12 @@ BAND, CALIBRATED = "conformal", "scaled to its level"
 
 def write(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE) -> None:
     """Replace the rows with the same titles and keep all others."""
-    kept = {cells[0]: cells for cells in map(_cells, part(page, NAME).splitlines()[2:])}
+    kept = {cells[0]: cells for cells in map(_cells, read_part(page, NAME).splitlines()[2:])}
     kept |= {title: [title, *row.values()] for title, row in rows.items()}
     columns = ["held out", *next(iter(rows.values()))]
-    lines = [line(columns), "|" + "---|" * len(columns), *map(line, kept.values())]
-    renew(page, NAME, "\n".join(lines) + "\n")
-    renew(page, SUMMARY, "\n".join(table(summary([dict(zip(columns, cells, strict=True)) for cells in kept.values()])))
-          + "\n")
+    replace_part(page, NAME, format_table(columns, kept.values()))
+    replace_part(page, SUMMARY, format_records(summary([dict(zip(columns, cells, strict=True))
+                                                        for cells in kept.values()])))
 
 
 def summary(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:

@@ -7,17 +7,10 @@ from contextlib import contextmanager
 
 import numpy as np
 from st_core.log import DriveLog
-from st_core.vehicle import VehicleParameters
-from st_recordings.paths import config
 
 MODELS = ("kinematic", "linear", "nonlinear")
 T0 = 1_700_000_000_000_000_000
 POINTS = (1.0, 2.0, 3.0, 4.0, 5.0)
-
-
-def leaf() -> VehicleParameters:
-    path = config("vehicle/leaf.yaml")
-    return VehicleParameters.from_yaml(path.read_text(), origin=str(path))
 
 
 def drive(seconds: float) -> DriveLog:

@@ -5,25 +5,20 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+from _cars import LEAF_FILE, leaf
 from discovery.compiled import Recording, drive
 from discovery.programmes import DT, Builder
 from discovery.sensing import log_of
 from st_core.identification.result import Estimate
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters, quantity
-from st_recordings.paths import config
 from st_sim.car import read_car
 from st_sim.settings import resolve
 
-LEAF_FILE = config("vehicle/leaf.yaml")
 SECONDS = 60.0
 SENSORS = ("ins_noise=1", "steering_sensor_noise=0.0005")
 LEVER_ERROR, MISALIGNMENT = 0.06, 0.008
 """m, rad: errors of the INS mounting in the vehicle file, in the slow drives."""
-
-
-def leaf() -> VehicleParameters:
-    return VehicleParameters.from_yaml(LEAF_FILE.read_text(), str(LEAF_FILE))
 
 
 def with_stiffness(car: VehicleParameters, front: float, rear: float) -> VehicleParameters:

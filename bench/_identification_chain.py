@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from _identification import LEAF_FILE, identified, leaf, with_stiffness
+from _cars import LEAF_FILE, leaf
+from _identification import identified, with_stiffness
 from st_core.batch import LogBatch
 from st_core.identification.cornering_stiffness import identify_stiffness
 from st_core.identification.driving_prediction import fit_stiffness

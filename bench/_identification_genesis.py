@@ -1,11 +1,12 @@
 """Identifies the Genesis from some of its drives and tests the result by the position error on the others."""
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
+from _cars import NINE_DRIVES
+from _cars import genesis as genesis_vehicle
 from _identification import identified
+from _mounting import turned
 from st_core.augmented import augment
 from st_core.batch import LogBatch
 from st_core.identification.cornering_stiffness import identify_stiffness
@@ -19,7 +20,6 @@ from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.log_signals import LogSignals
 from st_core.regression import make_blocks
 from st_core.vehicle import VehicleParameters
-from st_recordings.paths import config, project_root
 from st_recordings.runs import find_runs, read
 
 LEARNT = ("cpg_lap_slow", "cpg_lap_fast", "cpg_lap_medium", "cpg_low_speed_a")
@@ -29,10 +29,8 @@ SECONDS = 5
 
 def genesis() -> dict:
     """Estimates from the drives in LEARNT, and errors with them on all drives."""
-    file = config("vehicle/hyundai_genesis.yaml")
-    car = VehicleParameters.from_yaml(file.read_text(), str(file))
-    shared = Path(os.environ.get("ST_SHARED", project_root().parent / "shared"))
-    logs = {source.name: read(source, car).log for source in find_runs([shared / "data" / "hyundai_genesis_oxts"])}
+    car = genesis_vehicle()
+    logs = {source.name: read(source, car).log for source in find_runs([NINE_DRIVES])}
     # The recordings contain the road wheel angle, hand wheel / 15.87; converted back, so that the ratio can be changed.
     logs = {name: replace(log, steering_wheel_angle=car.steering_wheel_angle(log.road_wheel_angle))
             for name, log in logs.items()}
@@ -43,7 +41,7 @@ def genesis() -> dict:
     found = {"prediction": everything, "prediction, lever arm as published": steered, "slow driving": ins,
              "paper, published steering": identify_stiffness(learnt, car),
              "paper, steering and INS as identified": identify_stiffness(
-                 [turned(log, everything[MISALIGNMENT].value) for log in learnt],
+                 [correct_mounting(log, everything[MISALIGNMENT].value) for log in learnt],
                  taken(car, everything, (*STEERING, "cg_to_ins_x")))}
     result = {"learnt from": ", ".join(LEARNT), "estimates": {name: _rows(one) for name, one in found.items()}}
     result["by drive"] = {name: _alone(log, car) for name, log in logs.items()}
@@ -67,11 +65,9 @@ def taken(car: VehicleParameters, found: Identification, names=None) -> VehicleP
     return identified(car, chosen)
 
 
-def turned(log: DriveLog, angle: float) -> DriveLog:
-    """The drive with the rotation of the INS by `angle` [rad] removed."""
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return replace(log, yaw=log.yaw - angle, velocity_x=cosine * log.velocity_x - sine * log.velocity_y,
-                   velocity_y=cosine * log.velocity_y + sine * log.velocity_x, acceleration_x=None, acceleration_y=None)
+def correct_mounting(log: DriveLog, angle: float) -> DriveLog:
+    """The drive with the rotation of the INS by `angle` [rad] removed, without accelerations."""
+    return replace(turned(log, -angle), acceleration_x=None, acceleration_y=None)
 
 
 def judged(logs: list[DriveLog], car: VehicleParameters, misalignment: float) -> dict:

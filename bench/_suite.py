@@ -7,13 +7,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from _cars import LEAF_FILE, leaf
 from _drawn_bands import drawn_bands
-from st_core.vehicle import VehicleParameters
 from st_live.configuration import VirtualCar, add_files, live_parameters
 from st_live.node import Monitor
 from st_live.session import NODES
 from st_live.suite import Suite, claim_domain
-from st_recordings.paths import config
 
 
 @contextmanager
@@ -28,14 +27,13 @@ def running_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full")
     nodes = [node for node in NODES if node[1] not in left_out]
     with claim_domain() as domain, tempfile.TemporaryDirectory(prefix="st-bench-") as name:
         rates = ["--ncom-rate", str(ncom_rate), "--can-rate", can_rate]
-        car = VirtualCar(config("vehicle/leaf.yaml"), ["--scenario", "S6", "--duration", str(duration), *rates])
+        car = VirtualCar(LEAF_FILE, ["--scenario", "S6", "--duration", str(duration), *rates])
         folder = Path(name)
         os.environ["ROS_DOMAIN_ID"] = str(domain)
         parameters = live_parameters(folder, car.vehicle, car.bridge_parameters())
         if os.environ.get("ST_BENCH_BANDS") == "1":
             file = folder / "bands.yaml"
-            vehicle = VehicleParameters.from_yaml(car.vehicle.read_text(), str(car.vehicle))
-            file.write_text(drawn_bands(vehicle).to_yaml(), encoding="utf-8")
+            file.write_text(drawn_bands(leaf()).to_yaml(), encoding="utf-8")
             parameters = add_files(parameters, file, None)
         with Suite(folder, parameters, domain, "ST_BENCH_REALTIME" in os.environ) as suite:
             for package, executable in nodes:

@@ -10,10 +10,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import psutil
+from _cars import LEAF_FILE
 from rich.console import Console
 from st_live.page import LiveView
 from st_live.suite import Suite
-from st_recordings.paths import config
 
 SETTLE = 3.0  # s from its start until it receives every topic
 
@@ -23,7 +23,7 @@ def view(suite: Suite, hangs: bool) -> Iterator[None]:
     """hangs: its process is stopped (SIGSTOP) after it has subscribed."""
     page = LiveView(page=True)
     folder = Path(suite.folder, f"view-{time.monotonic_ns()}")
-    predictor = {"vehicle_file": str(config("vehicle/leaf.yaml")), "map_frame": "map"}
+    predictor = {"vehicle_file": str(LEAF_FILE), "map_frame": "map"}
     page.open(folder, int(os.environ["ROS_DOMAIN_ID"]), predictor, "bench", Console(quiet=True))
     (process,) = (p for p in psutil.Process().children(recursive=True) if "st_live.nodes.passenger" in p.cmdline())
     threading.Thread(target=_read, args=(page.url,), daemon=True).start()

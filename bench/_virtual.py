@@ -4,26 +4,21 @@ import contextlib
 import io
 from pathlib import Path
 
+from _cars import LEAF_FILE
 from st_core.vehicle import VehicleParameters
-from st_recordings.paths import config
 from st_recordings.runs import find_runs, read
 from st_sim.run import main as virtual_leaf
 
 SCENARIOS = ("S1", "S2", "S3", "S4", "S5", "S6", "S7")
 SECONDS = 60.0
-LEAF = config("vehicle/leaf.yaml")
-
-
-def leaf() -> VehicleParameters:
-    return VehicleParameters.from_yaml(LEAF.read_text(), str(LEAF))
 
 
 def write_scenarios(folder: Path, seed: int = 1) -> Path:
     """S1 to S7 with the realistic plant, each SECONDS long: folder/<name>/run.ncom and run.mf4."""
     for name in SCENARIOS:
         with contextlib.redirect_stdout(io.StringIO()):
-            status = virtual_leaf(["--scenario", name, "--vehicle", str(LEAF), "--duration", str(SECONDS), "--seed",
-                                   str(seed), "--plant", "realistic", "--to-files", str(folder / name),
+            status = virtual_leaf(["--scenario", name, "--vehicle", str(LEAF_FILE), "--duration", str(SECONDS),
+                                   "--seed", str(seed), "--plant", "realistic", "--to-files", str(folder / name),
                                    "--can-format", "mf4"])
         if status:
             raise RuntimeError(f"the virtual Leaf did not drive {name}")

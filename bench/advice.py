@@ -1,38 +1,34 @@
 """Table and figure of `st evaluate --advise` on the real drives of the Genesis, for docs/measurements/mpc.md."""
 
-import os
 from collections.abc import Mapping
-from pathlib import Path
 
 import matplotlib.pyplot as plt
-from _markers import renew, table
+from _cars import MORE_DRIVES, NINE_DRIVES, genesis
+from _pages import format_records, replace_part
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 from st_core.log_evaluation import EvaluationSettings
 from st_core.palette import MODEL_COLOUR
-from st_core.vehicle import VehicleParameters
 from st_offline.evaluation import advice as advice_report
 from st_offline.evaluation.advice import find_cheapest, measure_runs
 from st_offline.evaluation.drawing import TEXT, WIDTH, FigureOutput, save_figure, style
 from st_offline.evaluation.work import Task
-from st_recordings.paths import config, project_root
+from st_recordings.paths import project_root
 from st_recordings.runs import find_runs
 
-TOLERANCE = 0.3
-"""m across."""
+TOLERANCE = 0.3  # m, lateral
 MODELS = ("kinematic", "linear", "nonlinear")
-OTHERS = ("wrong_projection", "rear_ref")
-"""Genesis drives of another projection, and of another point of the car."""
+UNSUITABLE_DRIVES = ("wrong_projection", "rear_ref")
+"""Prefixes of drives with another map projection, or another reference point of the car."""
 PAGE = project_root() / "docs" / "measurements" / "mpc.md"
-
-
 MARKERS = ("o", "s", "^", "D", "v")
 
 
-def figure(costs: Mapping[advice_report.Key, advice_report.Cost],
-           accuracies: Mapping[advice_report.Key, advice_report.Accuracy], tolerance: float,
-           output: FigureOutput) -> None:
-    """Error and band half-width against cost, one panel a second ahead."""
+def draw_advice(costs: Mapping[advice_report.Key, advice_report.Cost],
+                accuracies: Mapping[advice_report.Key, advice_report.Accuracy], tolerance: float,
+                output: FigureOutput) -> None:
+    """Draws the lateral error and the half-width of the band over processor time, one panel for each prediction time.
+    """
     known = max((one.second for one in accuracies.values()), default=())
     seconds = [s for s in known if s in (1, 2, 3, 5)] or known[:1]
     steps = sorted({step for _, step in accuracies})
@@ -47,12 +43,12 @@ def figure(costs: Mapping[advice_report.Key, advice_report.Cost],
                     axes.plot([cost, cost], [one.rms[k], one.width[k]], color=colour, lw=0.7)
                     axes.plot(cost, one.width[k], marker, color=colour, ms=5, mfc="none")
             axes.axhline(tolerance, color=TEXT, lw=0.7, ls=(0, (4, 3)))
-            axes.set(title=f"{second} s ahead", xscale="log", yscale="log", xlabel="µs a prediction")
+            axes.set(title=f"{second} s ahead", xscale="log", yscale="log", xlabel="µs per prediction")
             axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.xaxis.set_major_formatter("{x:g}")
             axes.yaxis.set_major_formatter("{x:g}")
             axes.xaxis.set_minor_formatter(NullFormatter())
-        panels[0, 0].set_ylabel("across, m")
+        panels[0, 0].set_ylabel("lateral error, m")
         models = list(dict.fromkeys(model for model, _ in accuracies))
         handles = [Line2D([], [], ls="", marker="o", color=MODEL_COLOUR.get(m, TEXT), label=m) for m in models]
         handles += [Line2D([], [], ls="", marker=MARKERS[k % len(MARKERS)], color=TEXT, label=f"step {step:g} s")
@@ -66,21 +62,19 @@ def figure(costs: Mapping[advice_report.Key, advice_report.Cost],
 
 
 def run() -> dict:
-    """Rows by model and step, and the choice by speed; empty without the shared drives."""
-    data = Path(os.environ.get("ST_SHARED", project_root().parent / "shared")) / "data"
-    folders = [data / name for name in ("hyundai_genesis_oxts", "hyundai_genesis_more")]
+    """Rows by model and step, and the cheapest choice for each speed; empty without the shared drives."""
+    folders = [NINE_DRIVES, MORE_DRIVES]
     if not all(folder.exists() for folder in folders):
         return {"Genesis": "the shared drives are missing"}
-    sources = [one for one in find_runs(folders) if not one.name.startswith(OTHERS)]
-    file = config("vehicle/hyundai_genesis.yaml")
-    task = Task(VehicleParameters.from_yaml(file.read_text(), str(file)), MODELS, EvaluationSettings())
+    sources = [one for one in find_runs(folders) if not one.name.startswith(UNSUITABLE_DRIVES)]
+    task = Task(genesis(), MODELS, EvaluationSettings())
     advice = measure_runs(sources, task)
-    figure(advice.costs, advice.accuracies, TOLERANCE, FigureOutput(project_root() / "docs" / "images", ("png",)))
+    draw_advice(advice.costs, advice.accuracies, TOLERANCE, FigureOutput(project_root() / "docs" / "images", ("png",)))
     rows = advice_report.advice_rows(advice.costs, advice.accuracies)
     choice = advice_report.choice_rows(find_cheapest(advice.costs, advice.accuracies, TOLERANCE))
     title, caption = advice_report.choice_title(TOLERANCE), advice_report.table_caption(advice.accuracies)
-    renew(PAGE, "advice", "\n".join([
-        f"Genesis, {len(sources)} real drives. {caption[0].upper()}{caption[1:]}.", "", *table(rows), "",
-        f"{title}:", "", *table(choice), "", "![Error and band against cost](../images/advice.png)"]) + "\n")
+    replace_part(PAGE, "advice", "\n".join([
+        f"Genesis, {len(sources)} real drives. {caption[0].upper()}{caption[1:]}.", "", format_records(rows), "",
+        f"{title}:", "", format_records(choice), "", "![Error and band against cost](../images/advice.png)"]))
     return {"Genesis": {f"{row['model']}, {row['step, s']} s": row for row in rows},
             title: {row["speed"]: row for row in choice}}

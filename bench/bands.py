@@ -8,7 +8,6 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from _band_adaptive import Drive, Score, join_drives, read_drive
@@ -16,7 +15,9 @@ from _band_changes import measure_changes
 from _band_corrected import correct_files
 from _band_page import PAGE, write
 from _band_ways import LEVELS, SEED, WAYS
-from _markers import renew, table
+from _cars import MORE_DRIVES, NINE_DRIVES
+from _cars import genesis as genesis_vehicle
+from _pages import format_records, replace_part
 from st_core.bands import Band, CalibrationDomain, ErrorSamples, calibrate, error_samples, highest_level, join_runs
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
@@ -25,7 +26,7 @@ from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
 from st_offline.bands.bands_report import share_rows, sum_shares, summarise_shares
 from st_offline.bands.scoring import pool_sums, sum_band_scores, summarise_bands
-from st_recordings.paths import config, project_root
+from st_recordings.paths import project_root
 from st_recordings.runs import find_runs, read
 
 SETTINGS = EvaluationSettings()
@@ -72,7 +73,7 @@ def changed_mid_drive() -> dict[str, Row]:
     """Delays of the coverage warning; the page gets all rows except forecasts without a warning."""
     rows = measure_changes()
     shown = [row for row in rows if row["question"] == "hindsight" or row["median delay"] != "none"]
-    renew(PAGE, "changes in mid-drive", "\n".join(table(shown)) + "\n")
+    replace_part(PAGE, "changes in mid-drive", format_records(shown))
     return {", ".join(list(row.values())[:4]): row for row in rows}
 
 
@@ -98,7 +99,7 @@ def adaptive() -> dict[str, Row]:
             sets.append((title, known, groups, {key: [drives[n] for n in names] for key, names in groups.items()}))
         sets.append(("Genesis, no file", {}, {"all": ()}, {"all": list(drives.values())}))
     rows = [row for one in sets for row in _adaptive_rows(*one)]
-    renew(PAGE, "adaptive bands", "\n".join(table(rows)) + "\n")
+    replace_part(PAGE, "adaptive bands", format_records(rows))
     return {f"{row['held out']}, {row['question']}": row for row in rows}
 
 
@@ -131,7 +132,7 @@ def genesis() -> dict[str, Row]:
         found |= held_out(f"Genesis, {model}, by run", runs, {name: (name,) for name in runs}, model, tuple(WAYS))
         found |= held_out(f"Genesis, {model}, by day", runs, DAYS, model)
         found |= held_out(f"Genesis, {model}, by site", runs, SITES, model)
-    renew(PAGE, "days that count as one", "\n".join(table(days_as_one(runs))) + "\n")
+    replace_part(PAGE, "days that count as one", format_records(days_as_one(runs)))
     return found | transferred("Genesis, linear, on runs with the INS point at the rear axle", runs, apart, "linear")
 
 
@@ -200,8 +201,8 @@ def _write_shares(runs: Sequence[dict]) -> None:
     causes = {name: values["5"]["lateral"] for name, values in one["rms_of_cause"].items()}
     largest = sorted(causes, key=causes.get, reverse=True)[:5]
     text = "; ".join(f"{name} {causes[name]:.2f} m" for name in largest)
-    lines = [*table(share_rows(shares)), "", f"The largest causes across at 5 s, rms: {text}."]
-    renew(PAGE, "shares", "\n".join(lines) + "\n")
+    replace_part(PAGE, "shares", f"{format_records(share_rows(shares))}\n\n"
+                 f"The largest causes across at 5 s, rms: {text}.")
 
 
 @dataclass(frozen=True)
@@ -315,11 +316,9 @@ def _genesis_runs() -> dict[str, ErrorSamples] | None:
 
 
 def _genesis_logs() -> tuple[VehicleParameters, dict[str, DriveLog]] | None:
-    data = Path(os.environ.get("ST_SHARED", project_root().parent / "shared")) / "data"
-    folders = [data / name for name in ("hyundai_genesis_oxts", "hyundai_genesis_more")]
+    folders = [NINE_DRIVES, MORE_DRIVES]
     if not all(folder.exists() for folder in folders):
         return None
-    file = config("vehicle/hyundai_genesis.yaml")
-    car = VehicleParameters.from_yaml(file.read_text(), str(file))
+    car = genesis_vehicle()
     sources = [source for source in find_runs(folders) if not source.name.startswith("wrong_projection")]
     return car, {source.name: read(source, car).log for source in sources}

@@ -8,7 +8,7 @@ import os
 import latency
 import tick
 from _band_page import PAGE
-from _markers import renew, table
+from _pages import format_records, replace_part
 
 TURNS, SECONDS = 2, 25
 
@@ -24,7 +24,7 @@ def run() -> dict:
             found.append(latency.run())
     rows = [_row(name, ticks[f"{key}ms_p50"], ticks[f"{key}ms_p99"], found)
             for name, key, found in (("no", "", received["0"]), ("yes", "with_bands_", received["1"]))]
-    renew(PAGE, "cost of bands", "\n".join(table(rows)) + "\n")
+    replace_part(PAGE, "cost of bands", format_records(rows))
     return {row["bands"]: row for row in rows}
 
 

@@ -8,7 +8,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from _drive import MODELS, POINTS, drive, in_turns, leaf, pinned, starts
+from _cars import leaf
+from _drive import MODELS, POINTS, drive, in_turns, pinned, starts
 from _peers import STEP, STEPS, casadi_calls, commonroad_calls, limit, numba_scalar
 from st_core.backends import numba_lanes, numpy_batch
 from st_core.batch import LogBatch

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from _cars import LEAF_FILE, leaf
 from mcap.reader import make_reader
-from st_core.vehicle import VehicleParameters
 from st_recordings.paths import config, project_root
 from st_recordings.results import read_results
 
@@ -47,7 +47,7 @@ def run(folder: Path | None = None) -> dict:
 def of_effects(folder: Path) -> dict:
     """Effects found, and lateral RMSE [m] over 5 s by model before and after. Writes its part of the page."""
     vehicle = _wrong_file(folder)
-    car = ("--plant-vehicle", config("vehicle/leaf.yaml"), *_hidden(HIDDEN))
+    car = ("--plant-vehicle", LEAF_FILE, *_hidden(HIDDEN))
     found = _found(folder, DRIVES, SECONDS, vehicle, car)
     corrected, model = folder / "found" / "vehicle.yaml", folder / "found" / "model.yaml"
     unseen = ("--scenario", UNSEEN, "--duration", UNSEEN_SECONDS, *car, "--seed", 100)
@@ -67,7 +67,7 @@ def of_a_law(folder: Path) -> dict:
     """The proposed law, and lateral RMSE [m] over 5 s: given: nonlinear model with the given vehicle file; library:
     with the effects of the library; proposed: with the law. Writes its part of the page."""
     folder.mkdir(exist_ok=True)
-    vehicle, car = config("vehicle/leaf.yaml"), _hidden(LAW)
+    vehicle, car = LEAF_FILE, _hidden(LAW)
     found = _found(folder, LAW_DRIVES, LAW_SECONDS, vehicle, car, "--propose")
     written = {name: folder / "found" / name for name in ("vehicle.yaml", "model.yaml", "proposed.yaml", "effects")}
     unseen = ("--scenario", LAW_UNSEEN, "--duration", LAW_UNSEEN_SECONDS, *car, "--seed", 100)
@@ -159,9 +159,9 @@ def _position_errors(found: dict) -> list[float]:
 
 
 def _wrong_file(folder: Path) -> Path:
-    text = config("vehicle/leaf.yaml").read_text()
+    text = LEAF_FILE.read_text()
     if RATIO not in text:
-        raise RuntimeError("config/vehicle/leaf.yaml does not have the steering ratio expected here")
+        raise RuntimeError(f"{LEAF_FILE} does not have the steering ratio that this benchmark expects")
     file = folder / "car.yaml"
     file.write_text(text.replace(RATIO, f"steering_ratio: {{value: {17.3 * WRONG:.4f}"))
     return file
@@ -242,7 +242,7 @@ def _page(result: dict) -> str:
 def _law_page(result: dict) -> str:
     law, (base, library) = result["law"], result["position_5s"]
     hidden = ", ".join(f"`{name}={value:g}`" for name, value in LAW.items())
-    car = VehicleParameters.from_yaml(config("vehicle/leaf.yaml").read_text())
+    car = leaf()
     truth = LAW["drive_offset"] * car.mass / car.yaw_inertia
     lines_of_law = [f"Nothing is proposed: {result['why']}."]
     if law:

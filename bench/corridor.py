@@ -6,7 +6,7 @@ Fifteen minutes of processor time; ST_CORRIDOR_SEEDS changes the number of cars.
 import os
 import sys
 
-from _markers import renew, table
+from _pages import format_records, replace_part
 from st_recordings.paths import project_root
 
 MODEL = "linear"
@@ -23,5 +23,5 @@ def run() -> dict:
              "deepest, m": f"{one['deepest']:.2f}", "median depth, m": f"{one['depth_median']:.2f}",
              "rms from the road, m": f"{one['error_rms']:.3f}", "cost": f"{one['cost']:.2f}"}
             for name, one in found.items()]
-    renew(PAGE, "corridor", "\n".join(table(rows)) + "\n")
+    replace_part(PAGE, "corridor", format_records(rows))
     return {"corridor": {row["constraint"]: row for row in rows}}

@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from _markers import renew, table
+from _pages import format_records, replace_part
 from st_recordings.paths import project_root
 from st_recordings.recorded_results import read_scores
 
@@ -27,7 +27,7 @@ def run() -> dict:
         rows = measured(folder / "second")
     cells = [{"model": model} | {key: f"{value:.2f}" if isinstance(value, float) else str(value)
                                  for key, value in row.items()} for model, row in rows.items()]
-    renew(PAGE, "course", "\n".join(table(cells)) + "\n")
+    replace_part(PAGE, "course", format_records(cells))
     return {"rows": rows}
 
 

@@ -3,7 +3,8 @@
 import time
 
 import numpy as np
-from _drive import POINTS, drive, leaf, pinned, starts
+from _cars import leaf
+from _drive import POINTS, drive, pinned, starts
 from scipy.optimize import least_squares
 from st_core.augmented import augment
 from st_core.batch import LogBatch

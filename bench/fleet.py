@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import psutil
-from _virtual import LEAF
+from _cars import LEAF_FILE
 from st_recordings.paths import project_root
 from st_sim.run import main as virtual_leaf
 
@@ -31,8 +31,8 @@ def run() -> dict:
 
 def _write_logs(folder: Path) -> Path:
     for drive in DRIVES:
-        status = virtual_leaf(["--scenario", drive, "--vehicle", str(LEAF), "--duration", str(SECONDS), "--to-files",
-                               str(folder / "drives" / drive), "--can-format", "mf4"])
+        status = virtual_leaf(["--scenario", drive, "--vehicle", str(LEAF_FILE), "--duration", str(SECONDS),
+                               "--to-files", str(folder / "drives" / drive), "--can-format", "mf4"])
         if status:
             raise RuntimeError(f"the virtual Leaf did not drive {drive}")
     for k in range(LOGS):

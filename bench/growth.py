@@ -3,7 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-from _drive import MODELS, POINTS, drive, in_turns, leaf, pinned, starts
+from _cars import leaf
+from _drive import MODELS, POINTS, drive, in_turns, pinned, starts
 from st_core.batch import LogBatch
 from st_recordings.paths import project_root
 

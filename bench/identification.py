@@ -5,7 +5,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
-from _identification import LEVER_ERROR, MISALIGNMENT, TIGHT_BENDS, leaf, record, record_all, with_stiffness
+from _cars import leaf
+from _identification import LEVER_ERROR, MISALIGNMENT, TIGHT_BENDS, record, record_all, with_stiffness
 from _identification_chain import chain
 from _identification_genesis import genesis
 from st_core.augmented import augment

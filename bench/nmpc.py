@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from _markers import renew, table
+from _pages import format_records, replace_part
 from st_recordings.paths import project_root
 
 PAGE = project_root() / "docs" / "measurements" / "mpc.md"
@@ -28,8 +28,8 @@ def run() -> dict:
             shutil.copyfile(folder / f"{figure}.png", project_root() / "docs" / "images" / f"mpc_{figure}.png")
     rows = by_horizon([one for one in drives if one["solver"] == "rti"])
     times = [one["cpu_median"] for one in drives if one["solver"] == "ipopt" and one["horizon"] == 2.0]
-    renew(PAGE, "models in a controller", "\n".join([
-        *table(rows), "", f"Full solution by IPOPT, at 2 s: {min(times):.1f} to {max(times):.1f} ms."]) + "\n")
+    replace_part(PAGE, "models in a controller", f"{format_records(rows)}\n\n"
+                 f"Full solution by IPOPT, at 2 s: {min(times):.1f} to {max(times):.1f} ms.")
     return {"models": {f"{row['road']}, {row['horizon, s']} s": row for row in rows}}
 
 

@@ -17,7 +17,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from st_recordings.paths import config
+from _cars import LEAF_FILE, leaf
 
 
 def run() -> dict:
@@ -47,7 +47,7 @@ def _drive(folder: Path, seconds: float) -> None:
     from st_sim.run import main
 
     main([
-        "--scenario", "sweep", "--vehicle", str(config("vehicle/leaf.yaml")), "--duration", str(seconds), "--seed", "1",
+        "--scenario", "sweep", "--vehicle", str(LEAF_FILE), "--duration", str(seconds), "--seed", "1",
         "--plant", "realistic", "--effect", "logger_clock_offset=1.7", "--effect", "logger_clock_drift=2e-5",
         "--ncom-rate", "250", "--can-rate", "realistic", "--to-files", str(folder), "--can-format", "mf4",
     ])
@@ -88,16 +88,14 @@ def _spent(seconds: dict[str, float], wall: float) -> dict[str, float]:
 
 
 def measure_import(logs: Path, output: Path) -> dict:
-    from st_core.vehicle import VehicleParameters
     from st_offline.checking.gate import check_for_use
     from st_recordings.runs import ReadSettings, find_runs, write
 
-    leaf = VehicleParameters.from_yaml(config("vehicle/leaf.yaml").read_text(), "leaf.yaml")
-    (source,) = find_runs([logs])
+    (source,), vehicle = find_runs([logs]), leaf()
     seconds = _timed(_reading())
     start = time.perf_counter()
-    done = write.import_run(source, leaf, output, ReadSettings(),
-                            lambda run: check_for_use(source.where, run, leaf, False))
+    done = write.import_run(source, vehicle, output, ReadSettings(),
+                            lambda run: check_for_use(source.where, run, vehicle, False))
     total = time.perf_counter() - start
     return {"minutes": done.span / 60, "ncom_packets": done.counts["/ins/ncom"], "can_frames": len(done.run.can.frames),
             "verdict": str(done.run.alignment.verdict), "times_real_time": done.span / total, **_spent(seconds, total),

@@ -3,7 +3,8 @@
 import tempfile
 from pathlib import Path
 
-from _virtual import leaf, read_runs, write_scenarios
+from _cars import leaf
+from _virtual import read_runs, write_scenarios
 from st_core.log_evaluation import evaluate_log
 
 MODELS = ("kinematic", "linear", "nonlinear")

@@ -1,16 +1,15 @@
 """Effect of each choice that the paper leaves open on its table, for the virtual Leaf and the real Genesis drives."""
 
-import os
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from _virtual import leaf, read_runs, write_scenarios
+from _cars import NINE_DRIVES, genesis, leaf
+from _virtual import read_runs, write_scenarios
 from st_core.log_evaluation import EvaluationSettings, LogEvaluation, evaluate_log
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
-from st_recordings.paths import config, project_root
 
 MODELS = ("kinematic", "linear", "nonlinear")
 REFERENCE = EvaluationSettings()
@@ -22,7 +21,6 @@ CHOICES = {
     "step of 10 ms": replace(REFERENCE, prediction=PredictionSettings(step=0.01)),
     "starts from 3 m/s": replace(REFERENCE, prediction=PredictionSettings(minimum_speed=3.0)),
 }
-DATA = "data/hyundai_genesis_oxts"
 
 
 def run() -> dict:
@@ -30,11 +28,8 @@ def run() -> dict:
     found = {}
     with tempfile.TemporaryDirectory(prefix="st-protocol-") as folder:
         found["virtual Leaf"] = _table(read_runs(write_scenarios(Path(folder)), leaf()), leaf())
-    data = Path(os.environ.get("ST_SHARED", project_root().parent / "shared")) / DATA
-    if data.exists():
-        file = config("vehicle/hyundai_genesis.yaml")
-        genesis = VehicleParameters.from_yaml(file.read_text(), str(file))
-        found["Genesis"] = _table(read_runs(data, genesis), genesis)
+    if NINE_DRIVES.exists():
+        found["Genesis"] = _table(read_runs(NINE_DRIVES, genesis()), genesis())
     return found
 
 

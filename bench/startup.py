@@ -5,7 +5,7 @@ import subprocess
 import sys
 import tempfile
 
-from st_recordings.paths import config
+from _cars import LEAF_FILE
 
 LIVE = """
 from pathlib import Path
@@ -22,7 +22,8 @@ BATCH = """
 from pathlib import Path
 import sys, time
 sys.path.insert(0, sys.argv[2])
-from _drive import drive, starts, leaf
+from _cars import leaf
+from _drive import drive, starts
 from st_core.batch import LogBatch
 log = drive(20.0)
 batch = LogBatch(log, starts(log), backend=sys.argv[3])
@@ -34,7 +35,7 @@ print(time.process_time())
 
 def run() -> dict:
     """CPU seconds of the whole process, interpreter and numpy included."""
-    here, car = os.path.dirname(os.path.abspath(__file__)), str(config("vehicle/leaf.yaml"))
+    here, car = os.path.dirname(os.path.abspath(__file__)), str(LEAF_FILE)
     with tempfile.TemporaryDirectory(prefix="st-bench-") as cache:
         environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
 

@@ -4,13 +4,12 @@
 import time
 
 import numpy as np
+from _cars import leaf
 from _drawn_bands import drawn_bands
 from st_core.bands import LiveBands, conditions_now
 from st_core.prediction import PredictionSettings, Predictor, Skip
 from st_core.types import InsSample
-from st_core.vehicle import VehicleParameters
 from st_predictor.nodes._bands import BandMessages
-from st_recordings.paths import config
 
 TICKS = 500
 MODELS = ("kinematic", "linear", "nonlinear")
@@ -21,8 +20,7 @@ def run() -> dict:
     """Processor time per tick [ms], at 10 m/s in a gentle turn; with bands: half-widths of both questions and levels,
     and their part of the messages. The two take turns, tick by tick.
     """
-    path = config("vehicle/leaf.yaml")
-    vehicle = VehicleParameters.from_yaml(path.read_text(), origin=str(path))
+    vehicle = leaf()
     predictor, live = Predictor(vehicle, MODELS, PredictionSettings()), LiveBands(drawn_bands(vehicle), MODELS)
     messages = BandMessages(live.stated)
     for k in range(200):

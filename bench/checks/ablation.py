@@ -7,12 +7,12 @@ from st_core.checks import Severity
 from st_core.checks.finding import LIMITS
 from st_sim.scenarios import SCENARIOS
 
+from .._pages import format_table
 from . import drives
 from .corruptions import KINDS
 from .recording import Recording
 from .run import over
 from .score import Drive, as_recorded, checked, score
-from .tables import table
 from .virtual import virtual_drive
 
 DRIVES = ("virtual_S6",)
@@ -33,7 +33,7 @@ def main(jobs: int) -> str:
     rows = [("unchanged", "", found["unchanged", 1.0], "")]
     rows += [(field.name, f"{getattr(LIMITS, field.name):g}", found[field.name, 0.5], found[field.name, 2.0])
              for field in fields(LIMITS)]
-    return table(("limit", "value", "at half", "at twice"), rows)
+    return format_table(("limit", "value", "at half", "at twice"), rows)
 
 
 def _scored(setting: Setting) -> str:

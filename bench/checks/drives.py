@@ -3,14 +3,13 @@
 The sealed drives are looked at once, at the end: other runs, other scenarios, other seeds.
 """
 
-import os
 from functools import lru_cache
 from pathlib import Path
 
-from st_core.vehicle import VehicleParameters
-from st_recordings.paths import config, project_root
+from st_recordings.paths import config
 from st_recordings.runs.csv import read_csv
 
+from .._cars import DATA, NINE_DRIVES, genesis
 from .recording import Recording
 from .virtual import drive_name, virtual_drive
 
@@ -25,10 +24,6 @@ VIRTUAL = {
 }
 SECONDS = 120.0
 """of a virtual drive."""
-
-
-def data_folder() -> Path:
-    return Path(os.environ.get("ST_SHARED", project_root().parent / "shared")) / "data"
 
 
 def names(set_: str) -> tuple[str, ...]:
@@ -49,18 +44,12 @@ def real_drive(file: Path) -> Recording:
     return Recording(read_csv(file).log, genesis(), True)
 
 
-@lru_cache
-def genesis() -> VehicleParameters:
-    file = config("vehicle/hyundai_genesis.yaml")
-    return VehicleParameters.from_yaml(file.read_text(), str(file))
-
-
 def real_files() -> list[Path]:
     """Every drive of the shared folders."""
-    return sorted(data_folder().glob("*/*.csv"))
+    return sorted(DATA.glob("*/*.csv"))
 
 
 def _file(name: str) -> Path:
     # A drive that is in no folder gets a path in the first one; the reader reports it as missing.
     found = [file for file in real_files() if file.stem == name]
-    return found[0] if found else data_folder() / "hyundai_genesis_oxts" / f"{name}.csv"
+    return found[0] if found else NINE_DRIVES / f"{name}.csv"

@@ -2,9 +2,10 @@
 
 from st_core.checks import Finding, Severity, compare_runs
 
+from .._cars import NINE_DRIVES
+from .._pages import format_table
 from . import drives
 from .score import checked, short
-from .tables import table
 
 SETS = {"hyundai_genesis_oxts": "The nine drives", "hyundai_genesis_more": "Drives with faults of known cause"}
 
@@ -21,12 +22,12 @@ def main() -> str:
                 print(f"    {short(finding)}\n        {finding.text}")
         rows = [(name, "; ".join(_value(f) for f in one.findings if f.severity is not Severity.NOTE) or "-",
                  str(len(one.of(Severity.NOTE)))) for name, one in results.items()]
-        parts.append(f"{title} (`{folder}`):\n\n" + table(("drive", "errors and warnings", "notes"), rows))
+        parts.append(f"{title} (`{folder}`):\n\n" + format_table(("drive", "errors and warnings", "notes"), rows))
         common = [one for one in compare_runs(list(results.values())) if one.consistent]
         lines = [f"- `{one.name}` {one.mean:.3g} ± {0.5 * (one.interval[1] - one.interval[0]):.1g}"
                  + ("" if one.unit == "1" else f" {one.unit}") for one in common]
         print("\n".join(lines))
-        if folder == "hyundai_genesis_oxts":
+        if folder == NINE_DRIVES.name:
             parts.append("Consistent across all nine:\n\n" + "\n".join(lines))
     return "\n\n".join(parts)
 

@@ -2,8 +2,8 @@
 
 import time
 
+from .._pages import format_table
 from .score import checked
-from .tables import table
 from .virtual import virtual_drive
 
 MINUTES = (1, 10, 30)
@@ -20,7 +20,7 @@ def main() -> str:
         seconds = min(_timed(recording) for _ in range(REPEATS))
         rows.append((str(minutes), str(len(recording.log.x)), f"{seconds:.2f}", f"{seconds / minutes:.3f}"))
         print(*rows[-1], flush=True)
-    return table(("minutes at 100 Hz", "samples", "s of processor time", "s per minute"), rows)
+    return format_table(("minutes at 100 Hz", "samples", "s of processor time", "s per minute"), rows)
 
 
 def _timed(recording) -> float:

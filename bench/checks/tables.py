@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from .._pages import format_table
 from ..discovery.score import wilson
 from .score import Record
 
@@ -41,13 +42,8 @@ def as_markdown(document: Record) -> str:
     count = len(document["kinds"])
     where = (f"Set {document['set']}, version {document['version']}, {document['date']}: {count} kinds, "
              f"{count - len(missed)} of them without a miss.")
-    parts = [where, table(("drives", "cases", "right (95 % interval)"), total)]
-    return "\n\n".join([*parts, table(("kind", "cases", "right"), missed)] if missed else parts)
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+    parts = [where, format_table(("drives", "cases", "right (95 % interval)"), total)]
+    return "\n\n".join([*parts, format_table(("kind", "cases", "right"), missed)] if missed else parts)
 
 
 def as_text(document: Record) -> str:

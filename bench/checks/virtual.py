@@ -2,34 +2,27 @@
 
 import math
 from collections.abc import Callable
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from st_core.checks import AuxiliaryData, Series
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_recordings.paths import config
 from st_recordings.runs.ncom import rotate_to_body
-from st_sim.car import GRAVITY, Car, read_car
+from st_sim.car import GRAVITY, read_car
 from st_sim.scenarios import load
 from st_sim.sensors import Ins, InsReading, SteeringSensor, read_wheel_speeds
 from st_sim.settings import Settings, resolve
 from st_sim.simulation import SimulatedCar
 from st_sim.stream import STEERING_SCHEDULE, TICK_MS, WHEEL_SCHEDULE
 
+from .._cars import LEAF_FILE, leaf
 from .recording import Recording, with_good_quality
 
 START_NS = 1_756_900_800_000_000_000
 INS_MS = 10
 ROUNDING = {"angle": 1e-6, "velocity": 1e-4, "rate": 1e-5, "force": 1e-4, "steering": np.radians(0.1), "wheel": 0.01}
 """rad, m/s, rad/s, m/s^2 of NCOM; rad of the hand wheel and m/s on CAN."""
-
-
-@lru_cache
-def leaf() -> tuple[Car, VehicleParameters]:
-    file = config("vehicle/leaf.yaml")
-    return read_car(file), VehicleParameters.from_yaml(file.read_text(), str(file))
 
 
 def drive_name(scenario: str) -> str:
@@ -41,7 +34,7 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
 
     INS and steering at 100 Hz, wheel speeds at 50 Hz, RTK all the time.
     """
-    car, vehicle = leaf()
+    car, vehicle = read_car(LEAF_FILE), leaf()
     settings = resolve("realistic", [])
     source = SimulatedCar(car, settings, load(scenario), seed)
     ins, sensor = Ins(car, settings, INS_MS / 1000, seed), SteeringSensor(car, settings, seed)

@@ -14,12 +14,10 @@ from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs.csv import read_csv
 
+from .._cars import NINE_DRIVES, genesis
 from .._mounting import moved, turned
 from .cases import seed_of
-from .paths import ROOT
 
-GENESIS = ROOT.parent / "shared" / "data" / "hyundai_genesis_oxts"
-VEHICLE_FILE = ROOT / "config" / "vehicle" / "hyundai_genesis.yaml"
 SMALLEST, LARGEST = 0.5, 1.5
 """Of the typical size."""
 
@@ -98,9 +96,9 @@ def cases_of(set_: str, count: int) -> list[EditCase]:
     return cases
 
 
-def drives_of(case: EditCase, folder: Path = GENESIS) -> tuple[list[DriveLog], VehicleParameters]:
+def drives_of(case: EditCase, folder: Path = NINE_DRIVES) -> tuple[list[DriveLog], VehicleParameters]:
     """Raises FileNotFoundError without the recordings."""
-    logs, vehicle = list(recorded(folder)), VehicleParameters.from_yaml(VEHICLE_FILE.read_text())
+    logs, vehicle = list(recorded(folder)), genesis()
     if not case.name:
         return logs, vehicle
     edit = EDITS[case.name]

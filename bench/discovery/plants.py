@@ -10,19 +10,18 @@ from st_core.vehicle import VehicleParameters
 from st_sim.car import Car, read_car
 from st_sim.settings import Settings
 
+from .._cars import LEAF_FILE, leaf
 from . import cars
 from . import programmes as m
 from .compiled import NO_LAW, Programme, Stopped, drive
 from .multibody import log_multibody
 from .multibody_car import KNOWN_HERE, nominal_car
 from .multibody_car import vehicle_of as multibody_vehicle
-from .paths import ROOT
 from .pushes import REAR_CURVE, Law
 from .sensing import log_of
 
-LEAF_FILE = ROOT / "config" / "vehicle" / "leaf.yaml"
 NOMINAL: Car = read_car(LEAF_FILE)
-LEAF = VehicleParameters.from_yaml(LEAF_FILE.read_text())
+LEAF = leaf()
 SLID_AWAY = 6.0
 """m/s of sideways speed: the car has spun and the drive is not used."""
 

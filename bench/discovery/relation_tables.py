@@ -4,32 +4,31 @@ from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
 
+from st_recordings.paths import project_root
+
+from .._pages import format_table, replace_part
 from . import relation_score as score
 from .hidden_relations import BY_NAME
-from .paths import ROOT
 from .relation_cases import COUNTS
-from .tables import table
 
 Record = dict[str, Any]
-PAGE = ROOT / "docs" / "measurements" / "proposals.md"
-BEGIN, END = "<!-- scores: written by ./st bench discovery --laws --tables FILE ... -->", "<!-- end of scores -->"
+PAGE = project_root() / "docs" / "measurements" / "proposals.md"
 
 
 def write(records: Sequence[Record]) -> None:
-    """Raises ValueError where the page has no place for it."""
-    before, rest = PAGE.read_text().split(BEGIN)
-    PAGE.write_text(f"{before}{BEGIN}\n\n{as_markdown(records)}\n\n{END}{rest.partition(END)[2]}")
+    replace_part(PAGE, "scores", f"\n{as_markdown(records)}\n")
 
 
 def as_markdown(records: Sequence[Record]) -> str:
     return "\n\n".join([
         _origin(records),
-        table(("score", "measured", "required", "goal"), score.scores(records)),
+        format_table(("score", "measured", "required", "goal"), score.scores(records)),
         *_methods(records),
         "Law by law; position after 5 s on held-out drives, mean over the cases, m:",
-        table(("hidden", "cases", "noticed", "slot right", "vehicle file", "library", "with the proposal", "oracle"),
-              _laws(records)),
-        "What failed, case by case:", table(("case", "hidden", "answer", "wrong"), _failures(records) or [("-",) * 4])])
+        format_table(("hidden", "cases", "noticed", "slot right", "vehicle file", "library", "with the proposal",
+                      "oracle"), _laws(records)),
+        "What failed, case by case:",
+        format_table(("case", "hidden", "answer", "wrong"), _failures(records) or [("-",) * 4])])
 
 
 def _methods(records: Sequence[Record]) -> list[str]:
@@ -37,7 +36,8 @@ def _methods(records: Sequence[Record]) -> list[str]:
     if not any(r.get("baselines") for r in records):
         return []
     return ["Other methods on the same cases, starting from the same answer of `st discover`, simulated the same way:",
-            table(("method", "gap closed, median / 10th percentile", "made worse", "names"), score.methods(records))]
+            format_table(("method", "gap closed, median / 10th percentile", "made worse", "names"),
+                         score.methods(records))]
 
 
 def _origin(records: Sequence[Record]) -> str:
@@ -80,7 +80,7 @@ def _failures(records: Sequence[Record]) -> list[tuple[str, ...]]:
             if law:
                 answer = f"{law['place']} over {law['quantity']}{by}, {law['reads']}"
             rows.append((f"{r['block']} {r['index']}", f"{r['plant']}: {r['hidden']} x {r['scale']:g}",
-                         answer.replace("|", "\\|"), "; ".join(wrong)))
+                         answer, "; ".join(wrong)))
     return rows
 
 

@@ -2,23 +2,24 @@
 methods, limits, and all that failed."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from st_recordings.paths import project_root
 
+from .._pages import format_table
 from . import score
 from .cars import LEAF
 from .cases import COUNTS
 from .edit_score import edited
 from .effects import DIFFERENT, KNOWN
 from .figures import confusion
-from .paths import ROOT
 from .score import formatted, groups, matters, share, share_of, value_of
 
 Record = dict[str, Any]
-PAGE = ROOT / "docs" / "measurements" / "discovery_scores.md"
-FIGURE = ROOT / "docs" / "images" / "discovery_confusion.png"
+PAGE = project_root() / "docs" / "measurements" / "discovery_scores.md"
+FIGURE = project_root() / "docs" / "images" / "discovery_confusion.png"
 NOT_RUN = "Not run with these records."
 INTRODUCTION = """# Scores of `st discover`
 
@@ -48,7 +49,7 @@ def write(records: Sequence[Record]) -> None:
 def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
     parts = [
         INTRODUCTION, _origin(records),
-        "## Scores", table(("score", "measured", "required", "goal"), [
+        "## Scores", format_table(("score", "measured", "required", "goal"), [
             (r["name"].strip(), formatted(r), r["required"], r["goal"]) for r in score.scores(records)]),
         "## The two plants", _plants(records),
         "## By hidden effect", "Blocks A and B: hidden effects that matter, how often they are stated, and how often "
@@ -57,7 +58,7 @@ def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
         "were given to all of them.", _methods(records),
         "## Limits of the decision", _ablation(ablated),
         "## What is truly different between plant and model", "Naming one of these is right, whatever is hidden.",
-        table(("plant", "effect", "why"), [(plant, name, why) for plant, rows in DIFFERENT.items()
+        format_table(("plant", "effect", "why"), [(plant, name, why) for plant, rows in DIFFERENT.items()
                                            for name, why in rows.items()]),
         "## What failed", *_failures(records),
     ]
@@ -83,11 +84,6 @@ def _origin(records: Sequence[Record]) -> str:
     return f"{warning}\n\n{text}"
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
-
-
 def _plants(records: Sequence[Record]) -> str:
     """The rows of A to C, of each plant alone."""
     names, columns = [], []
@@ -96,7 +92,7 @@ def _plants(records: Sequence[Record]) -> str:
         rows = [r for r in rows if not r["name"].startswith(("multi-body", "  multi-body")) and r.get("of")]
         names = names or [r["name"] for r in rows]
         columns.append({r["name"]: formatted(r) for r in rows})
-    return table(("score", "virtual Leaf", "multi-body cars"),
+    return format_table(("score", "virtual Leaf", "multi-body cars"),
                  [(n.strip(), *(c.get(n, "no cases") for c in columns)) for n in names])
 
 
@@ -107,7 +103,7 @@ def _by_effect(records: Sequence[Record]) -> str:
         found = share_of([score.states(r, name) for r in ab if name in matters(r)])
         right = share_of([inside for r in ab for n, inside in score.values_inside(r) if n == name])
         rows.append((name, formatted(found), formatted(right)))
-    return table(("effect", "stated", "value inside its interval"), rows)
+    return format_table(("effect", "stated", "value inside its interval"), rows)
 
 
 def _methods(records: Sequence[Record]) -> str:
@@ -131,7 +127,7 @@ def _methods(records: Sequence[Record]) -> str:
     worse = share(regressed, lambda r: r["baselines"]["regression"]["after"] > r["baselines"]["regression"]["before"])
     text = ("Sparse regression of the residual accelerations predicts no positions. Its largest term names a "
             f"hidden effect in {formatted(named)}; the residual on held-out drives grows in {formatted(worse)}.")
-    return table(("method", "median", "10th percentile", "made worse"), rows) + "\n\n" + text
+    return format_table(("method", "median", "10th percentile", "made worse"), rows) + "\n\n" + text
 
 
 ABLATED = ("A and B: effects that matter, stated alone or in a set", "A and B: statements that are false",
@@ -153,7 +149,7 @@ def _ablation(records: Sequence[Record]) -> str:
     cases = ", ".join(f"{n} {block}" for block, n in sorted(Counter(r["block"] for r in usual).items()))
     about = (f"The same cases with half and twice each limit; set {usual[0]['set']}, version {usual[0]['version']}, "
              f"{cases}. So few cases show only which changes of a limit do harm, not which value is best.")
-    return "\n\n".join((about, table(("limit", *ABLATED), rows)))
+    return "\n\n".join((about, format_table(("limit", *ABLATED), rows)))
 
 
 def _failures(records: Sequence[Record]) -> list[str]:
@@ -169,7 +165,7 @@ def _failures(records: Sequence[Record]) -> list[str]:
                     what = f"{r['plant']}: {r['words']}" if "words" in r else f"{r['kind']} {r['size']:+.3g}"
                     rows.append((f"{block} {r['index']}", what, f"{r['outcome']}: {answer_text(r)}", "; ".join(wrong)))
         if rows:
-            parts.append(table(("case", "hidden", "answer", "wrong"), rows))
+            parts.append(format_table(("case", "hidden", "answer", "wrong"), rows))
     return parts or ["Nothing."]
 
 

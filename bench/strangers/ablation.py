@@ -29,7 +29,7 @@ from st_recordings.car import read_vehicle
 from st_recordings.paths import project_root
 from st_recordings.runs.csv import read_csv
 
-from .._markers import renew, table
+from .._pages import format_records, replace_part
 from . import score
 from .cases import cases
 from .recordings import write
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(line, flush=True)
     if chosen.page:
         lines = [json.loads(line) for line in LINES.read_text().splitlines()]
-        renew(PAGE, "ablation", "\n".join(page_table(lines)) + "\n")
+        replace_part(PAGE, "ablation", page_table(lines))
     return 0
 
 
@@ -138,7 +138,7 @@ def _plain(effect: Any) -> dict[str, Any]:
             "parameters": {name: vars(value) for name, value in effect.parameters.items()}}
 
 
-def page_table(lines: Sequence[Mapping[str, Any]]) -> list[str]:
+def page_table(lines: Sequence[Mapping[str, Any]]) -> str:
     """A row for each number and factor: sums over the cases, and in how many of them anything counted here changes."""
     newest = {(line["case"], line["number"], line["factor"]): line for line in lines}
     rows = []
@@ -151,7 +151,7 @@ def page_table(lines: Sequence[Mapping[str, Any]]) -> list[str]:
                      "values inside": f"{total['inside']} of {total['values']}",
                      "points in the band": f"{total['in band']} of {total['points']}",
                      "cases changed": f"{total['changed']} of {len(mine)}"})
-    return table(rows)
+    return format_records(rows)
 
 
 if __name__ == "__main__":

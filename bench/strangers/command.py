@@ -14,7 +14,7 @@ from typing import Any
 
 from st_recordings.paths import project_root, source_version
 
-from .._markers import renew, table
+from .._pages import format_records, replace_part
 from . import judge, score
 from .cases import HALVES, NEW_USER, Case, cases
 from .recordings import write
@@ -63,10 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     figures = score.totals(results)
     print(json.dumps(figures, indent=1))
     if chosen.page:
-        renew(PAGE, f"strangers_{chosen.cases}", "\n".join(page_table(results, figures)) + "\n")
+        replace_part(PAGE, f"strangers_{chosen.cases}", page_table(results, figures))
     return int(any("answer" not in one for one in results))
-
-
 
 
 def answered(case: Case, keep: Path | None = None) -> dict[str, Any]:
@@ -134,7 +132,7 @@ def _hidden(case: Case) -> str:
     return f"{text}; {DESCRIPTIONS[CARS[case.car].description]}"
 
 
-def page_table(results: Sequence[Mapping[str, Any]], figures: Mapping[str, Any]) -> list[str]:
+def page_table(results: Sequence[Mapping[str, Any]], figures: Mapping[str, Any]) -> str:
     """The score and a row for each case."""
     number = "{:.2f}".format
     rows = [{"score": key, "value": number(value) if isinstance(value, float) else str(value)}
@@ -144,4 +142,4 @@ def page_table(results: Sequence[Mapping[str, Any]], figures: Mapping[str, Any])
              "5 s error, m": f"{one['answer']['errors']['position_5s']['base']:.2f} → "
                              f"{one['answer']['errors']['position_5s']['augmented']:.2f}",
              "s": f"{one['seconds']:.0f}"} for one in results if "answer" in one]
-    return [*table(rows), "", *(table(each) if each else [])]
+    return "\n\n".join(map(format_records, filter(None, (rows, each))))
