@@ -47,7 +47,9 @@ def numba_scalar(model, p, start, w, offsets) -> Callable[[], np.ndarray]:
     before, lanes.LANES = lanes.LANES, 1
     try:
         p = lanes.as_floats(p)
-        kernel = lanes.uncached(model, numba.typeof(p), len(w), len(start))
+        kernel = lanes.make_kernel(model, numba.typeof(p), len(w), len(start))
+        with lanes.interleave_vectors():
+            kernel.compile(lanes.SIGNATURE)
     finally:
         lanes.LANES = before
     out = np.empty(start.size)

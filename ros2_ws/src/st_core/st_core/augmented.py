@@ -166,20 +166,16 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
         effects = {**base.values, **effects}
         base = base.base
     ordered = sorted((get_effect(name) for name in effects), key=lambda effect: (effect.order, effect.name))
-    _check_applicable(base, ordered)
-    return _compose(base, tuple(ordered), _check_all_values(ordered, effects))
-
-
-def _check_applicable(base: Model, effects: Sequence[type[Effect]]) -> None:
     models = {base.name}
     # Each conversion may depend on another, so one pass per conversion is needed.
-    conversions = [effect.converts for effect in effects if effect.converts]
+    conversions = [effect.converts for effect in ordered if effect.converts]
     for _ in conversions:
         models |= {to for start, to in conversions if start in models}
-    for effect in effects:
+    for effect in ordered:
         if not effect.applies_to & models:
             allowed = " or ".join(sorted(effect.applies_to))
             raise ConfigurationError(f"effect {effect.name}: does not apply to a {base.name} model, only to {allowed}")
+    return _compose(base, tuple(ordered), _check_all_values(ordered, effects))
 
 
 def _compose(base: Model, effects: tuple[type[Effect], ...], values: Values) -> AugmentedModel:
@@ -202,20 +198,19 @@ def _compose(base: Model, effects: tuple[type[Effect], ...], values: Values) -> 
 
 
 def _check_all_values(effects: Iterable[type[Effect]], values: Values) -> Values:
-    return {e.name: MappingProxyType(_check_values(e, values[e.name])) for e in effects}
-
-
-def _check_values(effect: type[Effect], values: Mapping[str, float]) -> dict[str, float]:
-    result = {}
-    for parameter in effect.parameters:
-        key = f"effect {effect.name}: {parameter.name}"
-        if parameter.name not in values and parameter.fit:
-            raise ConfigurationError(f"{key}: no value given; add one")
-        result[parameter.name] = parameter.check(values.get(parameter.name, parameter.null), key)
-    for name in values:
-        if name not in result:
-            raise ConfigurationError(f"effect {effect.name}: {name}: unknown parameter; it has {', '.join(result)}")
-    return result
+    checked = {}
+    for effect in effects:
+        given, result = values[effect.name], {}
+        for parameter in effect.parameters:
+            key = f"effect {effect.name}: {parameter.name}"
+            if parameter.name not in given and parameter.fit:
+                raise ConfigurationError(f"{key}: no value given; add one")
+            result[parameter.name] = parameter.check(given.get(parameter.name, parameter.null), key)
+        for name in given:
+            if name not in result:
+                raise ConfigurationError(f"effect {effect.name}: {name}: unknown parameter; it has {', '.join(result)}")
+        checked[effect.name] = MappingProxyType(result)
+    return checked
 
 
 def fold(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Values) -> VehicleParameters:

@@ -5,7 +5,7 @@ blocks. In addition to the result, memory contains the tables of one block and t
 16 bytes per half step, 32 for a model that corrects the measurements.
 """
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from typing import Any, Literal
@@ -82,7 +82,7 @@ class LogBatch:
         self.signals = log if isinstance(log, LogSignals) else LogSignals(log, maximum_gap, filter_cutoff, acceleration)
         self.starts_ns = np.asarray(starts_ns, np.int64).ravel()
         self.step, self.steps = step, step_count(horizon, step)
-        self.points = self._point_numbers(points)
+        self.points = np.arange(self.steps + 1) if points is None else self._point_numbers(points)
         self._inputs, self._substeps, self.extra_signals = inputs, substeps, dict(signals or {})
         self._unique, first, self._inverse = np.unique(self.starts_ns, return_index=True, return_inverse=True)
         if not isinstance(inputs, str):
@@ -91,9 +91,7 @@ class LogBatch:
         self._recorded = Recording(self.signals)
         self._single_block: dict[tuple[int, bool], list[Block]] = {}
 
-    def _point_numbers(self, points: Sequence[float] | None) -> np.ndarray:
-        if points is None:
-            return np.arange(self.steps + 1)
+    def _point_numbers(self, points: Sequence[float]) -> np.ndarray:
         requested = np.asarray(points, float).ravel()
         numbers = np.round(requested / self.step).astype(np.int64)
         off_grid = np.abs(numbers * self.step - requested) > 1.0e-9
@@ -161,18 +159,15 @@ class LogBatch:
     def _blocks(self, count: int, separate: bool) -> Iterable[Block]:
         """Blocks of all starts; cached if there is only one."""
         if (count, separate) not in self._single_block:
-            blocks = self._plan_blocks(count, separate)
+            # Held inputs are required only at the start, unless earlier steering still affects the wheels.
+            throughout = self._inputs == "measured" or separate
+            instants = half_step_grid(0, self.steps * count, self.step / count) if throughout else np.zeros(1, np.int64)
+            blocks = plan_blocks(self._unique, instants, self._backend.LANES, share=not separate)
             first_two = list(islice(blocks, 2))
             if len(first_two) > 1:
                 return chain(first_two, blocks)
             self._single_block[count, separate] = first_two
         return self._single_block[count, separate]
-
-    def _plan_blocks(self, count: int, separate: bool) -> Iterator[Block]:
-        # Held inputs are required only at the start, unless earlier steering still affects the wheels.
-        throughout = self._inputs == "measured" or separate
-        instants = half_step_grid(0, self.steps * count, self.step / count) if throughout else np.zeros(1, np.int64)
-        return plan_blocks(self._unique, instants, self._backend.LANES, share=not separate)
 
     def recording(self, model: Model) -> Recording:
         """The drive with the sensor and steering corrections of the model applied."""

@@ -68,11 +68,6 @@ class Channel:
         return (averaged * white_noise(values),)
 
 
-def _position_residuals(measured: Mapping[str, np.ndarray], readings: Any) -> tuple[np.ndarray, ...]:
-    longitudinal, lateral = map_to_body(measured["x"] - readings.x, measured["y"] - readings.y, measured["yaw"])
-    return lateral, longitudinal
-
-
 def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: Any, rate: Any) -> tuple[float, ...]:
     """Spread of measured displacement minus dead reckoning, plus the effect of white noise in initial yaw and speed."""
     east, north = (_integrate(values, step) for values in body_to_map(u, v, yaw))
@@ -104,7 +99,8 @@ CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
     Channel("yaw", "heading", "rad", 1e-4, errors=lambda m, readings: (wrap_angle(m["yaw"] - readings.yaw),),
             accumulates=True, noise=_heading_noise),
     Channel("position", "position", "m", 1e-3, ("x", "y"), ("position_lateral", "position_longitudinal"),
-            errors=_position_residuals, accumulates=True, noise=_position_noise),
+            errors=lambda m, readings: map_to_body(m["x"] - readings.x, m["y"] - readings.y, m["yaw"])[::-1],
+            accumulates=True, noise=_position_noise),
 )}
 """Channels by name, the most informative about the car first."""
 

@@ -278,12 +278,9 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
                         latency: float = 0.0, latency_uncertainty: float = 0.0) -> Alignment:
     """Alignment by CAN frames that contain the time of the INS: a robust line (soft L1) through the medians per second.
 
-    Args:
-        other_time_ns: log stamp of each frame that contains a time; an INS without GNSS lock sends none.
-        reference_time_ns: time in the frame, UTC.
-        resolution: resolution of the time in the frame [s].
-        latency: delay from the time in a frame to its stamp in the log [s].
-        latency_uncertainty: standard deviation of the latency [s].
+    other_time_ns: log stamp of each frame that contains a time; an INS without GNSS lock sends none.
+    reference_time_ns: time in the frame, UTC. resolution: of the time in the frame [s]. latency: delay from the time in
+    a frame to its stamp in the log [s], with its standard deviation latency_uncertainty [s].
     """
     if len(other_time_ns) < 2:
         return refused_alignment("fewer than two time frames contain a time (did the INS have no GNSS lock?)")

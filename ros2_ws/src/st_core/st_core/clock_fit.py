@@ -35,12 +35,9 @@ class Resampled:
 def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = False) -> Resampled:
     """Interpolate linearly to 100 Hz, apply a zero-phase Butterworth low-pass (order 4), keep every fifth point.
 
-    Args:
-        time: [s], strictly increasing.
-        values: NaN where they must not be used.
-        cutoff: cut-off frequency of the low-pass [Hz], equal for both recordings.
-        angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s], because the zero of the
-            angle is unknown. The angle is filtered first, because differentiation amplifies rounding.
+    time: [s], strictly increasing. values: NaN where they must not be used. cutoff: of the low-pass [Hz], equal for
+    both recordings. angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s], because the zero
+    of the angle is unknown. The angle is filtered first, because differentiation amplifies rounding.
     """
     good = np.isfinite(values)
     time, values = time[good], np.unwrap(values[good]) if angle else values[good]
@@ -63,16 +60,11 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = 
 
 
 def masked_correlation(reference: Resampled, other: Resampled, minimum_overlap: float) -> tuple[np.ndarray, np.ndarray]:
-    """Normalised correlation of two masked series at every lag, computed from their overlap at that lag.
+    """(lags [s], time of the reference minus time of the other; normalised correlation of two masked series at each).
 
         r(l) = cov(f, g_l) / sqrt(var(f) var(g_l)),   over the samples known in both series at lag l
 
-    Args:
-        minimum_overlap: duration of the samples known in both [s]; r is 0 at lags with a shorter overlap.
-
-    Returns:
-        lags [s], time of the reference minus time of the other; r in [-1, 1].
-
+    minimum_overlap: duration of the samples known in both [s]; r is 0 at lags with a shorter overlap.
     Source: Padfield, Masked object registration in the Fourier domain, IEEE Trans. Image Processing 21 (2012).
     """
     m1, m2 = reference.known.astype(float), other.known.astype(float)
@@ -159,7 +151,15 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
             break
     normal, _, details = _normal_equations(pairs, splines, parameters, middle, free_drift)
     inverse = np.linalg.inv(normal)
-    covariance = inverse @ _block_scores(details) @ inverse
+    # Covariance of the total score, from its sums over blocks of time; all signals share the blocks.
+    start = min(float(d.time[0]) for d in details)
+    count = int((max(float(d.time[-1]) for d in details) - start) / BLOCK) + 1
+    sums = np.zeros((count, 2))
+    for detail in details:
+        block = ((detail.time - start) / BLOCK).astype(np.int64)
+        sums += np.stack([np.bincount(block, weights=row, minlength=count) for row in detail.score], axis=1)
+    used = max(int((np.abs(sums).sum(axis=1) > 0).sum()), 1)
+    covariance = inverse @ (sums.T @ sums * (used / max(used - 4, 1))) @ inverse
     unclustered = inverse[0, 0] if free_drift else 1.0 / normal[0, 0]
     return Fit(
         offset=float(parameters[0]), drift=float(parameters[1]), middle=middle,
@@ -233,19 +233,6 @@ def _common_samples(pair: Pair, parameters: np.ndarray, middle: float) -> tuple[
     inside = pair.other.known & (index >= 0) & (index < len(known) - 1)
     inside[inside] = known[index[inside]] & known[index[inside] + 1]
     return time[inside], mapped[inside], pair.other.values[inside]
-
-
-def _block_scores(details: Sequence[_SignalFit]) -> np.ndarray:
-    """Covariance of the total score, from its sums over blocks of time; all signals share the blocks."""
-    start = min(float(d.time[0]) for d in details)
-    count = int((max(float(d.time[-1]) for d in details) - start) / BLOCK) + 1
-    sums = np.zeros((count, 2))
-    for detail in details:
-        block = ((detail.time - start) / BLOCK).astype(np.int64)
-        for k in range(2):
-            sums[:, k] += np.bincount(block, weights=detail.score[k], minlength=count)
-    used = max(int((np.abs(sums).sum(axis=1) > 0).sum()), 1)
-    return sums.T @ sums * (used / max(used - 4, 1))
 
 
 def mean_correlation(pairs: Sequence[Pair], minimum_overlap: float,

@@ -78,11 +78,18 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
         raise
     except Exception as error:  # numba raises many types of errors; the interpreted model is the fallback
         raise ConfigurationError(f"{type(error).__name__}: {error}") from None
-    for constant in (True, False):
-        for sample in _SAMPLES:
-            state, inputs = _test_case(sample, settings, constant)
+    share = np.linspace(1.0, 0.5, 2 * settings.steps + 1)
+    for v_x, v_y, yaw_rate, angle, acceleration in _SAMPLES:
+        state = VehicleState(3.0, -2.0, v_x, v_y, 0.7, yaw_rate)
+        for inputs in (ControlInput(angle, acceleration), InputSequence(angle * share, acceleration * share)):
             exact = predict(model, vehicle, state, inputs, settings.horizon, settings.step).states
-            _check_agreement(model.name, result(state, inputs).states, exact)
+            compiled, finite = result(state, inputs).states, np.isfinite(exact)
+            with np.errstate(all="ignore"):
+                difference = np.abs(compiled - exact) / np.maximum(1.0, np.abs(exact))
+            # Both must be finite at the same points (a spin with a long step diverges), and agree there.
+            if not np.array_equal(finite, np.isfinite(compiled)) or (difference[finite] > TOLERANCE).any():
+                worst = float(np.nanmax(np.where(finite, difference, 0.0)))
+                raise ConfigurationError(f"the compiled {model.name} differs from the interpreted model by {worst:.1e}")
     return result
 
 
@@ -100,23 +107,3 @@ def compile_models(models: Sequence[Model], vehicle: VehicleParameters,
     if reasons:
         parts.append(f"not compiled: {', '.join(reasons)} ({'; '.join(dict.fromkeys(reasons.values())):.200})")
     return compiled, "; ".join(parts)
-
-
-def _test_case(sample: tuple[float, ...], settings: PredictionSettings,
-               constant: bool) -> tuple[VehicleState, ControlInput | InputSequence]:
-    v_x, v_y, yaw_rate, angle, acceleration = sample
-    state = VehicleState(3.0, -2.0, v_x, v_y, 0.7, yaw_rate)
-    if constant:
-        return state, ControlInput(angle, acceleration)
-    share = np.linspace(1.0, 0.5, 2 * settings.steps + 1)
-    return state, InputSequence(angle * share, acceleration * share)
-
-
-def _check_agreement(name: str, compiled: np.ndarray, exact: np.ndarray) -> None:
-    # Both must be finite at the same points (a spin with a long step diverges), and agree there.
-    with np.errstate(all="ignore"):
-        difference = np.abs(compiled - exact) / np.maximum(1.0, np.abs(exact))
-    finite = np.isfinite(exact)
-    if not np.array_equal(finite, np.isfinite(compiled)) or (difference[finite] > TOLERANCE).any():
-        worst = float(np.nanmax(np.where(finite, difference, 0.0)))
-        raise ConfigurationError(f"the compiled {name} differs from the interpreted model by {worst:.1e}")

@@ -58,34 +58,33 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
     acting = tuple(e for e in effects if e.converts or any(getattr(e, hook) for hook in ("inputs", *EQUATION_HOOKS)))
     if not acting:
         return Composed((), base.inputs, base.rhs)
-    layouts = _lay_out(acting)
+    layouts: list[_Layout] = []
+    w, state = 2, STATES
+    for index, effect in enumerate(acting):
+        layout = _Layout(effect, index, (w, w + len(effect.prepared or effect.signals)),
+                         (state, state + len(effect.extra_states)))
+        w, state = layout.prepared[1], layout.extra[1]
+        layouts.append(layout)
     signals = tuple(dict.fromkeys(name for effect in acting for name in effect.signals))
     changed_inputs = _changed_inputs(layouts, signals)
+    base_rhs = base.rhs
     if not any(e.converts or getattr(e, hook) for e in acting for hook in EQUATION_HOOKS):
-        return Composed(acting, _inputs_only(base.inputs, changed_inputs), _rhs_of_base(base.rhs), signals=signals)
+        return Composed(acting, _inputs_only(base.inputs, changed_inputs),
+                        lambda state, w, p: base_rhs(state, w, p.base), signals=signals)
     base_begin = layouts[-1].prepared[1]
     geometric_slips, base_forces, motion = _dynamics(base, layouts, base_begin)
-    rhs = _rhs(geometric_slips, _chain(_unchanged_slips, _add_slip_angles, layouts, "slip_angles"),
-               _chain(base_forces, _add_axle_forces, layouts, "axle_forces"), motion,
+    slips = _chain(lambda front, rear, state, instant: (front, rear), _add_slip_angles, layouts, "slip_angles")
+    rhs = _rhs(geometric_slips, slips, _chain(base_forces, _add_axle_forces, layouts, "axle_forces"), motion,
                _chain(_no_acceleration, _add_acceleration, layouts, "acceleration"),
                _chain(_nothing, _add_rates, layouts, "rates"))
     if base.axles is None:
-        rhs = _blended(base.rhs, rhs, base_begin, _conversion_layout(layouts).index)
+        rhs = _blended(base_rhs, rhs, base_begin, _conversion_layout(layouts).index)
     extra_states = tuple(f"{e.name}.{name}" for e in acting for name in e.extra_states)
     start = _start(_chain(_nothing, _add_start, layouts, "extra_states"), geometric_slips) if extra_states else None
     force = _chain(_no_force, _add_specific_force, layouts, "specific_force")
     return Composed(acting, _inputs(base.inputs, changed_inputs, _prepared(layouts, signals)), rhs, start,
-                    None if force is _no_force else _specific_force(force), extra_states, signals)
-
-
-def _lay_out(acting: tuple[type[Effect], ...]) -> list[_Layout]:
-    layouts, w, state = [], 2, STATES
-    for index, effect in enumerate(acting):
-        prepared = (w, w + len(effect.prepared or effect.signals))
-        extra = (state, state + len(effect.extra_states))
-        w, state = prepared[1], extra[1]
-        layouts.append(_Layout(effect, index, prepared, extra))
-    return layouts
+                    None if force is _no_force else lambda state, w, p: force(_instant(state, w, p)), extra_states,
+                    signals)
 
 
 def _chain(function, add, layouts: list[_Layout], attribute: str):
@@ -164,23 +163,11 @@ def _blended(kinematic, dynamic, base_begin, index):
     return rhs
 
 
-def _rhs_of_base(base_rhs):
-    def rhs(state, w, p):
-        return base_rhs(state, w, p.base)
-    return rhs
-
-
 def _start(extra_states, geometric_slips):
     def start(state, w, p):
         instant = _instant(state, w, p)
         return extra_states(geometric_slips(instant), instant)
     return start
-
-
-def _specific_force(force):
-    def specific_force(state, w, p):
-        return force(_instant(state, w, p))
-    return specific_force
 
 
 def _nothing(*arguments):
@@ -217,10 +204,6 @@ def _pick(signals: tuple[str, ...], selected: tuple[str, ...]):
     return pick
 
 
-def _unchanged_inputs(angle, acceleration, p, signals):
-    return angle, acceleration
-
-
 def _changed_inputs(layouts: list[_Layout], signals: tuple[str, ...]):
     def add(previous, layout):
         hook, index, pick = layout.effect.inputs, layout.index, _pick(signals, layout.effect.signals)
@@ -230,34 +213,27 @@ def _changed_inputs(layouts: list[_Layout], signals: tuple[str, ...]):
             return hook(angle, acceleration, pick(signals), p.effects[index])
         return changed
 
-    return _chain(_unchanged_inputs, add, layouts, "inputs")
-
-
-def _pass_signals(angle, acceleration, signals, theta):
-    return signals
+    return _chain(lambda angle, acceleration, p, signals: (angle, acceleration), add, layouts, "inputs")
 
 
 def _prepared(layouts: list[_Layout], signals: tuple[str, ...]):
+    def add(previous, layout):
+        hook, index, pick = layout.effect.prepare, layout.index, _pick(signals, layout.effect.signals)
+        hook = hook or (lambda angle, acceleration, signals, theta: signals)
+
+        def prepared(angle, acceleration, p, signals):
+            before = previous(angle, acceleration, p, signals)
+            return *before, *hook(angle, acceleration, pick(signals), p.effects[index])
+        return prepared
+
     prepared = _nothing
     for layout in layouts:
         if layout.effect.prepare or layout.effect.signals:
-            prepared = _add_prepared(prepared, layout.effect.prepare or _pass_signals, layout.index,
-                                     _pick(signals, layout.effect.signals))
-    return prepared
-
-
-def _add_prepared(previous, hook, index, pick):
-    def prepared(angle, acceleration, p, signals):
-        before = previous(angle, acceleration, p, signals)
-        return *before, *hook(angle, acceleration, pick(signals), p.effects[index])
+            prepared = add(prepared, layout)
     return prepared
 
 
 # Equations: for each hook, the function without effects and a wrapper that adds one effect.
-
-def _unchanged_slips(slip_front, slip_rear, state, instant):
-    return slip_front, slip_rear
-
 
 def _add_slip_angles(previous, layout):
     hook, index, (begin, end), (first, last) = layout.effect.slip_angles, layout.index, layout.prepared, layout.extra
@@ -301,19 +277,11 @@ def _add_rates(previous, layout):
 
 
 def _add_start(previous, layout):
-    hook, index, (begin, end) = layout.effect.start, layout.index, layout.prepared
-    if hook is None:
-        hook = _zeros(len(layout.effect.extra_states))
+    count, index, (begin, end) = len(layout.effect.extra_states), layout.index, layout.prepared
+    hook = layout.effect.start or (lambda slips, instant, prepared, theta: (0.0 * instant.velocity_x,) * count)
 
     def start(slips, instant):
         return *previous(slips, instant), *hook(slips, instant, instant.w[begin:end], instant.p.effects[index])
-    return start
-
-
-def _zeros(count: int):
-    def start(slips, instant, prepared, theta):
-        zero = 0.0 * instant.velocity_x
-        return (zero,) * count
     return start
 
 

@@ -93,8 +93,10 @@ def _check_finite(effect: type[Effect], vehicle: VehicleParameters) -> str:
                 for speed in STANDSTILL_SPEEDS:
                     if not np.isfinite(_predict_floats(model, vehicle, speed, acceleration=0.0)).all():
                         return f"{p.name} = {value:g}, {base.name}: not finite from {speed:g} m/s"
-                rates = _rates(model, vehicle)
-                if not np.isfinite(rates).all() or not np.isfinite(model.observe(READING)).all():
+                parameters = model.parameters(vehicle)
+                w = model.inputs(0.05, 0.8, parameters, *(row[0] for row in _signals(model).values()))
+                rates = model.rhs(model.start_state(_start(SPEEDS[-1]), w, parameters), w, parameters)
+                if not np.isfinite([*rates, *model.observe(READING)]).all():
                     return f"{p.name} = {value:g}, {base.name}: not finite at {SPEEDS[-1]:g} m/s"
     return ""
 
@@ -237,12 +239,6 @@ def _predict_casadi(model: Model, vehicle: VehicleParameters) -> np.ndarray:
             state = rk4_step(rates, state, begin, middle, end, None, STEP)
         ends.append(state[:6])
     return np.array(ends)
-
-
-def _rates(model: Model, vehicle: VehicleParameters) -> np.ndarray:
-    p = model.parameters(vehicle)
-    w = model.inputs(0.05, 0.8, p, *(row[0] for row in _signals(model).values()))
-    return np.array(model.rhs(model.start_state(_start(SPEEDS[-1]), w, p), w, p), float)
 
 
 def _mirror(m: Measured) -> Measured:

@@ -17,8 +17,7 @@ from .timeseries import NANOSECOND, interpolate
 from .types import body_to_map, map_to_body
 from .vehicle import VehicleParameters
 
-MAXIMUM_GAP = 0.25
-"""Longest gap across which a signal shifted in time is interpolated [s]."""
+MAXIMUM_GAP = 0.25  # longest gap across which a signal shifted in time is interpolated [s]
 
 MAX_VALUES = {"scale": 1e12, "add": 1e12, "earlier": 60.0, "ahead": 100.0}
 """Largest magnitude of each field; a channel that is late by more than a minute belongs to another recording."""

@@ -27,16 +27,12 @@ SPACING = 1.0
 SMOOTHING = 3.0
 """Length of the moving average of curvature and direction [m]: about one wheelbase; the curvature of a path hardly
 changes over shorter distances."""
-MAX_DISTANCE = 4.0
-"""m, largest distance of a pass from the car: one lane and its neighbour."""
+MAX_DISTANCE = 4.0  # m, largest distance of a pass from the car: one lane and its neighbour
 MAX_HEADING_DIFFERENCE = 0.5
 """rad, between the directions of car and pass; a larger difference means the opposite direction or a crossing."""
-PAUSE_SPEED = 0.5
-"""m/s; slower driving is left out, because curvature is undefined at standstill."""
-MAX_GAP = 0.1
-"""s, maximum time between samples of a pass."""
-MIN_LENGTH = 20.0
-"""m, minimum length of a pass; above 4 m/s, a shorter pass ends within the horizon of 5 s."""
+PAUSE_SPEED = 0.5  # m/s; slower driving is left out, because curvature is undefined at standstill
+MAX_GAP = 0.1  # s, maximum time between samples of a pass
+MIN_LENGTH = 20.0  # m, minimum length of a pass; above 4 m/s, a shorter pass ends within the horizon of 5 s
 MAX_ORIGIN_DISTANCE = 5000.0
 """m, distance between map origins; beyond it the axes differ by more than 1 mrad at latitude 50 deg."""
 SCHEMA = 1

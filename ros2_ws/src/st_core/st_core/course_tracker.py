@@ -34,28 +34,20 @@ from .timeseries import NANOSECOND
 from .types import InputSequence, wrap_angle
 from .vehicle import VehicleParameters
 
-RETURN_LENGTHS = (40.0, 100.0)
-"""l_1 and l_2 [m]: at 15 m/s a driver returns to the line within about 10 s."""
+RETURN_LENGTHS = (40.0, 100.0)  # l_1 and l_2 [m]: at 15 m/s a driver returns to the line within about 10 s
 SCALES = {"position": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
 """Typical differences between drives of one driver on one course [m, rad, fraction of the speed, 1/m]."""
-MAX_DIFFERENCE = 7.0
-"""Largest d of the best candidate for which the course is used."""
-RECENT_TIME = 2.0
-"""s, length of the past driving that is compared with a candidate."""
-BLEND_TIME = 0.3
-"""s, time constant from the measured to the predicted steering and acceleration: the lag of a driver."""
-DECAY_TIME = 0.7
-"""s, time constant of the decaying acceleration: pedals change about once a second."""
-FORGETTING_TIME = 10.0
-"""s, time constant of the mean square errors E: two horizons."""
+MAX_DIFFERENCE = 7.0  # largest d of the best candidate for which the course is used
+RECENT_TIME = 2.0  # s, length of the past driving that is compared with a candidate
+BLEND_TIME = 0.3  # s, time constant from the measured to the predicted steering and acceleration: the lag of a driver
+DECAY_TIME = 0.7  # s, time constant of the decaying acceleration: pedals change about once a second
+FORGETTING_TIME = 10.0  # s, time constant of the mean square errors E: two horizons
 INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
 """m^2, initial E, in the order of the module docstring, from leave-one-run-out errors of real laps."""
 SQUARED_ERROR_LIMITS = (0.01, 9.0)
 """m^2, limits of a squared error: the accuracy of the INS, and the largest influence of one error."""
-MAX_JUMP = 2.0
-"""m, largest difference between displacement and distance driven; with a larger one the tracker restarts."""
-MIN_SPEED = 0.5
-"""m/s, below which the course is not used: curvature is undefined at standstill."""
+MAX_JUMP = 2.0  # m, largest difference between displacement and distance driven; with a larger one the tracker restarts
+MIN_SPEED = 0.5  # m/s, below which the course is not used: curvature is undefined at standstill
 
 
 class EgoMotion(NamedTuple):
@@ -174,7 +166,11 @@ class CourseTracker:
             driven = self._distance - ended.distance
             row = min(max(driven / SPACING, 0.0), len(ended.path) - 1.001)
             before, after = ended.path[int(row)], ended.path[int(row) + 1]
-            positions = np.array([_advance_on_arc(ended.ego, driven), before + (row - int(row)) * (after - before)])
+            # With the held curvature, the car would have driven on an arc.
+            turn = ended.ego.curvature * driven
+            chord, length = ended.ego.direction + 0.5 * turn, driven * float(np.sinc(0.5 * turn / math.pi))
+            held = ended.ego.x + length * math.cos(chord), ended.ego.y + length * math.sin(chord)
+            positions = np.array([held, before + (row - int(row)) * (after - before)])
             squares = np.square(positions - (ego.x, ego.y)).sum(axis=1), np.square(ended.distances - driven)
             self._curvature_errors, self._speed_errors = (
                 (1.0 - share) * errors + share * np.clip(new, *SQUARED_ERROR_LIMITS)
@@ -199,8 +195,12 @@ class CourseTracker:
                        "speed": float(np.sqrt(np.square(np.log(driven[:, 0] / recorded[:, 4])).mean())),
                        "curvature": float(np.sqrt(np.square(driven[:, 1] - recorded[:, 3]).mean()))}
         square = sum((differences[name] / scale) ** 2 for name, scale in SCALES.items())
+        # e(0) [m] and e'(0) [rad] determine A and B of e(s).
         lateral_offset = math.cos(direction[0]) * (ego.y - y[0]) - math.sin(direction[0]) * (ego.x - x[0])
-        return min(square, 200.0), speed, curvature + _return_curvature(lateral_offset, direction_error, len(curvature))
+        (l_1, l_2), s = RETURN_LENGTHS, SPACING * np.arange(len(curvature))
+        b = (direction_error + lateral_offset / l_1) / (1.0 / l_1 - 1.0 / l_2)
+        curvature = curvature + (lateral_offset - b) / l_1**2 * np.exp(-s / l_1) + b / l_2**2 * np.exp(-s / l_2)
+        return min(square, 200.0), speed, curvature
 
     def _mix(self, candidates: list[tuple[float, np.ndarray, np.ndarray]], weights: np.ndarray,
              ego: EgoMotion) -> CourseForecast:
@@ -226,32 +226,12 @@ class CourseTracker:
         distance = cumulative_trapezoid(speed, dx=float(t[1]), initial=0.0)
         mixed = (curvature_shares[0] * ego.curvature
                  + curvature_shares[1] * np.interp(distance, SPACING * np.arange(length), curvature))
-        return CourseForecast(self._blend_inputs(ego, speed, mixed), float(curvature_shares[1]), float(speed_shares[3]),
-                              speed_deviation)
-
-    def _blend_inputs(self, ego: EgoMotion, speed: np.ndarray, curvature: np.ndarray) -> InputSequence:
-        """Inputs that follow the speed and curvature, blended from the measured inputs within BLEND_TIME."""
-        share = 1.0 - np.exp(-self._time / BLEND_TIME)
-        path = path_inputs(speed, curvature, self._time, self._vehicle)
-        signals = {name: ego.road_wheel_angle + share * (angle - ego.road_wheel_angle)
-                   for name, angle in path.signals.items()}
-        return InputSequence(ego.road_wheel_angle + share * (path.road_wheel_angle - ego.road_wheel_angle),
-                             ego.velocity_x_dot + share * (path.velocity_x_dot - ego.velocity_x_dot), signals)
-
-
-def _advance_on_arc(ego: EgoMotion, distance: float) -> tuple[float, float]:
-    """Position (x, y) [m] after a distance [m] at the current curvature."""
-    chord = ego.direction + 0.5 * ego.curvature * distance
-    length = distance * float(np.sinc(0.5 * ego.curvature * distance / math.pi))
-    return ego.x + length * math.cos(chord), ego.y + length * math.sin(chord)
-
-
-def _return_curvature(lateral_offset: float, direction_error: float, count: int) -> np.ndarray:
-    """e'' [1/m] every SPACING m. lateral_offset: e(0) [m], left +. direction_error: e'(0) [rad]."""
-    l_1, l_2 = RETURN_LENGTHS
-    b = (direction_error + lateral_offset / l_1) / (1.0 / l_1 - 1.0 / l_2)
-    s = SPACING * np.arange(count)
-    return (lateral_offset - b) / l_1**2 * np.exp(-s / l_1) + b / l_2**2 * np.exp(-s / l_2)
+        share, angle = 1.0 - np.exp(-t / BLEND_TIME), ego.road_wheel_angle
+        followed = path_inputs(speed, mixed, t, self._vehicle)
+        inputs = InputSequence(angle + share * (followed.road_wheel_angle - angle),
+                               acceleration + share * (followed.velocity_x_dot - acceleration),
+                               {name: angle + share * (values - angle) for name, values in followed.signals.items()})
+        return CourseForecast(inputs, float(curvature_shares[1]), float(speed_shares[3]), speed_deviation)
 
 
 def course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameters, horizon: float,

@@ -58,13 +58,7 @@ def make_score(model: str, mode: Mode, start_ns: int, step: float, errors: Seque
                  step * np.arange(len(longitudinal)), longitudinal, lateral, yaw, *means)
 
 
-@dataclass
-class _Pending:
-    """A prediction that waits for the measurements over its horizon."""
-
-    model: str
-    mode: Mode
-    issued: Trajectory
+_Pending = tuple[str, Mode, Trajectory]  # (model, mode, prediction that waits for the measurements over its horizon)
 
 
 class Evaluator:
@@ -121,7 +115,7 @@ class Evaluator:
     def add_prediction(self, model: str, start_ns: int, trajectory: Trajectory, mode: Mode = "forecast") -> None:
         """Add an issued prediction (at the CG). With a forecast, hindsight is scored from the same start."""
         key = (start_ns, len(trajectory.states) - 1, trajectory.step)
-        self._waiting.setdefault(key, []).append(_Pending(model, mode, trajectory))
+        self._waiting.setdefault(key, []).append((model, mode, trajectory))
         if self.pending > self.MAXIMUM_PENDING:
             self._abandon([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions were waiting")
 
@@ -152,10 +146,9 @@ class Evaluator:
         for key in keys:
             start_ns, steps, step = key
             unknown = [np.full(steps + 1, math.nan)] * 3
-            for pending in self._waiting.pop(key):
-                modes: tuple[Mode, ...] = (pending.mode, "hindsight") if pending.mode == "forecast" else (pending.mode,)
-                for mode in modes:
-                    self._abandoned.append(make_score(pending.model, mode, start_ns, step, unknown, reason))
+            for model, issued_mode, _ in self._waiting.pop(key):
+                modes: tuple[Mode, ...] = (issued_mode, "hindsight") if issued_mode == "forecast" else (issued_mode,)
+                self._abandoned += [make_score(model, mode, start_ns, step, unknown, reason) for mode in modes]
         # Limited like the pending predictions, because `poll` may never be called.
         del self._abandoned[:-2 * self.MAXIMUM_PENDING]
 
@@ -171,34 +164,29 @@ class Evaluator:
                      or self._describe_unknown("steering", self.history.steering, times, angle, start_ns))
         # All models are scored at the same points, although some do not need the input at the last point.
         scorable = inputs.known_so_far[::2]
-        jump_ns, jump = self._jump(start_ns, int(times[-1]))
+        breaks = self.history.ins.breaks
+        jump_ns = min((time_ns for time_ns in breaks if start_ns < time_ns <= times[-1]), default=int(times[-1]) + 1)
+        jump = (f"INS: {breaks[jump_ns]} at {(jump_ns - start_ns) * NANOSECOND:.3f} s of the horizon"
+                if jump_ns <= times[-1] else "")
         unbroken = times[::2] < jump_ns
         scores = []
-        for pending in group:
-            view = self.view(pending.model)
+        for model, issued_mode, issued in group:
+            view = self.view(model)
             variants: list[tuple[Mode, Trajectory, np.ndarray, str]] = [
-                (pending.mode, pending.issued, unbroken, jump or no_position)]
-            if pending.mode == "forecast":
-                start = VehicleState(*pending.issued.states[0].tolist())
+                (issued_mode, issued, unbroken, jump or no_position)]
+            if issued_mode == "forecast":
+                start = VehicleState(*issued.states[0].tolist())
                 known = inputs if view.plain else view.measured(times)
                 compiled = (steps, step) == (self.settings.steps, self.settings.step)
-                runner = self._runners.get(pending.model) if compiled else None
+                runner = self._runners.get(model) if compiled else None
                 resimulated = (runner(start, known) if runner
                                else predict(view.model, self.vehicle, start, known, steps * step, step))
                 variants.append(("hindsight", resimulated, unbroken & scorable, jump or no_inputs))
             for mode, trajectory, scored, reason in variants:
                 r = view.readings_along(trajectory)
                 errors = [np.where(scored, e, math.nan) for e in pose_errors(r.x, r.y, r.yaw, *measured)]
-                scores.append(make_score(pending.model, mode, start_ns, step, errors, reason))
+                scores.append(make_score(model, mode, start_ns, step, errors, reason))
         return scores
-
-    def _jump(self, start_ns: int, end_ns: int) -> tuple[int, str]:
-        """(instant, reason) of the first position jump within a horizon; (an instant after its end, "") without one."""
-        within = [time_ns for time_ns in self.history.ins.breaks if start_ns < time_ns <= end_ns]
-        if not within:
-            return end_ns + 1, ""
-        after = (min(within) - start_ns) * NANOSECOND
-        return min(within), f"INS: {self.history.ins.breaks[min(within)]} at {after:.3f} s of the horizon"
 
     @staticmethod
     def _describe_unknown(name: str, series: TimeSeries, times: np.ndarray, values: np.ndarray, start_ns: int) -> str:

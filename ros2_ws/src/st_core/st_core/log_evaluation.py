@@ -82,7 +82,7 @@ class ModelErrors:
 
     The last axis of each array is AXES [m, m, rad]. complete: (n,), whether the whole horizon was scored. mean,
     mean_square, largest: (n, 3) over all points of the horizon, the start included; largest is a magnitude. at_seconds:
-    (n, s, 3), error at 1, 2, ... s. profile_rmse: (points, 3), root mean square over the complete starts.
+    (n, s, 3), error at 1, 2, ... s. profile_squares: (points, 3), sum of the squares over the complete starts.
     """
 
     complete: np.ndarray
@@ -90,7 +90,36 @@ class ModelErrors:
     mean_square: np.ndarray
     largest: np.ndarray
     at_seconds: np.ndarray
-    profile_rmse: np.ndarray
+    profile_squares: np.ndarray
+
+    @classmethod
+    def empty(cls, count: int, horizon: np.ndarray) -> "ModelErrors":
+        """Errors to be filled by `add`. horizon: (points,) [s]."""
+        mean, square, largest = (np.full((count, 3), np.nan) for _ in range(3))
+        at_seconds = np.full((count, int(horizon[-1] + 1e-9), 3), np.nan)
+        return cls(np.zeros(count, bool), mean, square, largest, at_seconds, np.zeros((len(horizon), 3)))
+
+    def add(self, rows: slice, errors: np.ndarray, horizon: np.ndarray) -> None:
+        """Add the errors (n, points, 3) of the starts `rows`; incomplete ones are left out."""
+        complete = np.isfinite(errors).all(axis=(1, 2))
+        scored = np.arange(rows.start, rows.stop)[complete]
+        if not len(scored):
+            return
+        if not complete.all():
+            errors = errors[complete]
+        self.complete[scored] = True
+        square = np.square(errors)
+        self.mean[scored], self.mean_square[scored] = errors.mean(axis=1), square.mean(axis=1)
+        # Grid points nearest to whole seconds, because a second need not be a multiple of the step.
+        points = [int(np.abs(horizon - second).argmin()) for second in range(1, self.at_seconds.shape[1] + 1)]
+        self.largest[scored], self.at_seconds[scored] = np.abs(errors).max(axis=1), errors[:, points]
+        self.profile_squares[:] += square.sum(axis=0)
+
+    @property
+    def profile_rmse(self) -> np.ndarray:
+        """Root mean square over the complete starts, (points, 3)."""
+        with np.errstate(invalid="ignore"):
+            return np.sqrt(self.profile_squares / self.complete.sum())
 
     @property
     def n_starts(self) -> int:
@@ -175,21 +204,20 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
     starts, skipped = usable_starts(signals, vehicle, requested, settings.prediction.minimum_speed)
     horizon = settings.prediction.step * np.arange(settings.prediction.steps + 1)
     modes = (*MODES, *(future_inputs or {}))
-    collected = {(model.name, mode): _Collector(len(starts), horizon) for model in chosen for mode in modes}
+    results = {(model.name, mode): ModelErrors.empty(len(starts), horizon) for model in chosen for mode in modes}
     conditions = {name: np.full(len(starts), np.nan) for name in CONDITIONS}
     reasons: dict[str, int] = {}
     for rows, block in evaluate_blocks(chosen, vehicle, signals, starts, settings, future_inputs):
         for name, values in block.conditions.items():
             conditions[name][rows] = values
         for key, errors in block.errors.items():
-            collected[key].add(rows, errors)
+            results[key].add(rows, errors, horizon)
         for reason, count in block.incomplete.items():
             reasons[reason] = reasons.get(reason, 0) + count
         if on_block:
             on_block(starts[rows], block)
         if progress:
             progress(rows.stop, len(starts))
-    results = {key: collector.result() for key, collector in collected.items()}
     return LogEvaluation(log.name, settings, origin, starts, skipped, reasons, conditions, results, horizon)
 
 
@@ -329,33 +357,3 @@ def predict_held_per_step(model: Model, vehicle: VehicleParameters, signals: Log
             state = integrate.rk4_step(model.rhs, state, w, w, w, p, step)
             columns.append(state)
     return np.array([c[:len(STATE_NAMES)] for c in columns]).transpose(2, 0, 1)
-
-
-class _Collector:
-    """Collects the statistics of errors (n, points, 3), block by block, for ModelErrors."""
-
-    def __init__(self, count: int, horizon: np.ndarray):
-        # Grid points nearest to whole seconds, because a second need not be a multiple of the step.
-        self._second_points = [int(np.abs(horizon - s).argmin()) for s in range(1, int(horizon[-1] + 1e-9) + 1)]
-        self._complete = np.zeros(count, bool)
-        self._mean, self._square, self._largest = (np.full((count, 3), np.nan) for _ in range(3))
-        self._at = np.full((count, len(self._second_points), 3), np.nan)
-        self._squares = np.zeros((len(horizon), 3))
-
-    def add(self, rows: slice, errors: np.ndarray) -> None:
-        complete = np.isfinite(errors).all(axis=(1, 2))
-        scored = np.arange(rows.start, rows.stop)[complete]
-        if not len(scored):
-            return
-        if not complete.all():
-            errors = errors[complete]
-        self._complete[scored] = True
-        square, size = np.square(errors), np.abs(errors)
-        self._mean[scored], self._square[scored] = errors.mean(axis=1), square.mean(axis=1)
-        self._largest[scored], self._at[scored] = size.max(axis=1), errors[:, self._second_points]
-        self._squares += square.sum(axis=0)
-
-    def result(self) -> ModelErrors:
-        with np.errstate(invalid="ignore"):
-            rmse = np.sqrt(self._squares / self._complete.sum())
-        return ModelErrors(self._complete, self._mean, self._square, self._largest, self._at, rmse)

@@ -16,8 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-UNDERSTEER = 0.004
-"""Understeer gradient K assumed for an unknown car [rad s^2/m]."""
+UNDERSTEER = 0.004  # understeer gradient K assumed for an unknown car [rad s^2/m]
 
 Shape = Callable[[np.ndarray], np.ndarray]
 """Lateral acceleration divided by its target, -1 to 1, at times [s] within one period."""

@@ -62,17 +62,6 @@ def unexplained_step(spacing: float, before: Sequence[float], after: Sequence[fl
     return step if step > allowed and spacing <= MAX_EXAMINED_GAP else 0.0
 
 
-def _exceeds_noise(step: float, times_ns: Sequence[int], rows: Sequence[Sequence[float]]) -> bool:
-    """Whether an unexplained step [m] after the given samples exceeds the noise of the steps between these samples."""
-    if step > MAX_NOISE:
-        return True
-    if len(times_ns) <= MIN_NOISE_STEPS:
-        return False
-    noise = [_split_displacement((times_ns[i] - times_ns[i - 1]) * NANOSECOND, rows[i - 1], rows[i])[0]
-             for i in range(max(1, len(times_ns) - NOISE_STEPS), len(times_ns))]
-    return step > NOISE_FACTOR * median_high(noise)
-
-
 def _split_displacement(spacing: float, before: Sequence[float], after: Sequence[float]) -> tuple[float, float]:
     """(|d| as defined in the module docstring, distance driven) [m]."""
     east = north = 0.0
@@ -139,22 +128,24 @@ class MeasurementHistory:
     def _find_jumps(self, index: int) -> None:
         # A sample inserted in time order changes the steps before and after it.
         for after in range(max(index, 1), min(index + 2, len(self.ins))):
-            size = self._jump_size(after)
-            time_ns = int(self.ins.times[after])
-            was_jump = self.ins.breaks.pop(time_ns, None) is not None
-            if size:
-                self.ins.breaks[time_ns] = f"position jumps by {size:.2f} m"
-                self.jump = PositionJump(time_ns, size)
-            self.jumps += bool(size) - was_jump
+            times, rows = self.ins.times[after - 1:after + 1].tolist(), self.ins.rows[after - 1:after + 1].tolist()
+            size = unexplained_step((times[1] - times[0]) * NANOSECOND, *rows)
+            was_jump = self.ins.breaks.pop(times[1], None) is not None
+            is_jump = size > 0.0 and self._exceeds_noise(size, after)
+            if is_jump:
+                self.ins.breaks[times[1]] = f"position jumps by {size:.2f} m"
+                self.jump = PositionJump(times[1], size)
+            self.jumps += is_jump - was_jump
 
-    def _jump_size(self, after: int) -> float:
-        """Size of the position jump between a sample and the previous one [m]; 0 if there is none."""
-        times, rows = self.ins.times[after - 1:after + 1].tolist(), self.ins.rows[after - 1:after + 1].tolist()
-        size = unexplained_step((times[1] - times[0]) * NANOSECOND, *rows)
-        if not size:
-            return 0.0
-        before = slice(max(0, after - 1 - NOISE_STEPS), after)
-        return size if _exceeds_noise(size, self.ins.times[before].tolist(), self.ins.rows[before].tolist()) else 0.0
+    def _exceeds_noise(self, step: float, index: int) -> bool:
+        """Whether an unexplained step [m] to the sample at this index exceeds the noise of the steps before it."""
+        if step > MAX_NOISE or index <= MIN_NOISE_STEPS:
+            return step > MAX_NOISE
+        before = slice(max(0, index - 1 - NOISE_STEPS), index)
+        times, rows = self.ins.times[before].tolist(), self.ins.rows[before].tolist()
+        noise = [_split_displacement((times[i] - times[i - 1]) * NANOSECOND, rows[i - 1], rows[i])[0]
+                 for i in range(1, len(times))]
+        return step > NOISE_FACTOR * median_high(noise)
 
     def _filter_from(self, index: int) -> None:
         # Usually only the newest sample is filtered; a sample inserted in time order changes all later results.

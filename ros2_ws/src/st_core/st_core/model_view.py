@@ -8,23 +8,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from . import readings
 from .augmented import AugmentedModel
 from .effects import Measured
 from .errors import ConfigurationError, StCoreError
 from .log import OPTIONAL_INS_SIGNALS
 from .measurement_history import DERIVATIVE, MeasurementHistory
 from .models import Model
-from .readings import (
-    MEMORY,
-    MEMORY_NS,
-    correct_sample,
-    correct_steering,
-    has_steering_memory,
-    missing_reading,
-    predict_readings,
-    required_lookahead_ns,
-    wheel_angles_ahead,
-)
 from .timeseries import NANOSECOND, half_step_grid, interpolate
 from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState, ins_to_cg
 from .vehicle import VehicleParameters
@@ -39,7 +29,7 @@ class ModelView:
     """
 
     def __init__(self, model: Model, vehicle: VehicleParameters, shared: MeasurementHistory):
-        missing = missing_reading(model, OPTIONAL_INS_SIGNALS)
+        missing = readings.missing_reading(model, OPTIONAL_INS_SIGNALS)
         if missing:
             raise ConfigurationError("model {}: effect {} needs {}, which is not measured live".format(
                 model.name, *missing))
@@ -47,19 +37,19 @@ class ModelView:
         self.car = model.effective_vehicle(vehicle)
         self._vehicle = vehicle
         self.plain = not isinstance(model, AugmentedModel)
-        self.has_steering_memory = has_steering_memory(model)
+        self.has_steering_memory = readings.has_steering_memory(model)
         self.corrects_samples = isinstance(model, AugmentedModel) and model.has_sensor_effects
         self._history = shared.for_corrected_samples() if self.corrects_samples else shared
-        self.ahead_ns = required_lookahead_ns(model)
+        self.ahead_ns = readings.required_lookahead_ns(model)
 
     @staticmethod
     def span(models: Sequence[Model], span: float) -> float:
         """Length of the history [s] for a time span [s]; models with steering memory need a longer one."""
-        return span + MEMORY if any(has_steering_memory(model) for model in models) else span
+        return span + readings.MEMORY if any(readings.has_steering_memory(model) for model in models) else span
 
     def add_ins(self, sample: InsSample) -> None:
         """Correct an INS sample and add it to the history of a model with `corrects_samples`."""
-        self._history.add_ins(correct_sample(self.model, sample))
+        self._history.add_ins(readings.correct_sample(self.model, sample))
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> None:
         """Add a road wheel angle [rad] to the history of a model with `corrects_samples`."""
@@ -78,8 +68,9 @@ class ModelView:
         if not self.has_steering_memory:
             return state, now
         series, grid = self._history.steering, half_step_grid(time_ns, steps, step)
-        angle = wheel_angles_ahead(self.model, series.times, series.rows[:, 0], grid,
-                                   np.full(len(grid), now.road_wheel_angle), series.maximum_gap_ns * NANOSECOND)
+        held = np.full(len(grid), now.road_wheel_angle)
+        angle = readings.wheel_angles_ahead(self.model, series.times, series.rows[:, 0], grid, held,
+                                            series.maximum_gap_ns * NANOSECOND)
         return state, InputSequence(angle, np.full(len(grid), now.velocity_x_dot))
 
     def measured(self, times_ns: np.ndarray) -> InputSequence:
@@ -89,12 +80,11 @@ class ModelView:
             return InputSequence(self._history.steering.sample(times_ns)[:, 0], acceleration)
         series = self._history.steering
         gap_ns = series.maximum_gap_ns
-        span = times_ns[0] - MEMORY_NS, times_ns[-1] + gap_ns + self.ahead_ns
+        span = times_ns[0] - readings.MEMORY_NS, times_ns[-1] + gap_ns + self.ahead_ns
         rows = slice(*np.searchsorted(series.times, span).tolist())
-        wheels = correct_steering(self.model, series.times[rows], series.rows[rows, 0], gap_ns * NANOSECOND)
+        wheels = readings.correct_steering(self.model, series.times[rows], series.rows[rows, 0], gap_ns * NANOSECOND)
         return InputSequence(interpolate(*wheels, times_ns, gap_ns), acceleration)
 
     def readings_along(self, trajectory: Trajectory) -> Measured:
         """INS readings along a trajectory of the model; accelerations are NaN."""
-        t = trajectory
-        return predict_readings(self.model, self._vehicle, (t.x, t.y, t.velocity_x, t.velocity_y, t.yaw, t.yaw_rate))
+        return readings.predict_readings(self.model, self._vehicle, tuple(trajectory.states.T))

@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-_sin, _cos, _tan, _atan, _sqrt = math.sin, math.cos, math.tan, math.atan, math.sqrt
-_NAN = math.nan
 # numpy computes sines and cosines one by one in the C library, 12 ns each, but vectorises tangents on newer x86, 1 ns.
 # Sine and cosine from t = tan(x / 2) have an absolute error of 2.3e-16 for any x. For arrays smaller than this, the
 # additional calls take longer than they save.
@@ -69,48 +67,22 @@ def _call_registered(name: str, *arguments: Any):
     return _NUMPY[name](*arguments)
 
 
-def sin(x):
-    """Sine of x [rad]."""
-    if type(x) is float:
-        try:
-            return _sin(x)
-        except ValueError:  # infinite
-            return _NAN
-    return _call_registered("sin", x)
+def _from_math(name: str) -> Callable:
+    """The function of this name for every number type; NaN where the function of `math` has a domain error."""
+    of_float, nan = getattr(math, name), math.nan
+
+    def function(x):
+        if type(x) is float:
+            try:
+                return of_float(x)
+            except ValueError:
+                return nan
+        return _call_registered(name, x)
+    return function
 
 
-def cos(x):
-    """Cosine of x [rad]."""
-    if type(x) is float:
-        try:
-            return _cos(x)
-        except ValueError:
-            return _NAN
-    return _call_registered("cos", x)
-
-
-def tan(x):
-    """Tangent of x [rad]."""
-    if type(x) is float:
-        try:
-            return _tan(x)
-        except ValueError:
-            return _NAN
-    return _call_registered("tan", x)
-
-
-def atan(x):
-    """Arc tangent [rad]."""
-    if type(x) is float:
-        return _atan(x)
-    return _call_registered("atan", x)
-
-
-def sqrt(x):
-    """Square root; NaN below 0."""
-    if type(x) is float:
-        return _sqrt(x) if x >= 0.0 else _NAN
-    return _call_registered("sqrt", x)
+sin, cos, tan, atan, sqrt = map(_from_math, ("sin", "cos", "tan", "atan", "sqrt"))
+"""Angles in rad."""
 
 
 def sign(x):

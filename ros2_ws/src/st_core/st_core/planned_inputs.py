@@ -21,22 +21,17 @@ from .vehicle import VehicleParameters
 
 MAX_AGE = 0.5
 """s, maximum age of a plan. Planners replan at 10 Hz or faster; an older plan means that the planner has stopped."""
-MAX_SPACING = 0.5
-"""s, maximum time between points: half a period of a driver's fastest steering, 1 Hz."""
-MAX_ROAD_WHEEL_ANGLE = 0.8
-"""rad. Passenger cars lock at 0.55 to 0.75 rad."""
-MAX_STEERING_RATE = 1.5
-"""rad/s at the road wheel: a steering wheel at 24 rad/s; steering robots reach about 20 rad/s."""
+MAX_SPACING = 0.5  # s, maximum time between points: half a period of a driver's fastest steering, 1 Hz
+MAX_ROAD_WHEEL_ANGLE = 0.8  # rad; passenger cars lock at 0.55 to 0.75 rad
+MAX_STEERING_RATE = 1.5  # rad/s at the road wheel: a steering wheel at 24 rad/s; steering robots reach about 20 rad/s
 MAX_ACCELERATION = 12.0
 """m/s^2, longitudinal and lateral combined: a friction coefficient of 1.2, dry road and sports tyres."""
-ANGLE_TOLERANCE = 0.05
-"""rad between planned and measured road wheel angle at the start: 45 deg at the steering wheel."""
+ANGLE_TOLERANCE = 0.05  # rad between planned and measured road wheel angle at the start: 45 deg at the steering wheel
 ACCELERATION_TOLERANCE = 3.0
 """m/s^2 between planned and measured acceleration at the start: braking takes 0.3 s to build up."""
 SLIP_FREE = "slip_free_angle"
 """Signal name: road wheel angle with which a car without tyre slip follows a path, for models without tyres."""
-SPEED_TOLERANCE = 2.0
-"""m/s between planned and measured speed at the start."""
+SPEED_TOLERANCE = 2.0  # m/s between planned and measured speed at the start
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,11 +124,10 @@ def plan_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs
     state, inputs: measured at the start. Checked in this order: number of points, increasing times, finite values, age,
     coverage of the horizon, spacing, feasibility, agreement with the measurement.
     """
-    return (_format_problem(plan) or _timing_problem(plan, start_ns, horizon) or _demand_problem(plan, state, vehicle)
-            or _consistency_problem(plan, start_ns, state, inputs))
+    return _timing_problem(plan, start_ns, horizon) or _demand_problem(plan, start_ns, state, inputs, vehicle)
 
 
-def _format_problem(plan: PlannedInputs) -> str:
+def _timing_problem(plan: PlannedInputs, start_ns: int, horizon: float) -> str:
     if len(plan.time_ns) < 2:
         return f"plan: {len(plan.time_ns)} point(s); at least two are needed"
     if (np.diff(plan.time_ns) <= 0).any():
@@ -142,10 +136,6 @@ def _format_problem(plan: PlannedInputs) -> str:
         values = getattr(plan, name)
         if values is not None and not np.isfinite(values).all():
             return f"plan: {name} is not finite at point {int(np.flatnonzero(~np.isfinite(values))[0])}"
-    return ""
-
-
-def _timing_problem(plan: PlannedInputs, start_ns: int, horizon: float) -> str:
     age = (start_ns - plan.issued_ns) * NANOSECOND
     if age > MAX_AGE:
         return f"plan: issued {age:.2f} s before the start (limit {MAX_AGE:g} s)"
@@ -162,7 +152,8 @@ def _timing_problem(plan: PlannedInputs, start_ns: int, horizon: float) -> str:
     return f"plan: points are up to {widest:.2f} s apart (limit {MAX_SPACING:g} s)" if widest > MAX_SPACING else ""
 
 
-def _demand_problem(plan: PlannedInputs, state: VehicleState, vehicle: VehicleParameters) -> str:
+def _demand_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput,
+                    vehicle: VehicleParameters) -> str:
     angle, seconds = plan.road_wheel_angle, np.diff(plan.time_ns) * NANOSECOND
     if (largest := float(np.abs(angle).max())) > MAX_ROAD_WHEEL_ANGLE:
         return f"plan: road wheel angle of {largest:.2f} rad (limit {MAX_ROAD_WHEEL_ANGLE:g} rad)"
@@ -177,10 +168,6 @@ def _demand_problem(plan: PlannedInputs, state: VehicleState, vehicle: VehiclePa
     demand = float(np.hypot(plan.velocity_x_dot, lateral).max())
     if demand > MAX_ACCELERATION:
         return f"plan: acceleration of {demand:.1f} m/s^2 (limit {MAX_ACCELERATION:g} m/s^2)"
-    return ""
-
-
-def _consistency_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput) -> str:
     for name, measured, tolerance, unit in (
             ("road_wheel_angle", inputs.road_wheel_angle, ANGLE_TOLERANCE, "rad"),
             ("velocity_x_dot", inputs.velocity_x_dot, ACCELERATION_TOLERANCE, "m/s^2"),

@@ -218,11 +218,7 @@ class Predictor:
                 return Skip("stale", f"{name}: newest sample is {age:.2f} s old (limit {limit:g} s)")
             if age < -limit:
                 return Skip("stale", f"{name}: newest sample is {-age:.2f} s in the future; the clocks disagree")
-        return self._start_at(now_ns)
-
-    def _start_at(self, now_ns: int) -> Start | Skip:
         time_ns = self._newest_common()
-        limit = self.settings.stale_after
         if time_ns is None or (now_ns - time_ns) * NANOSECOND > limit:
             return Skip("stale", self._no_common_instant(now_ns, time_ns))
         jump = self.history.jump
@@ -241,14 +237,11 @@ class Predictor:
 
     def _newest_common(self) -> int | None:
         """The newest instant at which both signals are known [ns]."""
-        time_ns = self._newest_of_both()
-        while time_ns is not None:
-            both = self.history.ins.known_until(time_ns)
-            both = None if both is None else self.history.steering.known_until(both)
-            if both == time_ns:
-                return time_ns
-            time_ns = both
-        return None
+        time_ns, both = self._newest_of_both(), None
+        while time_ns is not None and time_ns != both:
+            both, time_ns = time_ns, self.history.ins.known_until(time_ns)
+            time_ns = None if time_ns is None else self.history.steering.known_until(time_ns)
+        return time_ns
 
     def _newest_of_both(self) -> int | None:
         """The earlier of the newest samples of INS and steering [ns]."""

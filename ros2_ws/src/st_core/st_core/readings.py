@@ -18,8 +18,7 @@ from .timeseries import NANOSECOND, interpolate
 from .types import InsSample, cg_to_ins_position, pose_errors
 from .vehicle import VehicleParameters
 
-MEMORY = 5.0
-"""Length of the steering history that effects with memory need [s]; a lag of 0.5 s decays to e^-10."""
+MEMORY = 5.0  # length of the steering history that effects with memory need [s]; a lag of 0.5 s decays to e^-10
 MEMORY_NS = round(MEMORY / NANOSECOND)
 
 

@@ -24,12 +24,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-MIN_RUNS = 8
-"""Minimum number of runs for whole runs to be used as blocks."""
-BLOCK_LENGTH = 10.0
-"""Length of a block if there are fewer runs [s]."""
-WEIGHT_INCREMENT = 1e-4
-"""Step of the weight of a block, for difference quotients of an estimator."""
+MIN_RUNS = 8  # minimum number of runs for whole runs to be used as blocks
+BLOCK_LENGTH = 10.0  # length of a block if there are fewer runs [s]
+WEIGHT_INCREMENT = 1e-4  # step of the weight of a block, for difference quotients of an estimator
 SIGMA_PER_MAD = 1.4826
 """Ratio of the standard deviation to the median absolute deviation (MAD) of a normal distribution."""
 

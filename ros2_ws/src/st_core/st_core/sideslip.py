@@ -22,8 +22,7 @@ from .vehicle import VehicleParameters
 
 MIN_SPEED = 2.0  # m/s; the course of a slower car is mostly noise
 COURSE_TIME = 0.2  # s, duration of the displacement that defines the course
-RATE_WIDTH_NS = 200_000_000
-"""Averaging time of the yaw rate [ns], which is noisy if derived from the course."""
+RATE_WIDTH_NS = 200_000_000  # averaging time of the yaw rate [ns], which is noisy if derived from the course
 MAX_DERIVATIVE_ERROR = 1e-6  # rad/s; a gyroscope differs by more because of its noise
 MAX_COURSE_ERROR = 0.0015
 """rad, RMS of the part of (direction of the displacement - yaw) that depends on the yaw rate; a larger value means that

@@ -63,8 +63,15 @@ def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, shar
     columns = sum(cover + _reach(spacing, instants_ns) for _, spacing, cover in runs)
     if runs and columns <= 2 * len(starts_ns) + lanes:
         yield from _plan_shared(starts_ns, instants_ns, lanes, runs)
-    else:
-        yield from _plan_separate(starts_ns, instants_ns, lanes)
+        return
+    count = len(instants_ns)
+    size = _round_up(max(min(SEPARATE_BLOCK // count, SHARED_BLOCK), 1), lanes)
+    for number, first in enumerate(range(0, len(starts_ns), size)):
+        starts = starts_ns[first:first + size]
+        width = _round_up(len(starts), lanes)
+        padded = np.pad(starts, (0, width - len(starts)), mode="edge")
+        yield Block(number, slice(first, first + len(starts)), np.arange(len(starts)), starts,
+                    instants_ns[:, None] + padded, np.arange(count) * width, width)
 
 
 def _reach(spacing: int, instants_ns: np.ndarray) -> int:
@@ -131,17 +138,6 @@ def _join_pieces(number: int, pieces: list[tuple], instants_ns: np.ndarray, lane
     k = np.arange(len(instants_ns))
     return Block(number, slice(pieces[0][0].start, pieces[-1][0].stop), selected, starts, np.concatenate(times),
                  (k % spacing) * indices + k // spacing, columns, spacing)
-
-
-def _plan_separate(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int) -> Iterator[Block]:
-    count = len(instants_ns)
-    size = _round_up(max(min(SEPARATE_BLOCK // count, SHARED_BLOCK), 1), lanes)
-    for number, first in enumerate(range(0, len(starts_ns), size)):
-        starts = starts_ns[first:first + size]
-        columns = _round_up(len(starts), lanes)
-        padded = np.pad(starts, (0, columns - len(starts)), mode="edge")
-        yield Block(number, slice(first, first + len(starts)), np.arange(len(starts)), starts,
-                    instants_ns[:, None] + padded, np.arange(count) * columns, columns)
 
 
 def _round_up(count: int, lanes: int) -> int:

@@ -89,14 +89,9 @@ class TimeSeries:
         if newest is None or time_ns > newest:
             self._late.clear()
             return self._insert(len(self), time_ns, row), False
-        if newest - time_ns > REORDER_WINDOW_NS:
-            return self._add_late(time_ns, row)
-        position = int(np.searchsorted(self.times, time_ns))
-        if self.times[position] == time_ns:
-            return None, False
-        return self._insert(position, time_ns, row), False
-
-    def _add_late(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
+        if newest - time_ns <= REORDER_WINDOW_NS:
+            position = int(np.searchsorted(self.times, time_ns))
+            return (None if self.times[position] == time_ns else self._insert(position, time_ns, row)), False
         if self._late and not 0 < time_ns - self._late[-1][0] <= REORDER_WINDOW_NS:
             self._late.clear()
         self._late.append((time_ns, tuple(row)))
@@ -110,7 +105,12 @@ class TimeSeries:
 
     def _insert(self, position: int, time_ns: int, row: Sequence[float]) -> int:
         if self._end == len(self._times):
-            self._make_room()
+            # Move the samples to the front of the buffers, which are doubled if more than half full.
+            count, times, rows = len(self), self._times, self._rows
+            if 2 * count > len(times):
+                times, rows = np.empty(2 * len(times), np.int64), np.empty((2 * len(times), len(self.columns)))
+            times[:count], rows[:count] = self.times, self.rows
+            self._times, self._rows, self._first, self._end = times, rows, 0, count
         at = self._first + position
         if at < self._end:
             self._times[at + 1:self._end + 1] = self._times[at:self._end].copy()
@@ -119,24 +119,11 @@ class TimeSeries:
         self._rows[at, :len(row)] = row
         self._rows[at, len(row):] = np.nan
         self._end += 1
-        before = self._first
-        self._trim()
-        return max(position - (self._first - before), 0)
-
-    def _trim(self) -> None:
         limit = self._times[self._end - 1] - self._span_ns
         while self._times[self._first] < limit or self._end - self._first > MAXIMUM_SAMPLES:
             self.breaks.pop(int(self._times[self._first]), None)
             self._first += 1
-
-    def _make_room(self) -> None:
-        """Move the samples to the front of the buffers, which are doubled if more than half full."""
-        count = len(self)
-        times, rows = self._times, self._rows
-        if 2 * count > len(times):
-            times, rows = np.empty(2 * len(times), np.int64), np.empty((2 * len(times), len(self.columns)))
-        times[:count], rows[:count] = self.times, self.rows
-        self._times, self._rows, self._first, self._end = times, rows, 0, count
+        return max(at - self._first, 0)
 
     def at(self, time_ns: int) -> tuple[float, ...] | None:
         """The row at an instant, interpolated linearly; None where the signal is unknown."""
@@ -162,15 +149,11 @@ class TimeSeries:
         """The newest instant at or before `time_ns` at which the signal is known [ns]; None if there is none."""
         times = self.times
         after = int(np.searchsorted(times, time_ns))
-        if after < len(times) and (times[after] == time_ns or self._is_joined(after)):
+        if after < len(times) and (times[after] == time_ns or (
+                after > 0 and times[after] not in self.breaks
+                and times[after] - times[after - 1] <= self.maximum_gap_ns)):
             return int(time_ns)
         return int(times[after - 1]) if after > 0 else None
-
-    def _is_joined(self, position: int) -> bool:
-        """Whether the signal is known between the sample at this position and the previous one."""
-        if position == 0 or self._times[self._first + position] in self.breaks:
-            return False
-        return bool(self.times[position] - self.times[position - 1] <= self.maximum_gap_ns)
 
     def describe_unknown(self, time_ns: int) -> str:
         """Reason why the signal is unknown at an instant, naming the samples around it."""

@@ -79,29 +79,12 @@ class Trajectory:
         if self.states.ndim != 2 or self.states.shape[1] != len(STATE_NAMES):
             raise StCoreError(f"states of a trajectory: shape {self.states.shape}, not (points, {len(STATE_NAMES)})")
 
-    @property
-    def x(self) -> np.ndarray:
-        return self.states[:, 0]
-
-    @property
-    def y(self) -> np.ndarray:
-        return self.states[:, 1]
-
-    @property
-    def velocity_x(self) -> np.ndarray:
-        return self.states[:, 2]
-
-    @property
-    def velocity_y(self) -> np.ndarray:
-        return self.states[:, 3]
-
-    @property
-    def yaw(self) -> np.ndarray:
-        return self.states[:, 4]
-
-    @property
-    def yaw_rate(self) -> np.ndarray:
-        return self.states[:, 5]
+    x = property(lambda self: self.states[:, 0])
+    y = property(lambda self: self.states[:, 1])
+    velocity_x = property(lambda self: self.states[:, 2])
+    velocity_y = property(lambda self: self.states[:, 3])
+    yaw = property(lambda self: self.states[:, 4])
+    yaw_rate = property(lambda self: self.states[:, 5])
 
     @property
     def time(self) -> np.ndarray:

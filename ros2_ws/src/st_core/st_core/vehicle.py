@@ -94,10 +94,6 @@ class Uncertainty:
     relative: bool
     source: str
 
-    def deviation_of(self, value: float) -> float:
-        """Standard deviation of a value; both in SI."""
-        return self.size * abs(value) if self.relative else self.size
-
 
 _TYRE_CURVES = "spread between makes of one tyre size, published passenger-car tyre data"
 _TYRE_UNCERTAINTIES = {
@@ -201,8 +197,9 @@ class VehicleParameters:
         entry = self.provenance.get(key)
         if entry is not None and entry.uncertainty:
             return entry.uncertainty
-        default = DEFAULT_UNCERTAINTIES.get(key)
-        return None if default is None else default.deviation_of(value_of(self, key)) or None
+        if (default := DEFAULT_UNCERTAINTIES.get(key)) is None:
+            return None
+        return default.size * (abs(value_of(self, key)) if default.relative else 1.0) or None
 
     def road_wheel_angle(self, steering_wheel_angle: Number) -> Number:
         """Road wheel angle [rad], mean of the front axle, at a measured steering wheel angle [rad]; both left +."""
@@ -235,8 +232,9 @@ class VehicleParameters:
         name = document["name"]
         if not isinstance(name, str) or not name.strip():
             raise ConfigurationError(f"name: {name!r} is not a string; write the name of the car")
-        origins = _Origins()
-        values: dict[str, Any] = _read_section("", document, VEHICLE_QUANTITIES, origins)
+        sources: dict[str, str] = {}
+        provenance: dict[str, Provenance] = {}
+        values: dict[str, Any] = _read_section("", document, VEHICLE_QUANTITIES, sources, provenance)
         tyres: dict[str, Any] = {}
         for tyre in TYRES:
             section = document[tyre]
@@ -244,10 +242,9 @@ class VehicleParameters:
                 raise ConfigurationError(f"{tyre}: not a mapping of `key: {{value, unit, source}}`")
             required = [key for key, quantity in TYRE_QUANTITIES.items() if quantity.required]
             check_keys(f"{tyre}.", section, list(TYRE_QUANTITIES), required)
-            tyres[tyre] = MagicFormula(**_read_section(f"{tyre}.", section, TYRE_QUANTITIES, origins))
-        vehicle = cls(name=name, **values, **tyres, sources=origins.sources, provenance=origins.provenance)
-        given = {tyre for tyre in TYRES if "lambda_ky" in document[tyre]}
-        return vehicle.with_derived_scales([tyre for tyre in TYRES if tyre not in given])
+            tyres[tyre] = MagicFormula(**_read_section(f"{tyre}.", section, TYRE_QUANTITIES, sources, provenance))
+        vehicle = cls(name=name, **values, **tyres, sources=sources, provenance=provenance)
+        return vehicle.with_derived_scales([tyre for tyre in TYRES if "lambda_ky" not in document[tyre]])
 
     def with_derived_scales(self, tyres: Sequence[str] = TYRES) -> "VehicleParameters":
         """The car with lambda_ky of these tyres derived from the cornering stiffness of the axle (see `from_yaml`)."""
@@ -313,21 +310,19 @@ def value_of(vehicle: VehicleParameters, key: str) -> float:
     return getattr(getattr(vehicle, tyre) if tyre else vehicle, name)
 
 
-@dataclass
-class _Origins:
-    """Source and provenance of the values of a file, by key."""
-
-    sources: dict[str, str] = field(default_factory=dict)
-    provenance: dict[str, Provenance] = field(default_factory=dict)
-
-
 def _read_section(prefix: str, section: Mapping[str, Any], quantities: Mapping[str, Quantity],
-                  origins: _Origins) -> dict[str, float]:
-    return {key: _read_value(prefix + key, section[key], quantity, origins)
-            for key, quantity in quantities.items() if key in section}
+                  sources: dict[str, str], provenance: dict[str, Provenance]) -> dict[str, float]:
+    """The values of a section in SI, by key; adds their sources and provenance, by prefix and key."""
+    values = {}
+    for name in (name for name in quantities if name in section):
+        values[name] = _read_value(prefix + name, section[name], quantities[name])
+        sources[prefix + name] = section[name]["source"]
+        if found := read_provenance(prefix + name, section[name], quantities[name].units[str(section[name]["unit"])]):
+            provenance[prefix + name] = found
+    return values
 
 
-def _read_value(key: str, entry: Any, quantity: Quantity, origins: _Origins) -> float:
+def _read_value(key: str, entry: Any, quantity: Quantity) -> float:
     units = " or ".join(quantity.units)
     example = f"write `{key.rpartition('.')[2]}: {{value: ..., unit: \"{quantity.si_unit}\", source: \"...\"}}`"
     if not isinstance(entry, dict):
@@ -347,10 +342,6 @@ def _read_value(key: str, entry: Any, quantity: Quantity, origins: _Origins) -> 
         raise ConfigurationError(f"{key}: {value!r} is not a number (write 1.0e+3, not 1e3); limit {quantity.limit()}")
     if not isinstance(entry["source"], str) or not entry["source"].strip():
         raise ConfigurationError(f"{key}: source {entry['source']!r} is not a string; state where the value comes from")
-    origins.sources[key] = entry["source"]
-    provenance = read_provenance(key, entry, quantity.units[unit])
-    if provenance is not None:
-        origins.provenance[key] = provenance
     return float(value) * quantity.units[unit]
 
 

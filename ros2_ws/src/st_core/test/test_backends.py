@@ -220,7 +220,9 @@ def test_lanes_are_vector_instructions(leaf, name):
     model = MODELS[name]
     p = model.parameters(leaf)
     w = model.inputs(0.1, 0.2, p)
-    kernel = lanes.uncached(model, numba.typeof(lanes.as_floats(p)), len(w), 6)
+    kernel = lanes.make_kernel(model, numba.typeof(lanes.as_floats(p)), len(w), 6)
+    with lanes.interleave_vectors():
+        kernel.compile(lanes.SIGNATURE)
     code = "".join(kernel.inspect_asm().values())
     packed, single = (len(re.findall(rf"\bv?(?:f?n?m?(?:add|sub)\w*|mul|div){kind}\b", code)) for kind in ("pd", "sd"))
     # Were the loop over lanes not vectorised, only the single kind would be there.

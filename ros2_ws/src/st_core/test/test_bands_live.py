@@ -77,7 +77,7 @@ def test_live_states_what_the_file_states_of_the_recorded_drive(bands, logs):
         here, = conditions_at(signals, np.array([start_ns]))
         assert conditions_now(history, start_ns) == pytest.approx(here, rel=1e-6, abs=1e-9)
         found = live(here.tolist())
-        assert found == bool(bands.domain(here[None])[0]) == (live.describe_outside(here) == "")
+        assert found == bool(bands.domain(here[None])[0]) == (live.domain.describe_outside(here) == "")
         for model, stated in live.half_widths.items() if found else ():
             for (mode, level), widths in stated.items():
                 assert widths == pytest.approx(bands.half_widths(model, mode, here, level)[0], rel=2e-7)  # float32
@@ -88,8 +88,8 @@ def test_live_states_what_the_file_states_of_the_recorded_drive(bands, logs):
 def test_no_band_where_the_steering_before_is_not_known_or_the_conditions_were_never_calibrated(bands):
     live = LiveBands(bands, MODELS)
     assert not live((10.0, 1.0, 0.5, math.nan)) and not live((35.0, 0.1, 0.1, 0.01))
-    assert "steering activity is unknown" in live.describe_outside((10.0, 1.0, 0.5, math.nan))
-    assert "35.0 m/s" in live.describe_outside((35.0, 0.1, 0.1, 0.01))
+    assert "steering activity is unknown" in live.domain.describe_outside((10.0, 1.0, 0.5, math.nan))
+    assert "35.0 m/s" in live.domain.describe_outside((35.0, 0.1, 0.1, 0.01))
     empty = MeasurementHistory(2.0, 0.1, 5.0)
     assert np.isnan(conditions_now(empty, SECOND)).all()
 

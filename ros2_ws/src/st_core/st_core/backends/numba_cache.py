@@ -25,7 +25,11 @@ KERNEL_LIFETIME = 30 * 86400.0
 
 def enable(kernel, fingerprint: str) -> Path | None:
     """Cache a jitted function that is not compiled yet. Returns its folder; None if no folder is writable."""
-    key = hashlib.sha256("\n".join((fingerprint, *_environment())).encode()).hexdigest()[:32]
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    parts = (fingerprint, numba.__version__, np.__version__, platform.python_version(),
+             *map(str, cpu_target.target_context.codegen().magic_tuple()),
+             *(hashlib.sha256(file.read_bytes()).hexdigest() for file in files))
+    key = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
     for base in _candidates():
         try:
             folder = base / key
@@ -34,7 +38,10 @@ def enable(kernel, fingerprint: str) -> Path | None:
             _attach(kernel, folder, key)
         except (OSError, RuntimeError, AttributeError):  # not writable, or another version of numba
             continue
-        _delete_old(base)
+        with contextlib.suppress(OSError):
+            for old in base.iterdir():
+                if old.stat().st_mtime < time.time() - KERNEL_LIFETIME:
+                    shutil.rmtree(old, ignore_errors=True)
         return folder
     return None
 
@@ -54,13 +61,6 @@ def compile_or_load(kernel, signature) -> None:
         kernel.compile(signature)
 
 
-def _environment() -> Iterator[str]:
-    yield from (numba.__version__, np.__version__, platform.python_version())
-    yield from map(str, cpu_target.target_context.codegen().magic_tuple())
-    for file in sorted(Path(__file__).parent.glob("*.py")):
-        yield hashlib.sha256(file.read_bytes()).hexdigest()
-
-
 def _candidates() -> Iterator[Path]:
     if numba.config.CACHE_DIR:  # NUMBA_CACHE_DIR, set by the user
         yield Path(numba.config.CACHE_DIR) / "st_core"
@@ -78,11 +78,3 @@ def _attach(kernel, folder: Path, key: str) -> None:
         numba.config.CACHE_DIR = before
     # numba's own key pickles the closure, which differs between processes.
     kernel._cache._index_key = lambda signature, codegen: (signature, codegen.magic_tuple(), key)
-
-
-def _delete_old(base: Path) -> None:
-    limit = time.time() - KERNEL_LIFETIME
-    with contextlib.suppress(OSError):
-        for folder in base.iterdir():
-            if folder.stat().st_mtime < limit:
-                shutil.rmtree(folder, ignore_errors=True)

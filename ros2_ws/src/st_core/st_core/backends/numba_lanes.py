@@ -89,14 +89,14 @@ def _skeleton(p: tuple, numbers: list[float]) -> tuple:
 
 
 def _compile(model: Model, shape, fields: int, states: int):
-    kernel = _make_kernel(model, shape, fields, states)
+    kernel = make_kernel(model, shape, fields, states)
     try:
         fingerprint = structure.fingerprint(cast(FunctionType, model.rhs), STOP)
         numba_cache.enable(kernel, f"{fingerprint} {shape} {fields} {states}")
     except structure.UnhashableError:
         pass  # not cached: compiled in every process
     try:
-        with _interleave_vectors():
+        with interleave_vectors():
             numba_cache.compile_or_load(kernel, SIGNATURE)
     except NumbaError as error:
         reason = " ".join(str(error).split())
@@ -106,15 +106,7 @@ def _compile(model: Model, shape, fields: int, states: int):
     return kernel
 
 
-def uncached(model: Model, shape, fields: int, states: int):
-    """A newly compiled kernel, for inspection of its instructions. shape: numba type of `as_floats(p)`."""
-    kernel = _make_kernel(model, shape, fields, states)
-    with _interleave_vectors():
-        kernel.compile(SIGNATURE)
-    return kernel
-
-
-def _make_kernel(model: Model, shape, fields: int, states: int):
+def make_kernel(model: Model, shape, fields: int, states: int):
     for function in structure.reachable(cast(FunctionType, model.rhs), STOP):
         if function not in _inlined:
             _inlined.add(inline(function))
@@ -122,7 +114,7 @@ def _make_kernel(model: Model, shape, fields: int, states: int):
 
 
 @contextmanager
-def _interleave_vectors() -> Iterator[None]:
+def interleave_vectors() -> Iterator[None]:
     # By default LLVM uses one vector, and half its width on Intel server processors, which is 40 % slower. The options
     # apply to the whole process and are therefore reset.
     _, _, features = cpu_target.target_context.codegen().magic_tuple()

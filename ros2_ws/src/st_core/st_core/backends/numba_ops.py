@@ -86,10 +86,6 @@ def _cos(x):
     return _number(_bits(s if n & 1 else c) ^ (((n + 1) & 2) << 62))
 
 
-def _tan(x):
-    return ops.sin(x) / ops.cos(x)
-
-
 def _atan(x):
     # The sign u = +-1 is applied from the start, since this does not lengthen the chain of operations.
     a = _number(_bits(x) & MAGNITUDE)
@@ -111,25 +107,10 @@ def _atan(x):
     return (base + t) + t * z * p
 
 
-def _sqrt(x):
-    return math.sqrt(x)
-
-
-def _sign(x):
-    return 1.0 if x > 0.0 else -1.0 if x < 0.0 else x
-
-
-def _absolute(x):
-    return _number(_bits(x) & MAGNITUDE)
-
-
-def _maximum(x, limit):
-    return limit if x < limit else x
-
-
-def _minimum(x, limit):
-    return limit if x > limit else x
-
-
-for _name in ops.NAMES:
-    inline(getattr(ops, _name), globals()[f"_{_name}"])
+for _function, _compiled in {
+        ops.sin: _sin, ops.cos: _cos, ops.tan: lambda x: ops.sin(x) / ops.cos(x), ops.atan: _atan,
+        ops.sqrt: lambda x: math.sqrt(x),  # noqa: PLW0108  # numba needs a Python function
+        ops.sign: lambda x: 1.0 if x > 0.0 else -1.0 if x < 0.0 else x,
+        ops.absolute: lambda x: _number(_bits(x) & MAGNITUDE), ops.maximum: lambda x, limit: limit if x < limit else x,
+        ops.minimum: lambda x, limit: limit if x > limit else x}.items():
+    inline(_function, _compiled)

@@ -14,18 +14,19 @@ def reachable(function: FunctionType, stop: frozenset[str] = frozenset()) -> lis
     They are found by the names in its code and closure, attributes of modules included. stop: modules to exclude.
     """
     found: dict[FunctionType, None] = {}
-    _collect(function, stop, found, set())
+    seen: set[FunctionType] = set()
+
+    def collect(function: FunctionType) -> None:
+        if function in seen or function.__module__ in stop:
+            return
+        seen.add(function)
+        for _, value in references(function):
+            if isinstance(value, FunctionType):
+                collect(value)
+        found[function] = None
+
+    collect(function)
     return list(found)
-
-
-def _collect(function: FunctionType, stop: frozenset[str], found: dict, seen: set) -> None:
-    if function in seen or function.__module__ in stop:
-        return
-    seen.add(function)
-    for _, value in references(function):
-        if isinstance(value, FunctionType):
-            _collect(value, stop, found, seen)
-    found[function] = None
 
 
 def references(function: FunctionType) -> Iterator[tuple[str, Any]]:
@@ -61,21 +62,15 @@ def fingerprint(function: FunctionType, stop: frozenset[str] = frozenset()) -> s
     functions = reachable(function, stop)
     number = {f: str(i) for i, f in enumerate(functions)}
     name = partial(_name, number=number, stop=stop)
-    for file in sorted({f.__code__.co_filename for f in functions}):
-        digest.update(hashlib.sha256(_content(file)).digest())
+    for file in map(Path, sorted({f.__code__.co_filename for f in functions})):
+        # Of a function entered at a prompt, only its code and constants are hashed.
+        digest.update(hashlib.sha256(file.read_bytes() if file.is_file() else b"").digest())
     for f in functions:
         referenced = [f"{key}={name(value)}" for key, value in references(f)]
         defaults = [name(value) for value in (f.__defaults__ or ())]
         parts = (f.__module__, f.__qualname__, f.__code__.co_code.hex(), _constants(f.__code__), *referenced, *defaults)
         digest.update("\x00".join(parts).encode() + b"\x01")
     return digest.hexdigest()
-
-
-def _content(file: str) -> bytes:
-    try:
-        return Path(file).read_bytes()
-    except OSError:
-        return b""  # entered at a prompt; only its code and constants are hashed
 
 
 def _constants(code: CodeType) -> str:

@@ -49,7 +49,13 @@ class AdaptiveBand:
 
     def __init__(self, time: np.ndarray, band: Band | None = None, levels: Sequence[float] = LEVELS):
         self._time, self._band = np.asarray(time, float), band
-        self._logs = {level: math.log(_initial_factor(band, level)) for level in sorted(levels)}
+        self._logs = {}
+        for level in sorted(levels):
+            # Without a factor of this level, that of the nearest level is scaled by the ratio of the default factors.
+            known = {} if band is None else band.factors
+            nearest = min(known, key=lambda other: abs(other - level), default=level)
+            factor = known.get(nearest, _default_factor(level)) * _default_factor(level) / _default_factor(nearest)
+            self._logs[level] = math.log(known.get(level, factor))
         self._squares = np.square(np.outer(self._time**2, DEFAULT_SCALE))
         self._weight = self._elapsed = 0.0
         self._last_ns: int | None = None
@@ -108,8 +114,10 @@ class AdaptiveBand:
         for level, issued in factors.items():
             updated = self._logs[level] + gain * weight * (float(score > issued) - (1.0 - level))
             self._logs[level] = min(max(updated, math.log(MIN_FACTOR)), math.log(MAX_FACTOR))
-        if self._band is None:
-            self._update_squares(errors, weight)
+        if self._band is None:  # the running mean square of the errors, forgotten after SCALE_FORGETTING
+            self._weight = min(self._weight + weight, SCALE_FORGETTING)
+            share = weight / (self._weight + 5.0)
+            self._squares += share * (np.maximum(np.square(errors), 1.0e-8) - self._squares)
         return {level: score <= issued for level, issued in factors.items()}
 
     def follow(self, starts_ns: np.ndarray, conditions: np.ndarray,
@@ -132,20 +140,6 @@ class AdaptiveBand:
             for level, factor in self.factors.items():
                 factors[level].append(factor)
         return {level: np.array(values) for level, values in factors.items()}, scales
-
-    def _update_squares(self, errors: np.ndarray, weight: float) -> None:
-        """Update the running mean square of the errors, which forgets exponentially after SCALE_FORGETTING."""
-        self._weight = min(self._weight + weight, SCALE_FORGETTING)
-        share = weight / (self._weight + 5.0)
-        self._squares += share * (np.maximum(np.square(errors), 1.0e-8) - self._squares)
-
-
-def _initial_factor(band: Band | None, level: float) -> float:
-    """The calibrated factor, or that of the nearest calibrated level, scaled by the ratio of the default factors."""
-    if band is None or level in band.factors:
-        return _default_factor(level) if band is None else band.factors[level]
-    nearest = min(band.factors, key=lambda known: abs(known - level))
-    return band.factors[nearest] * _default_factor(level) / _default_factor(nearest)
 
 
 def _default_factor(level: float) -> float:

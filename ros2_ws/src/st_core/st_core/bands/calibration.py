@@ -69,24 +69,17 @@ def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> 
         raise StCoreError("a score is not finite; bands cannot be calibrated with such errors")
     by_run = np.stack([np.searchsorted(np.sort(run), values, side="right") / len(run) for run in scores])
     covered = by_run.mean(axis=0)
-    # at_least[k]: distribution function of the k-th smallest score of a draw. mean[k]: mean coverage of this score.
-    at_least = _probability_of_at_least(by_run)
-    mean = np.concatenate([[0.0], np.diff(at_least[1:], axis=1, prepend=0.0) @ covered])
-    target = np.interp(np.asarray(levels, float) * (count + 1.0), np.arange(count + 1), mean)
-    return values[np.minimum(np.searchsorted(covered, target - ROUNDING), len(values) - 1)]
-
-
-def _probability_of_at_least(by_run: np.ndarray) -> np.ndarray:
-    """Probability (runs + 1, values) that at least k = 0 ... runs windows, one per run, have a score <= a value.
-
-    by_run: (runs, values), probability that a window of the run has a score <= a value.
-    """
-    exactly = np.zeros((len(by_run) + 1, by_run.shape[1]))
+    # exactly[k]: probability that k windows of a draw, one per run, have a score <= each value. at_least[k]:
+    # distribution function of the k-th smallest score of a draw. mean[k]: mean coverage of this score.
+    exactly = np.zeros((count + 1, len(values)))
     exactly[0] = 1.0
     for p in by_run:
         exactly[1:] = exactly[1:] * (1.0 - p) + exactly[:-1] * p
         exactly[0] *= 1.0 - p
-    return np.cumsum(exactly[::-1], axis=0)[::-1]
+    at_least = np.cumsum(exactly[::-1], axis=0)[::-1]
+    mean = np.concatenate([[0.0], np.diff(at_least[1:], axis=1, prepend=0.0) @ covered])
+    target = np.interp(np.asarray(levels, float) * (count + 1.0), np.arange(count + 1), mean)
+    return values[np.minimum(np.searchsorted(covered, target - ROUNDING), len(values) - 1)]
 
 
 LEVELS = (0.5, 0.9)

@@ -151,7 +151,13 @@ class Bands:
         for model, entry in document["bands"].items():
             hashes[model] = str(entry["configuration_hash"])
             for mode in (m for m in MODES if m in entry):
-                bands[model, mode] = _read_band(entry[mode], time)
+                of_mode = entry[mode]
+                coefficients, knots = np.array(of_mode["coefficients"], float), knots_of(float(time[-1]))
+                if coefficients.shape != (3, len(knots), features(np.zeros((1, 4))).shape[1]):
+                    raise ConfigurationError("coefficients: written by another version; calibrate again")
+                scale = Scale(coefficients, np.array(of_mode["floor"], float), time, knots)
+                bands[model, mode] = Band(scale, {float(k): float(v) for k, v in of_mode["factors"].items()},
+                                          np.array(of_mode["ratios"], float))
         acceleration, activity = map(float, document["seen"]["most"])
         domain = CalibrationDomain(np.array(document["seen"]["starts"], int), (acceleration, activity))
         return cls(document["vehicle"]["name"], document["vehicle"]["hash"], settings, document["recordings"],
@@ -167,15 +173,6 @@ def configuration_of(vehicle: VehicleParameters, settings: Mapping[str, Any], mo
     """The configuration hash of predictions with these settings. model_hash: "" for a model of the paper."""
     prediction = EvaluationSettings().prediction
     return configuration_hash(vehicle, type(prediction)(**{key: settings[key] for key in vars(prediction)}), model_hash)
-
-
-def _read_band(entry: Mapping[str, Any], time: np.ndarray) -> Band:
-    coefficients = np.array(entry["coefficients"], float)
-    knots = knots_of(float(time[-1]))
-    if coefficients.shape != (3, len(knots), features(np.zeros((1, 4))).shape[1]):
-        raise ConfigurationError("coefficients: written by another version; calibrate again")
-    scale = Scale(coefficients, np.array(entry["floor"], float), time, knots)
-    return Band(scale, {float(k): float(v) for k, v in entry["factors"].items()}, np.array(entry["ratios"], float))
 
 
 def _flow(value: Any) -> str:

@@ -50,13 +50,13 @@ def conditions_now(history: MeasurementHistory, time_ns: int) -> tuple[float, ..
 class LiveBands:
     """Computes the half-widths of `Bands.half_widths` for all models, modes and levels together.
 
-    models: names of the models, which must all be in the bands (see `Bands.check`). levels: the LEVELS that are in the
-    file. half_widths: by model, from the last call inside the calibration domain; every call overwrites the same
-    arrays.
+    models: names of the models, which must all be in the bands (see `Bands.check`). domain: conditions with a band.
+    levels: the LEVELS that are in the file. half_widths: by model, from the last call inside the domain; every call
+    overwrites the same arrays.
     """
 
     def __init__(self, bands: Bands, models: Iterable[str]):
-        self._domain = bands.domain
+        self.domain = bands.domain
         pairs = [(model, mode) for model in models for mode in MODES if (model, mode) in bands.bands]
         self._row: dict[ModelMode, int] = {pair: row for row, pair in enumerate(pairs)}
         chosen = [bands.bands[pair] for pair in pairs]
@@ -75,13 +75,9 @@ class LiveBands:
             for level, level_widths in zip(self.levels, of_pair, strict=True):
                 self.half_widths[model][mode, level] = level_widths.T
 
-    def describe_outside(self, condition: Sequence[float]) -> str:
-        """One-line reason for a missing band under these conditions; empty if there is a band."""
-        return self._domain.describe_outside(condition)
-
     def __call__(self, condition: Sequence[float]) -> bool:
         """Update `half_widths` for four conditions. False, without an update, outside the calibration domain."""
-        if not self._domain(np.array([condition]))[0]:
+        if not self.domain(np.array([condition]))[0]:
             return False
         # Clipping at the few knots also limits the interpolated values.
         logs = (self._coefficients @ features_of_one(condition)).clip(-60.0, 60.0)
@@ -131,7 +127,7 @@ class AdaptiveBands:
         """
         reason = ""
         if self._calibrated and not self._calibrated(condition):
-            reason = self._calibrated.describe_outside(condition)
+            reason = self._calibrated.domain.describe_outside(condition)
         found: set[ModelMode] = set()
         for model, half_widths in self.half_widths.items():
             for mode in modes:

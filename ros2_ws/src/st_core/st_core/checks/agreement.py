@@ -78,9 +78,12 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
     correlation = float(np.corrcoef(x, y)[0, 1]) if float(np.std(y)) > 0.0 else 0.0
     scale, bias = _fit_line(problem, x, correlation, biased)
     neighbours = solution.offset - LAG_TEST_SHIFT, solution.offset + LAG_TEST_SHIFT
+    rows, x_now = _common_samples(pair, 0.0)
+    y_now = other.values[rows]
+    correlation_now = float(np.corrcoef(x_now, y_now)[0, 1]) if len(rows) > 2 and np.std(x_now) * np.std(y_now) else 0.0
     return Agreement(lag, scale, bias, correlation, float(np.std(x)), common_time, y, x,
                      tuple(-alternative.offset for alternative in others),
-                     _fits_worse(pair, -expected_lag, solution.offset, cutoff), _correlation(pair, 0.0),
+                     _fits_worse(pair, -expected_lag, solution.offset, cutoff), correlation_now,
                      all(_fits_worse(pair, offset, solution.offset, cutoff) for offset in neighbours))
 
 
@@ -90,12 +93,6 @@ def _fits_worse(pair: Pair, offset: float, best: float, cutoff: float) -> bool:
         return False
     (smallest, residual), common = _residual_shares(pair, [best, offset])
     return residual > _f_limit(common, cutoff, LAG_TEST_LEVEL) * smallest
-
-
-def _correlation(pair: Pair, offset: float) -> float:
-    rows, derived = _common_samples(pair, offset)
-    values = pair.other.values[rows]
-    return float(np.corrcoef(derived, values)[0, 1]) if len(rows) > 2 and np.std(derived) * np.std(values) > 0 else 0.0
 
 
 def _best_offsets(pair: Pair, cutoff: float) -> list[Fit]:

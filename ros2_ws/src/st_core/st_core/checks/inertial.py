@@ -14,7 +14,7 @@ import numpy as np
 
 from .agreement import Agreement, compare_series
 from .finding import HORIZON, LIMITS, WHEEL_SCALE, Advice, Comparison, Finding, Severity
-from .motion import MOVING, Motion, moves_sideways
+from .motion import MOVING, Motion
 from .regression import Estimate, with_systematic
 
 
@@ -202,7 +202,7 @@ def correct_yaw_rate(motion: Motion, found: Agreement) -> Motion:
 
 def check_accelerations(motion: Motion) -> list[CheckResult]:
     """Compare both accelerations with the derivative of velocity; empty if the axes of the velocity are wrong."""
-    if moves_sideways(motion):
+    if motion.moves_sideways:
         return []
     time, speed = motion.time, float(np.median(np.abs(motion.velocity_x)))
     derived = {"acceleration_x": np.gradient(motion.velocity_x, time) - motion.velocity_y * motion.yaw_rate,

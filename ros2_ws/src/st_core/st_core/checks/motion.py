@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -73,6 +74,11 @@ class Motion:
         """Velocity in the map frame, (east, north) [m/s]: R(yaw) v."""
         return body_to_map(self.velocity_x, self.velocity_y, self.yaw)
 
+    @property
+    def moves_sideways(self) -> bool:
+        """Whether the velocity is mainly lateral, which means that its axes are wrong."""
+        return float(np.sum(self.velocity_y**2)) > float(np.sum(self.velocity_x**2))
+
     def steering_at_ins(self) -> np.ndarray:
         """Road wheel angle at the instants of the INS, NaN outside the recorded time."""
         if not len(self.steering_time):
@@ -101,11 +107,6 @@ def is_driven(motion: Motion) -> bool:
 def has_varying_speed(speed: np.ndarray) -> bool:
     """Whether the speed varies enough to separate effects that depend on different powers of it."""
     return float(np.std(speed)) > MIN_SPEED_VARIATION * abs(float(np.mean(speed)))
-
-
-def moves_sideways(motion: Motion) -> bool:
-    """Whether the velocity is mainly lateral, which means that its axes are wrong."""
-    return float(np.sum(motion.velocity_y**2)) > float(np.sum(motion.velocity_x**2))
 
 
 def integral(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
@@ -166,8 +167,7 @@ MIN_RATIO = 1e-10  # smallest ratio of two varying channels; nanoseconds read as
 SAME_RATIO_FACTOR = 1.2  # factor by which equal ratios may differ
 
 
-@dataclass(frozen=True)
-class Ratios:
+class Ratios(NamedTuple):
     """Robust ratios between the changes of two channels in windows; NaN with too little motion.
 
     distance: positions to integrated velocity. yaw_rate: yaw to integrated yaw rate. yaw_course: yaw to course over
@@ -188,20 +188,25 @@ def is_near(value: float, target: float, factor: float = SAME_RATIO_FACTOR) -> b
 def ratios(motion: Motion, length: float = 1.0) -> Ratios:
     """Ratios of channels in windows of `length` [s]."""
     over = windows(motion.time, length, max(0.25, 0.5 * length))
-    measured = np.hypot(over.change(motion.x), over.change(motion.y))
+    distance = np.hypot(over.change(motion.x), over.change(motion.y))
     integrated = over.change(integral(motion.time, motion.speed))
-    turn, rate = over.change(motion.yaw), over.change(integral(motion.time, motion.yaw_rate))
-    return Ratios(_distance_ratio(measured, integrated), _fit_slope(turn, rate),
-                  *_course_ratios(motion, over, measured))
-
-
-def _distance_ratio(measured: np.ndarray, integrated: np.ndarray) -> float:
-    enough = (measured > MIN_DISTANCE) | (integrated > MIN_DISTANCE)
-    weights = integrated[enough]
-    if len(weights) < MIN_WINDOWS or not weights.any():
-        return float("nan")
-    ratio = measured[enough] / np.maximum(weights, 1e-12)
-    return _unless_constant(float(np.quantile(ratio, 0.5, weights=weights, method="inverted_cdf")))
+    integrated_rate = integral(motion.time, motion.yaw_rate)
+    enough = (distance > MIN_DISTANCE) | (integrated > MIN_DISTANCE)
+    weights, distance_ratio = integrated[enough], np.nan
+    if len(weights) >= MIN_WINDOWS and weights.any():
+        ratio = distance[enough] / np.maximum(weights, 1e-12)
+        distance_ratio = _unless_constant(float(np.quantile(ratio, 0.5, weights=weights, method="inverted_cdf")))
+    yaw_rate_ratio = _fit_slope(over.change(motion.yaw), over.change(integrated_rate))
+    if len(over) < 2:
+        return Ratios(distance_ratio, yaw_rate_ratio, np.nan, np.nan)
+    # The course changes between the centres of adjacent windows.
+    turn = np.diff(np.unwrap(np.arctan2(over.change(motion.y), over.change(motion.x))))
+    # Only adjacent windows in which the car moves are used: at standstill the course is noise.
+    moving = np.minimum(distance[1:], distance[:-1]) > max(0.3 * float(np.median(distance)), 1e-12)
+    usable = (over.last[:-1] == over.first[1:]) & moving & (np.abs(turn) < 1.5)
+    yaw, rate = (np.diff(over.mean(motion.time, values)) for values in (motion.yaw, integrated_rate))
+    return Ratios(distance_ratio, yaw_rate_ratio, _fit_slope(yaw[usable], turn[usable]),
+                  _fit_slope(rate[usable], turn[usable]))
 
 
 def _unless_constant(ratio: float) -> float:
@@ -226,16 +231,3 @@ def _fit_slope(top: np.ndarray, bottom: np.ndarray) -> float:
         residual = np.abs(top - slope * bottom - intercept)
         weights = 1.0 / np.maximum(1.0, residual / (3.0 * max(float(np.median(residual)), 1e-12)))
     return _unless_constant(float(slope))
-
-
-def _course_ratios(motion: Motion, over: Windows, distance: np.ndarray) -> tuple[float, float]:
-    """Ratios of (yaw, integrated yaw rate) to course, from the changes between the centres of adjacent windows."""
-    if len(over) < 2:
-        return float("nan"), float("nan")
-    turn = np.diff(np.unwrap(np.arctan2(over.change(motion.y), over.change(motion.x))))
-    # Only adjacent windows in which the car moves are used: at standstill the course is noise.
-    moving = np.minimum(distance[1:], distance[:-1]) > max(0.3 * float(np.median(distance)), 1e-12)
-    usable = (over.last[:-1] == over.first[1:]) & moving & (np.abs(turn) < 1.5)
-    yaw = np.diff(over.mean(motion.time, motion.yaw))
-    rate = np.diff(over.mean(motion.time, integral(motion.time, motion.yaw_rate)))
-    return _fit_slope(yaw[usable], turn[usable]), _fit_slope(rate[usable], turn[usable])

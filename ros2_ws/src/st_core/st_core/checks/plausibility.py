@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
+from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, STEERING, DriveLog
 from .finding import Advice, Finding, Severity, merge_findings
 from .motion import MAX_GAP, spans, stretches
 
@@ -100,7 +100,7 @@ def drop_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveL
         start_ns = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
     bad_rows = np.zeros(len(log.ins_time_ns), bool)
     bad_steering = np.zeros(len(log.steering_time_ns), bool)
-    blanked: dict[str, np.ndarray] = {}
+    blanked: dict[str, Any] = {}
     findings: list[Finding] = []
     moving = _is_moving(log)
     steering = "road_wheel_angle" if log.steering_wheel_angle is None else "steering_wheel_angle"
@@ -121,7 +121,17 @@ def drop_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveL
             blanked[name] = np.where(bad, np.nan, values)
         elif name not in OPTIONAL_INS_SIGNALS:
             bad_rows |= bad
-    return _leave_out(log, bad_rows, bad_steering, blanked), merge_findings(findings)
+    log = replace(log, **blanked)
+    if bad_rows.any() and not bad_rows.all():
+        kept = np.flatnonzero(~bad_rows)
+        # Unwrapping across an implausible sample may have added a full turn to yaw.
+        turns = np.where(np.diff(kept) > 1, np.round(np.diff(log.yaw[kept]) / (2.0 * np.pi)), 0.0)
+        log = log.with_ins(kept)
+        log = replace(log, yaw=log.yaw - 2.0 * np.pi * np.concatenate(([0.0], np.cumsum(turns))))
+    if bad_steering.any() and not bad_steering.all():
+        names = [name for name in ("steering_time_ns", *STEERING) if getattr(log, name) is not None]
+        log = replace(log, **{name: getattr(log, name)[~bad_steering] for name in names})
+    return log, merge_findings(findings)
 
 
 def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
@@ -317,19 +327,3 @@ def _make_finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
               }.get(kind, "check the sensor and the settings of the logger; no command uses these samples")
     return Finding(kind, severity, (channel.name,), text, value, unit, None, where[:MAX_LISTED],
                    advice=Advice("look", advice))
-
-
-def _leave_out(log: DriveLog, rows: np.ndarray, steering: np.ndarray, blanked: Mapping[str, Any]) -> DriveLog:
-    if blanked:
-        log = replace(log, **blanked)
-    if rows.any() and not rows.all():
-        kept = np.flatnonzero(~rows)
-        # Unwrapping across an implausible sample may have added a full turn to yaw.
-        turns = np.where(np.diff(kept) > 1, np.round(np.diff(log.yaw[kept]) / (2.0 * np.pi)), 0.0)
-        log = log.with_ins(kept)
-        log = replace(log, yaw=log.yaw - 2.0 * np.pi * np.concatenate(([0.0], np.cumsum(turns))))
-    if steering.any() and not steering.all():
-        keep = ~steering
-        log = replace(log, steering_time_ns=log.steering_time_ns[keep], road_wheel_angle=log.road_wheel_angle[keep],
-                      steering_wheel_angle=None if log.steering_wheel_angle is None else log.steering_wheel_angle[keep])
-    return log

@@ -106,7 +106,7 @@ def _missing_values_finding(channel: str, count: int, motion: Motion, auxiliary:
         advice = "no action is needed if that is the sensor's rate"
     else:
         text = f"{channel}: {count} rows have no usable value ({100 * share:.3g} %); they were left out"
-        advice = "look at what the logger writes in these rows"
+        advice = "check what the logger writes in these rows"
     severity = Severity.NOTE if rate or share <= NOTE_SHARE else Severity.WARNING
     return Finding("values_missing", severity, (channel,), text, share, advice=Advice("look", advice))
 
@@ -207,8 +207,18 @@ def find_coarse_channels(motion: Motion, stuck: Sequence[Finding]) -> list[Findi
     """Findings of channels, other than held ones, rounded so coarsely that the initial state has a relevant error."""
     held = {channel for finding in stuck if finding.name == "samples_repeated" for channel in finding.channels}
     speed = float(np.median(motion.speed))
-    return merge_findings([finding for name in POSITION_EFFECT if name not in held
-                           for finding in _check_resolution(name, motion, speed)])
+    findings = []
+    for name, (distance, grows_with_speed) in POSITION_EFFECT.items():
+        step, unit = resolution(motion.time, getattr(motion, name)), UNITS[name]
+        # The standard deviation of the rounding error is step / sqrt(12).
+        effect = step / np.sqrt(12.0) * distance * (speed if grows_with_speed else 1.0)
+        if name in held or effect < LIMITS.min_reported_effect:
+            continue
+        degrees = f" ({np.rad2deg(step):.2g} deg)" if unit.startswith("rad") else ""
+        findings.append(Finding("resolution_coarse", LIMITS.severity(effect), (name,),
+                                f"{name} is rounded to {step:.3g} {unit}{degrees}", step, unit, effect=effect,
+                                advice=Advice("look", f"log {name} with more digits")))
+    return merge_findings(findings)
 
 
 def _constant_runs(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -325,20 +335,6 @@ RELATED_RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
     "road_wheel_angle": (lambda m: np.where(m.velocity_x > 2.0, m.yaw_rate, 0.0), 0.05),
 }
 CHANNELS_WITH_RELATED_UNIT = ("velocity_x", "acceleration_x", "acceleration_y", "yaw_rate")
-
-
-def _check_resolution(name: str, motion: Motion, speed: float) -> list[Finding]:
-    """Finding of a channel with a relevant rounding error, of standard deviation resolution / sqrt(12)."""
-    step = resolution(motion.time, getattr(motion, name))
-    distance, grows_with_speed = POSITION_EFFECT[name]
-    effect = step / np.sqrt(12.0) * distance * (speed if grows_with_speed else 1.0)
-    if effect < LIMITS.min_reported_effect:
-        return []
-    unit = UNITS[name]
-    degrees = f" ({np.rad2deg(step):.2g} deg)" if unit.startswith("rad") else ""
-    return [Finding("resolution_coarse", LIMITS.severity(effect), (name,),
-                    f"{name} is rounded to {step:.3g} {unit}{degrees}", step, unit, effect=effect,
-                    advice=Advice("look", f"log {name} with more digits"))]
 
 
 def without_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motion:

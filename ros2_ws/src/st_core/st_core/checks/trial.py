@@ -11,7 +11,7 @@ Without bounds, huge values of both would explain any error on a circle, where g
 Checked by: test_checks_trial.py, test_checks_step.py.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -131,23 +131,17 @@ def _apply_advice(state: State, advice: Advice | None) -> State | None:
         car = replace(vehicle, **values)
         return (log.with_steering(car) if log.steering_wheel_angle is not None else log), car
     try:
-        log = _relabel_columns(log, advice.entry)
+        if unit := advice.entry.get("units", {}).get("t"):
+            start = log.start_ns
+            log = replace(log, **{
+                name: start + np.round((getattr(log, name) - start) / TIME_UNITS[unit]).astype(np.int64)
+                for name in ("ins_time_ns", "steering_time_ns")})
+        columns = advice.entry.get("columns", {})
+        log = replace(log, **{name: getattr(log, source) for name, source in columns.items()})
         changes = {name: Correction(**values) for name, values in advice.entry.get("correct", {}).items()}
-        log = apply_corrections(log, changes, vehicle, advice.entry.get("leave_out", ()))
+        return apply_corrections(log, changes, vehicle, advice.entry.get("leave_out", ())), vehicle
     except StCoreError:
         return None
-    return log, vehicle
-
-
-def _relabel_columns(log: DriveLog, entry: Mapping[str, Any]) -> DriveLog:
-    """The drive with the unit of time and the exchanged columns of an entry of run.yaml."""
-    unit = entry.get("units", {}).get("t")
-    if unit:
-        start = log.start_ns
-        log = replace(log, **{name: start + np.round((getattr(log, name) - start) / TIME_UNITS[unit]).astype(np.int64)
-                              for name in ("ins_time_ns", "steering_time_ns")})
-    columns = entry.get("columns", {})
-    return replace(log, **{name: getattr(log, source) for name, source in columns.items()}) if columns else log
 
 
 def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog,

@@ -15,18 +15,7 @@ import numpy as np
 
 from ..regression import SIGMA_PER_MAD
 from .finding import LIMITS, Advice, Finding, Severity
-from .motion import (
-    MIN_DISTANCE,
-    MIN_WINDOWS,
-    SAME_RATIO_FACTOR,
-    Motion,
-    Windows,
-    integral,
-    is_near,
-    moves_sideways,
-    ratios,
-    windows,
-)
+from .motion import MIN_DISTANCE, MIN_WINDOWS, SAME_RATIO_FACTOR, Motion, integral, is_near, ratios, windows
 from .regression import Estimate
 
 MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw during the drive
@@ -253,7 +242,7 @@ def _correct_position_axes(motion: Motion) -> Corrected:
         advice = _correct_channels({"yaw": {"scale": -1.0, "add": np.pi / 2}, "yaw_rate": {"scale": -1.0}})
         return replace(motion, yaw=np.pi / 2 - motion.yaw, yaw_rate=-motion.yaw_rate), _make_error(
             "yaw_convention", ("yaw", "yaw_rate"), text, r.yaw_course, advice)
-    _, measured, derived = _displacements(motion, *motion.velocity_map)
+    measured, derived = _displacements(motion, *motion.velocity_map)
     angle = np.angle(np.sum(measured * derived))
     quarter = int(np.round(angle / (np.pi / 2))) % 4
     axes: dict[int, tuple[str, np.ndarray, np.ndarray, dict[str, Any]]] = {
@@ -299,28 +288,27 @@ def _correct_distance(motion: Motion) -> Corrected:
                                                             Advice.correct(channel, scale=1.0 / factor))
 
 
-def _displacements(motion: Motion, east: np.ndarray, north: np.ndarray) -> tuple[Windows, np.ndarray, np.ndarray]:
-    """(windows of one second, change of position, integrated velocity), both as east + i north [m]."""
+def _displacements(motion: Motion, east: np.ndarray, north: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(change of position, integrated velocity) in windows of one second, as east + i north [m]."""
     over = windows(motion.time, 1.0)
-    return (over, over.change(motion.x) + 1j * over.change(motion.y),
+    return (over.change(motion.x) + 1j * over.change(motion.y),
             over.change(integral(motion.time, east)) + 1j * over.change(integral(motion.time, north)))
 
 
 def _misfit(motion: Motion) -> float:
     """Median distance [m] between change of position and integrated velocity per second, after the best rotation."""
-    over, measured, derived = _displacements(motion, *motion.velocity_map)
+    measured, derived = _displacements(motion, *motion.velocity_map)
     rotation = np.sum(measured * np.conj(derived))
     rotation /= max(abs(rotation), 1e-300)
-    return float(np.median(np.abs(measured - derived * rotation))) if len(over) else 0.0
+    return float(np.median(np.abs(measured - derived * rotation))) if len(measured) else 0.0
 
 
 def _correct_velocity_axes(motion: Motion) -> Corrected:
     """Correct exchanged velocities, or velocities in the map frame, which agree with positions without rotation."""
-    over, measured, unrotated = _displacements(motion, motion.velocity_x, motion.velocity_y)
-    misfits = [float(np.median(np.abs(measured - integrated))) if len(over) else 0.0
-               for integrated in (unrotated, 1j * unrotated.conj())]
-    if len(over) < MIN_WINDOWS:
+    measured, unrotated = _displacements(motion, motion.velocity_x, motion.velocity_y)
+    if len(measured) < MIN_WINDOWS:
         return motion, None
+    misfits = [float(np.median(np.abs(measured - integrated))) for integrated in (unrotated, 1j * unrotated.conj())]
     distance, unchanged = float(np.median(np.abs(measured))), _misfit(motion)
     swapped = replace(motion, velocity_x=motion.velocity_y, velocity_y=motion.velocity_x)
     max_misfit = MAX_MAP_MISFIT * distance
@@ -333,8 +321,8 @@ def _correct_velocity_axes(motion: Motion) -> Corrected:
         advice = Advice("look", "rotate them by yaw: velocity_x = cos(yaw) east + sin(yaw) north, "
                         "velocity_y = cos(yaw) north - sin(yaw) east")
         motion = replace(motion, velocity_x=body.real, velocity_y=body.imag)
-    elif distance > 0.0 and moves_sideways(motion) and float(
-            np.median(np.abs(measured - _displacements(swapped, *swapped.velocity_map)[2]))) <= max_misfit:
+    elif distance > 0.0 and motion.moves_sideways and float(
+            np.median(np.abs(measured - _displacements(swapped, *swapped.velocity_map)[1]))) <= max_misfit:
         text = "velocity_x and velocity_y are exchanged (x is forward, y left)"
         columns = {"velocity_x": "velocity_y", "velocity_y": "velocity_x"}
         advice = Advice("run.yaml", f"columns: {columns}".replace("'", ""), {"columns": columns})
@@ -346,11 +334,11 @@ def _correct_velocity_axes(motion: Motion) -> Corrected:
 
 def _correct_yaw_offset(motion: Motion) -> Corrected:
     """Correct a yaw counted from another axis, or a reversed yaw or velocity_x, by the direction of travel."""
-    over, measured, derived = _displacements(motion, *motion.velocity_map)
+    measured, derived = _displacements(motion, *motion.velocity_map)
     total, size = np.sum(derived * np.conj(measured)), float(np.abs(measured * derived).sum())
-    if len(over) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or abs(np.angle(total)) < 0.35:
-        return motion, None
     angle = float(np.angle(total))
+    if len(measured) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or abs(angle) < 0.35:
+        return motion, None
     quarter = np.round(angle / (np.pi / 2)) * np.pi / 2
     if abs(quarter) == np.pi and np.median(motion.velocity_x) < 0.0:  # a whole drive in reverse is less likely
         return replace(motion, velocity_x=-motion.velocity_x), _make_error(

@@ -46,10 +46,18 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     response = response_time(vehicle, speed)
     found = compare_series(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, expected_lag=-response)
     gain = _estimate_steering_gain(motion, derived)
-    understeer = _compute_understeer_factor(motion.velocity_x, derived, vehicle)
+    # The vehicle file's understeer K increases the steering of this drive by the mean of 1 + K v^2, weighted with the
+    # square of the angle; the factor is 1 for a car that oversteers.
+    weight, understeer = np.square(np.nan_to_num(derived)), 1.0
+    if weight.any():
+        understeer += max(stability_factor(vehicle), 0.0) * float(np.average(motion.velocity_x**2, weights=weight))
     if found is None or abs(found.correlation) < LIMITS.correlation:
         if found is not None and min(found.spread, float(np.std(found.measured))) > MIN_UNRELATED_SPREAD:
-            return [_unrelated_finding(found)], {}, None
+            text = (f"the steering does not follow the car's motion (correlation {found.correlation:.2f}): is it "
+                    "another signal, the steering of another drive, or does its sign change during the drive?")
+            advice = "compare steering and yaw rate over time; predictions with this steering are invalid"
+            return [Finding("steering_unrelated", Severity.WARNING, ("road_wheel_angle",), text, found.correlation,
+                            advice=Advice("look", advice))], {}, None
         unit = gain and _unit_finding(gain, understeer, vehicle, wheel_measured)
         return [unit] if unit else [], {}, None
     # In one long bend, gain and offset are confounded.
@@ -72,14 +80,6 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     return [finding for finding in findings if finding], estimates, panel
 
 
-def _unrelated_finding(found: Agreement) -> Finding:
-    text = (f"the steering does not follow the car's motion (correlation {found.correlation:.2f}): is it another "
-            "signal, the steering of another drive, or does its sign change during the drive?")
-    return Finding("steering_unrelated", Severity.WARNING, ("road_wheel_angle",), text, found.correlation,
-                   advice=Advice("look", "compare steering and yaw rate over time; predictions with this steering are "
-                                 "invalid"))
-
-
 def _estimate_steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | None:
     """Ratio of the measured road wheel angle to the angle derived from curvature, fitted without an offset; None if the
     car hardly turns. Smaller angles suffice for a negative gain, since only its sign is reported."""
@@ -92,16 +92,6 @@ def _estimate_steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | N
         return None
     problem = Regression(motion.time[known], angle[known, None], {"scale": derived[known, None]})
     return problem.estimates(("scale",))["scale"]
-
-
-def _compute_understeer_factor(speed: np.ndarray, derived: np.ndarray, vehicle: VehicleParameters) -> float:
-    """Factor 1 + K v^2 by which the vehicle file's understeer K increases the steering of this drive, averaged with the
-    square of the angle as weight; 1 for a car that oversteers."""
-    known = np.isfinite(derived)
-    weight = np.square(derived[known])
-    if not weight.any():
-        return 1.0
-    return 1.0 + max(stability_factor(vehicle), 0.0) * float(np.average(np.square(speed[known]), weights=weight))
 
 
 def response_time(vehicle: VehicleParameters, speed: float) -> float:

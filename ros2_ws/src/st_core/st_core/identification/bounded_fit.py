@@ -78,9 +78,16 @@ def fit_curve(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Se
 
 def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.ndarray, high: np.ndarray,
            tolerance: float, max_evaluations: int) -> OptimizeResult:
+    def jacobian(values: np.ndarray) -> np.ndarray:
+        """Forward differences in one call of `residuals`; backward where a step would cross the upper bound."""
+        steps = 1e-7 * np.maximum(np.abs(values), 1e-3)
+        steps = np.where(values + steps > high, -steps, steps)
+        rows = residuals(np.concatenate([values[None], values + np.diag(steps)]))
+        return ((rows[1:] - rows[0]) / steps[:, None]).T
+
     inside = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
-    return least_squares(residuals, inside, _make_jacobian(residuals, high), (low, high), x_scale="jac",
-                         xtol=0.1 * tolerance, ftol=tolerance, gtol=1e-12, max_nfev=max_evaluations)
+    return least_squares(residuals, inside, jacobian, (low, high), x_scale="jac", xtol=0.1 * tolerance, ftol=tolerance,
+                         gtol=1e-12, max_nfev=max_evaluations)
 
 
 def profile_interval(residuals: Residuals, fit: CurveFit, index: int) -> Interval:
@@ -104,8 +111,11 @@ def _find_interval_end(residuals: Residuals, fit: CurveFit, index: int, side: fl
     start = fit.values[others] + slope * side * distance
     previous = (0.0, 0.0)  # distance, and root of the relative increase of S
     for _ in range(MAX_STEPS):
-        start, cost = _fit_with_fixed(residuals, fit, index, value + side * distance, start)
-        root = math.sqrt(max(cost - minimum, 0.0) / threshold)
+        # At an end of the interval, S is larger by about 5 %, so a tolerance of 0.01 % is sufficient.
+        found = _solve(lambda free, fixed=value + side * distance: residuals(np.insert(free, index, fixed, axis=-1)),
+                       start, fit.lower[others], fit.upper[others], 1e-4, 60)
+        start = found.x
+        root = math.sqrt(max(2.0 * found.cost - minimum, 0.0) / threshold)
         if distance >= to_bound and root < 1.0:
             return bound, True
         if abs(root - 1.0) < END_TOLERANCE or distance == previous[0]:
@@ -116,28 +126,3 @@ def _find_interval_end(residuals: Residuals, fit: CurveFit, index: int, side: fl
         # The distance stays positive and grows at most fourfold per step.
         distance = min(max(distance + step, 0.3 * distance), 4.0 * distance, to_bound)
     return value + side * distance, False
-
-
-def _make_jacobian(residuals: Residuals, upper: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Jacobian by forward differences in one call of `residuals`; backward where a step would cross the upper bound."""
-    def jacobian(values: np.ndarray) -> np.ndarray:
-        steps = 1e-7 * np.maximum(np.abs(values), 1e-3)
-        steps = np.where(values + steps > upper, -steps, steps)
-        rows = residuals(np.concatenate([values[None], values + np.diag(steps)]))
-        return ((rows[1:] - rows[0]) / steps[:, None]).T
-
-    return jacobian
-
-
-def _fit_with_fixed(residuals: Residuals, fit: CurveFit, index: int, value: float,
-                    start: np.ndarray) -> tuple[np.ndarray, float]:
-    """(values of the other parameters, sum of squares) of a fit with one parameter fixed."""
-    others = np.arange(len(fit.values)) != index
-    low, high = fit.lower[others], fit.upper[others]
-
-    def residuals_with_fixed(free: np.ndarray) -> np.ndarray:
-        return residuals(np.insert(free, index, value, axis=-1))
-
-    # At an end of the interval, S is larger by about 5 %, so a tolerance of 0.01 % is sufficient.
-    found = _solve(residuals_with_fixed, start, low, high, 1e-4, 60)
-    return found.x, 2.0 * found.cost

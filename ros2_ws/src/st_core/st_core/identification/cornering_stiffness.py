@@ -43,8 +43,7 @@ SLIP_BIN_COUNT = 12
 MAX_RANGE_RATIO = 0.8
 """Largest ratio of the mean slip angles in the lower and the full range. Above it, extrapolation to zero slip would
 multiply the difference of the two slopes by more than 5."""
-MAX_RELATIVE_UNCERTAINTY = 0.1
-"""Ratio of standard uncertainty to stiffness above which the stiffness is doubtful."""
+MAX_RELATIVE_UNCERTAINTY = 0.1  # ratio of standard uncertainty to stiffness above which the stiffness is doubtful
 SLIP_QUANTILE = 0.995  # quantile of |slip angle| that counts as the largest slip angle of the drives
 
 Slope = tuple[float, Spread, np.ndarray, np.ndarray]

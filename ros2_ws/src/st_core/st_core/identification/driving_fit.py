@@ -68,18 +68,15 @@ def _make_scaled_parameter(effect: str, key: str, unit: str) -> FreeParameter:
     return FreeParameter(effect, unit, lambda car, values: values[f"{effect}.factor"] * float(getattr(car, key)), True)
 
 
-def _compute_offset(car: VehicleParameters, values: Values) -> float:
-    """delta = (delta_h - o_file) / (factor i_file) + angle, so o = o_file - angle factor i_file."""
-    factor = values.get(f"{SteeringRatio.name}.factor", 1.0)
-    return car.steering_wheel_offset - values[f"{SteeringOffset.name}.angle"] * factor * car.steering_ratio
-
-
 FREE_PARAMETERS: Mapping[str, FreeParameter] = {
     "cornering_stiffness_front": _make_scaled_parameter(FrontStiffness.name, "cornering_stiffness_front", "N/rad"),
     "cornering_stiffness_rear": _make_scaled_parameter(RearStiffness.name, "cornering_stiffness_rear", "N/rad"),
     "yaw_inertia": _make_scaled_parameter(YawInertia.name, "yaw_inertia", "kg m^2"),
     "steering_ratio": _make_scaled_parameter(SteeringRatio.name, "steering_ratio", "1"),
-    "steering_wheel_offset": FreeParameter(SteeringOffset.name, "rad", _compute_offset, max_uncertainty=0.02),
+    # delta = (delta_h - o_file) / (factor i_file) + angle, so o = o_file - angle factor i_file.
+    "steering_wheel_offset": FreeParameter(SteeringOffset.name, "rad", max_uncertainty=0.02, value=lambda car, values: (
+        car.steering_wheel_offset - values[f"{SteeringOffset.name}.angle"] * car.steering_ratio
+        * values.get(f"{SteeringRatio.name}.factor", 1.0))),
     "cg_to_ins_x": FreeParameter(SensorLeverArm.name, "m", max_uncertainty=0.1, value=lambda car, values: (
         car.cg_to_ins_x + values[f"{SensorLeverArm.name}.x"])),
     # Angle by which the reported heading points too far to the left.
@@ -105,9 +102,6 @@ class DrivingFitSettings:
     maximum_acceleration: float = 4.0
     min_windows: int = 60
     channels: tuple[str, ...] = ("yaw_rate", "velocity_y")
-
-
-SETTINGS = DrivingFitSettings()
 
 
 class _LimitedWindows(Windows):
@@ -176,7 +170,7 @@ class DrivingFit:
 
 
 def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Sequence[str],
-                base: str | Model = "nonlinear", settings: DrivingFitSettings = SETTINGS) -> DrivingFit:
+                base: str | Model = "nonlinear", settings: DrivingFitSettings = DrivingFitSettings()) -> DrivingFit:
     """Fit the values of `names`, which are in FREE_PARAMETERS and distinct; all others remain fixed.
 
     logs: from `run_samples.prepare_drives`. base: linear, nonlinear, or either with known effects. Raises
@@ -204,21 +198,15 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
     space = Space(model, windows.settings, library=library)
     loss = Loss(Errors(windows, space), space.null)
     problem = Problem(loss, space.null, windows.block)
-    vector = _fit_with_scale(problem, effects)
-    return _make_fit(problem, windows, vector, effects, names, counts)
-
-
-def _fit_with_scale(problem: Problem, effects: tuple[str, ...]) -> np.ndarray:
-    """Parameter vector after alternate estimation of values and error scale until convergence."""
-    vector, indices, loss = problem.start.copy(), problem.free_indices(effects), problem.loss
-    for _ in range(MAX_ITERATIONS):
+    vector, indices = problem.start.copy(), problem.free_indices(effects)
+    for _ in range(MAX_ITERATIONS):  # values and error scale are estimated in turn
         before = loss.scale.copy()
         slopes = Sensitivities(vector, indices, loss.sensitivities(vector, indices))
         vector = problem.fit(effects, slopes, vector=vector, fresh=effects, iterations=12).vector
         loss.rescale(vector)
         if np.abs(loss.scale / before - 1.0).max() < SCALE_TOLERANCE:
             break
-    return vector
+    return _make_fit(problem, windows, vector, effects, names, counts)
 
 
 def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, effects: tuple[str, ...],

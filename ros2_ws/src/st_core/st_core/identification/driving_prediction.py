@@ -35,16 +35,7 @@ from ..regression import correlation_matrix, extrapolation_uncertainty
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .cornering_stiffness import MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, SLIP_QUANTILE, slip_angles
-from .driving_fit import (
-    DELAY,
-    FREE_PARAMETERS,
-    MISALIGNMENT,
-    RELAXATION,
-    SETTINGS,
-    DrivingFit,
-    DrivingFitSettings,
-    fit_driving,
-)
+from .driving_fit import DELAY, FREE_PARAMETERS, MISALIGNMENT, RELAXATION, DrivingFit, DrivingFitSettings, fit_driving
 from .result import (
     Coverage,
     Estimate,
@@ -76,7 +67,7 @@ the uncertainty."""
 
 
 def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
-                      settings: DrivingFitSettings = SETTINGS, *, also: Sequence[str] = (),
+                      settings: DrivingFitSettings = DrivingFitSettings(), *, also: Sequence[str] = (),
                       nuisance: Sequence[str] = NUISANCE) -> Identification:
     """Both stiffnesses, with an uncertainty from the variation between runs.
 

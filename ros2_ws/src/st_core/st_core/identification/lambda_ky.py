@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ..regression import symmetric_interval
-from ..tyres import MagicFormula, magic_formula_stiffness, stiffness_scale
+from ..tyres import magic_formula_stiffness, stiffness_scale
 from ..vehicle import TYRES, VehicleParameters
 from .result import Estimate, Identification, IdentificationError, Status
 
@@ -48,8 +48,14 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, Stiffnes
         formula = getattr(vehicle, tyre)
         value = stiffness_scale(stiffness, load, formula)
         table = tables.get(tyre)
+        # d ln K / d ln F_z, and the relative standard uncertainty of F_z due to mass and CG position.
+        up, down = (math.log(abs(magic_formula_stiffness(load * (1.0 + step), formula))) for step in (1e-4, -1e-4))
+        distance = vehicle.cg_to_rear_axle if axle == "front" else vehicle.cg_to_front_axle
+        load_uncertainty = math.hypot(*(
+            (vehicle.provenance[key].uncertainty or 0.0) / size
+            for key, size in (("mass", vehicle.mass), ("cg_to_front_axle", distance)) if key in vehicle.provenance))
         relative = math.hypot(known.uncertainty / stiffness, table.uncertainty if table else 0.0,
-                              _load_sensitivity(load, formula) * _load_uncertainty(vehicle, axle))
+                              (up - down) / 2e-4 * load_uncertainty)
         uncertainty = value * relative
         cause = ("the difference is due to steering and suspension compliance." if value < 1.0 else "compliance cannot "
                  "make an axle stiffer than its tyres, so surface, temperature or inflation pressure differs.")
@@ -66,18 +72,3 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, Stiffnes
               "stiffness": [vehicle.cornering_stiffness_front, vehicle.cornering_stiffness_rear]}
     used = tuple(dict.fromkeys(run for e in estimates for run in e.runs))
     return Identification("lambda", tuple(estimates), used, (), None, (), tuple(warnings), figure)
-
-
-def _load_sensitivity(load: float, tyre: MagicFormula) -> float:
-    """d ln K / d ln F_z [1]."""
-    step = 1e-4
-    up, down = (math.log(abs(magic_formula_stiffness(load * (1.0 + sign * step), tyre))) for sign in (1.0, -1.0))
-    return (up - down) / (2.0 * step)
-
-
-def _load_uncertainty(vehicle: VehicleParameters, axle: str) -> float:
-    """Relative standard uncertainty of the static load [1], due to mass and CG position of the vehicle file."""
-    distance = vehicle.cg_to_rear_axle if axle == "front" else vehicle.cg_to_front_axle
-    values = {"mass": vehicle.mass, "cg_to_front_axle": distance}
-    return math.hypot(*((vehicle.provenance[key].uncertainty or 0.0) / value for key, value in values.items()
-                        if key in vehicle.provenance))

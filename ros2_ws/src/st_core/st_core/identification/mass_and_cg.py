@@ -59,8 +59,10 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
         raise IdentificationError(f"the weighings of one loading differ by {np.ptp(masses):.1f} kg of {mass:.1f} kg, "
                                   "too much for the same car: weigh again, or note the loading")
     variation = np.cov(masses, distances) / n if n > 1 else np.zeros((2, 2))
-    covariance = variation + _compute_covariance(
-        weighings.scale_uncertainty, mass, front, wheelbase, wheelbase_uncertainty)
+    # d l_f / d reading: -l_f / m in front, (l - l_f) / m in the rear.
+    gradient = np.stack([np.ones(4), np.array([-front, -front, wheelbase - front, wheelbase - front]) / mass])
+    covariance = variation + weighings.scale_uncertainty**2 * gradient @ gradient.T
+    covariance[1, 1] += (front / wheelbase * wheelbase_uncertainty) ** 2
     uncertainties = np.sqrt(np.diag(covariance)).tolist()
     degrees_of_freedom = [effective_degrees_of_freedom(variation[i, i], covariance[i, i], n - 1) for i in (0, 1)]
     intervals = list(map(symmetric_interval, (mass, front), uncertainties, degrees_of_freedom))
@@ -74,7 +76,11 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
                  f"{100 * (1 - front / wheelbase):.1f} % of the load is on the front axle and {100 * left:.1f} % on "
                  f"the left wheels, so the CG is {front:.3f} m behind the front axle."),
     )
-    warnings = _check_sides(chosen.mean(axis=0))
+    warnings, cross = [], float(chosen[:, [0, 3]].sum() / chosen.sum())
+    if abs(cross - 0.5) > 0.02:
+        warnings.append(f"The front left and rear right wheels together carry {100 * cross:.1f} %: the suspension is "
+                        "twisted, or the floor under the scales is uneven; mass and longitudinal CG position remain "
+                        "valid.")
     if n == 1:
         warnings.append("With one weighing, the interval contains only the uncertainty of the scales. Roll the car off "
                         "and on, and weigh it at least three times.")
@@ -116,20 +122,3 @@ def _check_readings(weighings: Weighings) -> np.ndarray:
         raise IdentificationError(f"scale uncertainty {weighings.scale_uncertainty:g} kg: give the standard "
                                   "uncertainty of one scale, above 0")
     return readings
-
-
-def _compute_covariance(scale: float, mass: float, front: float, wheelbase: float,
-                        wheelbase_uncertainty: float) -> np.ndarray:
-    """Covariance of (mass, l_f) due to errors of the four scales and of the wheelbase."""
-    # d l_f / d reading: -l_f / m in front, (l - l_f) / m in the rear.
-    gradient = np.stack([np.ones(4), np.array([-front, -front, wheelbase - front, wheelbase - front]) / mass])
-    covariance = scale**2 * gradient @ gradient.T
-    covariance[1, 1] += (front / wheelbase * wheelbase_uncertainty) ** 2
-    return covariance
-
-
-def _check_sides(mean: np.ndarray) -> list[str]:
-    cross = (mean[0] + mean[3]) / mean.sum()
-    return [] if abs(cross - 0.5) <= 0.02 else [
-        f"The front left and rear right wheels together carry {100 * cross:.1f} %: the suspension is twisted, or the "
-        "floor under the scales is uneven; mass and longitudinal CG position remain valid."]

@@ -13,10 +13,8 @@ from ..types import ins_to_cg_acceleration
 from ..vehicle import VehicleParameters
 from .result import Coverage, IdentificationError
 
-FILTER_SETTLING_TIME = 0.2
-"""Settling time of the filter [s], discarded at both ends of each gap-free section."""
-MAXIMUM_GAP = 0.1
-"""Longest interval between samples that is interpolated [s]."""
+FILTER_SETTLING_TIME = 0.2  # settling time of the filter [s], discarded at both ends of each gap-free section
+MAXIMUM_GAP = 0.1  # longest interval between samples that is interpolated [s]
 MIN_COMMON_TIME, MIN_SAMPLES = 5.0, 50
 """Minimum overlap of INS and steering [s], and minimum number of INS samples, in a usable drive."""
 MIN_REPORTED_BIAS = 5.0e-4
@@ -70,7 +68,14 @@ def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) 
     _, a_y = ins_to_cg_acceleration(0.0, velocity_y_dot + speed * yaw_rate, yaw_rate, yaw_acceleration, d_x, d_y)
     angle, _ = smooth(log.steering_time_ns, log.road_wheel_angle)
     angle = LogSignals(log, MAXIMUM_GAP, 5.0).sample(log.steering_time_ns, angle, time_ns)
-    known = np.isfinite(angle) & _away_from_edges(time_ns) & np.isfinite(yaw_acceleration) & np.isfinite(a_y)
+    # Samples nearer than FILTER_SETTLING_TIME to the ends of their gap-free stretch are left out.
+    breaks = np.flatnonzero(np.diff(time_ns) > round(MAXIMUM_GAP / NANOSECOND))
+    begins = time_ns[np.concatenate(([0], breaks + 1))]
+    ends = time_ns[np.concatenate((breaks, [len(time_ns) - 1]))]
+    stretch = np.searchsorted(begins, time_ns, side="right") - 1
+    is_settled = np.minimum(time_ns - begins[stretch], ends[stretch] - time_ns) >= round(
+        FILTER_SETTLING_TIME / NANOSECOND)
+    known = np.isfinite(angle) & is_settled & np.isfinite(yaw_acceleration) & np.isfinite(a_y)
     columns = ((time_ns - time_ns[:1]) * NANOSECOND, speed + yaw_rate * d_y, velocity_y - yaw_rate * d_x, log.yaw,
                yaw_rate, yaw_acceleration, a_y, angle, vehicle.steering_wheel_angle(angle))
     return RunSamples(log.name, *(column[known] for column in columns))
@@ -132,13 +137,3 @@ def require_coverage(coverages: Sequence[Coverage], advice: str) -> None:
     insufficient = [coverage.describe() for coverage in coverages if not coverage.sufficient]
     if insufficient:
         raise IdentificationError(f"too little excitation: {'; '.join(insufficient)}. {advice}")
-
-
-def _away_from_edges(time_ns: np.ndarray) -> np.ndarray:
-    """Mask of the samples at least FILTER_SETTLING_TIME away from the ends of their gap-free stretch."""
-    edge = round(FILTER_SETTLING_TIME / NANOSECOND)
-    breaks = np.flatnonzero(np.diff(time_ns) > round(MAXIMUM_GAP / NANOSECOND))
-    begins = time_ns[np.concatenate(([0], breaks + 1))]
-    ends = time_ns[np.concatenate((breaks, [len(time_ns) - 1]))]
-    stretch = np.searchsorted(begins, time_ns, side="right") - 1
-    return (time_ns - begins[stretch] >= edge) & (ends[stretch] - time_ns >= edge)

@@ -80,6 +80,16 @@ def axle_slip_angles(velocity_x, velocity_y, yaw_rate, sine, cosine, p):
     return front, rear
 
 
+def slip_angles(state, w, p):
+    """`axle_slip_angles` of a state. w: begins with the sine and cosine of the road wheel angle."""
+    return axle_slip_angles(state[2], state[3], state[5], w[0], w[1], p)
+
+
+def motion_of(state, force_front, force_rear, w, p):
+    """`motion` of a state. w: begins with the sine and cosine of the road wheel angle, and velocity_x_dot [m/s^2]."""
+    return motion(state, force_front, force_rear, w[1], w[2], p)
+
+
 def motion(state, force_front, force_rear, cosine, velocity_x_dot, p):
     """Time derivative of the state for axle forces [N], each along the lateral axis of its wheel, left +.
 

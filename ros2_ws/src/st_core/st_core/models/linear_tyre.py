@@ -8,7 +8,7 @@ from typing import NamedTuple
 from ..ops import cos, sin
 from ..tyres import linear_force
 from ..vehicle import VehicleParameters
-from ._base import Axles, Model, axle_slip_angles, motion
+from ._base import Axles, Model, axle_slip_angles, motion, motion_of, slip_angles
 
 
 class Parameters(NamedTuple):
@@ -33,23 +33,10 @@ def inputs(road_wheel_angle, velocity_x_dot, p: Parameters):
     return sin(road_wheel_angle), cos(road_wheel_angle), velocity_x_dot
 
 
-def slip_angles(state, w, p: Parameters):
-    """Slip angles (front, rear) [rad], see `_base.axle_slip_angles`."""
-    _, _, velocity_x, velocity_y, _, yaw_rate = state
-    sine, cosine, _ = w
-    return axle_slip_angles(velocity_x, velocity_y, yaw_rate, sine, cosine, p)
-
-
 def forces(slip_front, slip_rear, w, p: Parameters):
     """Lateral forces (front, rear) of the axles [N], left +."""
     return (linear_force(slip_front, p.cornering_stiffness_front),
             linear_force(slip_rear, p.cornering_stiffness_rear))
-
-
-def motion_of(state, force_front, force_rear, w, p: Parameters):
-    """Time derivative of the state for axle forces [N], see `_base.motion`."""
-    _, cosine, velocity_x_dot = w
-    return motion(state, force_front, force_rear, cosine, velocity_x_dot, p)
 
 
 def rhs(state, w, p: Parameters):

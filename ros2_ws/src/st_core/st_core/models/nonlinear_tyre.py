@@ -11,7 +11,7 @@ from typing import NamedTuple
 from ..ops import cos, sin
 from ..tyres import GRAVITY, MagicFormula, magic_formula_coefficients, magic_formula_force
 from ..vehicle import VehicleParameters
-from ._base import Axles, Model, axle_slip_angles, motion
+from ._base import Axles, Model, axle_slip_angles, motion, motion_of, slip_angles
 
 
 class Parameters(NamedTuple):
@@ -47,22 +47,11 @@ def inputs(road_wheel_angle, velocity_x_dot, p: Parameters):
             b_front, 2.0 * d_front, e_front, b_rear, 2.0 * d_rear, e_rear)
 
 
-def slip_angles(state, w, p: Parameters):
-    """Slip angles (front, rear) [rad], see `_base.axle_slip_angles`."""
-    _, _, velocity_x, velocity_y, _, yaw_rate = state
-    return axle_slip_angles(velocity_x, velocity_y, yaw_rate, w[0], w[1], p)
-
-
 def forces(slip_front, slip_rear, w, p: Parameters):
     """Lateral forces (front, rear) of the axles [N], left +."""
     _, _, _, b_front, d_front, e_front, b_rear, d_rear, e_rear = w
     return (magic_formula_force(slip_front, b_front, d_front, e_front, p.tyre_front),
             magic_formula_force(slip_rear, b_rear, d_rear, e_rear, p.tyre_rear))
-
-
-def motion_of(state, force_front, force_rear, w, p: Parameters):
-    """Time derivative of the state for axle forces [N], see `_base.motion`."""
-    return motion(state, force_front, force_rear, w[1], w[2], p)
 
 
 def rhs(state, w, p: Parameters):

@@ -73,7 +73,7 @@ class PredictionBands:
         if self._calibrated is None:
             return {}
         condition = conditions_now(history, time_ns)
-        self._reason = "" if self._calibrated(condition) else self._calibrated.describe_outside(condition)
+        self._reason = "" if self._calibrated(condition) else self._calibrated.domain.describe_outside(condition)
         return {} if self._reason else self._messages.fill()
 
     def observe_scores(self) -> None:
