@@ -36,10 +36,7 @@ STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; the second if a signal 
 
 
 def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
-    """Alignment with a given offset, reference minus other clock [ns], of unknown uncertainty (NaN).
-
-    signals: aligned within 5 s of the offset to check it.
-    """
+    """Alignment with a given offset [ns], of unknown uncertainty (NaN). signals: used to check it within 5 s."""
     offset = offset_ns * 1e-9
     check = align(signals, search=(offset - 5.0, offset + 5.0)) if signals else refused_alignment()
     given = Alignment(at_ns, offset_ns, 0.0, float("nan"), float("nan"), "by hand", Verdict.DOUBTFUL,

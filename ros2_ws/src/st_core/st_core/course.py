@@ -173,10 +173,7 @@ def _digest(text: str) -> str:
 
 
 def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
-    """The passes of one drive: its parts between pauses, gaps in time and jumps of position.
-
-    Raises StCoreError, one line, for a drive without MIN_LENGTH metres of driving.
-    """
+    """The parts of a drive between pauses, gaps and position jumps. Raises StCoreError, one line, if there is none."""
     time = (log.ins_time_ns - log.ins_time_ns[:1]) * 1e-9
     spacing = np.diff(time)
     displacement = np.hypot(np.diff(log.x), np.diff(log.y))

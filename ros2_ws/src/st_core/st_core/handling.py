@@ -11,10 +11,7 @@ from .vehicle import VehicleParameters
 
 
 def stability_factor(car: VehicleParameters) -> float:
-    """K = m (l_r C_r - l_f C_f) / (l^2 C_f C_r) [s^2/m^2]; > 0: understeer.
-
-    Source: Guiggiani, The Science of Vehicle Dynamics, ch. 6.
-    """
+    """K = m (l_r C_r - l_f C_f) / (l^2 C_f C_r) [s^2/m^2]; > 0: understeer. Source: Guiggiani, ch. 6."""
     front, rear = car.cornering_stiffness_front, car.cornering_stiffness_rear
     return car.mass * (car.cg_to_rear_axle * rear - car.cg_to_front_axle * front) / (car.wheelbase**2 * front * rear)
 

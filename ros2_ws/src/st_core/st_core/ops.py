@@ -50,10 +50,7 @@ _registered: dict[type, Mapping[str, Callable]] = {}
 
 
 def register(kind: type, functions: Mapping[str, Callable]) -> None:
-    """Register the functions of an additional number type, one for each of NAMES.
-
-    Raises KeyError with the name of the first missing function.
-    """
+    """Register the functions of an additional number type. Raises KeyError if one of NAMES is missing."""
     for name in NAMES:
         functions[name]
     _registered[kind] = functions

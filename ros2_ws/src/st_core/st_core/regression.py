@@ -92,10 +92,7 @@ def extrapolation_uncertainty(full: tuple[float, float, float], low: tuple[float
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Uncertainty of p estimates: covariance (p, p) and degrees of freedom (p,) for Student's t.
-
-    basis: (p,) descriptions of the data, such as "8 runs".
-    """
+    """Covariance (p, p) of p estimates, degrees of freedom (p,) of Student's t, and basis (p,), such as "8 runs"."""
 
     covariance: np.ndarray
     degrees_of_freedom: np.ndarray

@@ -71,10 +71,7 @@ for _kind in ("int", "float", "timestamp"):
 
 
 def load(text: str) -> Any:
-    """The document in a text; None if it is empty.
-
-    Raises ConfigurationError, one line with the line number, for invalid YAML or a refused feature.
-    """
+    """The document in a text; None if empty. Raises ConfigurationError, one line, for invalid or refused YAML."""
     if len(text) > MAX_CHARACTERS:
         raise ConfigurationError(f"{len(text)} characters are too many for a configuration (limit {MAX_CHARACTERS})")
     try:

@@ -24,10 +24,7 @@ NAMES = ("lanes", "numpy")
 
 
 def get_backend(name: str | None = None) -> ModuleType:
-    """The backend module `name`; None: lanes if numba is installed, else numpy, with a single warning.
-
-    Raises ConfigurationError for an unknown name, and for lanes without numba.
-    """
+    """A backend module; None: the fastest. Raises ConfigurationError for an unknown name and a missing numba."""
     if name is None:
         name = "lanes" if has_numba() else "numpy"
         if name == "numpy":

@@ -32,10 +32,7 @@ def activity_instants(start_ns: int | np.ndarray) -> np.ndarray:
 
 
 def steering_activity(angle: np.ndarray) -> np.ndarray:
-    """Root mean square steering rate [rad/s] of road wheel angles (..., 21) [rad] at `activity_instants`.
-
-    NaN if one of them is NaN.
-    """
+    """RMS steering rate [rad/s] of road wheel angles (..., 21) [rad] at `activity_instants`; NaN if one is NaN."""
     rates = (angle[..., 1:] - angle[..., :-1]) / ACTIVITY_STEP
     return np.sqrt((rates * rates).mean(axis=-1))
 

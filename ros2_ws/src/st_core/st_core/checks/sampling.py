@@ -78,10 +78,7 @@ def resolution(time: np.ndarray, values: np.ndarray) -> float:
 
 
 def check_timing(motion: Motion, auxiliary: AuxiliaryData, left_out: Sequence[Finding] = ()) -> list[Finding]:
-    """Findings about time stamps, gaps and missing values.
-
-    left_out: findings about samples that were left out; the resulting intervals do not count as gaps.
-    """
+    """Findings on time stamps, gaps and missing values. left_out: findings on samples left out, which cause no gap."""
     findings = []
     for signal, stamps in auxiliary.stamps.items():
         findings += _check_stamps(signal, np.asarray(stamps, np.int64))

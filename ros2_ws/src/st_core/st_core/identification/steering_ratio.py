@@ -98,10 +98,7 @@ class Turntable:
 
 
 def identify_steering_ratio(data: Turntable) -> Identification:
-    """Estimate of steering_ratio [1], by a straight line in the tested range.
-
-    Raises IdentificationError for too few rows, a small range, a wrong unit or sign, and exchanged columns.
-    """
+    """Estimate of steering_ratio [1] by a straight line. Raises IdentificationError for an unusable table."""
     _check_rows(data)
     mean = 0.5 * (data.left + data.right)
     line = fit_line(data.steering, mean, data.sweeps)
