@@ -87,7 +87,11 @@ class LogBatch:
         self._unique, first, self._inverse = np.unique(self.starts_ns, return_index=True, return_inverse=True)
         if not isinstance(inputs, str):
             self._ahead = self._check_planned(inputs, substeps, first)
-        self._speeds = self._speed_range()
+        ins_time, used = self.signals.log.ins_time_ns, np.zeros(0)
+        if len(self._unique):
+            ends = int(self._unique[0]), int(self._unique[-1]) + round(self.steps * step / NANOSECOND)
+            used = np.abs(self.signals.log.velocity_x[slice(*np.searchsorted(ins_time, ends))])
+        self._speeds = (float(used.min()), float(used.max())) if len(used) else ()
         self._recorded = Recording(self.signals)
         self._single_block: dict[tuple[int, bool], list[Block]] = {}
 
@@ -110,14 +114,6 @@ class LogBatch:
         if substeps != 1:
             raise ConfigurationError("substeps: planned inputs are on the half-step grid; use substeps=1")
         return tuple(values[rows] for values in planned)
-
-    def _speed_range(self) -> tuple[float, ...]:
-        if not len(self._unique):
-            return ()
-        last = int(self._unique[-1]) + round(self.steps * self.step / NANOSECOND)
-        log = self.signals.log
-        used = np.abs(log.velocity_x[slice(*np.searchsorted(log.ins_time_ns, (int(self._unique[0]), last)))])
-        return (float(used.min()), float(used.max())) if len(used) else ()
 
     @property
     def time(self) -> np.ndarray:

@@ -77,7 +77,13 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
     if not used.all():
         log = log.with_ins(used)
     log = _correct_ins(log, corrections)
-    log = _rotate(log, corrections.get("heading", Correction()).add)
+    if angle := corrections.get("heading", Correction()).add:
+        parts: dict[str, Any] = {"yaw": log.yaw + angle}
+        for kind in ("velocity", "acceleration"):
+            x, y = getattr(log, f"{kind}_x"), getattr(log, f"{kind}_y")
+            if x is not None and y is not None:
+                parts[f"{kind}_x"], parts[f"{kind}_y"] = map_to_body(x, y, angle)
+        log = replace(log, **parts)
     ahead = corrections.get("position", Correction()).ahead
     if ahead:
         forward, left = body_to_map(ahead, 0.0, log.yaw)
@@ -143,17 +149,6 @@ def _correct_ins(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveL
     if np.all(known):
         return replace(log, **parts)
     return replace(log.with_ins(known), **{name: values[known] for name, values in parts.items()})
-
-
-def _rotate(log: DriveLog, angle: float) -> DriveLog:
-    if not angle:
-        return log
-    parts: dict[str, Any] = {"yaw": log.yaw + angle}
-    for kind in ("velocity", "acceleration"):
-        x, y = getattr(log, f"{kind}_x"), getattr(log, f"{kind}_y")
-        if x is not None and y is not None:
-            parts[f"{kind}_x"], parts[f"{kind}_y"] = map_to_body(x, y, angle)
-    return replace(log, **parts)
 
 
 def _correct_steering(log: DriveLog, correction: Correction, vehicle: VehicleParameters | None) -> DriveLog:

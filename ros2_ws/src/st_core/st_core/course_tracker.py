@@ -90,17 +90,9 @@ class CourseForecast:
     reason: str = ""
 
 
-class _PendingForecast(NamedTuple):
-    """A forecast that ends at end_ns. distance: distance driven before its start [m]. ego: motion at its start.
-
-    distances: predicted by each speed forecast [m]. path: predicted by the course, (points, 2) [m], SPACING apart.
-    """
-
-    end_ns: int
-    distance: float
-    ego: EgoMotion
-    distances: np.ndarray
-    path: np.ndarray
+_PendingForecast = tuple[int, float, EgoMotion, np.ndarray, np.ndarray]
+"""(end [ns], distance driven before the start [m], motion at the start, distance predicted by each speed forecast [m],
+path predicted by the course (points, 2) [m], SPACING apart)."""
 
 
 class CourseTracker:
@@ -161,17 +153,17 @@ class CourseTracker:
     def _score(self, ego: EgoMotion, elapsed: float) -> None:
         """Update the mean square errors with the errors of the forecasts that have ended."""
         share = min(elapsed / FORGETTING_TIME, 1.0)
-        while self._pending and self._pending[0].end_ns <= ego.time_ns:
-            ended = self._pending.popleft()
-            driven = self._distance - ended.distance
-            row = min(max(driven / SPACING, 0.0), len(ended.path) - 1.001)
-            before, after = ended.path[int(row)], ended.path[int(row) + 1]
+        while self._pending and self._pending[0][0] <= ego.time_ns:
+            _, distance, start, distances, path = self._pending.popleft()
+            driven = self._distance - distance
+            row = min(max(driven / SPACING, 0.0), len(path) - 1.001)
+            before, after = path[int(row)], path[int(row) + 1]
             # With the held curvature, the car would have driven on an arc.
-            turn = ended.ego.curvature * driven
-            chord, length = ended.ego.direction + 0.5 * turn, driven * float(np.sinc(0.5 * turn / math.pi))
-            held = ended.ego.x + length * math.cos(chord), ended.ego.y + length * math.sin(chord)
+            turn = start.curvature * driven
+            chord, length = start.direction + 0.5 * turn, driven * float(np.sinc(0.5 * turn / math.pi))
+            held = start.x + length * math.cos(chord), start.y + length * math.sin(chord)
             positions = np.array([held, before + (row - int(row)) * (after - before)])
-            squares = np.square(positions - (ego.x, ego.y)).sum(axis=1), np.square(ended.distances - driven)
+            squares = np.square(positions - (ego.x, ego.y)).sum(axis=1), np.square(distances - driven)
             self._curvature_errors, self._speed_errors = (
                 (1.0 - share) * errors + share * np.clip(new, *SQUARED_ERROR_LIMITS)
                 for errors, new in zip((self._curvature_errors, self._speed_errors), squares, strict=True))
@@ -221,7 +213,7 @@ class CourseTracker:
                                                                  dx=SPACING, axis=0, initial=0.0)
         curvature_shares, speed_shares = (errors**-2.0 / (errors**-2.0).sum()
                                           for errors in (self._curvature_errors, self._speed_errors))
-        self._pending.append(_PendingForecast(ego.time_ns + self._horizon_ns, self._distance, ego, distances, path))
+        self._pending.append((ego.time_ns + self._horizon_ns, self._distance, ego, distances, path))
         speed = speed_shares @ options
         distance = cumulative_trapezoid(speed, dx=float(t[1]), initial=0.0)
         mixed = (curvature_shares[0] * ego.curvature

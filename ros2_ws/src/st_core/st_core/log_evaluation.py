@@ -296,8 +296,12 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     speed, yaw_rate, acceleration, angle = (v[place].T for v in (*others, signals.road_wheel_angle_at(instants)))
     measured, held = (LogBatch(signals, starts_ns, step * steps, step, inputs=kind) for kind in ("measured", "held"))
     trajectories: dict[tuple[str, Mode], np.ndarray] = {}
-    batches: dict[Mode, LogBatch] = {mode: LogBatch(signals, starts_ns, step * steps, step, inputs=_fill_with_held(
-        planned, angle[:, 0], acceleration[:, 0])) for mode, planned in future_inputs.items()}
+    batches: dict[Mode, LogBatch] = {}
+    for mode, planned in future_inputs.items():
+        planned_start = np.isfinite(np.stack(planned)).all(axis=(0, 2))[:, None]  # at other starts, inputs are held
+        inputs = tuple(np.where(planned_start, values, initial[:, :1])
+                       for values, initial in zip(planned, (angle, acceleration, angle), strict=False))
+        batches[mode] = LogBatch(signals, starts_ns, step * steps, step, inputs=inputs)
     for model in models:
         trajectories[model.name, "hindsight"] = (
             measured.predict(model, vehicle).states if settings.inputs == "interpolate"
@@ -322,13 +326,6 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     }
     conditions = {name: np.where(complete, values, np.nan) for name, values in conditions.items()}
     return Block(errors, trajectories, conditions, {name: int(b.sum()) for name, b in incomplete.items() if b.any()})
-
-
-def _fill_with_held(planned: Planned, angle: np.ndarray, acceleration: np.ndarray) -> Planned:
-    """Planned inputs (n, m); held inputs (n,) for starts with an unknown planned input."""
-    known = np.isfinite(np.stack(planned)).all(axis=(0, 2))[:, None]
-    held = angle[:, None], acceleration[:, None], angle[:, None]
-    return tuple(np.where(known, values, held_value) for values, held_value in zip(planned, held, strict=False))
 
 
 def _instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -169,20 +169,15 @@ def _effect(name: str, entry: Any) -> dict[str, Estimate]:
             raise ConfigurationError(f"{where}: unit {str(part['unit'])!r} is not {unit}; convert the value")
         value = parameters[key].check(part["value"], where)
         source = _text(f"{where}.source", part.get("source", "not stated"))
-        effective = part.get("effective", False)
+        effective, ends = part.get("effective", False), part.get("interval")
         if not isinstance(effective, bool):
             raise ConfigurationError(f"{where}.effective: {effective!r} is not true or false")
-        estimates[key] = Estimate(value, _interval(where, part.get("interval"), value), source, effective)
+        numbers = isinstance(ends, list) and all(isinstance(e, int | float) and not isinstance(e, bool) for e in ends)
+        if ends is not None and (not numbers or len(ends) != 2 or not ends[0] <= value <= ends[1]):
+            raise ConfigurationError(f"{where}.interval: {ends!r} is not [low, high] around the value {value:g}")
+        interval = None if ends is None else (float(ends[0]), float(ends[1]))
+        estimates[key] = Estimate(value, interval, source, effective)
     return estimates
-
-
-def _interval(where: str, given: Any, value: float) -> Interval:
-    if given is None:
-        return None
-    numbers = isinstance(given, list) and all(isinstance(g, int | float) and not isinstance(g, bool) for g in given)
-    if not numbers or len(given) != 2 or not given[0] <= value <= given[1]:
-        raise ConfigurationError(f"{where}.interval: {given!r} is not [low, high] around the value {value:g}")
-    return float(given[0]), float(given[1])
 
 
 def _vehicle(section: Any) -> tuple[VehicleParameters | None, str, str]:

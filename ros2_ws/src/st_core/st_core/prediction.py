@@ -11,7 +11,7 @@ import numpy as np
 
 from . import integrate
 from .errors import ConfigurationError, StCoreError
-from .measurement_history import FrozenAngle, FrozenSteeringDetector, MeasurementHistory
+from .measurement_history import FrozenSteeringDetector, MeasurementHistory
 from .model_view import ModelView
 from .models import Model, get_model
 from .planned_inputs import PlannedInputs, model_inputs, plan_problem, wheel_sequence
@@ -166,12 +166,7 @@ class Predictor:
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
         self._views = {model.name: ModelView(model, vehicle, self.history) for model in found}
         self._correcting_views = [view for view in self._views.values() if view.corrects_samples]
-        self._frozen = FrozenSteeringDetector(vehicle)
-
-    @property
-    def frozen_steering(self) -> FrozenAngle | None:
-        """The steering angle, if it is constant although the yaw motion changes; else None."""
-        return self._frozen.frozen
+        self.frozen_steering = FrozenSteeringDetector(vehicle)
 
     @property
     def models(self) -> tuple[str, ...]:
@@ -189,14 +184,14 @@ class Predictor:
         """Add an INS sample; False if it was refused (see MeasurementHistory)."""
         for view in self._correcting_views:
             view.add_ins(sample)
-        self._frozen.add_ins(sample)
+        self.frozen_steering.add_ins(sample)
         return self.history.add_ins(sample)
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
         """Add a road wheel angle [rad], left +; False if it was refused."""
         for view in self._correcting_views:
             view.add_steering(time_ns, road_wheel_angle)
-        self._frozen.add_steering(time_ns, road_wheel_angle)
+        self.frozen_steering.add_steering(time_ns, road_wheel_angle)
         return self.history.add_steering(time_ns, road_wheel_angle)
 
     def ages(self, now_ns: int) -> dict[str, float]:
@@ -218,9 +213,18 @@ class Predictor:
                 return Skip("stale", f"{name}: newest sample is {age:.2f} s old (limit {limit:g} s)")
             if age < -limit:
                 return Skip("stale", f"{name}: newest sample is {-age:.2f} s in the future; the clocks disagree")
-        time_ns = self._newest_common()
+        both = {"INS": self.history.ins, "steering": self.history.steering}
+        newest = min(int(series.times[-1]) for series in both.values())
+        time_ns: int | None = newest
+        later_ns: int | None = None
+        while time_ns is not None and time_ns != later_ns:  # until both are known at the same instant
+            later_ns, time_ns = time_ns, self.history.ins.known_until(time_ns)
+            time_ns = None if time_ns is None else self.history.steering.known_until(time_ns)
         if time_ns is None or (now_ns - time_ns) * NANOSECOND > limit:
-            return Skip("stale", self._no_common_instant(now_ns, time_ns))
+            old = "" if time_ns is None else f", last known {(now_ns - time_ns) * NANOSECOND:.2f} s ago"
+            reasons = [f"{name}: {series.describe_unknown(newest)} at the newest common instant{old}"
+                       for name, series in both.items() if series.known_until(newest) != newest]
+            return Skip("stale", reasons[0] if reasons else "INS and steering: no common instant")
         jump = self.history.jump
         if jump and time_ns < jump.time_ns:
             return Skip("stale", f"INS: position jumps by {jump.size:.2f} m after the newest common instant")
@@ -234,27 +238,6 @@ class Predictor:
         if speed < self.settings.minimum_speed:
             return Skip("slow", f"speed {speed:.2f} m/s is below {self.settings.minimum_speed:g} m/s")
         return Start(time_ns, state, inputs)
-
-    def _newest_common(self) -> int | None:
-        """The newest instant at which both signals are known [ns]."""
-        time_ns, both = self._newest_of_both(), None
-        while time_ns is not None and time_ns != both:
-            both, time_ns = time_ns, self.history.ins.known_until(time_ns)
-            time_ns = None if time_ns is None else self.history.steering.known_until(time_ns)
-        return time_ns
-
-    def _newest_of_both(self) -> int | None:
-        """The earlier of the newest samples of INS and steering [ns]."""
-        ins, steering = self.history.ins.newest, self.history.steering.newest
-        return None if ins is None or steering is None else min(ins, steering)
-
-    def _no_common_instant(self, now_ns: int, time_ns: int | None) -> str:
-        common = self._newest_of_both()
-        for name, series in (("INS", self.history.ins), ("steering", self.history.steering)):
-            if common is not None and series.known_until(common) != common:
-                old = "" if time_ns is None else f", last known {(now_ns - time_ns) * NANOSECOND:.2f} s ago"
-                return f"{name}: {series.describe_unknown(common)} at the newest common instant{old}"
-        return "INS and steering: no common instant"
 
     def plan_inputs(self, plan: PlannedInputs, start: Start) -> InputSequence | str:
         """The inputs of a plan over the horizon, for `run`; or the reason, in one line, why it cannot be used."""

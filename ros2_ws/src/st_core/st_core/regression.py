@@ -146,8 +146,16 @@ class Blocks:
                              influence - influence.mean(axis=0))
 
     def _inflate(self, covariance: np.ndarray, centred: np.ndarray) -> Spread:
-        """Uncertainty with the covariance increased for the correlation between blocks."""
-        count, factor = len(self), self._inflation_factors(centred)
+        """Uncertainty with the covariance increased by the factor f of each estimate; see the module docstring."""
+        count, power = len(self), np.square(centred).mean(axis=0)
+        neighbours = np.flatnonzero((np.diff(self.run) == 0) & (np.diff(self.block) == 1))
+        factor = np.ones(len(power))
+        if len(neighbours):
+            product = (centred[neighbours] * centred[neighbours + 1]).mean(axis=0)
+            rho = np.divide(product, power, out=np.zeros_like(power), where=power > 0.0)
+            rho = np.clip(rho + (1.0 + 3.0 * rho) / count, 0.0, 0.9)
+            distance = np.abs(self.block[:, None] - self.block)[self.run[:, None] == self.run]
+            factor = np.power(rho[:, None], distance).sum(axis=1) / count
         covariance = covariance * count / max(count - 1, 1) * np.sqrt(np.outer(factor, factor))
         effective = count / factor
         basis = tuple(self.name + (f" ({number:.0f} independent)" if number < 0.8 * count else "")
@@ -167,18 +175,6 @@ class Blocks:
         # A millionth of the total keeps the system solvable if only one block excites a parameter.
         others = (1.0 + 1e-6) * squares.sum(axis=0) - squares
         return np.linalg.solve(others, gradient[:, :, None])[:, :, 0] * (len(self) - 1) / len(self)
-
-    def _inflation_factors(self, centred: np.ndarray) -> np.ndarray:
-        """Factor f of each estimate (p,); see the module docstring."""
-        neighbours = np.flatnonzero((np.diff(self.run) == 0) & (np.diff(self.block) == 1))
-        power = np.square(centred).mean(axis=0)
-        if not len(neighbours):
-            return np.ones(len(power))
-        product = (centred[neighbours] * centred[neighbours + 1]).mean(axis=0)
-        rho = np.divide(product, power, out=np.zeros_like(power), where=power > 0.0)
-        rho = np.clip(rho + (1.0 + 3.0 * rho) / len(self), 0.0, 0.9)
-        distance = np.abs(self.block[:, None] - self.block)[self.run[:, None] == self.run]
-        return np.power(rho[:, None], distance).sum(axis=1) / len(self)
 
 
 def make_blocks(run_of: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarray) -> Blocks:

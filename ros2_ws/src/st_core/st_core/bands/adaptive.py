@@ -48,7 +48,7 @@ class AdaptiveBand:
     estimate the band from the errors of the run alone."""
 
     def __init__(self, time: np.ndarray, band: Band | None = None, levels: Sequence[float] = LEVELS):
-        self._time, self._band = np.asarray(time, float), band
+        self._time, self._band, self.is_calibrated = np.asarray(time, float), band, band is not None
         self._logs = {}
         for level in sorted(levels):
             # Without a factor of this level, that of the nearest level is scaled by the ratio of the default factors.
@@ -61,10 +61,6 @@ class AdaptiveBand:
         self._last_ns: int | None = None
         self._issued: deque[tuple[int, np.ndarray, dict[float, float]]] = deque()
         self._pending: deque[tuple[int, np.ndarray]] = deque()
-
-    @property
-    def is_calibrated(self) -> bool:
-        return self._band is not None
 
     @property
     def remaining_warm_up(self) -> float:

@@ -144,17 +144,10 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
                               f"fewer than two other runs have; {error}") from None
     levels = sorted({*levels, *(level for level in RELIABILITY if level <= highest_level(len(scores)))})
     factors = dict(zip(levels, conformal_factors(scores, levels).tolist(), strict=True))
-    return Band(_fit_scale_of(runs, pair, time), factors, _pool_quantiles(ratios))
+    # Quantiles of the mean distribution function of the runs.
+    pooled = np.concatenate([np.quantile(ratio, np.linspace(0.0, 1.0, 201), axis=0) for ratio in ratios])
+    return Band(_fit_scale_of(runs, pair, time), factors, np.quantile(pooled, RELIABILITY, axis=0).T)
 
 
 def _fit_scale_of(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray) -> Scale:
     return fit_scale([run.conditions for run in runs], [run.errors[pair] for run in runs], time)
-
-
-def _pool_quantiles(ratios: Sequence[np.ndarray]) -> np.ndarray:
-    """Quantiles (3, len(RELIABILITY)) of the mean distribution function of the runs."""
-    found = []
-    for axis in range(ratios[0].shape[1]):
-        parts = [np.quantile(ratio[:, axis], np.linspace(0.0, 1.0, 201)) for ratio in ratios]
-        found.append(np.quantile(np.concatenate(parts), RELIABILITY))
-    return np.array(found)

@@ -62,17 +62,18 @@ def squared_contributions(model: Model, vehicle: VehicleParameters, signals: Log
     measured = batch(signals)
     errors, base = measured.errors(measured.predict(model, vehicle)), path(signals, model, vehicle)
     complete = np.isfinite(errors).all(axis=(1, 2))
-    ends: dict[Cause, tuple[np.ndarray, np.ndarray]] = {}
-    for key, (low, high) in _vary_vehicle(vehicle).items():
-        ends[PARAMETERS, key] = (path(_recompute_steering(signals, low, settings), model, low),
-                                 path(_recompute_steering(signals, high, settings), model, high))
-    for key, (lower, higher) in _vary_model(model, intervals or {}).items():
-        ends[PARAMETERS, key] = path(signals, lower, vehicle), path(signals, higher, vehicle)
+    # Both ends of each change; the first and the second entry of a pair differ by two standard deviations.
+    ends: dict[Cause, list[np.ndarray]] = {}
+    for key, cars in _vary_vehicle(vehicle).items():
+        wheel = signals.log.steering_wheel_angle
+        ends[PARAMETERS, key] = [path(signals if wheel is None else settings.signals(signals.log.with_steering(car)),
+                                      model, car) for car in cars]
+    for key, models in _vary_model(model, intervals or {}).items():
+        ends[PARAMETERS, key] = [path(signals, changed, vehicle) for changed in models]
     noise = {name: white_noise(getattr(signals.log, name)) if len(signals.log.x) > 3 else 0.0 for name in INS_SIGNALS}
     for name, sigma in noise.items():
-        ends[SENSORS, f"{name} at the start"] = (
-            path(_shift_signal(signals, name, -sigma, settings), model, vehicle),
-            path(_shift_signal(signals, name, sigma, settings), model, vehicle))
+        shifted = [replace(signals.log, **{name: getattr(signals.log, name) + by}) for by in (-sigma, sigma)]
+        ends[SENSORS, f"{name} at the start"] = [path(settings.signals(log), model, vehicle) for log in shifted]
     squares: dict[Cause, np.ndarray] = {}
     for cause, (low_end, high_end) in ends.items():
         moved = np.stack([*map_to_body(0.5 * (high_end[0] - low_end[0]), 0.5 * (high_end[1] - low_end[1]), base[2]),
@@ -85,38 +86,25 @@ def squared_contributions(model: Model, vehicle: VehicleParameters, signals: Log
     return int(complete.sum()), np.square(errors[complete]).sum(axis=0), squares
 
 
-def _vary_vehicle(vehicle: VehicleParameters) -> dict[str, tuple[VehicleParameters, VehicleParameters]]:
+def _vary_vehicle(vehicle: VehicleParameters) -> dict[str, list[VehicleParameters]]:
     """By uncertain parameter, the cars with a value one standard deviation lower and higher; without invalid cars."""
     found = {}
     for key, provenance in vehicle.provenance.items():
-        if provenance.uncertainty:
-            value = value_of(vehicle, key)
+        if sigma := provenance.uncertainty:
             with contextlib.suppress(ConfigurationError):
-                found[key] = (vehicle.with_values({key: value - provenance.uncertainty}),
-                              vehicle.with_values({key: value + provenance.uncertainty}))
+                found[key] = [vehicle.with_values({key: value_of(vehicle, key) + by}) for by in (-sigma, sigma)]
     return found
 
 
-def _vary_model(model: Model, intervals: Intervals) -> dict[str, tuple[Model, Model]]:
+def _vary_model(model: Model, intervals: Intervals) -> dict[str, list[Model]]:
     """By parameter of an effect, the models with a value one standard deviation lower and higher, within its bounds."""
+    found: dict[str, list[Model]] = {}
     if not isinstance(model, AugmentedModel):
-        return {}
-    found: dict[str, tuple[Model, Model]] = {}
+        return found
     for (effect, name), (low, high) in intervals.items():
         value, sigma = model.values[effect][name], (high - low) / (2.0 * Z95)
         bounds = next(p.bounds for p in get_effect(effect).parameters if p.name == name)
         pair = [float(np.clip(value + side * sigma, *bounds)) for side in (-1.0, 1.0)]
         if pair[0] < pair[1]:
-            low_end, high_end = (model.with_values({effect: {name: end}}) for end in pair)
-            found[f"{effect}.{name}"] = low_end, high_end
+            found[f"{effect}.{name}"] = [model.with_values({effect: {name: end}}) for end in pair]
     return found
-
-
-def _recompute_steering(signals: LogSignals, car: VehicleParameters, settings: EvaluationSettings) -> LogSignals:
-    """The drive with the road wheel angle recomputed from the steering ratio and offset of a car."""
-    return signals if signals.log.steering_wheel_angle is None else settings.signals(signals.log.with_steering(car))
-
-
-def _shift_signal(signals: LogSignals, name: str, by: float, settings: EvaluationSettings) -> LogSignals:
-    """The drive with a constant added to a signal of the INS, which changes neither derivatives nor inputs."""
-    return settings.signals(replace(signals.log, **{name: getattr(signals.log, name) + by}))

@@ -100,7 +100,15 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
             break
     findings = [_make_finding(name, estimate, problem) for name, estimate in found.items()
                 if not _as_reported(name, estimate).covers(1.0 if name.endswith("_scale") else 0.0)]
-    return corrected, findings, _estimate_all(residual_regression(corrected), found)
+    problem = residual_regression(corrected)
+    estimates = {}
+    for name in problem.columns:  # each is fitted together with the causes found
+        alongside = tuple(other for other in found if other != name and other not in CONFOUNDED.get(name, ()))
+        estimate = problem.estimates((*alongside, name))[name]
+        estimates[name] = _as_reported(name, estimate.shifted(found[name].value) if name in found else estimate)
+    # Scale of the positions if the velocity is correct.
+    estimates["position_scale"] = estimates["velocity_scale"].inverse()
+    return corrected, findings, estimates
 
 
 def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estimates: dict[str, Estimate],
@@ -224,18 +232,6 @@ def _combine_scales(problem: Regression, causes: dict[str, Estimate], always: tu
         is_velocity = (problem.loss([*always, *others, "velocity_scale"], scale)
                        <= MIN_LOSS_RATIO * problem.loss([*always, *causes], scale))
     return (*others, "velocity_scale") if is_velocity else tuple(causes)
-
-
-def _estimate_all(problem: Regression, found: dict[str, Estimate]) -> dict[str, Estimate]:
-    """Estimate of each cause, fitted together with the causes found, as its finding reports it."""
-    estimates = {}
-    for name in problem.columns:
-        alongside = tuple(other for other in found if other != name and other not in CONFOUNDED.get(name, ()))
-        estimate = problem.estimates((*alongside, name))[name]
-        estimates[name] = _as_reported(name, estimate.shifted(found[name].value) if name in found else estimate)
-    # Scale of the positions if the velocity is correct.
-    estimates["position_scale"] = estimates["velocity_scale"].inverse()
-    return estimates
 
 
 def _make_finding(name: str, cause: Estimate, problem: Regression) -> Finding:

@@ -34,7 +34,12 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     """(the motion, with evenly spaced times in place of jittering time stamps; the findings)."""
     if len(motion.time) < 50:
         return motion, []
-    errors, along = _step_errors(motion)
+    east, north = motion.velocity_map
+    # d_k, as east + i north [m], and its along-track part divided by the speed [s], NaN at standstill.
+    errors = (np.diff(motion.x) - np.diff(integral(motion.time, east))
+              + 1j * (np.diff(motion.y) - np.diff(integral(motion.time, north))))
+    speed, heading = np.hypot(east, north)[1:], np.exp(-1j * np.arctan2(north, east)[1:])
+    along = np.where(speed > MOVING, (errors * heading).real / np.maximum(speed, MOVING), np.nan)
     jitter = _check_jitter(motion, along)
     if jitter:
         edges = np.concatenate(([0], np.flatnonzero(np.diff(motion.time) > MAX_GAP) + 1, [len(motion.time)]))
@@ -44,16 +49,6 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     stale, findings = _check_stale(motion, errors, along, rounding)
     findings += _check_jumps(motion, errors, stale, rounding)
     return motion, findings + (_check_noise(motion, errors) if rounding == 0.0 else [])
-
-
-def _step_errors(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-    """(d_k, east + i north [m]; its along-track part divided by the speed [s], NaN at standstill), (n - 1,) each."""
-    east, north = motion.velocity_map
-    errors = (np.diff(motion.x) - np.diff(integral(motion.time, east))
-              + 1j * (np.diff(motion.y) - np.diff(integral(motion.time, north))))
-    speed = np.hypot(east, north)[1:]
-    heading = np.exp(-1j * np.arctan2(north, east)[1:])
-    return errors, np.where(speed > MOVING, (errors * heading).real / np.maximum(speed, MOVING), np.nan)
 
 
 def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,

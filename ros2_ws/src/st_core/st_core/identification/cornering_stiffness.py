@@ -169,7 +169,13 @@ def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tupl
     slopes = [_fit_slope(axle) if axle.used.sum() >= 10 else None for axle in samples]
     front, rear = (_make_regression(*pair, covered, [f"too little excitation: {insufficient}"] if insufficient else [])
                    for pair in zip(samples, slopes, strict=True))
-    return (front, rear), _correlate(*slopes), tuple(r for rows in rejected for r in rows)
+    correlation = np.eye(2)
+    if slopes[0] is not None and slopes[1] is not None:  # from the influence of common blocks
+        _, front_rows, rear_rows = np.intersect1d(slopes[0][2], slopes[1][2], return_indices=True)
+        influences = np.stack([slopes[0][3][front_rows], slopes[1][3][rear_rows]])
+        if len(front_rows) > 2 and (influences.std(axis=1) > 0.0).all():
+            correlation = np.corrcoef(influences)
+    return (front, rear), correlation, tuple(r for rows in rejected for r in rows)
 
 
 def _fit_slope(samples: AxleSamples) -> Slope:
@@ -192,15 +198,6 @@ def _estimate_model_error(samples: AxleSamples, slope: Slope) -> float:
     value, spread, *_ = _fit_slope(low)
     return extrapolation_uncertainty((slope[0], float(slope[1].covariance[0, 0]), mean),
                                      (value, float(spread.covariance[0, 0]), mean_low))
-
-
-def _correlate(front: Slope | None, rear: Slope | None) -> np.ndarray:
-    """Correlation (2, 2) of the stiffnesses, from the influence of common blocks; identity if one is missing."""
-    if front is None or rear is None:
-        return np.eye(2)
-    _, front_rows, rear_rows = np.intersect1d(front[2], rear[2], return_indices=True)
-    influences = np.stack([front[3][front_rows], rear[3][rear_rows]])
-    return np.corrcoef(influences) if len(front_rows) > 2 and (influences.std(axis=1) > 0.0).all() else np.eye(2)
 
 
 def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[Coverage, ...],

@@ -287,7 +287,7 @@ class PredictorNode(Node):
         return Check("position", diagnostics.OK, f"last {text}", values | {"age [s]": ago})
 
     def _steering_check(self) -> Check:
-        frozen = self._core.frozen_steering
+        frozen = self._core.frozen_steering.frozen
         if frozen is None:
             return Check("steering", diagnostics.OK, "consistent with the yaw rate")
         text = (f"angle constant at {frozen.angle:.4f} rad for {frozen.duration:.1f} s, but the yaw rate corresponds "
