@@ -7,7 +7,6 @@ The checks cover all backends: floats, the numpy batch, the compiled lanes and C
 import importlib.util
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,27 +32,18 @@ ODD_READINGS = ("y", "yaw", "velocity_y", "yaw_rate", "acceleration_y", "yaw_acc
 READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
 
 
-@dataclass(frozen=True)
-class Requirement:
-    """Text of a requirement. problem: description of its violation, "" if it is fulfilled."""
-
-    text: str
-    problem: str
-
-
-def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> tuple[Requirement, ...]:
-    """Check every requirement, in the order of REQUIREMENTS; an exception counts as a violation."""
-    results = []
+def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> dict[str, str]:
+    """By requirement, the description of its violation, "" if it is fulfilled; an exception counts as a violation."""
+    problems = {}
     for text, find_violation in REQUIREMENTS.items():
         try:
             with np.errstate(all="ignore"):
-                problem = find_violation(effect, vehicle)
+                problems[text] = find_violation(effect, vehicle)
         except StCoreError as error:
-            problem = str(error)
+            problems[text] = str(error)
         except Exception as error:
-            problem = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        results.append(Requirement(text, problem))
-    return tuple(results)
+            problems[text] = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    return problems
 
 
 def _check_docstring(effect: type[Effect], vehicle: VehicleParameters) -> str:

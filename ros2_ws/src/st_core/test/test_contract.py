@@ -17,7 +17,7 @@ registry = pytest.fixture(autouse=True)(restored)
 
 
 def broken(effect, leaf) -> dict[str, str]:
-    return {one.text: one.problem for one in check_effect(effect, leaf) if one.problem}
+    return {text: problem for text, problem in check_effect(effect, leaf).items() if problem}
 
 
 def made(parameter=GAIN, **hooks):

@@ -90,7 +90,7 @@ def test_the_file_meets_the_requirements_on_an_effect(tmp_path, registry, place,
     gentle = replace(one, coefficients=0.3 * one.coefficients)
     (tmp_path / "law.py").write_text(effect_source(gentle, ["lap"], "2026-01-01T00:00:00"))
     load_folder(str(tmp_path))
-    assert [each for each in check_effect(EFFECTS[effect_name(one)], CAR) if each.problem] == []
+    assert not any(check_effect(EFFECTS[effect_name(one)], CAR).values())
 
 
 def test_the_curve_is_drawn_in_the_units_of_an_engineer():

@@ -77,11 +77,11 @@ def _check_contracts(files: Sequence[Path], car: "VehicleParameters", console: C
     all_met = True
     for effect in checked:
         results = check_effect(effect, car)
-        violated = [one for one in results if one.problem]
+        violated = [text for text, problem in results.items() if problem]
         all_met &= not violated
         verdict = f"{len(violated)} of {len(results)} requirements violated" if violated else "all requirements met"
         lines = [f"{effect.name}: {verdict}"]
-        lines += [f"  no   {one.text}: {one.problem}" for one in violated]
-        lines += [f"  yes  {one.text}" for one in results if files and not one.problem]
+        lines += [f"  no   {text}: {results[text]}" for text in violated]
+        lines += [f"  yes  {text}" for text in results if files and text not in violated]
         console.print("\n".join(lines), markup=False, highlight=False)
     return all_met

@@ -13,6 +13,7 @@ ch. 6. Checked by: test_identification_result.py.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
@@ -48,16 +49,6 @@ class CurveFit:
         return not self.lower[index] + margin < self.values[index] < self.upper[index] - margin
 
 
-@dataclass(frozen=True)
-class Interval:
-    """95 % interval of a parameter. lower_open, upper_open: whether the end is a bound that the data do not exclude."""
-
-    low: float
-    high: float
-    lower_open: bool
-    upper_open: bool
-
-
 def fit_curve(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Sequence[float],
               upper: Sequence[float]) -> CurveFit:
     """Least squares from the best of several starts, every parameter within its bounds."""
@@ -90,14 +81,11 @@ def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.nd
                          gtol=1e-12, max_nfev=max_evaluations)
 
 
-def profile_interval(residuals: Residuals, fit: CurveFit, index: int) -> Interval:
-    """Profile-likelihood interval of a parameter, by the secant method for the square root of the increase of S."""
-    low, low_open = _find_interval_end(residuals, fit, index, -1.0)
-    high, high_open = _find_interval_end(residuals, fit, index, 1.0)
-    return Interval(low, high, low_open, high_open)
+def find_interval_end(residuals: Residuals, fit: CurveFit, index: int, side: float) -> tuple[float, bool]:
+    """(lower or upper end of the interval of a parameter, whether it is open), by the secant method.
 
-
-def _find_interval_end(residuals: Residuals, fit: CurveFit, index: int, side: float) -> tuple[float, bool]:
+    side: -1 lower, 1 upper. The secant method is applied to the square root of the increase of S.
+    """
     threshold = fit.residual_deviation**2 * float(fisher.ppf(0.95, 1, fit.degrees_of_freedom))
     bound = float((fit.upper if side > 0.0 else fit.lower)[index])
     value, error = float(fit.values[index]), float(fit.standard_errors[index])
@@ -109,11 +97,15 @@ def _find_interval_end(residuals: Residuals, fit: CurveFit, index: int, side: fl
     others = np.arange(len(fit.values)) != index
     slope = fit.covariance[others, index] / error**2 if error > 0.0 else np.zeros(int(others.sum()))
     start = fit.values[others] + slope * side * distance
+
+    def with_fixed(fixed: float, free: np.ndarray) -> np.ndarray:
+        return residuals(np.insert(free, index, fixed, axis=-1))
+
     previous = (0.0, 0.0)  # distance, and root of the relative increase of S
     for _ in range(MAX_STEPS):
         # At an end of the interval, S is larger by about 5 %, so a tolerance of 0.01 % is sufficient.
-        found = _solve(lambda free, fixed=value + side * distance: residuals(np.insert(free, index, fixed, axis=-1)),
-                       start, fit.lower[others], fit.upper[others], 1e-4, 60)
+        found = _solve(partial(with_fixed, value + side * distance), start, fit.lower[others], fit.upper[others],
+                       1e-4, 60)
         start = found.x
         root = math.sqrt(max(2.0 * found.cost - minimum, 0.0) / threshold)
         if distance >= to_bound and root < 1.0:

@@ -12,7 +12,6 @@ of lambda_Ky. Checked by: test_identification_result.py.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from ..regression import symmetric_interval
 from ..tyres import magic_formula_stiffness, stiffness_scale
@@ -20,19 +19,12 @@ from ..vehicle import TYRES, VehicleParameters
 from .result import Estimate, Identification, IdentificationError, Status
 
 
-@dataclass(frozen=True)
-class StiffnessUncertainty:
-    """Relative standard uncertainty [1] of K at the static load, from the flat-plank table `name`."""
-
-    uncertainty: float
-    name: str
-
-
-def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, StiffnessUncertainty]) -> Identification:
+def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, tuple[float, str]]) -> Identification:
     """Estimates of tyre_front.lambda_ky and tyre_rear.lambda_ky [1].
 
-    tables: by tyre; without a table, K is assumed exact. Raises IdentificationError if an axle stiffness of the vehicle
-    file has no uncertainty: the scale would then be a conversion, not an identification.
+    tables: by tyre, relative standard uncertainty [1] of K at the static load, and name of the flat-plank table;
+    without a table, K is assumed exact. Raises IdentificationError if an axle stiffness of the vehicle file has no
+    uncertainty: the scale would then be a conversion, not an identification.
     """
     estimates, warnings = [], []
     for tyre in TYRES:
@@ -47,26 +39,25 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, Stiffnes
         load = getattr(vehicle, f"static_tyre_load_{axle}")
         formula = getattr(vehicle, tyre)
         value = stiffness_scale(stiffness, load, formula)
-        table = tables.get(tyre)
+        table_uncertainty, table_name = tables.get(tyre, (0.0, ""))
         # d ln K / d ln F_z, and the relative standard uncertainty of F_z due to mass and CG position.
         up, down = (math.log(abs(magic_formula_stiffness(load * (1.0 + step), formula))) for step in (1e-4, -1e-4))
         distance = vehicle.cg_to_rear_axle if axle == "front" else vehicle.cg_to_front_axle
         load_uncertainty = math.hypot(*(
             (vehicle.provenance[key].uncertainty or 0.0) / size
             for key, size in (("mass", vehicle.mass), ("cg_to_front_axle", distance)) if key in vehicle.provenance))
-        relative = math.hypot(known.uncertainty / stiffness, table.uncertainty if table else 0.0,
-                              (up - down) / 2e-4 * load_uncertainty)
+        relative = math.hypot(known.uncertainty / stiffness, table_uncertainty, (up - down) / 2e-4 * load_uncertainty)
         uncertainty = value * relative
         cause = ("the difference is due to steering and suspension compliance." if value < 1.0 else "compliance cannot "
                  "make an axle stiffer than its tyres, so surface, temperature or inflation pressure differs.")
         verdict = (f"The {axle} axle is {value:.3f} times as stiff as its two tyres on the flat plank at {load:.0f} N: "
                    f"{cause}")
         status: Status = "identified" if value <= 1.0 + 2.0 * relative else "doubtful"
-        runs = tuple(filter(None, (known.data, table.name if table else "")))
+        runs = tuple(filter(None, (known.data, table_name)))
         method = f"C / (2 K) at the static load {load:.0f} N, C {stiffness:.0f} N/rad"
         estimates.append(Estimate(f"{tyre}.lambda_ky", value, "1", uncertainty, symmetric_interval(value, uncertainty),
                                   method, runs, verdict, status))
-        if table is None:
+        if tyre not in tables:
             warnings.append(f"No table of {tyre} was given: its flat-plank stiffness is assumed exact.")
     figure = {"scale": [e.value for e in estimates],
               "stiffness": [vehicle.cornering_stiffness_front, vehicle.cornering_stiffness_rear]}

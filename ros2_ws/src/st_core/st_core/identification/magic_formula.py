@@ -25,7 +25,7 @@ import numpy as np
 from ..regression import correlation_matrix
 from ..tyres import MagicFormula, magic_formula_stiffness, tyre_force
 from ..vehicle import TYRE_QUANTITIES
-from .bounded_fit import CurveFit, Residuals, fit_curve, profile_interval
+from .bounded_fit import CurveFit, Residuals, find_interval_end, fit_curve
 from .result import Coverage, Estimate, Identification, IdentificationError, Status, describe_correlations
 
 MAX_SLIP = math.radians(40.0)
@@ -195,26 +195,25 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
               "% of the largest force")
     estimates = []
     for k, name in enumerate(found.names[:-1]):
-        interval = profile_interval(function, fit, k)
+        (low, low_open), (high, high_open) = (find_interval_end(function, fit, k, side) for side in (-1.0, 1.0))
         key = f"{data.tyre}.{name}"
         # The profile interval of a normal distribution is 3.92 deviations wide; the covariance ignores bounds.
-        value, uncertainty = float(fit.values[k]), (interval.high - interval.low) / 3.92
-        open_ends = interval.lower_open + interval.upper_open
+        value, uncertainty = float(fit.values[k]), (high - low) / 3.92
+        open_ends = low_open + high_open
         verdict = [f"{MEANING[name][0].upper()}{MEANING[name][1:]}."]
         status: Status = "doubtful" if fit.at_bound(k) or open_ends else "identified"
         if fit.at_bound(k):
             end = min(fit.lower[k], fit.upper[k], key=lambda bound: abs(bound - value))
             verdict.append(f"{key} ended at its bound {end:g}: the bound, not the data, determines the value.")
         elif open_ends == 1:
-            end = interval.low if interval.lower_open else interval.high
+            end = low if low_open else high
             verdict.append(f"The data determine only one end of the interval; the other is the bound {end:g}.")
         if open_ends == 2:
-            verdict.append(f"The data do not determine it within {interval.low:g} to {interval.high:g}; it is written "
-                           "because, with the other parameters, it reproduces the stiffness at the tested loads.")
-            # Standard deviation of a uniform distribution in the range.
-            uncertainty = (interval.high - interval.low) / math.sqrt(12.0)
-        estimates.append(Estimate(key, value, "1", uncertainty, (interval.low, interval.high), method, (data.name,),
-                                  " ".join(verdict), status))
+            verdict.append(f"The data do not determine it within {low:g} to {high:g}; it is written because, with the "
+                           "other parameters, it reproduces the stiffness at the tested loads.")
+            uncertainty = (high - low) / math.sqrt(12.0)  # of a uniform distribution in the range
+        estimates.append(Estimate(key, value, "1", uncertainty, (low, high), method, (data.name,), " ".join(verdict),
+                                  status))
     correlation = correlation_matrix(fit.covariance)[:-1, :-1]
     grid = np.linspace(data.slip.min(), data.slip.max(), 121)
     figure = {"tyre": data.tyre, "load": data.load, "slip": data.slip, "force": data.force, "levels": levels,

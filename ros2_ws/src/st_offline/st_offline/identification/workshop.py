@@ -7,7 +7,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from st_core.identification.cg_height import Lift, LiftedCar, identify_cg_height, pitch_from_lift
-from st_core.identification.lambda_ky import StiffnessUncertainty, identify_lambda_ky
+from st_core.identification.lambda_ky import identify_lambda_ky
 from st_core.identification.magic_formula import FlatPlank, fit_tyre, identify_magic_formula
 from st_core.identification.mass_and_cg import (
     SCALE_UNCERTAINTY,
@@ -219,7 +219,7 @@ def identify_lambda(files: Sequence[Path], setup: Setup) -> tuple[Identification
         axle = table.tyre.removeprefix("tyre_")
         fit = fit_tyre(table, getattr(setup.vehicle, table.tyre))
         stiffness, uncertainty = fit.stiffness(getattr(setup.vehicle, f"static_tyre_load_{axle}"))
-        uncertainties[table.tyre] = StiffnessUncertainty(uncertainty / abs(stiffness), table.name)
+        uncertainties[table.tyre] = uncertainty / abs(stiffness), table.name
     return (identify_lambda_ky(setup.vehicle, uncertainties),)
 
 
