@@ -86,7 +86,13 @@ class LogBatch:
         self._inputs, self._substeps, self.extra_signals = inputs, substeps, dict(signals or {})
         self._unique, first, self._inverse = np.unique(self.starts_ns, return_index=True, return_inverse=True)
         if not isinstance(inputs, str):
-            self._ahead = self._check_planned(inputs, substeps, first)
+            expected = len(self.starts_ns), 2 * self.steps + 1
+            for name, values in zip(("road_wheel_angle", "velocity_x_dot", SLIP_FREE), inputs, strict=False):
+                if values.shape != expected:
+                    raise ConfigurationError(f"planned {name}: shape {values.shape}, not {expected}")
+            if substeps != 1:
+                raise ConfigurationError("substeps: planned inputs are on the half-step grid; use substeps=1")
+            self._ahead = tuple(values[first] for values in inputs)
         ins_time, used = self.signals.log.ins_time_ns, np.zeros(0)
         if len(self._unique):
             ends = int(self._unique[0]), int(self._unique[-1]) + round(self.steps * step / NANOSECOND)
@@ -104,16 +110,6 @@ class LogBatch:
             raise ConfigurationError(f"points: {list(points)} are not increasing multiples of {self.step:g} s within "
                                      f"the horizon of {self.steps * self.step:g} s")
         return numbers
-
-    def _check_planned(self, planned: tuple[np.ndarray, ...], substeps: int | str,
-                       rows: np.ndarray) -> tuple[np.ndarray, ...]:
-        expected = len(self.starts_ns), 2 * self.steps + 1
-        for name, values in zip(("road_wheel_angle", "velocity_x_dot", SLIP_FREE), planned, strict=False):
-            if values.shape != expected:
-                raise ConfigurationError(f"planned {name}: shape {values.shape}, not {expected}")
-        if substeps != 1:
-            raise ConfigurationError("substeps: planned inputs are on the half-step grid; use substeps=1")
-        return tuple(values[rows] for values in planned)
 
     @property
     def time(self) -> np.ndarray:

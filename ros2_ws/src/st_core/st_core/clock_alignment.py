@@ -92,7 +92,7 @@ def _align_with_overlap(fine: Sequence[Pair], pairs: dict[float, list[Pair]], us
     r0, o0 = int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
     between_origins = (r0 - o0) * 1e-9  # times as floats count from the origin of each clock
     span = (search[0] - between_origins, search[1] - between_origins) if search else (-np.inf, np.inf)
-    coarse = coarse_offset(fine, needed, 2.0, span)
+    coarse = coarse_offset(fine, needed, span)
     if coarse is None:
         return refused_alignment(*reasons, f"at no offset do the recordings share {needed:.0f} s of similar motion")
     (first, second), (r_first, r_second) = coarse

@@ -98,6 +98,7 @@ def _mean(signal: Resampled) -> float:
 
 
 DRIFT_PRIOR_PPM = 100.0  # two quartz clocks differ by 20 to 50 ppm
+PEAK_DISTANCE = 2.0  # s, minimum distance of the second peak of the correlation from the first
 BLOCK = 5.0  # s; residuals further apart than this count as independent
 ITERATIONS = 12
 
@@ -247,13 +248,11 @@ def mean_correlation(pairs: Sequence[Pair], minimum_overlap: float,
     return lags, np.mean([np.interp(lags, row_lags, row) for row_lags, row in rows], axis=0)
 
 
-def coarse_offset(pairs: Sequence[Pair], minimum_overlap: float, exclusion: float,
-                  span: tuple[float, float] = (-np.inf, np.inf),
+def coarse_offset(pairs: Sequence[Pair], minimum_overlap: float, span: tuple[float, float] = (-np.inf, np.inf),
                   ) -> tuple[tuple[float, float], tuple[float, float]] | None:
     """The two offsets [s] with the highest mean correlation r of the signals: ((first, second), (r_first, r_second)).
 
-    exclusion: minimum distance of the second peak from the first [s]; there must also be a valley in between. None if
-    no correlation is positive.
+    The second is at least PEAK_DISTANCE from the first, with a valley in between. None if no correlation is positive.
     """
     curve = mean_correlation(pairs, minimum_overlap, span)
     if curve is None:
@@ -263,7 +262,7 @@ def coarse_offset(pairs: Sequence[Pair], minimum_overlap: float, exclusion: floa
     if r[best] <= 0:
         return None
     left, right = _find_valley(r, best, -1), _find_valley(r, best, +1)
-    reach = int(exclusion / STEP)
+    reach = int(PEAK_DISTANCE / STEP)
     remaining = r.copy()
     remaining[min(left, max(best - reach, 0)):max(right, best + reach) + 1] = 0.0
     second = int(np.argmax(remaining))

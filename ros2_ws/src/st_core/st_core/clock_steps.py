@@ -37,7 +37,7 @@ def window_lags(pairs: Sequence[Pair], offset: float, search: float) -> list[Win
         cut = [Pair(p.name, _cut(p.reference, start + offset - search, start + offset + WINDOW + search),
                     _cut(p.other, start, start + WINDOW)) for p in pairs]
         cut = [p for p in cut if p.other.known.sum() * STEP > WINDOW / 3 and p.reference.known.any()]
-        best = coarse_offset(cut, WINDOW / 3, 2.0) if cut else None
+        best = coarse_offset(cut, WINDOW / 3) if cut else None
         if best is None or best[1][0] < 0.9 or best[1][1] > 0.97 * best[1][0]:
             continue
         try:

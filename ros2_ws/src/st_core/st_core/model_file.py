@@ -137,8 +137,13 @@ class ModelFile:
         check_keys("", document, ["base", "vehicle", "effects", "provenance", "hash"], required=["base", "effects"])
         effects = {str(name): _effect(str(name), entry)
                    for name, entry in _mapping("effects", document["effects"] or {}).items()}
+        section = _mapping("provenance", document.get("provenance") or {})
+        check_keys("provenance.", section, ["date", "version", "data", "note"])
+        data = {str(k): _text(f"provenance.data.{k}", v)
+                for k, v in _mapping("provenance.data", section.get("data") or {}).items()}
+        texts = {key: _text(f"provenance.{key}", section.get(key, "")) for key in ("date", "version", "note")}
         file = cls(_text("base", document["base"]), effects, *_vehicle(document.get("vehicle")),
-                   _provenance(document.get("provenance")))
+                   ModelProvenance(data=data, **texts))
         file.model()
         digest = document.get("hash")
         if digest is not None and digest != file.hash:
@@ -197,15 +202,6 @@ def _vehicle(section: Any) -> tuple[VehicleParameters | None, str, str]:
         raise ConfigurationError(f"vehicle.hash: {digest[:12]} is not that of vehicle.parameters, {vehicle.hash[:12]}; "
                                  "restore the vehicle for which the effects were identified")
     return vehicle, name, digest
-
-
-def _provenance(section: Any) -> ModelProvenance:
-    section = _mapping("provenance", section or {})
-    check_keys("provenance.", section, ["date", "version", "data", "note"])
-    data = {str(k): _text(f"provenance.data.{k}", v)
-            for k, v in _mapping("provenance.data", section.get("data") or {}).items()}
-    texts = {key: _text(f"provenance.{key}", section.get(key, "")) for key in ("date", "version", "note")}
-    return ModelProvenance(data=data, **texts)
 
 
 def _mapping(where: str, value: Any) -> dict[str, Any]:

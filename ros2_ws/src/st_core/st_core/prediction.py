@@ -5,7 +5,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -84,38 +84,33 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
     StCoreError for inputs of the wrong length and for a missing signal.
     """
     model = get_model(model)
-    p = model.parameters(vehicle)
-    grid = _inputs_on_grid(model, p, inputs, step_count(horizon, step), substeps)
-    start = model.start_state(state.as_tuple(), grid[0], p)
-    states = integrate.rk4(model.rhs, start, grid, p, step / substeps)[::substeps]
-    # Extra states are internal to the model and not part of the trajectory.
-    return Trajectory(step, np.ascontiguousarray(np.array(states)[:, :len(STATE_NAMES)]))
-
-
-def _inputs_on_grid(model: Model, p: Any, inputs: ControlInput | InputSequence, steps: int,
-                    substeps: int) -> list[tuple]:
-    """w at every half substep of the horizon."""
+    p, steps = model.parameters(vehicle), step_count(horizon, step)
     given = {} if isinstance(inputs, ControlInput) else inputs.signals
     missing = [name for name in model.signals if name not in given]
     if missing:
         raise StCoreError(f"model {model.name} needs the signal {missing[0]}, which the inputs do not have")
     if isinstance(inputs, ControlInput):
         w = model.inputs(float(inputs.road_wheel_angle), float(inputs.velocity_x_dot), p)
-        return [w] * (2 * steps * substeps + 1)
-    named = {"road_wheel_angle": inputs.road_wheel_angle, "velocity_x_dot": inputs.velocity_x_dot,
-             **{name: given[name] for name in model.signals}}
-    sampled = [np.asarray(a, float) for a in named.values()]
-    for name, values in zip(named, sampled, strict=True):
-        if values.shape != (2 * steps + 1,):
-            raise StCoreError(f"{name}: shape {values.shape}, not ({2 * steps + 1},) for the half-step grid of {steps} "
-                              "steps")
-    if substeps > 1:
-        finer = np.arange(2 * steps * substeps + 1) / substeps
-        sampled = [np.interp(finer, np.arange(2 * steps + 1), values) for values in sampled]
-    angle, acceleration, *others = sampled
-    with np.errstate(all="ignore"):
-        fields = [np.broadcast_to(w, angle.shape).tolist() for w in model.inputs(angle, acceleration, p, *others)]
-    return list(zip(*fields, strict=True))
+        grid = [w] * (2 * steps * substeps + 1)
+    else:
+        named = {"road_wheel_angle": inputs.road_wheel_angle, "velocity_x_dot": inputs.velocity_x_dot,
+                 **{name: given[name] for name in model.signals}}
+        sampled = [np.asarray(a, float) for a in named.values()]
+        for name, values in zip(named, sampled, strict=True):
+            if values.shape != (2 * steps + 1,):
+                raise StCoreError(f"{name}: shape {values.shape}, not ({2 * steps + 1},) for the half-step grid of "
+                                  f"{steps} steps")
+        if substeps > 1:
+            finer = np.arange(2 * steps * substeps + 1) / substeps
+            sampled = [np.interp(finer, np.arange(2 * steps + 1), values) for values in sampled]
+        angle, acceleration, *others = sampled
+        with np.errstate(all="ignore"):
+            fields = [np.broadcast_to(w, angle.shape).tolist() for w in model.inputs(angle, acceleration, p, *others)]
+        grid = list(zip(*fields, strict=True))
+    start = model.start_state(state.as_tuple(), grid[0], p)
+    states = integrate.rk4(model.rhs, start, grid, p, step / substeps)[::substeps]
+    # Extra states are internal to the model and not part of the trajectory.
+    return Trajectory(step, np.ascontiguousarray(np.array(states)[:, :len(STATE_NAMES)]))
 
 
 @dataclass(frozen=True, slots=True)

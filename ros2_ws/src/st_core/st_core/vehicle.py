@@ -314,35 +314,32 @@ def _read_section(prefix: str, section: Mapping[str, Any], quantities: Mapping[s
                   sources: dict[str, str], provenance: dict[str, Provenance]) -> dict[str, float]:
     """The values of a section in SI, by key; adds their sources and provenance, by prefix and key."""
     values = {}
-    for name in (name for name in quantities if name in section):
-        values[name] = _read_value(prefix + name, section[name], quantities[name])
-        sources[prefix + name] = section[name]["source"]
-        if found := read_provenance(prefix + name, section[name], quantities[name].units[str(section[name]["unit"])]):
-            provenance[prefix + name] = found
+    for name, quantity in quantities.items():
+        if name not in section:
+            continue
+        key, entry, units = prefix + name, section[name], " or ".join(quantity.units)
+        example = f"write `{name}: {{value: ..., unit: \"{quantity.si_unit}\", source: \"...\"}}`"
+        if not isinstance(entry, dict):
+            raise ConfigurationError(f"{key}: {entry!r} has no unit and source; {example}")
+        for part in entry:
+            if part not in ("value", "unit", "source", *PROVENANCE_KEYS):
+                raise ConfigurationError(f"{key}.{part}: unknown key; {example}")
+        for part in ("value", "unit", "source"):
+            if part not in entry:
+                raise ConfigurationError(f"{key}: {part} is missing; {example}")
+        # YAML parses the unit 1 without quotes as a number.
+        value, unit, source = entry["value"], str(entry["unit"]), entry["source"]
+        if unit not in quantity.units:
+            raise ConfigurationError(f"{key}: unit {unit!r} is not {units}; convert the value and write unit: {units}")
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ConfigurationError(f"{key}: {value!r} is not a number (write 1.0e+3, not 1e3); limit "
+                                     f"{quantity.limit()}")
+        if not isinstance(source, str) or not source.strip():
+            raise ConfigurationError(f"{key}: source {source!r} is not a string; state where the value comes from")
+        values[name], sources[key] = float(value) * quantity.units[unit], source
+        if found := read_provenance(key, entry, quantity.units[unit]):
+            provenance[key] = found
     return values
-
-
-def _read_value(key: str, entry: Any, quantity: Quantity) -> float:
-    units = " or ".join(quantity.units)
-    example = f"write `{key.rpartition('.')[2]}: {{value: ..., unit: \"{quantity.si_unit}\", source: \"...\"}}`"
-    if not isinstance(entry, dict):
-        raise ConfigurationError(f"{key}: {entry!r} has no unit and source; {example}")
-    for part in entry:
-        if part not in ("value", "unit", "source", *PROVENANCE_KEYS):
-            raise ConfigurationError(f"{key}.{part}: unknown key; {example}")
-    for part in ("value", "unit", "source"):
-        if part not in entry:
-            raise ConfigurationError(f"{key}: {part} is missing; {example}")
-    # YAML parses the unit 1 without quotes as a number.
-    unit = str(entry["unit"])
-    if unit not in quantity.units:
-        raise ConfigurationError(f"{key}: unit {unit!r} is not {units}; convert the value and write unit: {units}")
-    value = entry["value"]
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ConfigurationError(f"{key}: {value!r} is not a number (write 1.0e+3, not 1e3); limit {quantity.limit()}")
-    if not isinstance(entry["source"], str) or not entry["source"].strip():
-        raise ConfigurationError(f"{key}: source {entry['source']!r} is not a string; state where the value comes from")
-    return float(value) * quantity.units[unit]
 
 
 def _check_limits(prefix: str, values: Any, quantities: Mapping[str, Quantity]) -> None:

@@ -212,17 +212,11 @@ def _find_causes(problem: Regression, free: dict[str, float], always: tuple[str,
     """Names of further significant causes. free: smallest reported value by candidate. always: causes found so far."""
     causes = problem.causes({name: value for name, value in free.items() if name != "velocity_scale"}, always,
                             () if "velocity_scale" in always else ("x_scale", "y_scale"))
-    return _combine_scales(problem, causes, always) if "velocity_scale" in free else tuple(causes)
-
-
-def _combine_scales(problem: Regression, causes: dict[str, Estimate], always: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of the causes, with equal scales of both axes, or a scale of the only axis driven, attributed to velocity.
-
-    An equal scale error of both axes of satellite positions is far rarer than a scale error of the velocity.
-    """
     axes = [name for name in ("x_scale", "y_scale") if name in causes]
-    if not axes or max(abs(causes[name].value) for name in axes) < SPHERICAL_EARTH_SCALE:
+    if "velocity_scale" not in free or not axes or (
+            max(abs(causes[name].value) for name in axes) < SPHERICAL_EARTH_SCALE):
         return tuple(causes)
+    # An equal scale error of both axes of satellite positions is far rarer than a scale error of the velocity.
     others = [name for name in causes if name not in axes]
     if len(axes) == 2:
         is_velocity = abs(causes["x_scale"].value - causes["y_scale"].value) < SPHERICAL_EARTH_SCALE

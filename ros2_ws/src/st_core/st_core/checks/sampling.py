@@ -92,11 +92,17 @@ def check_timing(motion: Motion, auxiliary: AuxiliaryData, left_out: Sequence[Fi
 def _missing_values_finding(channel: str, count: int, motion: Motion, auxiliary: AuxiliaryData) -> Finding:
     time, signal = (motion.steering_time, "steering") if channel in STEERING else (motion.time, "INS")
     rows = auxiliary.stamps.get(signal, auxiliary.stamps.get("INS", np.zeros(0)))
-    if channel.startswith("acceleration"):  # a row that lacks only an acceleration is kept
-        share, rate = count / max(len(time), 1), 0.0
-    else:
-        share = count / max(len(time) + count, 1)
-        rate = _find_slower_rate(time, rows * 1e-9, share)
+    keeps_row = channel.startswith("acceleration")  # a row that lacks only an acceleration is kept
+    share, rate = count / max(len(time) + (0 if keeps_row else count), 1), 0.0
+    spacing, between = np.diff(time), np.diff(rows * 1e-9)
+    if not keeps_row and min(len(spacing), len(between)) >= 20:
+        # The sensor is slower than the rows if its samples are evenly spaced; one interval in a hundred may deviate.
+        row = float(np.median(between))
+        expected = row / max(1.0 - share, 1e-9)
+        within = np.abs(spacing - expected) <= 1.05 * row
+        if expected >= MIN_ROWS_PER_SAMPLE * row and np.mean(~within) <= NOTE_SHARE and (
+                abs(float(spacing[within].mean()) / expected - 1.0) <= SPACING_TOLERANCE):
+            rate = 1.0 / expected
     if rate:
         text = (f"{channel}: {100 * share:.3g} % of the rows have no value, and the others are evenly spaced: it was "
                 f"recorded at {rate:.3g} Hz")
@@ -121,23 +127,6 @@ def rejected_frames_finding(time: np.ndarray, frames: int, reason: str) -> Findi
     advice = Advice("look", "check the steering sensor, and its range and max_rate in the signal table")
     return Finding("values_missing", severity, ("road_wheel_angle",), text, share,
                    where=stretches(time, MAX_GAP), advice=advice)
-
-
-def _find_slower_rate(time: np.ndarray, rows: np.ndarray, missing: float) -> float:
-    """Rate [Hz] of a sensor that is slower than the rows of the recording; 0 if its samples are not evenly spaced.
-
-    time: times of the sensor's samples [s]. rows: times of all rows [s]. missing: fraction of the rows without a
-    sample. One sampling interval in a hundred may deviate.
-    """
-    spacing, between = np.diff(time), np.diff(rows)
-    if len(spacing) < 20 or len(between) < 20:
-        return 0.0
-    row = float(np.median(between))
-    expected = row / max(1.0 - missing, 1e-9)
-    within = np.abs(spacing - expected) <= 1.05 * row
-    is_even = (np.mean(~within) <= NOTE_SHARE
-               and abs(float(spacing[within].mean()) / expected - 1.0) <= SPACING_TOLERANCE)
-    return 1.0 / expected if expected >= MIN_ROWS_PER_SAMPLE * row and is_even else 0.0
 
 
 def _check_stamps(signal: str, stamps: np.ndarray) -> list[Finding]:

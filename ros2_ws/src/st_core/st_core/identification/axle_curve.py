@@ -43,6 +43,9 @@ class AxleCurve:
 def axle_forces(model: str | Model, vehicle: VehicleParameters, slip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Forces of the front and the rear axle that oppose slip angles >= 0 [rad], (n,) each [N]; see the module.
 
+        v_y = l_r r + v tan(slip),   delta = atan((v_y + l_f r) / v) - slip,   r = a_y / v
+        F_f cos(delta) = (l_r m a_y + I_z r_dot) / L,   F_r = (l_f m a_y - I_z r_dot) / L
+
     Raises StCoreError for a model without tyres.
     """
     model = get_model(model)
@@ -51,22 +54,7 @@ def axle_forces(model: str | Model, vehicle: VehicleParameters, slip: np.ndarray
         raise StCoreError(f"{base.name}: this model has no axle forces")
     if isinstance(model, AugmentedModel):
         model = model.only(e for e in model.effects if e.slot != "steering")
-    slip = np.asarray(slip, float)
-    front, rear = (force.reshape(2, -1) for force in _find_steady_forces(model, vehicle, np.concatenate((-slip, slip))))
-    return 0.5 * (front[0] - front[1]), 0.5 * (rear[0] - rear[1])
-
-
-def axle_force(model: str | Model, vehicle: VehicleParameters, axle: str, slip: np.ndarray) -> np.ndarray:
-    """`axle_forces` of one axle ("front" or "rear")."""
-    return axle_forces(model, vehicle, slip)[axle == "rear"]
-
-
-def _find_steady_forces(model: Model, vehicle: VehicleParameters, slip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Forces (front, rear) [N], left +, in the steady turn in which both axles have these slip angles [rad].
-
-        v_y = l_r r + v tan(slip),   delta = atan((v_y + l_f r) / v) - slip,   r = a_y / v
-        F_f cos(delta) = (l_r m a_y + I_z r_dot) / L,   F_r = (l_f m a_y - I_z r_dot) / L
-    """
+    slip = np.concatenate((-np.asarray(slip, float), slip))
     p, car = model.parameters(vehicle), model.effective_vehicle(vehicle)
     zero = np.zeros_like(slip)
 
@@ -90,8 +78,14 @@ def _find_steady_forces(model: Model, vehicle: VehicleParameters, slip: np.ndarr
         if np.abs(resulting - a_y).max() < 1e-6:
             break
     force, moment = car.mass * resulting, car.yaw_inertia * yaw_acceleration
-    return ((car.cg_to_rear_axle * force + moment) / (car.wheelbase * np.cos(angle)),
-            (car.cg_to_front_axle * force - moment) / car.wheelbase)
+    front = ((car.cg_to_rear_axle * force + moment) / (car.wheelbase * np.cos(angle))).reshape(2, -1)
+    rear = ((car.cg_to_front_axle * force - moment) / car.wheelbase).reshape(2, -1)
+    return 0.5 * (front[0] - front[1]), 0.5 * (rear[0] - rear[1])
+
+
+def axle_force(model: str | Model, vehicle: VehicleParameters, axle: str, slip: np.ndarray) -> np.ndarray:
+    """`axle_forces` of one axle ("front" or "rear")."""
+    return axle_forces(model, vehicle, slip)[axle == "rear"]
 
 
 def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven_slip: np.ndarray,
