@@ -13,9 +13,7 @@ other forecasts:
     weight of each ~ E^-2,     E: mean square error of ended forecasts, exponentially forgotten with FORGETTING_TIME
 
 A forecast of curvature is scored by the position after the distance driven, a forecast of speed by the distance driven.
-If the driver leaves the recorded line or speed, the weight of the held curvature or speed approaches 1 within seconds,
-independently of the other. Source: Bates and Granger, The combination of forecasts, 1969. Checked by: test_course.py;
-docs/manual/forecast.md.
+Source: Bates and Granger, The combination of forecasts, 1969. Checked by: test_course.py; docs/manual/forecast.md.
 """
 
 import math

@@ -2,11 +2,10 @@
 
 A manoeuvre is defined by its speed and its target lateral acceleration, so that any car can drive it:
 
-    curvature(t) = lateral profile(t) / speed^2            profile: -1 to 1
-    road wheel angle(t) = (L + K speed^2) curvature(t)     L: wheelbase, K: understeer gradient
+    curvature(t) = lateral profile(t) / speed^2,    road wheel angle(t) = (L + K speed^2) curvature(t)
 
-Left is positive everywhere; a negative `lateral` is the mirrored manoeuvre. Times count from the start.
-Checked by: test_manoeuvres.py, tests/bench/test_discovery_manoeuvres.py.
+profile: -1 to 1; L: wheelbase; K: understeer gradient. Left is positive everywhere; a negative `lateral` is the
+mirrored manoeuvre. Checked by: test_manoeuvres.py, tests/bench/test_discovery_manoeuvres.py.
 """
 
 import math

@@ -1,11 +1,9 @@
 """Stores recent INS and steering measurements with filtered forward acceleration, and detects faults in them.
 
-Position jump: a displacement between two samples that the integrated velocity does not explain,
+Position jump, for example by loss of RTK or a new map origin: a large displacement between two samples that the
+integrated velocity does not explain,
 
     d = p_k - p_{k-1} - dt (v_{k-1} + v_k) / 2,   v = R(yaw) (v_x, v_y)
-
-Loss of RTK, a second INS on the network or a new map origin cause a large |d|, whereas noise and the error of the
-trapezoidal rule stay within a tolerance.
 
 Frozen steering angle: the sensor repeats one value while the yaw motion changes. The steady-state steering angle
 

@@ -1,17 +1,15 @@
 """Signals in time: samples sorted by their stamps, interpolation except in gaps, and forward acceleration from speed.
 
-The acceleration is the derivative of the speed after a first-order Butterworth low-pass. The filter is the continuous
-one, tau y_dot = u - y with tau = 1 / (2 pi f_c), solved exactly for a speed u that is linear between its samples, with
-the actual spacing dt of each pair:
+The acceleration is the derivative of the speed after a first-order Butterworth low-pass, tau y_dot = u - y with tau =
+1 / (2 pi f_c), solved exactly for a speed u that is linear between its samples. It uses the actual spacing dt of each
+pair of samples, so uneven spacing adds no noise:
 
     x = dt / tau,  e = exp(-x),  g = (1 - e) / x,   y_k = e y_{k-1} + (g - e) u_{k-1} + (1 - g) u_k
     y_dot_k = (y_k - y_{k-1}) / dt
 
-Uneven spacing therefore adds no noise; with a bilinear transform, a spacing of 10 +- 6 ms adds 1 % of a constant
-acceleration (measured). At an even 100 Hz the results agree with scipy.signal.butter(1, 5, fs=100) to a thousandth.
-The backward difference belongs to the middle of the last interval, so slow changes are late by tau + dt / 2: at 5 Hz
-and 100 Hz sampling 31.8 + 5 = 37 ms. The filter restarts at the first sample and after every gap with y = u; the
-derivative there is unknown (NaN).
+At an even 100 Hz the results agree with scipy.signal.butter(1, 5, fs=100) to a thousandth. The backward difference
+belongs to the middle of the last interval, so slow changes are late by tau + dt / 2: at 5 Hz and 100 Hz sampling
+31.8 + 5 = 37 ms. The filter restarts at the first sample and after every gap with y = u; the derivative there is NaN.
 Source: paper, section on the models' inputs. Checked by: test_filtering.py, test_timeseries.py.
 """
 

@@ -2,11 +2,8 @@
 
 Runs are assumed exchangeable. The windows (predictions) of one run are not, because they overlap. One window drawn at
 random from each of n runs, and one from a future run, have n + 1 exchangeable scores. For any distribution of the
-errors, the score of the future run does not exceed the k-th smallest of the others with the probability
-
-    k/(n + 1) = level,   so k = level (n + 1)
-
-For k > n no bound exists, so n runs support levels up to n/(n + 1). To make the factor c independent of the draw, its
+errors, the score of the future run does not exceed the k-th smallest of the others with the probability k / (n + 1), so
+k = level (n + 1), and n runs support levels up to n / (n + 1). To make the factor c independent of the draw, its
 coverage F(c) is the mean coverage over all draws, with equal weights of the runs:
 
     F(c) = E[ F(k-th smallest of one window per run) ],     F(s) = 1/n sum_r 1/n_r #{i : s_ri <= s}

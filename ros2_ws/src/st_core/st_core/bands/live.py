@@ -1,8 +1,5 @@
 """Bands while driving: half-widths for all models and modes from the conditions at the start, and their coverage.
 
-`LiveBands` runs at 10 Hz with cold processor caches. The number of numpy operations then determines its run time, so
-all models are computed together.
-
 A sequential test detects coverage significantly below the nominal level p; the alternative is q = ALTERNATIVE_RATIO p.
 Each scored window contributes its log likelihood ratio:
 

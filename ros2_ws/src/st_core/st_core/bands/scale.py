@@ -4,13 +4,13 @@
     log sigma_a(t_k | z) = phi(z) . C[a, k],     linear in log t between the knots t_k
 
 a: along, across [m] or yaw [rad]; phi: `features` of the conditions z. C is the penalised maximum likelihood estimate
-for normal errors of mean 0, and also measures the scale of other distributions:
+for normal errors of mean 0, and also measures the scale of other distributions; runs have equal weights:
 
     minimise over C[a, k]   mean_w( log sigma + e^2 / (2 sigma^2) ) + RIDGE |C[a, k, 1:]|^2          (convex in C)
 
-Runs have equal weights. n_a and e_a are root mean square errors at the first point, which are due to sensor noise, and
-at the end of the horizon T. Without a floor, a run with noisier sensors, or conditions with few and small errors, would
-have large scores and widen the band everywhere. Checked by: test_bands.py.
+n_a and e_a are root mean square errors at the first point, which are due to sensor noise, and at the end of the horizon
+T. The floor limits the scores of runs with noisier sensors, and of conditions with few and small errors.
+Checked by: test_bands.py.
 """
 
 import itertools

@@ -4,18 +4,13 @@ The car rests on free-rolling wheels with locked suspension, so each ground forc
 centre of its wheel. Moments about the front wheel centres, with pitch theta (nose up), wheelbase l, and, for the level
 car, the height r of the line between the wheel centres at the CG:
 
-    m_r(theta) l cos(theta) = m (l_f cos(theta) + (h - r) sin(theta))
-    m_r(theta) = m_r(0) + m (h - r) / l tan(theta)
+    m_r(theta) = m_r(0) + m (h - r) / l tan(theta),    r = r_front (1 - l_f / l) + r_rear l_f / l
     one pitch:   h = r + l (m_r(theta) - m_r(0)) / (m tan(theta))          (ISO 10392)
     all:         h = r + l b / m,  b: slope of m_r versus tan(theta), with a separate intercept for each lift
-    r = r_front (1 - l_f / l) + r_rear l_f / l
-
-r is computed from the wheel radii of the level car, because h is the CG height of the level car. The deflection of the
-rear tyres when lifted does not change h, since the force still passes through the wheel centre, but it changes the
-pitch computed from the lift: sin(theta + theta_0) = (lift + r_front - r_rear) / l with the radii of the lifted car.
-
     u(h)^2 = (l / m)^2 u(b)^2 + (h - r)^2 (u(m)^2 / m^2 + u(l)^2 / l^2) + u(r)^2
 
+The radii are those of the level car, because h is its CG height. The deflection of the rear tyres when lifted does not
+change h, since the force still passes through the wheel centre, but it changes the pitch computed from the lift.
 Source: paper, parameter identification; ISO 10392. Valid for pitch up to 45 deg. Checked by:
 test_identification_experiments.py.
 """

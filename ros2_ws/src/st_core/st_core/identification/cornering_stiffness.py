@@ -8,10 +8,9 @@ INS. Slow and nearly straight driving, |a_y| above 4 m/s^2 and slip angles above
 
 The slope is a mean over the slip range: it is below the stiffness at zero slip if the tyre saturates in that range, or
 if the slip angle is noisy. `AxleRegression.model_error` is the resulting standard uncertainty of the stiffness at zero
-slip, from a second regression in the lower half of the slip range (`regression.extrapolation_uncertainty`, with the
-mean |alpha|, weighted by alpha^2, as the slip angle of each slope). Source: Aertssen et al., Short-Horizon Position
-Accuracy of Single-Track Models, section on parameter identification. Checked by: test_identification_driving.py,
-test_axle_curve.py, test_stiffness_model_error.py.
+slip, from a second regression in the lower half of the slip range (`regression.extrapolation_uncertainty`). Source:
+paper, section on parameter identification. Checked by: test_identification_driving.py, test_axle_curve.py,
+test_stiffness_model_error.py.
 """
 
 from collections.abc import Sequence

@@ -3,23 +3,20 @@
 Steering offset and INS misalignment are fitted too, since their errors resemble errors of the tyres.
 Stiffness: the nonlinear model yields the slope at small slip at the static load, given the tyre curve of the vehicle
 file, and the linear model the secant that predicts best in the driven slip range. For a tyre with another curve the
-value depends on the slip range, which the interval includes: the fit is repeated with windows of low lateral
-acceleration, and the difference is extrapolated to zero slip (`slip_range_uncertainty`).
+value depends on the slip range, which the interval includes (`slip_range_uncertainty`).
 
-Steering ratio, if no turntables are available:
+Steering ratio, if no turntables are available:    L kappa + K v^2 kappa = delta = (delta_h - o) / i
 
-    delta = (delta_h - o) / i:    L kappa + K v^2 kappa = delta
+Slow bends determine the ratio i, fast bends the understeer K, straights the offset o. Dead time and relaxation are
+fitted too, since a lag would be mistaken for another ratio. An error of 1 % of the wheelbase causes an error of 1 % of
+the ratio.
 
-Slow bends determine the ratio i, fast bends the understeer K, straights the offset o. Stiffnesses are therefore fitted
-too, as well as dead time and relaxation, since a lag would be mistaken for another ratio. An error of 1 % of the
-wheelbase causes an error of 1 % of the ratio.
+Yaw inertia, from transients:    I_z r_dot = l_f F_f cos(delta) - l_r F_r
 
-Yaw inertia, from transients: I_z r_dot = l_f F_f cos(delta) - l_r F_r. In steady bends r_dot is zero and any inertia
-fits. Steering dynamics, wrong time stamps and tyre relaxation delay the response as inertia does, so dead time and
-relaxation length are fitted too; without relaxation, the inertia of a car with a relaxation length of 0.4 m is
-estimated 17 % too small. The delay between an angle and its time stamp, up to one sampling interval T, differs between
-the N drives, which adds T / sqrt(12 N) to the uncertainty of their common dead time and thereby increases the
-uncertainty of the inertia. Checked by: test_identification_driving.py.
+Steering dynamics, wrong time stamps and tyre relaxation delay the response as inertia does, so dead time and relaxation
+length are fitted too. The delay between an angle and its time stamp, up to one sampling interval T, differs between the
+N drives, which adds T / sqrt(12 N) to the uncertainty of their common dead time, and thereby to that of the inertia.
+Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Mapping, Sequence

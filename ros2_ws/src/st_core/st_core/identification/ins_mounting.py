@@ -6,14 +6,13 @@ ahead of the CG and rotated by gamma to the left,
     v_y = -gamma v_x + (l_r + d_x) r - s v_x^2 r - e v_x dr/dt,    s = m l_f / (L C_r)
 
 Straights determine gamma, bends d_x, bends at two speeds the slip s. The term e is the lateral motion of an INS above
-the roll axis as the body rolls; yaw inertia and tyre relaxation have a similar effect. If the INS is a distance d_y to
-the left of the CG, its forward speed differs between left and right bends:
+the roll axis as the body rolls. If the INS is a distance d_y to the left of the CG, its forward speed differs between
+left and right bends:
 
     phi + c phi^3 = delta - K v_x r,    phi = atan(L r / (v_x + r d_y))
 
-which requires tight bends to both sides. Ratio, offset and understeer K of the steering are also fitted, and the
-coefficient c of the deviation of the mean steering angle from atan(L r / v_x) in tight bends, which would bias d_y if
-the drive turns more to one side. Checked by: test_identification_driving.py.
+Ratio, offset and understeer K of the steering are also fitted, and the coefficient c of the deviation of the mean
+steering angle from phi in tight bends. Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Sequence

@@ -1,13 +1,11 @@
 """Stiffness scale of the Magic Formula from the cornering stiffness C of an axle.
 
-    lambda_ky = C / (2 |K|),   K: stiffness of one tyre with lambda_ky = 1 at its static load
-
+    lambda_ky = C / (2 |K|),   K: stiffness of one tyre with lambda_ky = 1 at its static load F_z
     (u(lambda) / lambda)^2 = (u(C) / C)^2 + (u(K) / K)^2 + (d ln K / d ln F_z)^2 (u(F_z) / F_z)^2
 
-The static load F_z is m g l_r / (2 l) in front and m g l_f / (2 l) in the rear, not F_z0 (Leaf, front: 0.423; at F_z0
-lambda_ky would be 0.426). u(K) requires the tyre's flat-plank table: errors of p_ky1, p_ky2 and p_ky4 are strongly
-correlated and nearly cancel in K, so it cannot be computed from their separate uncertainties. Source: paper, equation
-of lambda_Ky. Checked by: test_identification_result.py.
+u(K) requires the tyre's flat-plank table: errors of p_ky1, p_ky2 and p_ky4 are strongly correlated and nearly cancel in
+K, so it cannot be computed from their separate uncertainties. Source: paper, equation of lambda_Ky. Checked by:
+test_identification_result.py.
 """
 
 import math

@@ -1,18 +1,15 @@
 """Identification of one tyre's Magic Formula from flat-plank tables: lateral force versus slip angle at several loads.
 
 The equations are in `tyres.py`, with scale factors lambda of 1 and p_ey3 from the vehicle file (0 in the paper). A
-shift s of the slip angle, common to all loads, absorbs conicity and plysteer and is then dropped:
-
-    F_y(F_z, alpha) = D sin(C atan(B x - E (B x - atan(B x)))),   x = alpha + s
+shift of the slip angle, common to all loads, absorbs conicity and plysteer and is then dropped.
 
 Stage 1, at the load nearest to nominal_load, fits p_cy1, p_dy1, p_ey1 and the stiffness K. Stage 2 fixes these and fits
 their load dependence p_dy2, p_ey2, p_ky2, p_ky4 (p_ky1 follows from K), as in the paper. Stage 2 would treat the values
 of stage 1 as exact, so a simultaneous fit, started from the result, yields the values and intervals. With two loads,
 p_ky4 is taken from the vehicle file; with one load, so are p_dy2, p_ey2 and p_ky2.
 
-Slip angle [rad] and force [N] of one tyre in steady state may have either sign convention; `check_table` converts them
-to a force that opposes the slip angle, as in `tyres.py`. Source: paper, parameter identification and appendix. Checked
-by: test_identification_experiments.py.
+Slip angle [rad] and force [N] of one tyre in steady state may have either sign convention (`check_table`). Source:
+paper, parameter identification and appendix. Checked by: test_identification_experiments.py.
 """
 
 import math

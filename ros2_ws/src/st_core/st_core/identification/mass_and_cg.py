@@ -1,15 +1,12 @@
 """Mass and position of the centre of gravity (CG) from four wheel scales.
 
-    m = sum of the four readings,   l_f = l (rear readings) / m
-
-Several weighings of the same car, which is rolled off and on again in between, show the variation due to friction in
-tyres and suspension. The error of each scale repeats in every weighing and does not average out:
-
+    m = sum of the four readings,                l_f = l (rear readings) / m
     u(m)^2   = s_m^2 / n + 4 u_s^2
     u(l_f)^2 = s_l^2 / n + 2 u_s^2 (l_f^2 + l_r^2) / m^2 + (l_f / l)^2 u(l)^2
 
-s: standard deviation of the n weighings; u_s: standard uncertainty of one scale; l: wheelbase. Student's t for the
-interval has the degrees of freedom of Welch and Satterthwaite. Source: paper, parameter identification.
+s: standard deviation of the n weighings of the same car, rolled off and on again, due to friction in tyres and
+suspension; u_s: standard uncertainty of one scale, whose error repeats in every weighing; l: wheelbase. Student's t for
+the interval has the degrees of freedom of Welch and Satterthwaite. Source: paper, parameter identification.
 Checked by: test_identification_experiments.py.
 """
 

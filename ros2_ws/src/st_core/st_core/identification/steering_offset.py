@@ -1,12 +1,11 @@
 """Offset of the steering wheel sensor from straight driving, by two methods.
 
 Method of the paper: the offset with which the predicted yaw rate agrees best with the measured one. Direct method: the
-mean reading while the car drives straight, corrected for the remaining curvature kappa,
+mean reading in windows of nearly constant steering, corrected for the remaining curvature kappa,
 
     o = mean(delta_h) - i L kappa (1 + K v_x^2),    kappa = change of heading / distance
 
-in windows of nearly constant steering. The first method uses the gyroscope, the second the heading. A crowned road,
-crosswind or worn tyres bias both results. Checked by: test_identification_driving.py.
+A crowned road, crosswind or worn tyres bias both results. Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Mapping, Sequence

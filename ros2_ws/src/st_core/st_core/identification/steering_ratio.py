@@ -1,16 +1,13 @@
 """Steering ratio from turntables, which measure the angles of both front wheels versus the steering-wheel angle.
 
-    delta = (left + right) / 2,    delta_k = a_j + delta_h,k / i + e_k,    i = 1 / b,    u(i) = i^2 u(b)
+    delta = (left + right) / 2,    delta_k = a_j + b delta_h,k + e_k,    i = 1 / b,    u(i) = i^2 u(b)
 
-All sweeps have a common slope b, and each sweep its own intercept a_j. The steering-wheel offset cannot be identified,
-because the zero of the turntables is not the direction of straight driving. A cubic fitted to the residuals describes
-the nonlinearity of the steering, if it is significant (F test, 1 %).
+All sweeps have a common slope b, and each of the J sweeps its own intercept a_j (`fit_line`, n points):
 
-`fit_line`, with the means x_j, y_j of group j of J, and n points:
+    b = sum (x - x_j)(y - y_j) / sum (x - x_j)^2,    u(b)^2 = s^2 / sum (x - x_j)^2,    s^2 = sum e^2 / (n - J - 1)
 
-    y_jk = a_j + b x_jk + e_jk,    b = sum (x - x_j)(y - y_j) / sum (x - x_j)^2 over all groups,
-    u(b)^2 = s^2 / sum (x - x_j)^2,    s^2 = sum e^2 / (n - J - 1)
-
+The steering-wheel offset cannot be identified, because the zero of the turntables is not the direction of straight
+driving. A cubic fitted to the residuals describes the nonlinearity of the steering, if it is significant (F test, 1 %).
 Angles in rad, left positive. Source: paper, parameter identification. Checked by: test_identification_experiments.py.
 """
 
