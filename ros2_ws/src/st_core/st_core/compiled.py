@@ -67,8 +67,7 @@ class CompiledModel:
 def compile_model(model: Model, vehicle: VehicleParameters, settings: PredictionSettings) -> CompiledModel:
     """The compiled form of a model, from the compiler or its cache, verified against the interpreted model.
 
-    Raises ConfigurationError with the reason if numba is not installed, cannot compile the model, or its result differs
-    from the interpreted model by more than TOLERANCE.
+    Raises ConfigurationError with the reason without numba, if it cannot compile the model, or if the results differ.
     """
     if not has_numba():
         raise ConfigurationError("numba is not installed")

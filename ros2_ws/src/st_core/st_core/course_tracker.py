@@ -94,10 +94,9 @@ path predicted by the course (points, 2) [m], SPACING apart)."""
 
 
 class CourseTracker:
-    """Follows the car along a course; `update` is called at every start, in order of time.
+    """Follows the car along a course; `update` is called at every start, in order of time. horizon, step [s].
 
-    horizon, step [s]. It keeps the last RECENT_TIME of driving and the forecasts that have not ended. It restarts when
-    time runs backward or pauses for longer than a horizon, and when the position jumps.
+    It restarts when time runs backward or pauses for longer than a horizon, and when the position jumps.
     """
 
     def __init__(self, course: Course, vehicle: VehicleParameters, horizon: float = 5.0, step: float = 0.05):

@@ -120,10 +120,9 @@ class Evaluator:
             self._abandon([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions were waiting")
 
     def poll(self, newest_ns: int | None = None) -> list[Score]:
-        """Scores of the predictions with a horizon covered by both signals.
+        """Scores of the predictions with a horizon covered by both signals, or ended SIGNAL_TIMEOUT before newest_ns.
 
-        newest_ns: current time on the clock of the stamps; None: time of the newest INS sample. SIGNAL_TIMEOUT after
-        the end of its horizon a prediction is scored with the available measurements.
+        newest_ns: current time on the clock of the stamps; None: time of the newest INS sample.
         """
         scores, self._abandoned = self._abandoned, []
         ins, steering = (_NEVER if s.newest is None else s.newest for s in (self.history.ins, self.history.steering))

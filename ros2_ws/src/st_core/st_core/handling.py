@@ -24,8 +24,7 @@ def rear_slip_coefficient(car: VehicleParameters) -> float:
 def linear_system(speed: float, car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
     """(A, B) of d/dt (v_y, r) = A (v_y, r) + B delta, linearised about straight driving at `speed` [m/s].
 
-    Below minimum_slip_speed the tyre terms use that speed in place of v, as the models do.
-    Source: Guiggiani, ch. 6. Checked by: test_handling.py, against the numerical Jacobian of the model.
+    Below minimum_slip_speed the tyre terms use that speed, as the models do. Source: Guiggiani, ch. 6.
     """
     front, rear = car.cornering_stiffness_front, car.cornering_stiffness_rear
     l_f, l_r, v = car.cg_to_front_axle, car.cg_to_rear_axle, max(speed, car.minimum_slip_speed)
@@ -87,8 +86,7 @@ PLAUSIBLE = (
 def objections(car: VehicleParameters, file: VehicleParameters | None = None) -> tuple[str, ...]:
     """A sentence for each quantity of the car that is outside its range.
 
-    file: original car; quantities outside their range for that car as well are left out. An unusual car may be
-    correct, so no vehicle file is refused; an identified or discovered value is reported as doubtful.
+    file: original car; quantities outside their range for that car as well are left out, since unusual cars exist.
     """
     known = {quantity.name for quantity in PLAUSIBLE if file is not None and quantity.objection(file)}
     texts = (quantity.objection(car) for quantity in PLAUSIBLE if quantity.name not in known)

@@ -12,8 +12,7 @@ Derivative = Callable[[tuple, Any, Any], tuple]
 def rk4(derivative: Derivative, state: tuple, grid: Sequence[Any], p: Any, step: float) -> list[tuple]:
     """States at 0, step, 2 step, ..., the start included: (len(grid) - 1) / 2 steps.
 
-    grid: w at 0, step/2, step, ... [2 * steps + 1 entries]. step: > 0, in the time unit of the derivative.
-    Global error O(step^4). Checked by: test_integrate.py.
+    grid: w at 0, step/2, step, ... (2 * steps + 1). step > 0. Global error O(step^4). Checked by: test_integrate.py.
     """
     advance = _step_of_six if len(state) == 6 else rk4_step
     states = [state]

@@ -123,8 +123,7 @@ class ModelFile:
     def from_yaml(cls, text: str, origin: str = "model") -> "ModelFile":
         """The content of a model file. origin: name shown in errors, usually the path.
 
-        User-defined effects must be loaded first (`effects.load_folder`). Raises ConfigurationError, one line:
-        origin, key, what is wrong, the limit and what to do.
+        User-defined effects must be loaded first (`effects.load_folder`). Raises ConfigurationError, one line.
         """
         try:
             return cls._from_document(load(text))

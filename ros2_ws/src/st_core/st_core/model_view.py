@@ -58,8 +58,7 @@ class ModelView:
     def start(self, time_ns: int, steps: int, step: float) -> tuple[VehicleState, ControlInput | InputSequence]:
         """State at the CG of the model, and inputs of a forecast with constant steering wheel angle and acceleration.
 
-        With steering memory, the wheels still respond to earlier steering, so the inputs are a sequence on the
-        half-step grid. Raises StCoreError if state or inputs are unknown at this time.
+        With steering memory the inputs are a sequence. Raises StCoreError if state or inputs are unknown.
         """
         sample, now = self._history.ins_at(time_ns), self._history.inputs_at(time_ns)
         if sample is None or now is None:

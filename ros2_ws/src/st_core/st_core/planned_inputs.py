@@ -121,8 +121,7 @@ def plan_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs
                  vehicle: VehicleParameters) -> str:
     """Reason, in one line, why a plan is not used for a forecast from a start [ns] over a horizon [s]; "" if used.
 
-    state, inputs: measured at the start. Checked in this order: number of points, increasing times, finite values, age,
-    coverage of the horizon, spacing, feasibility, agreement with the measurement.
+    state, inputs: measured at the start. Checked: points, times, age, coverage, feasibility, then agreement.
     """
     return _timing_problem(plan, start_ns, horizon) or _demand_problem(plan, start_ns, state, inputs, vehicle)
 

@@ -95,9 +95,8 @@ def required_lookahead_ns(model: Model) -> int:
 
 
 def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:
-    """The drive as input of a prediction: as recorded by faultless sensors, with steering memory applied.
+    """The drive as recorded by faultless sensors, with steering memory applied; the `inputs` of the model do the rest.
 
-    Input effects without memory (ratio, offset) are not applied, because the `inputs` of the model apply them.
     maximum_gap [s]. Raises StCoreError if a sensor effect needs an acceleration that was not recorded.
     """
     if not isinstance(model, AugmentedModel):

@@ -106,10 +106,9 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Partition of samples into blocks.
+    """Partition of samples into blocks. block_of: (n,) block index of each sample. name: description, such as "8 runs".
 
-    block_of: (n,) block index of each sample. run, block: (k,) run of each block and its number within the run,
-    ascending. name: description, such as "8 runs".
+    run, block: (k,) run of each block and its number within the run, ascending.
     """
 
     block_of: np.ndarray
@@ -201,8 +200,7 @@ class Pooled(NamedTuple):
 def random_effects(values: np.ndarray, variances: np.ndarray) -> Pooled:
     """Pooled estimate of the values of several runs (n,), n >= 1, with variances (n,) > 0, by a random effects model.
 
-    Source: DerSimonian and Laird, Meta-analysis in clinical trials, Controlled Clinical Trials 7 (1986). Checked by:
-    test_discovery_evidence.py.
+    Source: DerSimonian and Laird, Controlled Clinical Trials 7 (1986). Checked by: test_discovery_evidence.py.
     """
     w = 1.0 / variances
     cochran_q = float(w @ np.square(values - w @ values / w.sum()))

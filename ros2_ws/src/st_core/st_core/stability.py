@@ -30,8 +30,7 @@ class StepTooLongWarning(UserWarning):
 def lateral_modes(model: str | Model, vehicle: VehicleParameters, speed: float) -> np.ndarray:
     """Eigenvalues [1/s] of velocity_y, yaw_rate and the extra states about straight driving at a speed [m/s].
 
-    From central differences of the equations of the model. Checked by: test_stability.py, against
-    handling.linear_system.
+    From central differences of the equations. Checked by: test_stability.py, against handling.linear_system.
     """
     model = get_model(model)
     p = model.parameters(vehicle)

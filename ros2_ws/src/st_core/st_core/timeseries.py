@@ -78,8 +78,7 @@ class TimeSeries:
     def add(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
         """Add a sample; returns (its position in `rows`, or None if it was refused; whether the clock was set back).
 
-        A row with NaN, a repeated time and a late sample are refused. After the clock was set back, the series contains
-        only the samples since then, and the position is 0.
+        A row with NaN, a repeated time and a late sample are refused. The series restarts if the clock was set back.
         """
         if not np.isfinite(row).all():
             return None, False

@@ -55,8 +55,7 @@ class UnhashableError(Exception):
 def fingerprint(function: FunctionType, stop: frozenset[str] = frozenset()) -> str:
     """sha256 (hex) of a function, of all functions that it can reach, and of their values and source files.
 
-    It is the same in every process for the same sources. Raises UnhashableError for a value that is not a number, text,
-    tuple, class, module or plain function.
+    The same in every process. Raises UnhashableError for a value other than numbers, texts, tuples and functions.
     """
     digest = hashlib.sha256()
     functions = reachable(function, stop)

@@ -52,10 +52,9 @@ def check_levels(levels: Sequence[float], runs: int) -> None:
 
 
 def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> np.ndarray:
-    """Factors c of the levels, (levels,) [1]; see the module.
+    """Factors c of the levels, (levels,) [1]; see the module. scores: for each run, the scores of its windows [1].
 
-    scores: for each run, the scores of its windows [1]. Raises StCoreError for scores that are not finite and for a run
-    without scores, and the errors of `check_levels`.
+    Raises StCoreError for scores that are not finite, a run without scores, and as `check_levels`.
     """
     count = len(scores)
     check_levels(levels, count)

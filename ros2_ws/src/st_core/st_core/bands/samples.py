@@ -50,10 +50,9 @@ def to_predicted_frame(errors: np.ndarray) -> np.ndarray:
 
 def error_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
                   settings: EvaluationSettings) -> ErrorSamples:
-    """Error curves of one drive from at most STARTS_PER_RUN evenly spaced starts.
+    """Error curves of one drive from at most STARTS_PER_RUN starts with known conditions and a measured horizon.
 
-    Only starts with a completely measured horizon and known conditions are used. Raises a one-line StCoreError for a
-    drive without such a start, and NotFiniteError.
+    Raises a one-line StCoreError for a drive without such a start, and NotFiniteError.
     """
     horizon = settings.prediction.horizon
     log = signals.log

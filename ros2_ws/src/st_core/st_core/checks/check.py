@@ -99,8 +99,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
 def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:
     """The findings without those that are due to a wrong yaw rate, or to channels that were derived, not measured.
 
-    The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course, which
-    differs from yaw by the sideslip.
+    The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course.
     """
     if any(f.severity is Severity.ERROR and "yaw_rate" in f.channels for f in findings):
         findings = [f for f in findings if f.name != "steering_unrelated"]

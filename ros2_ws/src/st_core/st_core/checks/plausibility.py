@@ -267,8 +267,6 @@ def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) ->
 def _find_spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
     """Samples further than the limit from the median of their neighbours (Hampel 1974, with a physical limit), and
     stretches in which most steps are large and irregular; equal large steps would be a turn in another unit.
-
-    Only samples near a large step are examined. Samples across a gap are not neighbours.
     """
     if not large.any():
         return np.zeros(0, np.int64)

@@ -115,10 +115,9 @@ def _missing_values_finding(channel: str, count: int, motion: Motion, auxiliary:
 
 
 def rejected_frames_finding(time: np.ndarray, frames: int, reason: str) -> Finding:
-    """Finding of steering frames that were received but rejected by the decoder.
+    """Finding of steering frames that were received but rejected by the decoder for a reason.
 
-    time: ascending times of the rejected frames [s since the first INS measurement]. frames: number of all frames
-    received. reason: why the decoder rejected them.
+    time: of the rejected frames, ascending [s since the first INS measurement]. frames: number of all frames.
     """
     share = len(time) / frames
     text = (f"road_wheel_angle: {len(time)} of {frames} frames between {time[0]:.2f} and {time[-1]:.2f} s were "

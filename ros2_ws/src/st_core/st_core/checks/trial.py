@@ -148,8 +148,7 @@ def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log
                   step: float) -> Finding | None:
     """The finding `step_too_long` for all models together; None if the step [s] is short enough.
 
-    The value of the finding is the minimum_slip_speed [m/s] that makes the step stable, or else the longest stable step
-    tried [s], or None.
+    Its value is the minimum_slip_speed [m/s] that makes the step stable, or else the longest stable step [s], or None.
     """
     chosen = [get_model(model) for model in models]
     speed = np.abs(log.velocity_x)

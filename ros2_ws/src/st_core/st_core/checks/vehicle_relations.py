@@ -221,8 +221,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
 def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, separable: bool) -> dict[str, Estimate]:
     """Estimates of heading [rad], point [m ahead of the rear axle], slip [s^2/m] and roll [s^2].
 
-    separable: whether the speed varies. Otherwise slip and point are confounded, and the slip of the vehicle file
-    +/- 50 % is used.
+    separable: whether the speed varies. Otherwise the slip is that of the vehicle file +/- 50 %.
     """
     expected = rear_slip_coefficient(vehicle)
     if separable:

@@ -76,11 +76,7 @@ def pitch_from_lift(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.
 
 
 def identify_cg_height(data: Lift, car: LiftedCar) -> Identification:
-    """Estimate of cg_height [m].
-
-    Raises IdentificationError for unusable rows: no level row, too little pitch, pitch in the wrong unit, rear load
-    that falls as the nose rises.
-    """
+    """Estimate of cg_height [m]. Raises IdentificationError for unusable rows."""
     level = _check_rows(data)
     line = fit_line(np.tan(data.pitch), data.rear_load, data.lifts)
     if line.slope <= 0.0:

@@ -225,8 +225,7 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[C
 def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
     """Both stiffnesses by regression, with a covariance from the variation between runs, or blocks if runs are few.
 
-    vehicle: as for `axle_regressions`. A stiffness with zero inside its interval is NaN and unidentifiable, with the
-    reason as its verdict. Raises IdentificationError for too little excitation.
+    A stiffness with zero inside its interval is NaN and unidentifiable. Raises IdentificationError.
     """
     logs, notes = prepare_drives(logs, vehicle, "velocity_y")
     runs = [run_samples(log, vehicle) for log in logs]

@@ -38,8 +38,7 @@ class Weighings:
 def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: float = 0.0) -> Identification:
     """Estimates of mass [kg] and cg_to_front_axle [m] for the most frequent loading (the first one in a tie).
 
-    wheelbase [m], with its standard uncertainty [m]. Weighings with another loading are rejected.
-    Raises IdentificationError for readings that are missing, or impossible for a car.
+    wheelbase [m], with its standard uncertainty [m]. Raises IdentificationError for impossible or missing readings.
     """
     readings = _check_readings(weighings)
     load = max(weighings.loads, key=weighings.loads.count)

@@ -152,9 +152,8 @@ def _finite_or_none(number: float) -> float | None:
 
 
 def apply_to_vehicle(vehicle: VehicleParameters, found: Iterable[Identification], date: str) -> VehicleParameters:
-    """The vehicle with every identified or doubtful value of its parameters.
+    """The vehicle with every identified or doubtful value, and a derived lambda_ky recomputed. date: YYYY-MM-DD.
 
-    date: YYYY-MM-DD, for the provenance. A lambda_ky that was derived from the stiffness is derived again.
     Raises ConfigurationError, naming the key and the limit, for a value outside the limits of a vehicle file.
     """
     values: dict[str, float] = {}
