@@ -13,23 +13,15 @@ import numpy as np
 
 from .clock_fit import DRIFT_PRIOR_PPM, STEP, Fit, Pair, coarse_offset, fit, mean_correlation, resample
 from .clock_steps import MAX_WINDOWS, WindowLag, find_clock_step, window_lags
-from .clock_types import (
-    MAX_SPAN,
-    MAX_STEP,
-    UNUSUAL_DRIFT_PPM,
-    Alignment,
-    SharedSignal,
-    SignalLag,
-    Verdict,
-    describe_step,
-    refused_alignment,
-)
+from .clock_types import MAX_SPAN, Alignment, SharedSignal, SignalLag, Verdict, describe_step, refused_alignment
 from .regression import SIGMA_PER_MAD
 
 CUTOFFS = (0.5, 4.0)  # Hz, cut-offs of the low-pass: the first while the drift is unknown, the second for the result
 STAMP_RESOLUTION = 50e-6  # s, of logger time stamps; a lower limit of the uncertainty
 GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80
 MIN_OVERLAP = 20.0  # s
+UNUSUAL_DRIFT_PPM = 200.0  # two quartz clocks differ by less
+MAX_STEP = 0.05  # s; a larger clock step causes an alignment to be refused
 MAX_DISAGREEMENT = 0.005  # s, between the offset of a single signal and the common offset
 GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s, standard deviation of the offset
 STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; the second if a signal fits poorly with one offset
@@ -113,15 +105,10 @@ def _align_with_overlap(fine: Sequence[Pair], pairs: dict[float, list[Pair]], us
                                  correlation))
     # The rounding error of the stamps changes slowly, so it does not average out.
     drift_deviation = float(np.hypot(solution.drift_deviation, STAMP_RESOLUTION / max(high - low, 1.0))) * 1e6
-    at_ns = o0 + round(middle * 1e9)
     result = Alignment(
-        at_ns=at_ns, offset_ns=r0 - o0 + round(solution.offset * 1e9), drift_ppm=solution.drift * 1e6,
-        offset_deviation=_offset_deviation(solution, singles, usable),
-        drift_deviation=drift_deviation, method="shared signals", verdict=Verdict.GOOD, reasons=tuple(reasons),
-        signals=tuple(singles),
-        peak=(first + between_origins, r_first), second_peak=(second + between_origins, r_second),
-        overlap=max(high - low, 0.0),
-    )
+        o0 + round(middle * 1e9), r0 - o0 + round(solution.offset * 1e9), solution.drift * 1e6,
+        _offset_deviation(solution, singles, usable), drift_deviation, "shared signals", Verdict.GOOD, tuple(reasons),
+        tuple(singles), (first + between_origins, r_first), (second + between_origins, r_second), max(high - low, 0.0))
     return _with_verdict(result, solution, fine, o0)
 
 
@@ -292,12 +279,9 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     # Truncation to the resolution does not average out if the frame interval is nearly a multiple of the resolution.
     rounding = resolution / np.sqrt(12)
     result = Alignment(
-        at_ns=o0 + round(middle * 1e9), offset_ns=r0 - o0 + round(float(solution[0]) * 1e9),
-        drift_ppm=float(solution[1]) * 1e6,
-        offset_deviation=float(np.sqrt(covariance[0, 0] + rounding**2 + latency_uncertainty**2)),
-        drift_deviation=float(np.sqrt(covariance[1, 1])) * 1e6,
-        method="time frame", verdict=Verdict.GOOD, overlap=float(time[-1] - time[0]),
-    )
+        o0 + round(middle * 1e9), r0 - o0 + round(float(solution[0]) * 1e9), float(solution[1]) * 1e6,
+        float(np.sqrt(covariance[0, 0] + rounding**2 + latency_uncertainty**2)),
+        float(np.sqrt(covariance[1, 1])) * 1e6, "time frame", Verdict.GOOD, overlap=float(time[-1] - time[0]))
     # A step changes the slope of the fitted line as well, so the offsets are examined, not the residuals.
     usual, edges = np.median(offset), np.linspace(0, len(time), min(len(time), MAX_WINDOWS) + 1).astype(int)
     lags = [WindowLag(float(np.median(time[a:b])) - middle, float(np.median(offset[a:b]) - usual), scale)

@@ -162,12 +162,9 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
     used = max(int((np.abs(sums).sum(axis=1) > 0).sum()), 1)
     covariance = inverse @ (sums.T @ sums * (used / max(used - 4, 1))) @ inverse
     unclustered = inverse[0, 0] if free_drift else 1.0 / normal[0, 0]
-    return Fit(
-        offset=float(parameters[0]), drift=float(parameters[1]), middle=middle,
-        offset_deviation=float(np.sqrt(max(covariance[0, 0], unclustered))),
-        drift_deviation=float(np.sqrt(max(covariance[1, 1], inverse[1, 1]))),
-        residual=tuple(d.residual for d in details), correlation=tuple(d.correlation for d in details),
-    )
+    return Fit(float(parameters[0]), float(parameters[1]), float(np.sqrt(max(covariance[0, 0], unclustered))),
+               float(np.sqrt(max(covariance[1, 1], inverse[1, 1]))), middle,
+               tuple(d.residual for d in details), tuple(d.correlation for d in details))
 
 
 class _SignalFit(NamedTuple):

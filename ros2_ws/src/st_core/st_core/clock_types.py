@@ -6,8 +6,6 @@ from enum import StrEnum
 import numpy as np
 
 AMBIGUOUS_PEAK_RATIO = 0.9  # ratio of the second peak of the correlation to the first
-UNUSUAL_DRIFT_PPM = 200.0  # two quartz clocks differ by less
-MAX_STEP = 0.05  # s; a larger clock step causes an alignment to be refused
 MAX_SPAN = 48 * 3600.0  # s; a longer recording means that a clock was set while recording
 
 

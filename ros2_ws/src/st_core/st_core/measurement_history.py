@@ -113,7 +113,17 @@ class MeasurementHistory:
             self.generation += 1
         if index is None:
             return False
-        self._filter_from(index)
+        # Usually only the newest sample is filtered; a sample inserted in time order changes all later results.
+        times, rows, (*_, cutoff) = self.ins.times, self.ins.rows, self._settings
+        for i in range(index, len(times)):
+            spacing_ns = int(times[i] - times[i - 1]) if i else 0
+            now = float(rows[i, VELOCITY_X])
+            if i == 0 or spacing_ns > self.ins.maximum_gap_ns:
+                rows[i, FILTERED], rows[i, DERIVATIVE] = now, math.nan
+            else:
+                filtered, before = float(rows[i - 1, FILTERED]), float(rows[i - 1, VELOCITY_X])
+                rows[i, FILTERED], rows[i, DERIVATIVE] = low_pass_step(
+                    filtered, before, now, spacing_ns * NANOSECOND, cutoff)
         if self._detects_jumps:
             self._find_jumps(index)
         return True
@@ -144,19 +154,6 @@ class MeasurementHistory:
         noise = [_split_displacement((times[i] - times[i - 1]) * NANOSECOND, rows[i - 1], rows[i])[0]
                  for i in range(1, len(times))]
         return step > NOISE_FACTOR * median_high(noise)
-
-    def _filter_from(self, index: int) -> None:
-        # Usually only the newest sample is filtered; a sample inserted in time order changes all later results.
-        times, rows, (*_, cutoff) = self.ins.times, self.ins.rows, self._settings
-        for i in range(index, len(times)):
-            spacing_ns = int(times[i] - times[i - 1]) if i else 0
-            now = float(rows[i, VELOCITY_X])
-            if i == 0 or spacing_ns > self.ins.maximum_gap_ns:
-                rows[i, FILTERED], rows[i, DERIVATIVE] = now, math.nan
-            else:
-                filtered, before = float(rows[i - 1, FILTERED]), float(rows[i - 1, VELOCITY_X])
-                rows[i, FILTERED], rows[i, DERIVATIVE] = low_pass_step(
-                    filtered, before, now, spacing_ns * NANOSECOND, cutoff)
 
     def ins_at(self, time_ns: int) -> InsSample | None:
         """The INS sample at an instant, interpolated; None where it is unknown."""

@@ -147,13 +147,9 @@ def ins_to_cg(sample: InsSample, cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -
     """
     cosine, sine = math.cos(sample.yaw), math.sin(sample.yaw)
     return VehicleState(
-        x=sample.x - cosine * cg_to_ins_x + sine * cg_to_ins_y,
-        y=sample.y - sine * cg_to_ins_x - cosine * cg_to_ins_y,
-        velocity_x=sample.velocity_x + sample.yaw_rate * cg_to_ins_y,
-        velocity_y=sample.velocity_y - sample.yaw_rate * cg_to_ins_x,
-        yaw=sample.yaw,
-        yaw_rate=sample.yaw_rate,
-    )
+        sample.x - cosine * cg_to_ins_x + sine * cg_to_ins_y, sample.y - sine * cg_to_ins_x - cosine * cg_to_ins_y,
+        sample.velocity_x + sample.yaw_rate * cg_to_ins_y, sample.velocity_y - sample.yaw_rate * cg_to_ins_x,
+        sample.yaw, sample.yaw_rate)
 
 
 def cg_to_ins_position(x: Number, y: Number, yaw: Number, cg_to_ins_x: Number,

@@ -6,7 +6,7 @@ five instructions. Checked by: test_casadi_backend.py.
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -106,11 +106,7 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1,
     x, u, h = casadi.SX.sym("x", len(states)), casadi.SX.sym("u", len(INPUTS)), casadi.SX.sym("h")
     symbols = [casadi.SX.sym(v.name) for v in parameters]
     tail, tail_name = ([casadi.vertcat(*symbols)], ["p"]) if symbols else ([], [])
-    free_symbols = dict(zip(free, symbols, strict=False))
-    symbolic_p = p if not free else p._replace(effects=tuple(
-        theta._replace(**{q.name: free_symbols[key] for q in e.parameters
-                          if (key := f"{e.name}.{q.name}") in free_symbols})
-        for e, theta in zip(_acting(model), p.effects, strict=True)))
+    symbolic_p = _with_symbols(model, p, dict(zip(free, symbols, strict=False))) if free else p
     w = model.inputs(*casadi.vertsplit(u), symbolic_p, *symbols[len(free):])
 
     rates = casadi.vertcat(*model.rhs(tuple(casadi.vertsplit(x)), w, symbolic_p))
@@ -151,3 +147,9 @@ def free_parameters(model: str | Model) -> dict[str, Variable]:
 def _acting(model: Model) -> tuple[type[Effect], ...]:
     """The effects that have parameters in p, in the order of p."""
     return compose(model.base, model.effects).active if isinstance(model, AugmentedModel) else ()
+
+
+def _with_symbols(model: Model, p: Any, symbols: Mapping[str, casadi.SX]) -> Any:
+    return p._replace(effects=tuple(
+        theta._replace(**{q.name: symbols[key] for q in e.parameters if (key := f"{e.name}.{q.name}") in symbols})
+        for e, theta in zip(_acting(model), p.effects, strict=True)))

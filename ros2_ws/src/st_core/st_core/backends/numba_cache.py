@@ -35,7 +35,14 @@ def enable(kernel, fingerprint: str) -> Path | None:
             folder = base / key
             folder.mkdir(parents=True, exist_ok=True)
             os.utime(folder)  # marks it as used; fails in another user's folder
-            _attach(kernel, folder, key)
+            # numba reads CACHE_DIR when the cache is switched on, and refuses a folder it cannot write to.
+            before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
+            try:
+                kernel.enable_caching()
+            finally:
+                numba.config.CACHE_DIR = before
+            # numba's own key pickles the closure, which differs between processes.
+            kernel._cache._index_key = lambda signature, codegen: (signature, codegen.magic_tuple(), key)
         except (OSError, RuntimeError, AttributeError):  # not writable, or another version of numba
             continue
         with contextlib.suppress(OSError):
@@ -67,14 +74,3 @@ def _candidates() -> Iterator[Path]:
     yield Path(__file__).parent / "__pycache__" / "kernels"
     with contextlib.suppress(RuntimeError):  # no home
         yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "st_core" / "kernels"
-
-
-def _attach(kernel, folder: Path, key: str) -> None:
-    # numba reads CACHE_DIR when the cache is switched on, and refuses a folder it cannot write to.
-    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
-    try:
-        kernel.enable_caching()
-    finally:
-        numba.config.CACHE_DIR = before
-    # numba's own key pickles the closure, which differs between processes.
-    kernel._cache._index_key = lambda signature, codegen: (signature, codegen.magic_tuple(), key)

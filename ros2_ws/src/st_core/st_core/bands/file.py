@@ -101,7 +101,15 @@ class Bands:
 
     def to_yaml(self) -> str:
         """Text of the file, which `from_yaml` reads."""
-        document = self._document()
+        entries: dict[str, Any] = {model: {"configuration_hash": digest} for model, digest in self.hashes.items()}
+        for (model, mode), band in self.bands.items():
+            entries[model][mode] = {
+                "factors": {f"{level:g}": c for level, c in band.factors.items()}, "floor": band.scale.floor.tolist(),
+                "ratios": band.ratios.tolist(), "coefficients": band.scale.coefficients.tolist()}
+        document = {
+            "vehicle": {"name": self.vehicle_name, "hash": self.vehicle_hash}, "settings": dict(self.settings),
+            "recordings": dict(self.recordings), "runs": self.runs,
+            "seen": {"starts": self.domain.starts.tolist(), "most": list(self.domain.largest)}, "bands": entries}
         lines = [HEADER + f"schema: {SCHEMA}", f"units: {json.dumps(UNITS)}"]
         lines += [f"{key}: {_flow(document[key])}" for key in ("vehicle", "settings", "runs", "seen")]
         lines += ["recordings:", *(f"  {_flow(k)}: {_flow(v)}" for k, v in document["recordings"].items())]
@@ -111,17 +119,6 @@ class Bands:
             for mode in (m for m in MODES if m in entry):
                 lines += [f"    {mode}:", *(f"      {k}: {_flow(v)}" for k, v in entry[mode].items())]
         return "\n".join([*lines, f"hash: {_flow(_digest(document))}"]) + "\n"
-
-    def _document(self) -> dict[str, Any]:
-        entries: dict[str, Any] = {model: {"configuration_hash": digest} for model, digest in self.hashes.items()}
-        for (model, mode), band in self.bands.items():
-            entries[model][mode] = {
-                "factors": {f"{level:g}": c for level, c in band.factors.items()}, "floor": band.scale.floor.tolist(),
-                "ratios": band.ratios.tolist(), "coefficients": band.scale.coefficients.tolist()}
-        return {
-            "vehicle": {"name": self.vehicle_name, "hash": self.vehicle_hash}, "settings": dict(self.settings),
-            "recordings": dict(self.recordings), "runs": self.runs,
-            "seen": {"starts": self.domain.starts.tolist(), "most": list(self.domain.largest)}, "bands": entries}
 
     @classmethod
     def from_yaml(cls, text: str, origin: str = "bands") -> "Bands":

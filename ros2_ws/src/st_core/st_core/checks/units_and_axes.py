@@ -145,7 +145,18 @@ def _correct_turns(motion: Motion) -> Corrected:
     if is_near(r.rate_course, -1.0, LIMITS.unit) and not is_near(r.yaw_course, -1.0, LIMITS.unit) and is_near(
             r.yaw_rate, -1.0, LIMITS.unit):
         return _scale_yaw_rate(motion, -1.0)
-    return _scale_yaw(motion, r.yaw_rate)
+    factor, size = r.yaw_rate, _angle_unit(r.yaw_rate)
+    unit = ANGLES.get(size, "")
+    if factor > 0.0:
+        text = (f"yaw is {factor:.3g} times the angle from yaw rate and course"
+                + (f": is its unit {unit}?" if unit else ""))
+        corrected = replace(motion, yaw=_without_wraps(motion, motion.yaw / size))
+        return corrected, _make_error("yaw_scale", ("yaw",), text, factor, Advice.correct("yaw", scale=1.0 / size))
+    text = (f"yaw counts clockwise{f' in {unit}' if unit else ''}: is it a compass heading? Expected: from east, "
+            "counter-clockwise")
+    corrected = replace(motion, yaw=_without_wraps(motion, np.pi / 2 - motion.yaw / size))
+    advice = Advice.correct("yaw", scale=-1.0 / size, add=np.pi / 2)
+    return corrected, _make_error("yaw_convention", ("yaw",), text, factor, advice)
 
 
 def _correct_north_east(motion: Motion) -> Corrected:
@@ -198,21 +209,6 @@ def _scale_yaw_rate(motion: Motion, factor: float, against: str = "yaw", size: f
     text = f"yaw_rate is {factor:.3g} times the rate of change of {against}{reason}"
     return (replace(motion, yaw_rate=motion.yaw_rate / exact),
             _make_error("yaw_rate_scale", ("yaw_rate",), text, factor, Advice.correct("yaw_rate", scale=1.0 / exact)))
-
-
-def _scale_yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
-    size = _angle_unit(factor)
-    if factor > 0.0:
-        text = (f"yaw is {factor:.3g} times the angle from yaw rate and course"
-                + (f": is its unit {ANGLES[size]}?" if size in ANGLES else ""))
-        corrected = replace(motion, yaw=_without_wraps(motion, motion.yaw / size))
-        return corrected, _make_error("yaw_scale", ("yaw",), text, factor, Advice.correct("yaw", scale=1.0 / size))
-    unit = f" in {ANGLES[size]}" if size in ANGLES else ""
-    text = f"yaw counts clockwise{unit}: is it a compass heading? Expected: from east, counter-clockwise"
-    scale = -1.0 / size
-    corrected = replace(motion, yaw=_without_wraps(motion, scale * motion.yaw + np.pi / 2))
-    advice = Advice.correct("yaw", scale=scale, add=np.pi / 2)
-    return corrected, _make_error("yaw_convention", ("yaw",), text, factor, advice)
 
 
 def _angle_unit(factor: float, within: float = 1.06) -> float:

@@ -208,8 +208,17 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     low, high = (declared + end for end in point.interval)
     # If v_y has the opposite sign, the point appears as far behind the axle as it is ahead, and the slip is negative.
     is_mirrored = low < -declared < high and declared > LIMITS.mounting and found["slip"].interval[1] < 0.0
+    findings = []
+    if heading.significant and abs(heading.value) >= LIMITS.heading:
+        effect = abs(heading.value) * float(np.median(forward)) * HORIZON
+        text = (f"the heading points {format_magnitude(heading)} rad ({abs(heading.value) * DEGREE:.2f} deg) to the "
+                f"{_left_or_right(heading)} of the course when driving straight: the INS is mounted at an angle, or "
+                "the road is banked")
+        findings.append(Finding(
+            "heading_misaligned", _at_most_warning(effect), ("yaw", "velocity_y"), text, heading.value, "rad",
+            heading.interval, (), effect, Advice.correct("heading", add=float(f"{-heading.value:.4g}"))))
     point_or_sign = lateral_sign_finding() if is_mirrored else _point_finding(point, motion, vehicle)
-    findings = [finding for finding in (_heading_finding(heading, forward), point_or_sign) if finding]
+    findings += [point_or_sign] if point_or_sign else []
     motion_of_axle = sum(found[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
     panel = Comparison("velocity_y", "lateral velocity: measured versus derived from the rear axle", "m/s",
                        "velocity_y", "rear axle at the distance of the vehicle file", over.time[use], lateral,
@@ -235,17 +244,6 @@ def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, separable: b
     return {"slip": Estimate(expected, 0.25 * expected, (0.5 * expected, 1.5 * expected)), **{
         name: estimate.widened(max(abs(other[name].value - estimate.value) for other in (low, high)))
         for name, estimate in middle.items()}}
-
-
-def _heading_finding(heading: Estimate, forward: np.ndarray) -> Finding | None:
-    if not heading.significant or abs(heading.value) < LIMITS.heading:
-        return None
-    effect = abs(heading.value) * float(np.median(forward)) * HORIZON
-    text = (f"the heading points {format_magnitude(heading)} rad ({abs(heading.value) * DEGREE:.2f} deg) to the "
-            f"{_left_or_right(heading)} of the course when driving straight: the INS is mounted at an angle, or the "
-            "road is banked")
-    return Finding("heading_misaligned", _at_most_warning(effect), ("yaw", "velocity_y"), text, heading.value, "rad",
-                   heading.interval, (), effect, Advice.correct("heading", add=float(f"{-heading.value:.4g}")))
 
 
 def _point_finding(point: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:

@@ -72,11 +72,7 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
                  f"{100 * (1 - front / wheelbase):.1f} % of the load is on the front axle and {100 * left:.1f} % on "
                  f"the left wheels, so the CG is {front:.3f} m behind the front axle."),
     )
-    warnings, cross = [], float(chosen[:, [0, 3]].sum() / chosen.sum())
-    if abs(cross - 0.5) > 0.02:
-        warnings.append(f"The front left and rear right wheels together carry {100 * cross:.1f} %: the suspension is "
-                        "twisted, or the floor under the scales is uneven; mass and longitudinal CG position remain "
-                        "valid.")
+    warnings = _check_sides(chosen.mean(axis=0))
     if n == 1:
         warnings.append("With one weighing, the interval contains only the uncertainty of the scales. Roll the car off "
                         "and on, and weigh it at least three times.")
@@ -84,8 +80,8 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
         warnings.append(f"{len(rejected)} of {len(readings)} weighings have another loading and were left out.")
     figure = {"readings": readings, "kept": keep, "names": weighings.names, "masses": all_masses,
               "distances": all_distances}
-    correlation = correlation_matrix(covariance)
-    return Identification("scales", estimates, used, rejected, correlation, (), tuple(warnings), figure)
+    return Identification("scales", estimates, used, rejected, correlation_matrix(covariance), (), tuple(warnings),
+                          figure)
 
 
 def describe_swapped_axles(found: Identification, wheelbase: float, expected: float) -> str:
@@ -118,3 +114,10 @@ def _check_readings(weighings: Weighings) -> np.ndarray:
         raise IdentificationError(f"scale uncertainty {weighings.scale_uncertainty:g} kg: give the standard "
                                   "uncertainty of one scale, above 0")
     return readings
+
+
+def _check_sides(mean: np.ndarray) -> list[str]:
+    cross = (mean[0] + mean[3]) / mean.sum()
+    return [] if abs(cross - 0.5) <= 0.02 else [
+        f"The front left and rear right wheels together carry {100 * cross:.1f} %: the suspension is twisted, or the "
+        "floor under the scales is uneven; mass and longitudinal CG position remain valid."]
