@@ -70,8 +70,7 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
                  f"The car weighs {mass:.1f} kg{f' with {load}' if load else ''}."),
         Estimate("cg_to_front_axle", front, "m", uncertainties[1], intervals[1], method, used,
                  f"{100 * (1 - front / wheelbase):.1f} % of the load is on the front axle and {100 * left:.1f} % on "
-                 f"the left wheels, so the CG is {front:.3f} m behind the front axle."),
-    )
+                 f"the left wheels, so the CG is {front:.3f} m behind the front axle."))
     warnings = _check_sides(chosen.mean(axis=0))
     if n == 1:
         warnings.append("With one weighing, the interval contains only the uncertainty of the scales. Roll the car off "
