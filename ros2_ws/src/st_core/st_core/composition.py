@@ -12,7 +12,7 @@ Effects at null leave the result bit-identical: they add 0, multiply by 1, or bl
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, reduce
 from typing import Any, NamedTuple
 
 from .effects import Effect, Instant
@@ -89,10 +89,7 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
 
 def _chain(function, add, layouts: list[_Layout], attribute: str):
     """The function, wrapped by `add(function, layout)` for each effect that has the attribute."""
-    for layout in layouts:
-        if getattr(layout.effect, attribute):
-            function = add(function, layout)
-    return function
+    return reduce(add, (layout for layout in layouts if getattr(layout.effect, attribute)), function)
 
 
 def _conversion_layout(layouts: list[_Layout]) -> _Layout:
@@ -198,10 +195,7 @@ def _pick(signals: tuple[str, ...], selected: tuple[str, ...]):
             return *previous(values), values[index]
         return pick
 
-    pick = _nothing
-    for name in selected:
-        pick = add(pick, signals.index(name))
-    return pick
+    return reduce(add, map(signals.index, selected), _nothing)
 
 
 def _changed_inputs(layouts: list[_Layout], signals: tuple[str, ...]):
@@ -226,11 +220,7 @@ def _prepared(layouts: list[_Layout], signals: tuple[str, ...]):
             return *before, *hook(angle, acceleration, pick(signals), p.effects[index])
         return prepared
 
-    prepared = _nothing
-    for layout in layouts:
-        if layout.effect.prepare or layout.effect.signals:
-            prepared = add(prepared, layout)
-    return prepared
+    return reduce(add, (layout for layout in layouts if layout.effect.prepare or layout.effect.signals), _nothing)
 
 
 # Equations: for each hook, the function without effects and a wrapper that adds one effect.

@@ -99,35 +99,29 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
 def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:
     """The findings without those that are due to a wrong yaw rate, or to channels that were derived, not measured.
 
-    The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course.
+    The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course. The
+    sideslip at a point l ahead of the rear axle, which slips by K per lateral acceleration, is tau r with tau =
+    l/v - K v: the yaw rate r lags the course by tau (`sideslip` corrects that), so such a lag is no fault.
     """
     if any(f.severity is Severity.ERROR and "yaw_rate" in f.channels for f in findings):
         findings = [f for f in findings if f.name != "steering_unrelated"]
     if has_derived_yaw_rate(log):
         compared = ("yaw_rate_scale", "yaw_rate_bias", "yaw_rate_lag")
         findings = [f for f in findings if f.severity is Severity.ERROR or f.name not in compared]
-    return findings if CHANNELS["velocity_y"].is_measured_in(log) else [_without_sideslip(f, motion) for f in findings]
-
-
-def _without_sideslip(finding: Finding, motion: Motion) -> Finding:
-    """The finding of a drive without velocity_y, without a correction if the unmeasured sideslip explains it.
-
-    Yaw may then be the course. The sideslip at a point l ahead of the rear axle, which slips by K per lateral
-    acceleration, is tau r with tau = l/v - K v: the yaw rate r lags the course by tau (`sideslip` corrects that).
-    """
-    if finding.name not in CHANGED_BY_SIDESLIP:
-        return finding
-    severity = finding.severity
-    if finding.name != "steering_lag":
-        speed = max(float(np.average(motion.speed, weights=np.square(motion.yaw_rate) + 1e-12)), MOVING)
-        low, high = {"yaw_rate_lag": (-MAX_REAR_COMPLIANCE * speed, MAX_INS_DISTANCE / speed),
-                     "yaw_lag": (-MAX_INS_DISTANCE / speed, MAX_REAR_COMPLIANCE * speed)}[finding.name]
-        if finding.value is None or not low <= finding.value <= high:
-            return finding
-        severity = Severity.NOTE
-    text = f"{finding.text}; velocity_y is not measured, so yaw may be the course and the lag may be due to sideslip"
+    if CHANNELS["velocity_y"].is_measured_in(log):
+        return findings
+    speed = max(float(np.average(motion.speed, weights=np.square(motion.yaw_rate) + 1e-12)), MOVING)
+    limits = {"steering_lag": (-np.inf, np.inf),
+              "yaw_rate_lag": (-MAX_REAR_COMPLIANCE * speed, MAX_INS_DISTANCE / speed),
+              "yaw_lag": (-MAX_INS_DISTANCE / speed, MAX_REAR_COMPLIANCE * speed)}
     advice = Advice("look", "record the heading of the car and velocity_y; without them the sensor's error is unknown")
-    return replace(finding, severity=severity, text=text, advice=advice)
+    for k, f in enumerate(findings):
+        low, high = limits.get(f.name, (np.inf, -np.inf))
+        if f.value is not None and low <= f.value <= high:
+            text = f"{f.text}; velocity_y is not measured, so yaw may be the course and the lag may be due to sideslip"
+            severity = f.severity if f.name == "steering_lag" else Severity.NOTE
+            findings[k] = replace(f, severity=severity, text=text, advice=advice)
+    return findings
 
 
 def _sort(findings: list[Finding]) -> tuple[Finding, ...]:
