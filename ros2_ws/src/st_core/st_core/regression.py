@@ -16,7 +16,6 @@ Miller, A practitioner's guide to cluster-robust inference, 2015 (the jackknife 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -188,22 +187,13 @@ def make_blocks(run_of: Sequence[int] | np.ndarray, time: Sequence[float] | np.n
                   f"{len(found)} blocks of {BLOCK_LENGTH:g} s from {len(runs)} run{plural}")
 
 
-class Pooled(NamedTuple):
-    """Pooled mean and its standard deviation. between: variance between runs. cochran_q: test of homogeneity [1]."""
+def random_effects(values: np.ndarray, variances: np.ndarray) -> tuple[float, float, float, float]:
+    """(mean, its standard deviation, variance between runs, Cochran's Q [1]) by a random effects model.
 
-    mean: float
-    deviation: float
-    between: float
-    cochran_q: float
-
-
-def random_effects(values: np.ndarray, variances: np.ndarray) -> Pooled:
-    """Pooled estimate of the values of several runs (n,), n >= 1, with variances (n,) > 0, by a random effects model.
-
-    Source: DerSimonian and Laird, Controlled Clinical Trials 7 (1986). Checked by: test_discovery_evidence.py.
+    values, variances > 0: (n,) of each run, n >= 1. Source: DerSimonian and Laird, Controlled Clinical Trials 7 (1986).
     """
     w = 1.0 / variances
     cochran_q = float(w @ np.square(values - w @ values / w.sum()))
     between = max(cochran_q - max(len(values) - 1, 1), 0.0) / max(float(w.sum() - np.square(w).sum() / w.sum()), 1e-300)
     w = 1.0 / (variances + between)
-    return Pooled(float(w @ values / w.sum()), float(w.sum() ** -0.5), between, cochran_q)
+    return float(w @ values / w.sum()), float(w.sum() ** -0.5), between, cochran_q

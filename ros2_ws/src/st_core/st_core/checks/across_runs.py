@@ -92,5 +92,5 @@ def neutral_value(name: str) -> float:
 def _random_effects(rows: np.ndarray) -> tuple[float, tuple[float, float], float, float]:
     """(mean, its 95 % interval, standard deviation between rows, Cochran's Q) of rows (value, low, high)."""
     deviation = np.maximum((rows[:, 2] - rows[:, 1]) / (2 * 1.96), 1e-12)
-    mean, error, between, excess = random_effects(rows[:, 0], np.square(deviation))
-    return mean, symmetric_interval(mean, error, max(len(rows) - 1, 1)), float(np.sqrt(between)), excess
+    mean, error, between, cochran_q = random_effects(rows[:, 0], np.square(deviation))
+    return mean, symmetric_interval(mean, error, max(len(rows) - 1, 1)), float(np.sqrt(between)), cochran_q

@@ -61,32 +61,19 @@ CHANNELS: Mapping[str, ChannelLimits] = {
 }
 
 
-@dataclass(frozen=True)
 class _Channel:
-    """One channel without NaN samples. rows: indices (n,) of its samples in the log. step: |change| from each sample to
-    the next, (n - 1,). median_step: median of the steps that are not 0. gap: whether each step spans a gap, (n - 1,).
-    update: usual time between changes of the value [s]."""
+    """A varying channel without NaN samples. rows: indices (n,) of its samples in the log."""
 
-    name: str
-    limits: ChannelLimits
-    rows: np.ndarray
-    time: np.ndarray
-    values: np.ndarray
-    step: np.ndarray
-    median_step: float
-    gap: np.ndarray
-    update: float
-
-    @property
-    def spacing(self) -> float:
-        """Median time between samples [s]."""
-        return float(np.median(np.diff(self.time)))
-
-    @property
-    def limit(self) -> float:
-        """Largest plausible change from one sample to the next [unit]."""
+    def __init__(self, name: str, rows: np.ndarray, time: np.ndarray, values: np.ndarray):
+        self.name, self.limits, self.rows, self.time, self.values = name, CHANNELS[name], rows, time, values
+        self.spacing = float(np.median(np.diff(time)))  # s
+        self.gap = np.diff(time) > max(MAX_GAP, 1.5 * self.spacing)  # whether each step spans a gap, (n - 1,)
+        self.step = np.abs(np.diff(values))  # |change| from each sample to the next, (n - 1,) [unit]
+        changes = np.flatnonzero(self.step > 0.0)
+        self.median_step = float(np.median(self.step[changes]))  # of the steps that are not 0
+        self.update = float(np.median(np.diff(time[changes + 1])))  # s, usual time between changes of the value
         physical = self.limits.step * max(1.0, self.spacing / STEP_TIME, self.update / STEP_TIME)
-        return max(physical, STEP_MEDIAN_RATIO * self.median_step)
+        self.limit = max(physical, STEP_MEDIAN_RATIO * self.median_step)  # largest plausible change [unit]
 
 
 def drop_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveLog, list[Finding]]:
@@ -143,9 +130,10 @@ def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
     half the samples are implausible.
     """
     bad = np.zeros(len(values), bool)
-    channel = _make_channel(name, time, values)
-    if channel is None:
+    rows = np.flatnonzero(np.isfinite(values))
+    if len(rows) < MIN_SAMPLES or np.count_nonzero(np.diff(values[rows])) < 2:
         return bad, []
+    channel = _Channel(name, rows, time[rows], values[rows])
     findings = []
     large = channel.step > channel.limit
     implausible = np.zeros(len(channel.values), bool)
@@ -170,21 +158,6 @@ def find_broken_channels(findings: Iterable[Finding]) -> set[str]:
     """Channels that cannot be compared with others, because they keep faulty samples."""
     return {channel for finding in findings for channel in finding.channels
             if finding.name == "channel_jumps" or finding.severity is Severity.ERROR}
-
-
-def _make_channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel | None:
-    """The channel without NaN; None if it is too short or constant."""
-    rows = np.flatnonzero(np.isfinite(values))
-    if len(rows) < MIN_SAMPLES:
-        return None
-    time, values = time[rows], values[rows]
-    step, spacing = np.abs(np.diff(values)), np.diff(time)
-    changes = np.flatnonzero(step > 0.0)
-    if len(changes) < 2:
-        return None
-    gap = spacing > max(MAX_GAP, 1.5 * float(np.median(spacing)))
-    update = float(np.median(np.diff(time[changes + 1])))
-    return _Channel(name, CHANNELS[name], rows, time, values, step, float(np.median(step[changes])), gap, update)
 
 
 def _is_moving(log: DriveLog) -> np.ndarray:
