@@ -75,16 +75,16 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
     geometric_slips, base_forces, motion = _dynamics(base, layouts, base_begin)
     slips = _chain(lambda front, rear, state, instant: (front, rear), _add_slip_angles, layouts, "slip_angles")
     rhs = _rhs(geometric_slips, slips, _chain(base_forces, _add_axle_forces, layouts, "axle_forces"), motion,
-               _chain(_no_acceleration, _add_acceleration, layouts, "acceleration"),
+               _chain(lambda instant: (0.0 * instant.velocity_x,) * 3, _add_acceleration, layouts, "acceleration"),
                _chain(_nothing, _add_rates, layouts, "rates"))
     if base.axles is None:
         rhs = _blended(base_rhs, rhs, base_begin, _conversion_layout(layouts).index)
     extra_states = tuple(f"{e.name}.{name}" for e in acting for name in e.extra_states)
     start = _start(_chain(_nothing, _add_start, layouts, "extra_states"), geometric_slips) if extra_states else None
-    force = _chain(_no_force, _add_specific_force, layouts, "specific_force")
+    force = _chain(lambda instant: (0.0 * instant.velocity_x,) * 2, _add_specific_force, layouts, "specific_force")
+    has_force = any(e.specific_force for e in acting)
     return Composed(acting, _inputs(base.inputs, changed_inputs, _prepared(layouts, signals)), rhs, start,
-                    None if force is _no_force else lambda state, w, p: force(_instant(state, w, p)), extra_states,
-                    signals)
+                    (lambda state, w, p: force(_instant(state, w, p))) if has_force else None, extra_states, signals)
 
 
 def _chain(function, add, layouts: list[_Layout], attribute: str):
@@ -242,11 +242,6 @@ def _add_axle_forces(previous, layout):
     return forces
 
 
-def _no_acceleration(instant):
-    zero = 0.0 * instant.velocity_x
-    return zero, zero, zero
-
-
 def _add_acceleration(previous, layout):
     hook, index, (begin, end) = layout.effect.acceleration, layout.index, layout.prepared
 
@@ -273,11 +268,6 @@ def _add_start(previous, layout):
     def start(slips, instant):
         return *previous(slips, instant), *hook(slips, instant, instant.w[begin:end], instant.p.effects[index])
     return start
-
-
-def _no_force(instant):
-    zero = 0.0 * instant.velocity_x
-    return zero, zero
 
 
 def _add_specific_force(previous, layout):

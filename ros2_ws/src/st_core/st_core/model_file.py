@@ -111,7 +111,12 @@ class ModelFile:
         lines.append("effects:" if self.effects else "effects: {}")
         for name, parts in self.effects.items():
             units = {p.name: p.unit for p in get_effect(name).parameters}
-            lines += [f"  {name}:", *(f"    {key}: {_entry(part, units[key])}" for key, part in parts.items())]
+            lines.append(f"  {name}:")
+            for key, part in parts.items():
+                interval = "null" if part.interval is None else f"[{', '.join(map(number, part.interval))}]"
+                lines.append(
+                    f"    {key}: {{value: {number(part.value)}, unit: {quote(units[key])}, interval: {interval}, "
+                    f"source: {quote(part.source)}{', effective: true' if part.effective else ''}}}")
         p = self.provenance
         lines += ["provenance:", f"  date: {quote(p.date)}", f"  version: {quote(p.version)}"]
         lines += ["  data:" if p.data else "  data: {}"]
@@ -149,14 +154,6 @@ class ModelFile:
             raise ConfigurationError(f"hash: {str(digest)[:12]} is not that of the content, {file.hash[:12]}: base, a "
                                      "value or the vehicle was edited; to accept the edit, remove the line `hash`")
         return file
-
-
-def _entry(estimate: Estimate, unit: str) -> str:
-    interval = "null"
-    if estimate.interval is not None:
-        interval = f"[{', '.join(number(limit) for limit in estimate.interval)}]"
-    return (f"{{value: {number(estimate.value)}, unit: {quote(unit)}, interval: {interval}, "
-            f"source: {quote(estimate.source)}{', effective: true' if estimate.effective else ''}}}")
 
 
 def _effect(name: str, entry: Any) -> dict[str, Estimate]:
