@@ -106,7 +106,7 @@ class Bands:
             entries[model][mode] = {
                 "factors": {f"{level:g}": c for level, c in band.factors.items()}, "floor": band.scale.floor.tolist(),
                 "ratios": band.ratios.tolist(), "coefficients": band.scale.coefficients.tolist()}
-        document = {
+        document: dict[str, Any] = {
             "vehicle": {"name": self.vehicle_name, "hash": self.vehicle_hash}, "settings": dict(self.settings),
             "recordings": dict(self.recordings), "runs": self.runs,
             "seen": {"starts": self.domain.starts.tolist(), "most": list(self.domain.largest)}, "bands": entries}
