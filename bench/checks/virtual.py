@@ -49,7 +49,7 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
             steering.append((now / 1000 + settings["steering_sensor_latency"], sensor.read(source.truth())))
         if now % WHEEL_SCHEDULE[0] == WHEEL_SCHEDULE[1]:
             # The rear wheels: they do not travel further than the car in a turn.
-            wheels.append((now / 1000, sum(read_wheel_speeds(source.truth(), settings).wheels[2:]) / 2))
+            wheels.append((now / 1000, sum(read_wheel_speeds(source.truth(), settings)[0][2:]) / 2))
     log = _log(drive_name(scenario), readings, np.array(steering), vehicle)
     times, speeds = np.array(wheels).T
     auxiliary = AuxiliaryData(wheel_speed=Series(_ns(times), _rounded(speeds, "wheel")))

@@ -5,7 +5,7 @@ The same speed, duration and lateral acceleration, each by its own hands and its
 
 import numpy as np
 import pytest
-from st_cli.verbs.demo import SCENARIOS as OFFERED
+from st_cli.verbs.live import SCENARIOS as OFFERED
 from st_core.augmented import augment
 from st_core.discovery.next_manoeuvre import drive
 from st_core.manoeuvres import CATALOGUE

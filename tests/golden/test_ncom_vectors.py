@@ -215,7 +215,7 @@ def test_stream_and_file_decoder_agree_for_any_portions(which, case, portion):
         times = [UNKNOWN_TIME if getattr(p, name) is None else getattr(p, name) for p in received]
         assert times == getattr(columns, name)[kept].tolist()
     assert parser.counters == columns.counters
-    assert parser.time_jumps == columns.time_jumps
+    assert parser.clock.jumps == columns.time_jumps
 
 
 @pytest.mark.parametrize("which", SETS)

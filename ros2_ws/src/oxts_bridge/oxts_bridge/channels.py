@@ -91,7 +91,9 @@ class Field:
             return lambda word, data: int(offset)
         if self.kind.startswith("text"):
             end = at + int(self.kind[4:])
-            return lambda word, data: _decode_text(data[at:end])
+            # An unprintable byte becomes \\xNN, because a line break would split a CSV row.
+            return lambda word, data: "".join(
+                chr(c) if 32 <= c < 127 else f"\\x{c:02x}" for c in data[at:end].split(b"\0")[0]) or None
         if self.kind == "f32":
             # The comparison also rejects NaN.
             return lambda word, data: value if (value := _F32.unpack_from(data, at)[0]) >= 0 else None
@@ -145,11 +147,6 @@ class Field:
         return number
 
 
-def _decode_text(data: bytes) -> str | None:
-    """Text up to the first zero byte; an unprintable byte becomes \\xNN, because a line break would split a CSV row."""
-    return "".join(chr(c) if 32 <= c < 127 else f"\\x{c:02x}" for c in data.split(b"\0")[0]) or None
-
-
 F = Field  # abbreviation in the table
 _FRESH_TEXT = "b6 < 150"
 FRESH = Validity(_FRESH_TEXT, lambda raw, data: data[6] < 150, flag_byte=6)
@@ -167,15 +164,13 @@ INVERTED_B7 = Validity("bit 7 of b7 = 0", lambda raw, data: data[7] < 0x80, flag
 LONG_RANGE = Validity(f"{_FRESH_TEXT} and b7 > 0", lambda raw, data: data[6] < 150 and data[7] != 0, flag_byte=6)
 
 
-def unless(*codes: int) -> Validity:
-    """Valid unless the raw number is one of the codes; the first code is written for an invalid value."""
-    return Validity(f"not {', '.join(map(str, codes))}", lambda raw, data: raw not in codes, codes[0])
+def unless(*codes: int, fresh: bool = False) -> Validity:
+    """Valid unless the raw number is one of the codes; the first code is written for an invalid value.
 
-
-def fresh_unless(*codes: int) -> Validity:
-    """Like unless(), but valid only while the age in byte 6 is below 150."""
-    return Validity(f"{_FRESH_TEXT} and not {', '.join(map(str, codes))}",
-                    lambda raw, data: data[6] < 150 and raw not in codes, codes[0])
+    fresh: valid only while the age in byte 6 is below 150.
+    """
+    return Validity(f"{_FRESH_TEXT} and " * fresh + f"not {', '.join(map(str, codes))}",
+                    lambda raw, data: raw not in codes and (not fresh or data[6] < 150), codes[0])
 
 
 BYTE = unless(0xFF)
@@ -273,12 +268,12 @@ TABLE: dict[int, list[Field]] = {
          *_nibbles(7, "GpsExternal.NumGloL1", "GpsExternal.NumGloL2")],
     12: _xyz(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", FRESH),
     13: [F("AtH", "i16", 0, "deg", degrees(1e-4), 0, FRESH), F("AtP", "i16", 2, "deg", degrees(1e-4), 0, FRESH),
-         F("BaseLineLength", "u16", 4, "m", 1e-3, 0, fresh_unless(0, 0xFFFF)),
+         F("BaseLineLength", "u16", 4, "m", 1e-3, 0, unless(0, 0xFFFF, fresh=True)),
          *_nibbles(7, "HeadNumGpsAvailable", "HeadNumGpsUsed")],
     14: [*_xyz(("GAPxAcc", "GAPyAcc", "GAPzAcc"), "u16", 1e-4, "m", FRESH),
          *_nibbles(7, "NumGpsUsedInPos", "NumGloUsedInPos")],
     15: [F("AtHAcc", "u16", 0, "deg", degrees(1e-5), 0, FRESH), F("AtPAcc", "u16", 2, "deg", degrees(1e-5), 0, FRESH),
-         F("BaseLineLengthAcc", "u16", 4, "m", 1e-4, 0, fresh_unless(0xFFFF)),
+         F("BaseLineLengthAcc", "u16", 4, "m", 1e-4, 0, unless(0xFFFF, fresh=True)),
          *_nibbles(7, "HeadNumGloAvailable", "HeadNumGloUsed")],
     16: [*_angles("Imu2Veh"), F("TimeUtcOffset", "shifted", 7, "s", 1, 0, BIT0_SET)],
     17: _receiver_counters("GpsSecondary"),
@@ -444,8 +439,9 @@ def utc_offset(data: bytes) -> int | None:
 def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
     """The 8 bytes of a channel.
 
-    A missing field, None or NaN is encoded as invalid, or as 0 where the format has no code for it. Raises NcomError
-    for an unknown channel or field, a value out of range, and an incomplete group of fields that share a flag byte.
+    A missing field, None or NaN is encoded as invalid, or as 0 where the format has no code for it. The multiplier of
+    the long-range lever arm (channel 57) is 1, so its components are limited to 32.767 m. Raises NcomError for an
+    unknown channel or field, a value out of range, and an incomplete group of fields that share a flag byte.
     """
     fields = FIELDS.get(channel)
     if fields is None:
@@ -453,8 +449,6 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
     for name in values:
         if name not in fields:
             raise NcomError(f"channel {channel} has no field {name}; it has {', '.join(fields)}")
-    if channel == LONG_RANGE_CHANNEL:
-        return _encode_long_range(values)
     values = {name: None if value != value else value for name, value in values.items()}  # noqa: PLR0124 - NaN
     buffer = bytearray(b"\xff" * 8)
     groups: dict[int, list[Field]] = {}
@@ -468,23 +462,11 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
         buffer[flag] = group[0].validity.flag_valid if any(is_set) else 0xFF
     if any(f.validity.text.startswith(_FRESH_TEXT) and values.get(f.name) is not None for f in fields.values()):
         buffer[6] = 0
+    if channel == LONG_RANGE_CHANNEL:
+        buffer[7] = 1
     for name, field in fields.items():
         value = values.get(name)
         if value is not None or field.validity.flag_byte is None:
             field.encode(buffer, value)
     return bytes(buffer)
 
-
-def _encode_long_range(values: Mapping[str, Value]) -> bytes:
-    lengths: list[Value] = [values.get(name) for name in ("GAPx", "GAPy", "GAPz")]
-    if all(length is None for length in lengths):
-        return b"\xff" * 7 + b"\0"
-    if any(length is None for length in lengths):
-        raise NcomError("channel 57: give all or none of GAPx, GAPy, GAPz")
-    factor = max(1, -(-max(abs(round(length * 1000)) for length in lengths) // 0x7FFF))
-    if factor > 0xFE:
-        raise NcomError(f"channel 57: a lever arm of {max(map(abs, lengths))} m exceeds the largest possible, 8322 m")
-    buffer = bytearray(b"\0" * 7 + bytes([factor]))
-    for field, length in zip(TABLE[LONG_RANGE_CHANNEL], lengths, strict=True):
-        field.encode(buffer, length / factor)
-    return bytes(buffer)

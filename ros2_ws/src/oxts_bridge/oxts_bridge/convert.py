@@ -21,13 +21,13 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from .channels import Value
-from .motion import Accuracy, Motion, Quaternion, Vector, flu_from_frd
+from .motion import Accuracy, Motion, Quaternion, Vector, flu_from_frd, variances
 from .ncom import BY_STATUS, Counters, fix_status, mode_text
 from .status import StatusTracker
 from .stream import Received
 
 # Variance of an unknown quantity in messages that cannot express "unknown": so large that filters ignore the value, but
-# finite, because filters fail at infinity.
+# finite, because an infinite variance makes filters fail.
 UNKNOWN_VARIANCE = 1e6
 _UNKNOWN_BLOCK = (UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE)
 
@@ -83,14 +83,14 @@ class Publishers:
             self._node.destroy_publisher(publisher)
 
     def publish_raw(self, received: Received, now: float) -> None:
-        """st_msgs/Ncom: the packet as received, stamped with the time of receipt."""
+        """Publish st_msgs/Ncom: the packet as received, stamped with the time of receipt."""
         if received.received_ns is not None and self._out["ncom"].has_subscribers(now):
             _set_time(self._ncom.header.stamp, received.received_ns)
             self._ncom.raw_packet.data[:] = memoryview(received.raw)
             self._out["ncom"].publish(self._ncom)
 
     def publish_time_reference(self, received: Received, now: float) -> None:
-        """sensor_msgs/TimeReference: host time of receipt (header) and UTC of the INS."""
+        """Publish sensor_msgs/TimeReference: host time of receipt (header) and UTC of the INS."""
         received_ns, utc_ns = received.received_ns, received.utc_ns
         if received_ns is not None and utc_ns is not None and self._out["time_reference"].has_subscribers(now):
             message = self._time_reference
@@ -111,7 +111,7 @@ class Publishers:
                 _set_time(message.header.stamp, stamp_ns)
                 _set_pose(message.pose.pose, position, motion)
                 _set_twist(message.twist.twist, motion)
-                _set_diagonal(message.pose.covariance, 7, accuracy.position_variances or (UNKNOWN_VARIANCE,) * 3)
+                _set_diagonal(message.pose.covariance, 7, variances(accuracy.position) or (UNKNOWN_VARIANCE,) * 3)
                 _set_block(message.pose.covariance, 21, _orientation_covariance(motion, accuracy) or _UNKNOWN_BLOCK)
                 _set_block(message.twist.covariance, 0, _velocity_covariance(motion, accuracy))
                 self._out["odometry"].publish(message)
@@ -128,19 +128,19 @@ class Publishers:
             self._out["velocity"].publish(self._velocity)
 
     def publish_fix(self, stamp_ns: int, motion: Motion, accuracy: Accuracy, status: StatusTracker, now: float) -> None:
-        """sensor_msgs/NavSatFix; its altitude is above the ellipsoid, NaN while the geoid undulation is unknown."""
+        """Publish sensor_msgs/NavSatFix; altitude above the ellipsoid, NaN while the geoid undulation is unknown."""
         if not self._out["nav_sat_fix"].has_subscribers(now):
             return
-        # Height above the ellipsoid = altitude + undulation; the manual prints a minus, which recordings contradict.
+        # Height above the ellipsoid = altitude + undulation. The manual subtracts; recordings show that this is wrong.
         undulation = 0.0 if self._settings.altitude_is_ellipsoidal else status.number("Undulation")
-        message, variances = self._fix, accuracy.position_variances
+        message, known = self._fix, variances(accuracy.position)
         _set_time(message.header.stamp, stamp_ns)
         message.latitude, message.longitude = degrees(motion.latitude), degrees(motion.longitude)
         message.altitude = motion.altitude + undulation
         message.status.status = fix_status(status.get("GpsPosMode"))
-        _set_diagonal(message.position_covariance, 4, variances or (0.0,) * 3)
+        _set_diagonal(message.position_covariance, 4, known or (0.0,) * 3)
         message.position_covariance_type = (
-            NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if variances else NavSatFix.COVARIANCE_TYPE_UNKNOWN)
+            NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if known else NavSatFix.COVARIANCE_TYPE_UNKNOWN)
         self._out["nav_sat_fix"].publish(message)
 
     def publish_imu(self, stamp_ns: int, received: Received, motion: Motion | None, accuracy: Accuracy,
@@ -187,17 +187,15 @@ class Publishers:
             self._clock.publish(message)
 
     def publish_static_transforms(self, stamp_ns: int) -> None:
-        """map -> odom (identity, because the INS does not drift relative to the map) and base_link -> ins_link."""
-        if self._tf_static is None:
-            return
-        s, transforms = self._settings, []
-        for parent, child, offset in ((s.map_frame, s.odom_frame, (0.0, 0.0, 0.0)),
-                                      (s.base_frame, s.ins_frame, self._base_to_ins)):
-            transform = TransformStamped(header=Header(frame_id=parent), child_frame_id=child)
-            _set_time(transform.header.stamp, stamp_ns)
-            _set_vector(transform.transform.translation, offset)
-            transforms.append(transform)
-        self._tf_static.publish(TFMessage(transforms=transforms))
+        """Publish map -> odom (identity, as the INS does not drift relative to the map) and base_link -> ins_link."""
+        if self._tf_static is not None:
+            s = self._settings
+            transforms = [TransformStamped(header=Header(frame_id=parent), child_frame_id=child)
+                          for parent, child in ((s.map_frame, s.odom_frame), (s.base_frame, s.ins_frame))]
+            for transform in transforms:
+                _set_time(transform.header.stamp, stamp_ns)
+            _set_vector(transforms[1].transform.translation, self._base_to_ins)
+            self._tf_static.publish(TFMessage(transforms=transforms))
 
 
 def _set_time(time: Any, nanoseconds: int) -> None:
@@ -234,14 +232,14 @@ def _set_twist(twist: Any, motion: Motion) -> None:
 
 
 def _velocity_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...]:
-    variances = accuracy.velocity_variances
-    return _UNKNOWN_BLOCK if variances is None else motion.attitude.covariance_to_body(variances)
+    known = variances(accuracy.velocity)
+    return _UNKNOWN_BLOCK if known is None else motion.attitude.covariance_to_body(known)
 
 
 def _orientation_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...] | None:
     """Row-major 3 x 3 covariance [rad^2]; None while unknown."""
-    variances = accuracy.attitude_variances
-    return None if variances is None else motion.attitude.orientation_covariance(variances)
+    known = variances(accuracy.attitude)
+    return None if known is None else motion.attitude.orientation_covariance(known)
 
 
 def make_trigger(stamp_ns: int, map_frame: str, channel: int, count: int, position: Vector | None,
@@ -260,20 +258,16 @@ def make_status(stamp_ns: int, ins_frame: str, navigation_status: int, status: S
                 time_jumps: int) -> InsStatus:
     """st_msgs/InsStatus from the newest values of all status channels."""
     number, get, accuracy = status.number, status.get, Accuracy.from_status(status)
+    (east, north, up), (velocity_east, velocity_north, velocity_up), (roll, pitch, heading) = accuracy
     message = InsStatus(
         header=Header(frame_id=ins_frame),
         navigation_status=navigation_status,
         navigation_status_text=BY_STATUS[navigation_status].text,
         satellites=_to_integer(get("GpsNumObs")),
-        position_accuracy_north=accuracy.north,
-        position_accuracy_east=accuracy.east,
-        position_accuracy_down=accuracy.vertical,
-        velocity_accuracy_north=accuracy.velocity_north,
-        velocity_accuracy_east=accuracy.velocity_east,
-        velocity_accuracy_down=accuracy.velocity_vertical,
-        heading_accuracy=accuracy.heading,
-        pitch_accuracy=accuracy.pitch,
-        roll_accuracy=accuracy.roll,
+        position_accuracy_north=north, position_accuracy_east=east, position_accuracy_down=up,
+        velocity_accuracy_north=velocity_north, velocity_accuracy_east=velocity_east,
+        velocity_accuracy_down=velocity_up,
+        heading_accuracy=heading, pitch_accuracy=pitch, roll_accuracy=roll,
         geoid_undulation=number("Undulation"),
         utc_offset=number("TimeUtcOffset"),
         output_latency=number("OutputLatency"),
@@ -283,12 +277,8 @@ def make_status(stamp_ns: int, ins_frame: str, navigation_status: int, status: S
         serial_number=_to_integer(get("SerialNumber") if get("SerialNumber") is not None else get("SerialNumber24")),
         firmware=str(get("DevId") or ""),
         seen_channels=sorted(status.seen),
-        packets=counters.packets,
-        checksum_errors=counters.checksum_errors,
-        skipped_bytes=counters.skipped_bytes,
-        late_packets=counters.late,
-        time_jumps=time_jumps,
-    )
+        packets=counters.packets, checksum_errors=counters.checksum_errors, skipped_bytes=counters.skipped_bytes,
+        late_packets=counters.late, time_jumps=time_jumps)
     _set_time(message.header.stamp, stamp_ns)
     for name, field in (("position", "GpsPosMode"), ("velocity", "GpsVelMode"), ("orientation", "GpsAttMode")):
         setattr(message, f"{name}_mode", _to_integer(get(field)))

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import lfilter, lfilter_zi
 
 from .file_decoder import EMPTY, REGULAR, UNKNOWN_TIME, Columns
-from .ncom import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS
+from .ncom import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS, STATUS_ONLY
 
 EARTH_RATE = 7.2921151467e-5  # rad/s
 # Accuracy of the horizontal speed until the unit sends one [m/s].
@@ -43,7 +43,9 @@ def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
     acceleration = np.where(fix, columns.acceleration, np.nan)
     rate = np.where(fix, columns.angular_rate, np.nan)
     out: dict[str, np.ndarray] = {}
-    level = _level_matrix(pitch, roll)
+    sp, cp, sr, cr = np.sin(pitch), np.cos(pitch), np.sin(roll), np.cos(roll)
+    # Rotation from vehicle axes to level axes, Ry(pitch) Rx(roll), (3, 3, n).
+    level = np.array([[cp, sp * sr, sp * cr], [0 * sp, cr, -sr], [-sp, cp * sr, cp * cr]])
     seconds = float_seconds(columns)
     level_velocity, level_rate = _to_level_heading(velocity, heading), _apply(level, rate)
     out["Vf"], out["Vl"] = level_velocity[0], level_velocity[1]
@@ -69,12 +71,6 @@ def float_seconds(columns: Columns) -> np.ndarray:
     minutes, remainder = np.divmod(np.where(known, columns.gps_ns, 0), 60_000_000_000)
     milliseconds, fine = np.divmod(remainder, 1_000_000)
     return np.where(known, minutes * 60.0 + milliseconds * 0.001 + fine * 1e-9, np.nan)
-
-
-def _level_matrix(pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
-    """Rotation from vehicle axes to level axes, Ry(pitch) Rx(roll), (3, 3, n)."""
-    sp, cp, sr, cr = np.sin(pitch), np.cos(pitch), np.sin(roll), np.cos(roll)
-    return np.array([[cp, sp * sr, sp * cr], [0 * sp, cr, -sr], [-sp, cp * sr, cp * cr]])
 
 
 def _apply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
@@ -121,7 +117,11 @@ def _add_distances(out: dict, columns: Columns, seconds: np.ndarray) -> None:
     for name, speed in (("Dist2d", out["Speed2d"]), ("Dist3d", out["Speed3d"])):
         usable = ~np.isnan(speed) & ~np.isnan(seconds)
         series = np.flatnonzero(usable & (columns.kind == REGULAR) & (columns.order == 0))
-        series = series[_count_skipped_packets(columns, series) :]
+        # The vendor's tools skip the first packet if it sets the minute.
+        if len(series) and columns.channel[series[0]] == 0:
+            earlier = slice(0, series[0])
+            sets_minute = (columns.navigation_status[earlier] == STATUS_ONLY) & (columns.channel[earlier] == 0)
+            series = series[0 if sets_minute.any() else 1 :]
         distance = np.full(len(speed), np.nan)
         if len(series):
             step = np.diff(seconds[series])
@@ -135,14 +135,6 @@ def _add_distances(out: dict, columns: Columns, seconds: np.ndarray) -> None:
             elapsed = np.where(columns.kind[remaining] == REGULAR, 0.0, seconds[remaining] - seconds[last])
             distance[remaining] = total[before] + 0.5 * (speed[remaining] + speed[last]) * elapsed
         out[name] = distance
-
-
-def _count_skipped_packets(columns: Columns, series: np.ndarray) -> int:
-    """1 if the first packet sets the minute, because the vendor's tools skip such a packet; else 0."""
-    if not len(series) or columns.channel[series[0]] != 0:
-        return 0
-    earlier = slice(0, series[0])
-    return int(not np.any((columns.navigation_status[earlier] == 10) & (columns.channel[earlier] == 0)))
 
 
 def _add_angular_acceleration(out: dict, columns: Columns, seconds: np.ndarray) -> None:

@@ -136,29 +136,14 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     with np.errstate(invalid="ignore"):  # structure B and empty packets may contain a signalling NaN
         altitude = packets["altitude"].astype(np.float64)
     columns = Columns(
-        offset=offset,
-        raw=raw,
-        kind=kind,
-        order=order,
-        gps_ns=gps_ns,
-        utc_ns=_utc_times(raw, status, channel, gps_ns),
-        milliseconds=packets["milliseconds"].astype(np.int64),
-        navigation_status=status,
-        channel=channel,
+        offset=offset, raw=raw, kind=kind, order=order, gps_ns=gps_ns,
+        utc_ns=_utc_times(raw, status, channel, gps_ns), milliseconds=packets["milliseconds"].astype(np.int64),
+        navigation_status=status, channel=channel,
         acceleration=_i24(raw, ncom.ACCELERATION_AT, ncom.ACCELERATION_UNIT),
         angular_rate=_i24(raw, ncom.ANGULAR_RATE_AT, ncom.ANGULAR_RATE_UNIT),
-        latitude=packets["latitude"].copy(),
-        longitude=packets["longitude"].copy(),
-        altitude=altitude,
-        velocity_ned=_i24(raw, ncom.VELOCITY_AT, ncom.VELOCITY_UNIT),
-        heading=heading,
-        pitch=pitch,
-        roll=roll,
-        approximate=_IS_APPROXIMATE[status],
-        has_status=_HAS_STATUS[status],
-        counters=counters,
-        time_jumps=jumps,
-    )
+        latitude=packets["latitude"].copy(), longitude=packets["longitude"].copy(), altitude=altitude,
+        velocity_ned=_i24(raw, ncom.VELOCITY_AT, ncom.VELOCITY_UNIT), heading=heading, pitch=pitch, roll=roll,
+        approximate=_IS_APPROXIMATE[status], has_status=_HAS_STATUS[status], counters=counters, time_jumps=jumps)
     _fill_counters(columns)
     _mask_invalid(columns)
     return columns

@@ -6,7 +6,7 @@ from typing import Any
 
 from st_ros.diagnostics import ERROR, OK, WARN, Check
 
-from .motion import UNIT, Accuracy, Origin
+from .motion import UNIT, Accuracy, Origin, variances
 from .ncom import BLOCKED, BY_STATUS, EXPIRED, LOCKED, LOCKING, mode_rank, mode_text
 from .sources import SourceStatus
 from .status import StatusTracker
@@ -114,14 +114,15 @@ class Health:
         if self.navigation_status is None:
             return Check("solution", WARN, "no navigation status yet")
         get, accuracy = self._status.get, Accuracy.from_status(self._status)
+        east, north, _ = accuracy.position
         values = {
             "position mode": mode_text(get("GpsPosMode")),
             "velocity mode": mode_text(get("GpsVelMode")),
             "orientation mode": mode_text(get("GpsAttMode")),
             "satellites": get("GpsNumObs"),
-            "position accuracy east [m]": accuracy.east,
-            "position accuracy north [m]": accuracy.north,
-            "heading accuracy [rad]": accuracy.heading,
+            "position accuracy east [m]": east,
+            "position accuracy north [m]": north,
+            "heading accuracy [rad]": accuracy.attitude[2],
             "PTP status": get("PtpStatus"),
             "NTRIP status": get("NtripStatus"),
             "IMU temperature [degC]": get("ImuTemperature"),
@@ -142,7 +143,7 @@ class Health:
 
     def _check_completeness(self) -> Check:
         """Report missing information and its effect on the topics."""
-        accuracy, status = Accuracy.from_status(self._status), self._status
+        status = self._status
         degraded, missing = [], []
         if self._parser.clock.minute is None:
             degraded.append("absolute time (channel 0): only ins/ncom can be stamped")
@@ -150,7 +151,7 @@ class Health:
             degraded.append("absolute time (channel 0): minute taken from the host's clock")
         if status.get("Undulation") is None and not self._ellipsoidal:
             degraded.append("geoid undulation (channel 48): altitude of ins/nav_sat_fix is NaN")
-        if not (accuracy.position_variances and accuracy.velocity_variances and accuracy.attitude_variances):
+        if None in map(variances, Accuracy.from_status(status)):
             degraded.append("accuracies (channels 3, 4, 5): covariances unknown")
         if self._origin.frame is None:
             pending = "the unit's local frame" if self._origin.source == UNIT else "the first fix"
@@ -169,7 +170,7 @@ class Health:
 
     def _check_time(self) -> Check:
         offset = self._parser.utc_offset
-        values: dict[str, Any] = {"time jumps": self._parser.time_jumps,
+        values: dict[str, Any] = {"time jumps": self._parser.clock.jumps,
                                   "UTC offset [s]": "leap-second table" if offset is None else offset}
         differences = self._statistics.stamp_minus_host() if self._live else None
         if differences is None:

@@ -83,12 +83,12 @@ class Attitude:
         zz = ve * rows[2] ** 2 + vn * rows[5] ** 2 + vu * rows[8] ** 2
         return xx, xy, xz, xy, yy, yz, xz, yz, zz
 
-    def orientation_covariance(self, variances: Vector) -> tuple[float, ...]:
+    def orientation_covariance(self, attitude_variances: Vector) -> tuple[float, ...]:
         """Covariance about the fixed axes at small pitch and roll, row by row: Rz(yaw) diag(variances) Rz(yaw)^T.
 
-        variances: of roll, pitch, heading [rad^2]."""
+        attitude_variances: of roll, pitch, heading [rad^2]."""
         s, c = sin(self.yaw), cos(self.yaw)
-        roll, pitch, heading = variances
+        roll, pitch, heading = attitude_variances
         cross = (roll - pitch) * s * c
         return c * c * roll + s * s * pitch, cross, 0.0, cross, s * s * roll + c * c * pitch, 0.0, 0.0, 0.0, heading
 
@@ -129,45 +129,26 @@ class LocalFrame:
         return -s_lon * dx + c_lon * dy, -s_lat * outward + c_lat * dz, c_lat * outward + s_lat * dz
 
 
-@dataclass(slots=True)
-class Accuracy:
+class Accuracy(NamedTuple):
     """Standard deviations reported by the unit; NaN if unknown (never sent, or declared outdated).
 
-    east, north, vertical [m]; velocity_east, velocity_north, velocity_vertical [m/s]; roll, pitch, heading [rad].
+    position: east, north, up [m]. velocity: east, north, up [m/s]. attitude: roll, pitch, heading [rad].
     """
 
-    east: float
-    north: float
-    vertical: float
-    velocity_east: float
-    velocity_north: float
-    velocity_vertical: float
-    roll: float
-    pitch: float
-    heading: float
+    position: Vector
+    velocity: Vector
+    attitude: Vector
 
     @classmethod
     def from_status(cls, status: StatusTracker) -> "Accuracy":
-        lengths = map(status.number, ("EastAcc", "NorthAcc", "AltAcc", "VeAcc", "VnAcc", "VdAcc"))
-        return cls(*lengths, *(radians(status.number(name)) for name in ("RollAcc", "PitchAcc", "HeadingAcc")))
-
-    @property
-    def position_variances(self) -> Vector | None:
-        """East, north, up [m^2]; None while unknown."""
-        return _squares(self.east, self.north, self.vertical)
-
-    @property
-    def velocity_variances(self) -> Vector | None:
-        """East, north, up [m^2/s^2]; None while unknown."""
-        return _squares(self.velocity_east, self.velocity_north, self.velocity_vertical)
-
-    @property
-    def attitude_variances(self) -> Vector | None:
-        """Roll, pitch, heading [rad^2]; None while unknown."""
-        return _squares(self.roll, self.pitch, self.heading)
+        get = status.number
+        return cls((get("EastAcc"), get("NorthAcc"), get("AltAcc")), (get("VeAcc"), get("VnAcc"), get("VdAcc")),
+                   (radians(get("RollAcc")), radians(get("PitchAcc")), radians(get("HeadingAcc"))))
 
 
-def _squares(a: float, b: float, c: float) -> Vector | None:
+def variances(deviations: Vector) -> Vector | None:
+    """Squares of three standard deviations; None if one is unknown."""
+    a, b, c = deviations
     return None if isnan(a + b + c) else (a**2, b**2, c**2)
 
 

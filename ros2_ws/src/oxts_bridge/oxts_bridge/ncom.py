@@ -171,31 +171,20 @@ def decode_unchecked(data: bytes) -> Packet:
     # Written out because this runs for every packet: a call per component would double the time.
     return Packet(
         ms,
-        (
-            NAN if x1 == -128 and not x0 else (x1 << 16 | x0) * ACCELERATION_UNIT,
-            NAN if y1 == -128 and not y0 else (y1 << 16 | y0) * ACCELERATION_UNIT,
-            NAN if z1 == -128 and not z0 else (z1 << 16 | z0) * ACCELERATION_UNIT,
-        ),
-        (
-            NAN if p1 == -128 and not p0 else (p1 << 16 | p0) * ANGULAR_RATE_UNIT,
-            NAN if q1 == -128 and not q0 else (q1 << 16 | q0) * ANGULAR_RATE_UNIT,
-            NAN if r1 == -128 and not r0 else (r1 << 16 | r0) * ANGULAR_RATE_UNIT,
-        ),
-        status,
-        latitude,
-        longitude,
-        altitude,
-        (
-            NAN if n1 == -128 and not n0 else (n1 << 16 | n0) * VELOCITY_UNIT,
-            NAN if e1 == -128 and not e0 else (e1 << 16 | e0) * VELOCITY_UNIT,
-            NAN if d1 == -128 and not d0 else (d1 << 16 | d0) * VELOCITY_UNIT,
-        ),
+        (NAN if x1 == -128 and not x0 else (x1 << 16 | x0) * ACCELERATION_UNIT,
+         NAN if y1 == -128 and not y0 else (y1 << 16 | y0) * ACCELERATION_UNIT,
+         NAN if z1 == -128 and not z0 else (z1 << 16 | z0) * ACCELERATION_UNIT),
+        (NAN if p1 == -128 and not p0 else (p1 << 16 | p0) * ANGULAR_RATE_UNIT,
+         NAN if q1 == -128 and not q0 else (q1 << 16 | q0) * ANGULAR_RATE_UNIT,
+         NAN if r1 == -128 and not r0 else (r1 << 16 | r0) * ANGULAR_RATE_UNIT),
+        status, latitude, longitude, altitude,
+        (NAN if n1 == -128 and not n0 else (n1 << 16 | n0) * VELOCITY_UNIT,
+         NAN if e1 == -128 and not e0 else (e1 << 16 | e0) * VELOCITY_UNIT,
+         NAN if d1 == -128 and not d0 else (d1 << 16 | d0) * VELOCITY_UNIT),
         NAN if h1 == -128 and not h0 else (h1 << 16 | h0) * ANGLE_UNIT,
         NAN if t1 == -128 and not t0 else (t1 << 16 | t0) * ANGLE_UNIT,
         NAN if l1 == -128 and not l0 else (l1 << 16 | l0) * ANGLE_UNIT,
-        channel,
-        batch_s,
-    )
+        channel, batch_s)
 
 
 def encode(packet: Packet) -> bytes:
@@ -273,19 +262,16 @@ def next_packet(data: bytes, at: int, in_sync: bool, counters: Counters) -> tupl
             raw = data[at : at + PACKET_SIZE]
             if len(raw) < PACKET_SIZE:
                 break
-            if sum(raw[1:CHECKSUM_3_AT]) & 0xFF == raw[CHECKSUM_3_AT] and (in_sync or _is_plausible(raw)):
-                return at, True
+            if sum(raw[1:CHECKSUM_3_AT]) & 0xFF == raw[CHECKSUM_3_AT]:
+                status = raw[STATUS_AT]
+                if in_sync or status == STRUCTURE_B or (BY_STATUS[status].known and inner_checksums_match(raw)):
+                    return at, True
             counters.checksum_errors += in_sync
-        following = data.find(_SYNC, at + 1)
-        following = len(data) if following < 0 else following
+        found = data.find(_SYNC, at + 1)
+        following = len(data) if found < 0 else found
         counters.skipped_bytes += following - at
         at, in_sync = following, False
     return at, in_sync
-
-
-def _is_plausible(raw: bytes) -> bool:
-    status = raw[STATUS_AT]
-    return status == STRUCTURE_B or (BY_STATUS[status].known and inner_checksums_match(raw))
 
 
 def _i24_parts(values: tuple[float, float, float], unit: float) -> Iterator[int]:

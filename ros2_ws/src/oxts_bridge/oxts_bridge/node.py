@@ -118,21 +118,17 @@ class OxtsBridge(LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._stop_source()
+        self.close()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._stop_source()
+        self.close()
         if self._outputs is not None:
             self._outputs.destroy()
             self._outputs = None
         return super().on_cleanup(state)
 
     on_shutdown = on_cleanup
-
-    def close(self) -> None:
-        """Stop the thread of the source, which must not publish after the node is destroyed."""
-        self._stop_source()
 
     def _make_source(self) -> Source:
         s = self._settings
@@ -142,7 +138,8 @@ class OxtsBridge(LifecycleNode):
         return ReplaySource(Path(s.replay_file), self._on_data, self._parser.restart, s.speed_factor, s.loop,
                             s.start_offset)
 
-    def _stop_source(self) -> None:
+    def close(self) -> None:
+        """Stop the thread of the source, which must not publish after the node is destroyed."""
         if self._source is not None:
             self._source.stop()
             self._source = None
@@ -224,7 +221,7 @@ class OxtsBridge(LifecycleNode):
             return
         self._reported, self._reported_at = state, now
         publishers.publish_status(make_status(stamp, self._settings.ins_frame, self._health.navigation_status or 0,
-                                              self._status, self._parser.counters, self._parser.time_jumps))
+                                              self._status, self._parser.counters, self._parser.clock.jumps))
 
 
 def check(settings: SimpleNamespace, node_name: str) -> None:

@@ -57,10 +57,6 @@ class NcomParser:
         self._last_trigger = b""
         self._decoded: dict[int, tuple[bytes, Mapping[str, Value]]] = {}
 
-    @property
-    def time_jumps(self) -> int:
-        return self.clock.jumps
-
     def restart(self) -> None:
         """Prepare for another stream: discard the time and an incomplete packet, but keep the counters."""
         jumps, self.clock = self.clock.jumps, GpsClock()

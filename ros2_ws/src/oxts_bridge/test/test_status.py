@@ -4,7 +4,16 @@ import math
 
 import pytest
 from oxts_bridge.channels import encode_channel
-from oxts_bridge.motion import FIRST_FIX, GIVEN, LOCAL_FRAME_TIMEOUT_NS, UNIT, Accuracy, Origin, extract_motion
+from oxts_bridge.motion import (
+    FIRST_FIX,
+    GIVEN,
+    LOCAL_FRAME_TIMEOUT_NS,
+    UNIT,
+    Accuracy,
+    Origin,
+    extract_motion,
+    variances,
+)
 from oxts_bridge.ncom import fix_status, mode_text
 from oxts_bridge.status import EventLog, StatusTracker
 from oxts_bridge.stream import NcomParser
@@ -24,10 +33,11 @@ def test_old_accuracy_is_unknown_not_zero():
     status = StatusTracker()
     status.update(3, encode_channel(3, {"NorthAcc": 0.1, "EastAcc": 0.2, "AltAcc": 0.3}))
     accuracy = Accuracy.from_status(status)
-    assert accuracy.position_variances and not accuracy.velocity_variances and not accuracy.attitude_variances
-    assert (accuracy.east, accuracy.north, accuracy.vertical) == pytest.approx((0.2, 0.1, 0.3))
+    assert accuracy.position == pytest.approx((0.2, 0.1, 0.3))
+    assert variances(accuracy.position) == pytest.approx((0.04, 0.01, 0.09))
+    assert variances(accuracy.velocity) is variances(accuracy.attitude) is None
     status.update(3, encode_channel(3, {}))
-    assert not Accuracy.from_status(status).position_variances
+    assert variances(Accuracy.from_status(status).position) is None
 
 
 def test_same_bytes_again_change_nothing_but_the_filtered_lag():

@@ -269,7 +269,7 @@ def test_file_decoder_finds_the_same(wrapping_drive, packet, data, joined):
     assert columns.gps_ns[kept].tolist() == [UNKNOWN_TIME if r.gps_ns is None else r.gps_ns for r in received]
     assert columns.utc_ns[kept].tolist() == [UNKNOWN_TIME if r.utc_ns is None else r.utc_ns for r in received]
     assert columns.counters == parser.counters
-    assert columns.time_jumps == parser.time_jumps
+    assert columns.time_jumps == parser.clock.jumps
     for i, r in zip(kept, received, strict=True):
         p = r.packet
         assert columns.acceleration[:, i] == pytest.approx(p.acceleration, rel=1e-15, nan_ok=True)
@@ -298,7 +298,7 @@ def test_a_packet_with_impossible_milliseconds_has_no_time_and_leaves_the_clock_
     columns = decode_file(b"".join(packets))
     assert columns.gps_ns.tolist() == [UNKNOWN_TIME if time is None else time for time in times]
     assert columns.counters == parser.counters and parser.counters.impossible_times == 1
-    assert (parser.counters.late, parser.time_jumps, columns.time_jumps) == (0, 0, 0)
+    assert (parser.counters.late, parser.clock.jumps, columns.time_jumps) == (0, 0, 0)
 
 
 @pytest.mark.parametrize("channel", [82, 83, 84, 86, 92, 96, 255])

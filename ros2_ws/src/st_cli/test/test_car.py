@@ -55,10 +55,11 @@ def test_without_a_car_options_stand_alone():
 
 
 def test_the_default_leaf_is_reported(capsys):
-    report_default_car("discover", LEAF)
+    report_default_car("discover", None, LEAF)
     message = capsys.readouterr().err
     assert "no car was named" in message and "hyundai_genesis" in message and message.count("\n") == 1
-    report_default_car("discover", config("car/hyundai_genesis/vehicle.yaml"))
+    report_default_car("discover", None, config("car/hyundai_genesis/vehicle.yaml"))
+    report_default_car("discover", LEAF, LEAF)  # named by the user
     assert not capsys.readouterr().err
 
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from rich.console import Console
-from st_cli.verbs import demo, live, raw_logs
+from st_cli.verbs import live, raw_logs
 from st_live import configuration, session
 from st_live.node import Status, SuiteState, render_progress
 from st_live.suite import SuiteError, claim_domain, merge, read_domain_id
@@ -42,7 +42,7 @@ def run(verb, *arguments: object):
     (["--drive", ROOT / "README.md", "--scenario", "S3"], ["--scenario: not allowed with argument --drive"]),
 ])
 def test_demo_refuses_a_wrong_argument_in_one_line_and_makes_no_folder(tmp_path: Path, arguments, words) -> None:
-    result = run(demo.demo, *arguments, "--output", tmp_path / "run")
+    result = run(live.demo, *arguments, "--output", tmp_path / "run")
     assert result.exit_code == 2
     assert result.stderr.startswith("st demo: ") and result.stderr.count("\n") == 1
     for word in words:
@@ -50,7 +50,7 @@ def test_demo_refuses_a_wrong_argument_in_one_line_and_makes_no_folder(tmp_path:
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("verb", [demo.demo, live.live])
+@pytest.mark.parametrize("verb", [live.demo, live.live])
 @pytest.mark.parametrize(("before", "after", "words"), [
     ("\nmass:", "\nmasss:", "masss: unknown key, did you mean mass?"),
     ("unit: kg,", "unit: g,", "mass: unit 'g' is not kg"),
@@ -66,7 +66,7 @@ def test_a_wrong_vehicle_file_is_refused_before_anything_starts(tmp_path: Path, 
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("verb", [demo.demo, live.live])
+@pytest.mark.parametrize("verb", [live.demo, live.live])
 def test_an_output_that_is_taken_or_impossible_is_refused(tmp_path: Path, verb) -> None:
     (tmp_path / "precious.txt").write_text("x")
     for output in (tmp_path, tmp_path / "precious.txt", tmp_path / "precious.txt" / "run"):

@@ -120,7 +120,13 @@ def _wait_verdict(driven: float) -> Verdict:
 
 def _make_verdict(findings: Sequence[Finding], before: Set[str], seconds: float) -> Verdict:
     """Verdict of one check. findings: worst first. before: names of the faults in the previous check."""
-    values = {finding.name: _format_value(finding) for finding in findings}
+    values = {}
+    for finding in findings:
+        interval = finding.interval
+        half_width = "" if interval is None else f" ± {0.5 * (interval[1] - interval[0]):.2g}"
+        unit = "" if finding.unit in ("1", "-") else f" {finding.unit}"
+        values[finding.name] = (
+            finding.severity.value if finding.value is None else f"{finding.value:.4g}{half_width}{unit}")
     faults = [finding for finding in findings if finding.severity != "note"]
     if confirmed := [fault for fault in faults if fault.name in before]:
         severity = confirmed[0].severity
@@ -129,9 +135,3 @@ def _make_verdict(findings: Sequence[Finding], before: Set[str], seconds: float)
     new = f", to be confirmed: {', '.join(fault.name for fault in faults)}" if faults else ""
     return Verdict("note" if findings else "", f"signals agree in the newest {seconds:.0f} s{new}", values)
 
-
-def _format_value(finding: Finding) -> str:
-    if finding.value is None:
-        return finding.severity.value
-    half_width = "" if finding.interval is None else f" ± {0.5 * (finding.interval[1] - finding.interval[0]):.2g}"
-    return f"{finding.value:.4g}{half_width}" + (f" {finding.unit}" if finding.unit not in ("1", "-") else "")

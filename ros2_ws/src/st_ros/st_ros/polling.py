@@ -15,7 +15,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 UNRESOLVED_PREFIX = "_NODE_NAME"  # prefix of the placeholder name of a node before discovery has resolved it
 UNRESOLVED_NODE = "a node without a name yet"  # text shown for such a node
@@ -30,7 +31,7 @@ def steady_timer(node: Node, period: float, callback: Callable[[], object]) -> N
 
 
 class _NeverReady(CallbackGroup):
-    """Keeps its subscriptions out of the executor's wait set."""
+    """Keeps its subscription out of the executor's wait set."""
 
     def can_execute(self, entity: Any) -> bool:
         return False
@@ -47,9 +48,8 @@ class PolledSubscription:
 
     def __init__(self, node: Node, message_type: type, topic: str, qos: QoSProfile, raw: bool = False):
         self._node = node
-        self._group = _NeverReady()
         self.subscription = node.create_subscription(
-            message_type, topic, _reject_callback, qos, callback_group=self._group, raw=raw)
+            message_type, topic, lambda message: None, qos, callback_group=_NeverReady(), raw=raw)
         self._take = self.subscription.handle.take_message
         self._arguments = (message_type, raw)
 
@@ -57,25 +57,18 @@ class PolledSubscription:
     def topic(self) -> str:
         return self.subscription.topic_name
 
-    def take(self, limit: int = 1000) -> Iterator[tuple[Any, int, int]]:
-        """At most `limit` waiting messages, oldest first, as (message, received_ns, sent_ns).
+    def take(self, limit: int = 1000, entry: str = "source_timestamp") -> Iterator[tuple[Any, int, Any]]:
+        """At most `limit` waiting messages, oldest first, as (message, received_ns, entry of rmw_message_info).
 
-        received_ns, sent_ns: host UTC of receipt and of publication; sent_ns is 0 if unknown.
+        received_ns: host UTC of receipt. entry: source_timestamp (host UTC of publication [ns], 0 if unknown) or
+        publication_sequence_number (counted by the publisher from 1, None if unknown).
         """
-        for message, info in self._take_waiting(limit):
-            yield message, info["received_timestamp"], info["source_timestamp"]
-
-    def take_numbered(self, limit: int = 1000) -> Iterator[tuple[Any, int, int | None]]:
-        """Like `take`, with the publisher's sequence number (from 1) instead of sent_ns; None if it is unknown."""
-        for message, info in self._take_waiting(limit):
-            yield message, info["received_timestamp"], info["publication_sequence_number"]
-
-    def _take_waiting(self, limit: int) -> Iterator[tuple[Any, dict[str, Any]]]:
         for _ in range(limit):
             taken = self._take(*self._arguments)
             if taken is None:
                 return
-            yield taken
+            message, info = taken
+            yield message, info["received_timestamp"], info[entry]
 
     def publisher_count(self) -> int:
         """Number of matched publishers, including killed ones until they are removed from the graph."""
@@ -87,9 +80,6 @@ class PolledSubscription:
         return [UNRESOLVED_NODE if publisher.node_name.startswith(UNRESOLVED_PREFIX)
                 else f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}" for publisher in publishers]
 
-    def destroy(self) -> None:
-        self._node.destroy_subscription(self.subscription)
-
 
 def wait_for_any(node: Node, subscriptions: Sequence[PolledSubscription], seconds: float) -> None:
     """Sleep until a subscription has a message, at most `seconds`; callbacks of the node do not run meanwhile."""
@@ -99,10 +89,6 @@ def wait_for_any(node: Node, subscriptions: Sequence[PolledSubscription], second
         for subscription in subscriptions:
             waiting.add_subscription(subscription.subscription.handle)
         waiting.wait(round(seconds * 1e9))
-
-
-def _reject_callback(message: Any) -> None:
-    raise AssertionError("a polled subscription has no callback")
 
 
 class OnDemandPublisher:
@@ -123,6 +109,16 @@ class OnDemandPublisher:
     def publish(self, message: Any) -> None:
         if self._publisher is not None:
             self._publisher.publish(message)
+
+
+def matching_qos(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile:
+    """The strictest QoS compatible with all publishers: reliable or transient local only if all publishers are."""
+    profiles = [p.qos_profile for p in publishers]
+    reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
+    latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
+    return QoSProfile(depth=depth,
+                      reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+                      durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
 
 
 def message_class(type_name: str) -> type | None:

@@ -1,6 +1,7 @@
 """Encodes sensor readings as CAN frames of the Leaf and of the INS."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import can
@@ -8,7 +9,7 @@ import numpy as np
 from canedge_bridge.decode import Decoder
 
 from .ncom_wire import Origin
-from .sensors import InsReading, WheelSpeeds
+from .sensors import InsReading
 
 STEERING_MESSAGE = "Leaf_Steering"
 VEHICLE_BUS, INS_BUS = 1, 2  # CANedge channels of the car and of the INS; on a live bus they share one channel
@@ -49,12 +50,13 @@ class CanWire:
         raw = min(round(abs(math.degrees(rate)) / 4), 255)
         return [self._encode_car(STEERING_MESSAGE, {"steering_wheel_angle": angle, "SteeringWheelRateRaw": raw})]
 
-    def wheel_speeds(self, speeds: WheelSpeeds) -> list[Frame]:
-        front_left, front_right, rear_left, rear_right = speeds.wheels
+    def wheel_speeds(self, wheels: Sequence[float], vehicle: float) -> list[Frame]:
+        """The frames with the wheel speeds FL, FR, RL, RR and the vehicle speed [m/s]."""
+        front_left, front_right, rear_left, rear_right = wheels
         return [
             self._encode_car("Leaf_WheelSpeedFront", {"wheel_speed_front_left": front_left,
                                                       "wheel_speed_front_right": front_right,
-                                                      "vehicle_speed": speeds.vehicle}),
+                                                      "vehicle_speed": vehicle}),
             self._encode_car("Leaf_WheelSpeedRear", {"wheel_speed_rear_left": rear_left,
                                                      "wheel_speed_rear_right": rear_right}),
         ]

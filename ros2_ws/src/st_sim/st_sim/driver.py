@@ -6,9 +6,10 @@ import numpy as np
 from st_core.manoeuvres import UNDERSTEER
 
 from .car import Car
+from .dynamics import RACK, VX, VY, YAW, YAW_RATE, X, Y
 from .environment import normal_stream
 from .path import Pose
-from .plant import RACK, VX, VY, YAW, YAW_RATE, Plant, X, Y
+from .plant import Plant
 from .scenarios import Plan
 from .settings import Settings
 

@@ -174,6 +174,16 @@ def air_force(still_air: bool, drag_area: float, yaw: float, vx: float, vy: floa
     return 0.5 * AIR_DENSITY * airspeed * drag_area * along, side
 
 
+def bring_to_rest(s: Sequence[float], step: float) -> tuple[float, ...]:
+    """The state with zero velocity and slip, and with roll and pitch that decay within a time step [s]."""
+    values = list(s)
+    for i in (VX, VY, YAW_RATE, COMPLIANCE_ANGLE, S_FL, S_FR, S_RL, S_RR):
+        values[i] = 0.0
+    for i in (A_Y, A_Y_RATE, A_X):
+        values[i] *= 1.0 - step / PITCH_TIME
+    return tuple(values)
+
+
 # long: the equations share two dozen symbols, and a call per equation would slow down every time step.
 def derivative(s: Sequence[float], rack_target: float, drive_force: float, surroundings: tuple,  # noqa: PLR0915
                c: Constants) -> tuple[tuple, tuple]:

@@ -15,35 +15,13 @@ Source: Pacejka, Tire and Vehicle Dynamics, ch. 1 and 7. Checked by: test_plant.
 """
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import atan, atan2, cos, sin
 from typing import NamedTuple
 
+from . import dynamics
 from .car import Car
-from .dynamics import (
-    A_X,
-    A_Y,
-    A_Y_RATE,
-    COMPLIANCE_ANGLE,
-    MIN_SLIP_SPEED,
-    PITCH_TIME,
-    RACK,
-    S_FL,
-    S_FR,
-    S_RL,
-    S_RR,
-    STATES,
-    VX,
-    VY,
-    YAW,
-    YAW_RATE,
-    X,
-    Y,
-    Z,
-    derivative,
-    make_constants,
-)
+from .dynamics import A_X, A_Y, MIN_SLIP_SPEED, RACK, STATES, VX, VY, YAW, YAW_RATE, X, Y, Z, derivative
 from .environment import Environment
 from .settings import Settings
 
@@ -121,7 +99,7 @@ class Plant:
         self.forces: Forces
         self.parked = False
         self.surroundings = self.environment.at(0.0, 0.0, 0.0)
-        self.constants = make_constants(car, settings, step)
+        self.constants = dynamics.make_constants(car, settings, step)
         self.mass, self.yaw_inertia = self.constants.mass, self.constants.yaw_inertia
         self.to_front, self.to_rear = self.constants.to_front, self.constants.to_rear
         self._ratio = car.steering_ratio * settings["steering_ratio_factor"]
@@ -168,7 +146,7 @@ class Plant:
         if self.constants.lag == 0.0:
             s = (*s[:RACK], target, *s[RACK + 1 :])
         if self.parked and drive_force <= 0.0:
-            self.state = self._at_rest(s)
+            self.state = dynamics.bring_to_rest(s, dt)
             return
         self.parked = False
         c = self.constants
@@ -177,7 +155,7 @@ class Plant:
         half = dt / 2
         s = tuple([x + half * (rate_1 + rate_2) for x, rate_1, rate_2 in zip(s, k1, k2, strict=True)])
         self.parked = s[VX] < STANDSTILL and drive_force <= 0.0
-        self.state = self._at_rest(s) if self.parked else s
+        self.state = dynamics.bring_to_rest(s, dt) if self.parked else s
 
     def observe(self, drive_force: float) -> Forces:
         """Forces and accelerations in the current state, also stored in `forces`; accelerations are zero at rest."""
@@ -194,15 +172,6 @@ class Plant:
                              velocity_z=rates[Z] if moving else 0.0, road_wheel_angle=road_wheel_angle, lateral=lateral,
                              longitudinal=longitudinal, load=load, slip_angle=tuple(slip), wheel_speed=tuple(speeds))
         return self.forces
-
-    def _at_rest(self, s: Sequence[float]) -> tuple[float, ...]:
-        """The state with zero velocity and slip, and with decaying roll and pitch."""
-        values = list(s)
-        for i in (VX, VY, YAW_RATE, COMPLIANCE_ANGLE, S_FL, S_FR, S_RL, S_RR):
-            values[i] = 0.0
-        for i in (A_Y, A_Y_RATE, A_X):
-            values[i] *= 1.0 - self.time_step / PITCH_TIME
-        return tuple(values)
 
     def _rack_target(self, angle: float) -> float:
         """Road-wheel angle that the rack approaches, from the steering-wheel angle after delay and play [rad]."""

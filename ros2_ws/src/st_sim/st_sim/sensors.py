@@ -152,17 +152,10 @@ class SteeringSensor:
         return truth.steering_wheel_angle + self._offset + noise
 
 
-@dataclass(slots=True)
-class WheelSpeeds:
+def read_wheel_speeds(truth: Truth, settings: Settings) -> tuple[list[float], float]:
     """Unsigned wheel speeds FL, FR, RL, RR and vehicle speed of the ABS unit [m/s]."""
-
-    wheels: tuple[float, ...]
-    vehicle: float
-
-
-def read_wheel_speeds(truth: Truth, settings: Settings) -> WheelSpeeds:
-    wheels = tuple(_rectify(w * settings["wheel_speed_scale"], MIN_WHEEL_SPEED) for w in truth.wheel_speed)
-    return WheelSpeeds(wheels, _rectify(truth.velocity_x, MIN_VEHICLE_SPEED))
+    wheels = [_rectify(w * settings["wheel_speed_scale"], MIN_WHEEL_SPEED) for w in truth.wheel_speed]
+    return wheels, _rectify(truth.velocity_x, MIN_VEHICLE_SPEED)
 
 
 def _rectify(speed: float, minimum: float) -> float:

@@ -4,7 +4,8 @@ from math import sin
 
 from .car import Car
 from .driver import MAX_BRAKING, MAX_DRIVE, MAX_STEERING_WHEEL_RATE, Driver
-from .plant import A_Y_RATE, DRIVE, RACK, VX, VY, YAW, YAW_RATE, Plant, Truth, X, Y, Z
+from .dynamics import A_Y_RATE, RACK, VX, VY, YAW, YAW_RATE, X, Y, Z
+from .plant import DRIVE, Plant, Truth
 from .scenarios import Plan
 from .settings import Settings
 

@@ -100,18 +100,15 @@ class Stream:
 
     def _measure(self, now: int, time: float) -> None:
         if now % self._ins_period == 0:
-            truth = self._source.truth()
-            self._send_ins(truth, time)
-            if now % TRUTH_PERIOD_MS == 0:
-                self._push(time, Kind.TRUTH, truth)
-        elif now % TRUTH_PERIOD_MS == 0:
+            self._send_ins(self._source.truth(), time)
+        if now % TRUTH_PERIOD_MS == 0:
             self._push(time, Kind.TRUTH, self._source.truth())
         if now % STEERING_SCHEDULE[0] == STEERING_SCHEDULE[1]:
             truth = self._source.truth()
             frames = self._can.steering(self._steering.read(truth), truth.steering_wheel_rate)
             self._send_frames(frames, time + self._settings["steering_sensor_latency"])
         if now % WHEEL_SCHEDULE[0] == WHEEL_SCHEDULE[1]:
-            self._send_frames(self._can.wheel_speeds(read_wheel_speeds(self._source.truth(), self._settings)), time)
+            self._send_frames(self._can.wheel_speeds(*read_wheel_speeds(self._source.truth(), self._settings)), time)
         if now % GEAR_SCHEDULE[0] == GEAR_SCHEDULE[1]:
             self._send_frames(self._can.gear(self._source.truth().gear), time)
         if self._background:

@@ -108,11 +108,11 @@ def test_steering_sensor():
 
 
 def test_wheel_speeds_have_no_sign_and_die_at_a_crawl():
-    speeds = read_wheel_speeds(truth(wheel_speed=(-3.0, 3.2, 0.2, 0.31), velocity_x=0.5), resolve("ideal"))
-    assert speeds.wheels == (3.0, 3.2, 0.0, 0.31) and speeds.vehicle == 0.0
-    assert read_wheel_speeds(truth(), resolve("ideal")).vehicle == 8.0
-    scaled = read_wheel_speeds(truth(), resolve("ideal", ["wheel_speed_scale=1.034"]))
-    assert scaled.wheels[0] == pytest.approx(7.6 * 1.034) and scaled.vehicle == 8.0
+    wheels, vehicle = read_wheel_speeds(truth(wheel_speed=(-3.0, 3.2, 0.2, 0.31), velocity_x=0.5), resolve("ideal"))
+    assert wheels == [3.0, 3.2, 0.0, 0.31] and vehicle == 0.0
+    assert read_wheel_speeds(truth(), resolve("ideal"))[1] == 8.0
+    (scaled, *_), vehicle = read_wheel_speeds(truth(), resolve("ideal", ["wheel_speed_scale=1.034"]))
+    assert scaled == pytest.approx(7.6 * 1.034) and vehicle == 8.0
 
 
 def test_losses():

@@ -6,13 +6,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 from st_recordings.paths import config
 
 if TYPE_CHECKING:
     from st_core.vehicle import VehicleParameters
+    from st_live.page import LiveView
     from st_recordings.runs import ReadSettings
     from st_recordings.runs.run_types import SteeringField
 
@@ -37,9 +38,6 @@ Models = Annotated[list[str], typer.Option(
     "--model", help="kinematic, linear, nonlinear, or a model file (augmented); repeatable.")]
 EffectsOfFile = Annotated[Path | None, typer.Option(
     "--effects", help="Folder of your own effects that a model file uses.", exists=True, file_okay=False)]
-FourthModel = Annotated[Path | None, typer.Option(
-    "--model", help="Model file (model.yaml of `st discover`): a fourth model in addition to the three.", exists=True,
-    dir_okay=False)]
 EffectsOfModel = Annotated[Path | None, typer.Option(
     "--effects", help="Folder of your own effects that --model uses.", exists=True, file_okay=False)]
 Filtering = Annotated[Literal["causal", "zero-phase"], typer.Option(
@@ -49,19 +47,6 @@ Inputs = Annotated[Literal["interpolate", "hold"], typer.Option(
 Horizon = Annotated[float, typer.Option(help="Length of a prediction, s; a whole number of steps.")]
 Step = Annotated[float, typer.Option(help="Integration step, s.")]
 MinimumSpeed = Annotated[float, typer.Option(help="No prediction starts below this speed, m/s.")]
-BandsFile = Annotated[Path | None, typer.Option(
-    "--bands", help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True, dir_okay=False)]
-CourseFile = Annotated[Path | None, typer.Option(
-    "--course", help="Course of `st course build` for this site: also forecast with its steering and speed. "
-    "Replay: default the recorded course.", exists=True, dir_okay=False)]
-Adaptive = Annotated[bool | None, typer.Option(
-    "--adaptive/--no-adaptive", help="Adapt the bands to the errors of the run; without --bands the first appear after "
-    "two minutes of driving. Default: as in config/nodes.yaml (yes).")]
-View = Annotated[bool, typer.Option("--view", help="Show the path ahead and its error live in the browser.")]
-ViewAddress = Annotated[str | None, typer.Option(
-    "--view-address", help="HOST or HOST:PORT of this computer for --view; default 127.0.0.1, this computer only. "
-    "0.0.0.0:8080: open to every device in the same network, such as a phone.")]
-ViewSave = Annotated[Path | None, typer.Option(help="After the run, save its view to this file (.rrd), for `st view`.")]
 Offset = Annotated[float | None, typer.Option(
     help="INS minus CAN clock, s; default: estimated from the signals.")]
 InsCanLatency = Annotated[tuple[float, float] | None, typer.Option(
@@ -86,9 +71,6 @@ SteeringUnit = Annotated[Literal["rad", "deg"] | None, typer.Option(
     "--steering-unit", help="Unit of this angle; default: rad in a topic, the unit of the header in a table.")]
 OdometryTopic = Annotated[str | None, typer.Option(
     "--odometry-topic", help="Bags with several topics of type nav_msgs/Odometry: the one of the INS.")]
-Record = Annotated[Literal["needed", "all"], typer.Option(
-    "--record", help="needed: raw packets and frames, odometry, status, steering, predictions, "
-    "errors, diagnostics. all: also the other topics of the bridges, which can be computed from these.")]
 SteeringLatency = Annotated[float | None, typer.Option(
     help="Delay from steering wheel motion to the stamp of its frame, s; default that of --car, else 0; live: else "
     "that of config/nodes.yaml.", min=0.0, max=1.0)]
@@ -107,6 +89,15 @@ def report_errors(verb: str, *more: type[Exception]) -> Iterator[None]:
     except expected as error:
         typer.echo(f"st {verb}: {error}", err=True)
         raise typer.Exit(2) from None
+
+
+class NamedCar(NamedTuple):
+    """Files and settings of a car. vehicle, dbc, signals: None if not named. steering: sign and latency, if given."""
+
+    vehicle: Path | None
+    dbc: Path | None
+    signals: Path | None
+    steering: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -135,11 +126,32 @@ class ReadOptions:
         from st_recordings.car import STEERING_DEFAULTS
         from st_recordings.runs import ReadSettings
 
-        named = resolve_car(self.car, self.vehicle, self.dbc, self.signals, self.steering_sign, self.steering_latency)
+        named = self.resolve_car()
         settings = STEERING_DEFAULTS | named.steering | others
         return named.vehicle, ReadSettings(dbc=named.dbc, signals=named.signals, offset=self.offset,
                                            ins_can_latency=self.ins_can_latency, steering=self.steering,
                                            odometry=self.odometry_topic, **settings)
+
+    def resolve_car(self, complete: bool = False) -> NamedCar:
+        """Files and settings of the car; each option replaces a part of it.
+
+        Raises RunError for a car that cannot be read and, if `complete`, for a car without DBC or signal table.
+        """
+        from st_recordings.car import load_car
+        from st_recordings.runs.errors import RunError
+
+        steering = {"steering_sign": self.steering_sign, "steering_latency": self.steering_latency}
+        from_options: dict[str, Any] = {name: value for name, value in steering.items() if value is not None}
+        if self.car is None:
+            return NamedCar(self.vehicle, self.dbc, self.signals, from_options)
+        named = load_car(self.car)
+        dbc, signals = self.dbc or named.dbc, self.signals or named.signals
+        for file, option in ((dbc, "--dbc"), (signals, "--signals")):
+            if complete and not file.is_file():
+                raise RunError(file, "does not exist, but has to describe the bus of this car",
+                               f"write it, or name another file with {option}")
+        of_car = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
+        return NamedCar(self.vehicle or named.vehicle, dbc, signals, of_car | from_options)
 
     @property
     def steering(self) -> "SteeringField | None":
@@ -152,70 +164,78 @@ class ReadOptions:
                              self.steering_unit, self.steering_sign or 1)
 
 
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of a run of the nodes, as given by the user; one field per option."""
+
+    model: Annotated[Path | None, typer.Option(
+        "--model", help="Model file (model.yaml of `st discover`): a fourth model in addition to the three.",
+        exists=True, dir_okay=False)] = None
+    effects: EffectsOfModel = None
+    bands: Annotated[Path | None, typer.Option(
+        "--bands", help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True,
+        dir_okay=False)] = None
+    adaptive: Annotated[bool | None, typer.Option(
+        "--adaptive/--no-adaptive", help="Adapt the bands to the errors of the run; without --bands the first appear "
+        "after two minutes of driving. Default: as in config/nodes.yaml (yes).")] = None
+    course: Annotated[Path | None, typer.Option(
+        "--course", help="Course of `st course build` for this site: also forecast with its steering and speed. "
+        "Replay: default the recorded course.", exists=True, dir_okay=False)] = None
+    record: Annotated[Literal["needed", "all"], typer.Option(
+        "--record", help="needed: raw packets and frames, odometry, status, steering, predictions, errors, "
+        "diagnostics. all: also the other topics of the bridges, which can be computed from these.")] = "needed"
+    view: Annotated[bool, typer.Option(
+        "--view", help="Show the path ahead and its error live in the browser.")] = False
+    view_address: Annotated[str | None, typer.Option(
+        "--view-address", help="HOST or HOST:PORT of this computer for --view; default 127.0.0.1, this computer only. "
+        "0.0.0.0:8080: open to every device in the same network, such as a phone.")] = None
+    view_save: Annotated[Path | None, typer.Option(
+        help="After the run, save its view to this file (.rrd), for `st view`.")] = None
+
+    def make_view(self) -> "LiveView":
+        """The view of the run. Raises SuiteError for an address or a file that cannot be used."""
+        from st_live.page import LiveView
+
+        return LiveView(self.view, self.view_address, self.view_save)
+
+
 BAG_INPUTS = ("car", "vehicle", "steering_sign", "steering_topic", "steering_field", "steering_is", "steering_unit",
               "odometry_topic")
 """Options that apply to a bag with odometry and steering."""
 
 
 def reads_recordings(*names: str, **changed: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator that replaces the parameter `read_options` of a command by the options of ReadOptions.
+    """`expand_options` with ReadOptions."""
+    return expand_options(ReadOptions, *names, **changed)
+
+
+def expand_options(group: type, *names: str, **changed: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorator that replaces the parameter of type `group`, a dataclass of options, of a command by these options.
 
     names: fields to use, default all. changed: annotations that differ, by field.
     """
-    chosen = [f for f in fields(ReadOptions) if not names or f.name in names]
+    chosen = [f for f in fields(group) if not names or f.name in names]
 
     def decorate(verb: Callable[..., Any]) -> Callable[..., Any]:
+        own = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in inspect.signature(verb).parameters.values()]
+        position = next(k for k, p in enumerate(own) if p.annotation is group)
+
         @wraps(verb)
         def call(**given: Any) -> Any:
             from st_recordings.runs.errors import group_similar_warnings
 
             options = {f.name: given.pop(f.name) for f in chosen}
             with group_similar_warnings():
-                return verb(**given, read_options=ReadOptions(**options))
+                return verb(**given, **{own[position].name: group(**options)})
 
         options = [inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default,
                                      annotation=changed.get(f.name, f.type)) for f in chosen]
-        own = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in inspect.signature(verb).parameters.values()]
-        position = next(k for k, p in enumerate(own) if p.name == "read_options")
         parameters = [*own[:position], *options, *own[position + 1 :]]
         call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         call.__annotations__ = {p.name: p.annotation for p in parameters}
         return call
 
     return decorate
-
-
-@dataclass(frozen=True)
-class NamedCar:
-    """Files and settings of a car. vehicle, dbc, signals: None if not named. steering: sign and latency, if given."""
-
-    vehicle: Path | None
-    dbc: Path | None
-    signals: Path | None
-    steering: dict[str, Any]
-
-
-def resolve_car(car: str | None, vehicle: Path | None, dbc: Path | None = None, signals: Path | None = None,
-                steering_sign: int | None = None, steering_latency: float | None = None,
-                complete: bool = False) -> NamedCar:
-    """Files and settings of a car; each option replaces a part of it.
-
-    Raises RunError for a car that cannot be read and, if `complete`, for a car without DBC or signal table.
-    """
-    from st_recordings.car import load_car
-    from st_recordings.runs.errors import RunError
-
-    steering = {"steering_sign": steering_sign, "steering_latency": steering_latency}
-    from_options: dict[str, Any] = {name: value for name, value in steering.items() if value is not None}
-    if car is None:
-        return NamedCar(vehicle, dbc, signals, from_options)
-    named = load_car(car)
-    for file, option in ((dbc or named.dbc, "--dbc"), (signals or named.signals, "--signals")):
-        if complete and not file.is_file():
-            raise RunError(file, "does not exist, but has to describe the bus of this car",
-                           f"write it, or name another file with {option}")
-    of_car: dict[str, Any] = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
-    return NamedCar(vehicle or named.vehicle, dbc or named.dbc, signals or named.signals, of_car | from_options)
 
 
 LEAF = config("car/leaf/vehicle.yaml")
@@ -229,11 +249,11 @@ def load_vehicle_or_default(vehicle: Path | None) -> "tuple[VehicleParameters, P
     return read_vehicle(file), file
 
 
-def report_default_car(verb: str, file: Path | str) -> None:
-    """Print a line if `file` belongs to the Leaf, which is used because no car was named."""
+def report_default_car(verb: str, named: Path | None, file: Path | str) -> None:
+    """Print a line if the vehicle file in use belongs to the Leaf because the user named none (`named` is None)."""
     from st_recordings.car import car_names
 
-    if Path(file).resolve().parent == LEAF.resolve().parent:
+    if named is None and Path(file).resolve().parent == LEAF.resolve().parent:
         typer.echo(f"st {verb}: no car was named: the Leaf's file {file} is used; --car names another car "
                    f"({', '.join(car_names())}, or a folder)", err=True)
 
@@ -245,4 +265,4 @@ def report_default_car_of_bag(verb: str, bag: Path, vehicle: Path | None) -> Non
     from st_recordings.runs.bag import read_metadata_records
 
     if vehicle is None and recorded_configuration(read_metadata_records(recordings_of(bag)[0])).vehicle is None:
-        report_default_car(verb, LEAF)
+        report_default_car(verb, None, LEAF)

@@ -42,8 +42,7 @@ def calibrate(
         task, vehicle, vehicle_origin = make_task(
             read_options, model, effects, acceleration, inputs, (horizon, step, minimum_speed, 0.1), force=force)
         status = run_command(CalibrationJob(runs, task, output, tuple(sorted(set(level))), together), Console())
-    if vehicle is None:
-        shared.report_default_car("calibrate", vehicle_origin)
+    shared.report_default_car("calibrate", vehicle, vehicle_origin)
     raise typer.Exit(status)
 
 

@@ -30,5 +30,5 @@ def check(
         vehicle, read = read_options.resolve()
         parameters, file = shared.load_vehicle_or_default(vehicle)
         job = CheckJob(runs, parameters, str(file), vehicle is not None, read, output, json, propose_correction)
-        status = run_command(job, Console(), lambda used: shared.report_default_car("check", used))
+        status = run_command(job, Console(), lambda used: shared.report_default_car("check", None, used))
     raise typer.Exit(status)

@@ -86,8 +86,7 @@ def discover(
             DiscoverySettings(channels=tuple(_split_names(channels)), seed=seed, certify=certify), runs, reference,
             read, effects, output, jobs, tuple(_split_names(figures)), report, not fresh, force, propose)
         status = run_command(request, Console())
-    if vehicle is None:
-        shared.report_default_car("discover", file)
+    shared.report_default_car("discover", vehicle, file)
     raise typer.Exit(status)
 
 

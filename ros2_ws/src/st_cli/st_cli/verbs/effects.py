@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 import typer
 from rich.console import Console
 
-from ._options import CarName, VehicleFile, load_vehicle_or_default, report_default_car, report_errors, resolve_car
+from ._options import CarName, ReadOptions, VehicleFile, load_vehicle_or_default, report_default_car, report_errors
 
 if TYPE_CHECKING:
     from st_core.vehicle import VehicleParameters
@@ -40,11 +40,10 @@ def effects(
         if what == "list":
             _print_library(Console())
             return
-        named = resolve_car(car, vehicle).vehicle
+        named = ReadOptions(car, vehicle).resolve_car().vehicle
         parameters, file = load_vehicle_or_default(named)
         all_met = _check_contracts(files or (), parameters, Console())
-        if named is None:
-            report_default_car("effects", file)
+        report_default_car("effects", named, file)
     raise typer.Exit(0 if all_met else 1)
 
 

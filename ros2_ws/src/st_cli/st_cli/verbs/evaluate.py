@@ -66,8 +66,7 @@ def evaluate(
         load_course(task.course)
         load_bands(task, load_models(task))
         status = run_command(runs, task, output, table, vehicle_origin, workers, scheduler, Console(), advise)
-    if vehicle is None:
-        shared.report_default_car("evaluate", vehicle_origin)
+    shared.report_default_car("evaluate", vehicle, vehicle_origin)
     raise typer.Exit(status)
 
 

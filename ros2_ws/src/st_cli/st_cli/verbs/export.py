@@ -38,7 +38,7 @@ def export(
     from st_offline.model_export import load_model
 
     with shared.report_errors("export", OSError):
-        source = shared.resolve_car(car, vehicle).vehicle
+        source = shared.ReadOptions(car, vehicle).resolve_car().vehicle
         parameters, file = shared.load_vehicle_or_default(source)
         if effects is not None:
             load_folder(str(effects.absolute()))
@@ -46,7 +46,7 @@ def export(
         intervals = None if bands is None else Bands.from_yaml(bands.read_text(encoding="utf-8"), str(bands))
         folder = new_folder(output, "export")
         paths = write_model(exported, used, folder, kind, substeps, free, intervals)
-    if source is None and used is parameters:
-        shared.report_default_car("export", file)
+    if used is parameters:
+        shared.report_default_car("export", source, file)
     for path in paths:
         typer.echo(path)

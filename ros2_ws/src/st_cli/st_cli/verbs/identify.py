@@ -50,6 +50,5 @@ def identify(
         setup = Setup(parameters, read, force, base)
         job = IdentificationJob(EXPERIMENTS[what], tuple(files or ()), setup, str(file), folder)
         status = run_command(job, console)
-    if vehicle is None:
-        shared.report_default_car("identify", file)
+    shared.report_default_car("identify", vehicle, file)
     raise typer.Exit(status)

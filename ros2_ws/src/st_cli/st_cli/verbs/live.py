@@ -1,63 +1,113 @@
-"""The command `st live`: runs the suite on the real car."""
+"""The commands `st demo` and `st live`: run the live suite on this computer or on the real car."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import typer
 from rich.console import Console
 
 from . import _options as shared
 
+EXTRA_DRIVING = 2.0  # s of driving after the predictor stops
+SCENARIOS = (
+    "S1 to S7 of the paper, sweep, step, ramp_to_limit, brake_in_turn, lane_change, slalom, weave, circle, "
+    "there_and_back, or a .yaml file"
+)
 
+
+@shared.expand_options(shared.RunOptions)
+def demo(
+    scenario: str | None = typer.Option(None, help=f"Manoeuvre of the virtual Leaf: {SCENARIOS}; default S6."),
+    drive: Path | None = typer.Option(None, help="A recorded drive (CSV) instead.", exists=True, dir_okay=False),
+    # No --car: DBC, table and steering on these buses are always those of the virtual Leaf.
+    vehicle: Path | None = typer.Option(
+        None, help="Vehicle file; default the Leaf's. There is no --car, because the bus is always the Leaf's.",
+        exists=True, dir_okay=False),
+    plant_vehicle: Path | None = typer.Option(
+        None, help="Vehicle file of the simulated car; default: --vehicle, which is the vehicle file of the nodes.",
+        exists=True, dir_okay=False),
+    duration: float | None = typer.Option(None, help="Seconds of driving; default 60, or the whole drive.", min=6.0),
+    plant: str | None = typer.Option(None, help="ideal, realistic (default), or a file with plant settings."),
+    effect: list[str] = typer.Option([], help="Set an effect of the virtual Leaf, name=value; repeatable."),
+    ncom_rate: int = typer.Option(100, help="NCOM packets per second: 100 or 250."),
+    seed: int = typer.Option(0, help="Seed of the simulated noise."),
+    run_options: shared.RunOptions = shared.RunOptions(),
+    output: Path | None = typer.Option(None, help="Folder of the run; default runs/demo-<what>-<time>."),
+) -> None:
+    """Run the live suite on the virtual Leaf or on a recorded drive; show how well each model predicts."""
+    from st_live import configuration
+    from st_live.suite import SuiteError
+
+    what = drive.stem if drive else Path(scenario or "S6").stem
+    if duration is None and drive is None:
+        duration = 60.0
+    options = ["--seed", str(seed), "--ncom-rate", str(ncom_rate)]
+    for name, value in (("--drive", drive and drive.absolute()), ("--scenario", scenario), ("--plant", plant)):
+        options += [name, str(value)] if value else []
+    # The car drives on while the predictor stops, so that every prediction up to the end has inputs.
+    options += ["--duration", str(duration + EXTRA_DRIVING)] if duration else []
+    options += [part for setting in effect for part in ("--effect", setting)]
+    with shared.report_errors("demo", SuiteError):
+        car = configuration.VirtualCar(configuration.vehicle_file(vehicle), options,
+                                       plant_vehicle and plant_vehicle.absolute())
+        about = {"what": what, "source": "recorded drive" if drive else "virtual Leaf",
+                 "vehicle": configuration.vehicle_name(car.vehicle), "seed": seed}
+        status = _run(f"demo-{what}", about, car.vehicle, car.bridge_parameters(), run_options, output,
+                      duration=duration, source=car.start)
+    raise typer.Exit(status)
+
+
+@shared.reads_recordings("car", "vehicle", "dbc", "signals", "steering_sign", "steering_latency")
+@shared.expand_options(shared.RunOptions)
 def live(
     can_interface: str = typer.Option("socketcan", help="python-can interface."),
     can_channel: str = typer.Option("can0", help="Channel of that interface."),
     ncom_port: int = typer.Option(3000, help="UDP port to which the RT sends NCOM.", min=1, max=65535),
     ncom_address: str = typer.Option("0.0.0.0", help="Local address to listen on; default all, as the RT broadcasts."),
     ncom_sender: str = typer.Option("", help="Accept packets from this address only."),
-    car: shared.CarName = None,
-    vehicle: shared.VehicleFile = None,
-    dbc: shared.Dbc = None,
-    signals: shared.Signals = None,
-    steering_sign: shared.SteeringSign = None,
-    steering_latency: shared.SteeringLatency = None,
+    car_options: shared.ReadOptions = shared.ReadOptions(),
     duration: float | None = typer.Option(None, help="Stop after this many seconds; default: until Ctrl-C.", min=1.0),
-    model: shared.FourthModel = None,
-    effects: shared.EffectsOfModel = None,
     realtime: bool = typer.Option(
         False, "--realtime", help="Real-time scheduling for bridges and predictor; permission: docs/manual/live.md."),
-    bands: shared.BandsFile = None,
-    adaptive: shared.Adaptive = None,
-    course: shared.CourseFile = None,
-    record: shared.Record = "needed",
-    view: shared.View = False,
-    view_address: shared.ViewAddress = None,
-    view_save: shared.ViewSave = None,
+    run_options: shared.RunOptions = shared.RunOptions(),
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/live-<time>."),
 ) -> None:
     """Listen to the RT3000 and the car's CAN bus; predict, score and record until Ctrl-C."""
-    from st_live import configuration, report, session
-    from st_live.page import LiveView
+    from st_live import configuration
     from st_live.suite import SuiteError
-    from st_recordings.paths import new_folder
 
-    console = Console()
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
     bus = {"interface": can_interface, "channel": can_channel}
     with shared.report_errors("live", SuiteError):
-        named = shared.resolve_car(car, vehicle, dbc, signals, steering_sign, steering_latency, complete=True)
+        named = car_options.resolve_car(complete=True)
         vehicle = configuration.vehicle_file(named.vehicle)
-        model_settings = configuration.model_parameters(model, effects, vehicle)
-        page = LiveView(view, view_address, view_save)
-        folder = new_folder(output, "live")
+        shared.report_default_car("live", named.vehicle, vehicle)
         bridges = configuration.bridge_parameters(vehicle, ins, bus | named.steering, named.dbc, named.signals)
-        parameters = configuration.live_parameters(folder, vehicle, bridges, model_settings, record == "all")
-        parameters = configuration.add_files(parameters, bands, course, adaptive)
-        if named.vehicle is None:
-            shared.report_default_car("live", vehicle)
-        outcome = session.run(folder, parameters, "live", duration, None, console, page, supervised=True,
-                              realtime=realtime)
-    about = {"what": "live", "source": f"{can_interface}:{can_channel}, NCOM port {ncom_port}",
-             "vehicle": configuration.vehicle_name(vehicle)}
+        about = {"what": "live", "source": f"{can_interface}:{can_channel}, NCOM port {ncom_port}",
+                 "vehicle": configuration.vehicle_name(vehicle)}
+        status = _run("live", about, vehicle, bridges, run_options, output, duration=duration, supervised=True,
+                      realtime=realtime)
+    raise typer.Exit(status)
+
+
+def _run(name: str, about: dict[str, Any], vehicle: Path, bridges: Mapping[str, Mapping[str, Any]],
+         options: shared.RunOptions, output: Path | None, **how: Any) -> int:
+    """Run the suite and report the results; returns the exit status.
+
+    name: of the default output folder. about: entries of summary.json. bridges: parameters of the bridges. how: further
+    arguments of `session.run`. Raises SuiteError, StCoreError and RunError.
+    """
+    from st_live import configuration, report, session
+    from st_recordings.paths import new_folder
+
+    console = Console()
+    model_settings = configuration.model_parameters(options.model, options.effects, vehicle)
+    page = options.make_view()
+    folder = new_folder(output, name)
+    parameters = configuration.live_parameters(folder, vehicle, bridges, model_settings, options.record == "all")
+    parameters = configuration.add_files(parameters, options.bands, options.course, options.adaptive)
+    outcome = session.run(folder, parameters, about["what"], console=console, view=page, **how)
     status = report.conclude(folder, outcome, about, console)
     page.finish(folder, console)
-    raise typer.Exit(status)
+    return status

@@ -37,8 +37,8 @@ def align(
         folder = new_folder(output, f"align-{pair.name}")
     for warning in pair.warnings:
         print_line(f"[yellow]{warning}[/yellow]", console)
-    if read_options.car is None and read_options.dbc is None:
-        shared.report_default_car("align", pair.dbc)
+    if read_options.car is None:
+        shared.report_default_car("align", read_options.dbc, pair.dbc)
     alignment = pair.alignment
     print_alignment(pair, console)
     about = {**summarise_alignment(alignment), "ins_can_latency": pair.latency}
@@ -147,8 +147,7 @@ def import_(
             written += 1
         except (RunError, OutputError) as error:
             typer.echo(f"st import: {error}", err=True)
-    if vehicle is None:
-        shared.report_default_car("import", file)
+    shared.report_default_car("import", vehicle, file)
     if written < len(runs):
         raise typer.Exit(1 if written else 2)
 
@@ -194,25 +193,17 @@ def ncom(
     """Write an NCOM file as CSV: time, acceleration, rates, position, velocity, attitude and derived values."""
     from oxts_bridge.export import write_csv
 
-    try:
+    with shared.report_errors("ncom", OSError, ValueError):
         write_csv(file, csv, status)
-    except (OSError, ValueError) as error:
-        typer.echo(f"st ncom: {error}", err=True)
-        raise typer.Exit(2) from None
 
 
 def recover(
     path: Path = typer.Argument(..., help="A bag directory or an .mcap file that was not closed.", exists=True),
-    output: Path | None = typer.Option(None, "--output",
-                                       help="Path of the repaired recording; default: in place; the damaged file is "
-                                       "kept."),
+    output: Path | None = typer.Option(
+        None, help="Path of the repaired recording; default: in place; the damaged file is kept."),
 ) -> None:
     """Repair a recording cut off by a crash or power loss; a complete recording is not changed."""
     from st_recordings import mcap
 
-    try:
-        report = mcap.recover(path, output)
-    except (OSError, ValueError) as error:
-        typer.echo(f"st recover: {error}", err=True)
-        raise typer.Exit(2) from None
-    typer.echo(str(report))
+    with shared.report_errors("recover", OSError, ValueError):
+        typer.echo(str(mcap.recover(path, output)))

@@ -8,24 +8,19 @@ from . import _options as shared
 
 
 @shared.reads_recordings(*shared.BAG_INPUTS, vehicle=shared.VehicleOfBag)
+@shared.expand_options(shared.RunOptions, "bands", "adaptive", "course", "view", "view_address", "view_save")
 def replay(
     bag: Path = typer.Argument(..., help="Bag with odometry and steering, or the folder of a run.", exists=True),
     rate: float = typer.Option(1.0, help="Playback speed relative to the recording.", min=0.05, max=100.0),
     fast: bool = typer.Option(False, "--fast", help="As fast as predictor and evaluator can follow."),
     force: bool = typer.Option(False, "--force", help="Use the recording even if `st check` finds an error in it."),
-    bands: shared.BandsFile = None,
-    adaptive: shared.Adaptive = None,
-    course: shared.CourseFile = None,
-    view: shared.View = False,
-    view_address: shared.ViewAddress = None,
-    view_save: shared.ViewSave = None,
+    run_options: shared.RunOptions = shared.RunOptions(),
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/replay-<time>."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Play a recording through predictor, evaluator and recorder on its own clock; record their predictions."""
     from rich.console import Console
     from st_live.configuration import recordings_of
-    from st_live.page import LiveView
     from st_live.replaying import replay_bag
     from st_live.report import conclude
     from st_live.suite import SuiteError
@@ -37,13 +32,13 @@ def replay(
     with shared.report_errors("replay", SuiteError):
         vehicle, read = read_options.resolve()
         bag, _ = recordings_of(bag)
-        page = LiveView(view, view_address, view_save)
+        page = run_options.make_view()
         findings = check_bag(bag, vehicle, force, read)
         print_findings({bag.name: findings}, console)
         shared.report_default_car_of_bag("replay", bag, vehicle)
         folder = new_folder(output, f"replay-{bag.stem}")
-        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, page, bands, course, adaptive,
-                                   read)
+        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, page, run_options.bands,
+                                   run_options.course, run_options.adaptive, read)
     about = {"what": f"replay of {bag.name}", "source": str(bag), "vehicle": name,
              "findings": findings_as_json(findings)}
     status = conclude(folder, outcome, about, console)

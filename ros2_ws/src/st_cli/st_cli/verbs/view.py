@@ -4,7 +4,7 @@ from pathlib import Path
 
 import typer
 
-from ._options import CarName, report_default_car_of_bag, report_errors, resolve_car
+from ._options import CarName, ReadOptions, report_default_car_of_bag, report_errors
 
 
 def view(
@@ -28,7 +28,7 @@ def view(
     console = Console()
     with report_errors("view", SuiteError), tempfile.TemporaryDirectory(prefix="st-view-") as name:
         check_rerun("st view")
-        vehicle = resolve_car(car, vehicle).vehicle
+        vehicle = ReadOptions(car, vehicle).resolve_car().vehicle
         if save:
             check_new_rerun_file("--save", save)
         file = recording

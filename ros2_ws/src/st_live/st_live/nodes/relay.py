@@ -7,10 +7,10 @@ from fnmatch import fnmatchcase
 import foxglove
 from foxglove import Channel, Schema
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from st_recordings.bag_metadata import UnknownTypeError, read_definition
 from st_ros import spin
-from st_ros.polling import PolledSubscription, message_class, steady_timer
+from st_ros.polling import PolledSubscription, matching_qos, message_class, steady_timer
 
 # Topics for viewers; raw packets and frames are not relayed.
 TOPICS = ("/ins/odometry", "/ins/status", "/vehicle/*", "/predictor/*", "/evaluator/*", "/view/*", "/tf",
@@ -34,10 +34,9 @@ class RelayNode(Node):
 
     def _open_new_topics(self) -> None:
         for topic, types in self.get_topic_names_and_types():
-            if topic not in self._open and any(fnmatchcase(topic, f"*{p}") for p in TOPICS):
-                publishers = self.get_publishers_info_by_topic(topic)
-                if publishers:
-                    self._open[topic] = self._relay(topic, types[0], publishers)
+            is_new = topic not in self._open and any(fnmatchcase(topic, f"*{p}") for p in TOPICS)
+            if is_new and (publishers := self.get_publishers_info_by_topic(topic)):
+                self._open[topic] = self._relay(topic, types[0], publishers)
 
     def _relay(self, topic: str, type_name: str, publishers: list) -> tuple[PolledSubscription, Channel] | None:
         message_type = message_class(type_name)
@@ -48,11 +47,10 @@ class RelayNode(Node):
         if message_type is None:
             print(f"{topic} is not relayed: type {type_name} is not installed", flush=True)
             return None
-        latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
+        qos = matching_qos(publishers, QUEUE_DEPTH)
         # Best effort, so that no publisher waits for a viewer; latched messages are sent only once and must arrive.
-        qos = QoSProfile(
-            depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
+        if qos.durability == DurabilityPolicy.VOLATILE:
+            qos.reliability = ReliabilityPolicy.BEST_EFFORT
         schema = Schema(name=type_name, encoding="ros2msg", data=text.encode())
         print(f"{topic} ({type_name})", flush=True)
         return (PolledSubscription(self, message_type, topic, qos, raw=True),

@@ -134,7 +134,7 @@ class Inputs:
         # Add new publishers before reading and remove ended ones after it: their last messages may still be queued.
         if count > len(lock.names):
             lock.update(_publisher_names(subscription, count))
-        for message, arrived_ns, number in subscription.take_numbered(QUEUE_DEPTH):
+        for message, arrived_ns, number in subscription.take(QUEUE_DEPTH, "publication_sequence_number"):
             if lock.accept(number, arrived_ns * NANOSECOND):
                 self._arrived_ns[signal] = arrived_ns
                 yield message

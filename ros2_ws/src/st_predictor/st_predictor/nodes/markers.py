@@ -53,7 +53,10 @@ class MarkersNode(Node):
                 self._history.add_path(model, convert.ins_path(message))
         for message, _, _ in self._errors.take():
             if message.complete and message.mode == "forecast" and message.model in self._plots:
-                self._publish_error(message)
+                plot = Vector3Stamped(header=message.header)  # horizon means: longitudinal, lateral [m], yaw [rad]
+                plot.vector.x, plot.vector.y, plot.vector.z = (
+                    message.longitudinal_mean, message.lateral_mean, message.yaw_mean)
+                self._plots[message.model].publish(plot)
         sample = None
         for message, _, _ in self._odometry.take():
             newest = convert.ins_sample(message, self._map_frame)
@@ -63,13 +66,6 @@ class MarkersNode(Node):
             self._markers.publish(MarkerArray(markers=self._make_markers(sample)))
             if ribbons := self._make_ribbons(sample.time_ns):
                 self._bands.publish(MarkerArray(markers=ribbons))
-
-    def _publish_error(self, message: PredictionError) -> None:
-        """Publish horizon means: longitudinal as x, lateral as y [m], yaw as z [rad]."""
-        plot = Vector3Stamped(header=message.header)
-        plot.vector.x, plot.vector.y, plot.vector.z = (
-            message.longitudinal_mean, message.lateral_mean, message.yaw_mean)
-        self._plots[message.model].publish(plot)
 
     def _make_markers(self, sample: InsSample) -> list[Marker]:
         now_ns = sample.time_ns

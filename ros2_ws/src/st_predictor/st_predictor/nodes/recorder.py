@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from st_recordings.bag_metadata import UnknownTypeError
@@ -20,7 +20,7 @@ from st_recordings.mcap import Qos
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.parameters import ConfigurationError
-from st_ros.polling import UNRESOLVED_PREFIX, PolledSubscription, message_class, steady_timer
+from st_ros.polling import UNRESOLVED_PREFIX, PolledSubscription, matching_qos, message_class, steady_timer
 
 from .. import convert, params
 from ._bag import is_complete, open_bag, recording_check
@@ -116,7 +116,7 @@ class RecorderNode(Node):
         except UnknownTypeError as error:
             self._refused[topic] = str(error)
             return
-        subscription = PolledSubscription(self, message_type, topic, matching_qos(publishers), raw=True)
+        subscription = PolledSubscription(self, message_type, topic, matching_qos(publishers, QUEUE_DEPTH), raw=True)
         self._recorded[topic] = (subscription, number)
         self._announced[topic] = announced
 
@@ -224,16 +224,6 @@ def name_files(files: Sequence[str]) -> dict[str, str]:
                 break
         keys[name] = Path(*path.parts[-length:]).as_posix()
     return keys
-
-
-def matching_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
-    """The strictest QoS compatible with all publishers: reliable or transient local only if all publishers are."""
-    profiles = [p.qos_profile for p in publishers]
-    reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
-    latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
-    return QoSProfile(depth=QUEUE_DEPTH,
-                      reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-                      durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
 
 
 def main() -> int:
