@@ -91,7 +91,9 @@ class _Handler(BaseHTTPRequestHandler):
     disable_nagle_algorithm = True
 
     def do_GET(self) -> None:
-        if not self._host_is_allowed():
+        # On loopback only local names are permitted, which prevents DNS rebinding.
+        name = self.headers.get("Host", "").rpartition(":")[0]
+        if self.server.server_address[0] == LOOPBACK and name not in (LOOPBACK, "localhost"):
             self.send_error(403, "the page is not available under this host name")
         elif self.path.split("?")[0] == "/":
             self._send(self.server.page, "text/html; charset=utf-8")
@@ -101,11 +103,6 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_frames()
         else:
             self.send_error(404)
-
-    def _host_is_allowed(self) -> bool:
-        """Whether the Host header is permitted; on loopback only local names are, which prevents DNS rebinding."""
-        name = self.headers.get("Host", "").rpartition(":")[0]
-        return self.server.server_address[0] != LOOPBACK or name in (LOOPBACK, "localhost")
 
     def _send(self, content: bytes, kind: str) -> None:
         self.send_response(200)

@@ -111,12 +111,22 @@ def grid(pose: Pose, spacing: float, reach: float) -> list[tuple[np.ndarray, np.
 
 
 class Scene:
-    """Draws a map with north up and a view with the heading up, in the axes of Rerun's 2D views (x right, y down)."""
+    """Collects messages of a run, and draws the newest state when requested.
 
-    def __init__(self, recording: rr.RecordingStream, car: VehicleParameters):
-        self._stream, self._car = recording, car
-        self._named: list[str] = []  # models with a name label, models with error plots
-        self._scored: set[str] = set()
+    A map with north up, a view with the heading up, in the axes of Rerun's 2D views (x right, y down), plots and text.
+    """
+
+    def __init__(self, recording: rr.RecordingStream, car: VehicleParameters, map_frame: str):
+        self._stream, self._car, self._map_frame = recording, car, map_frame
+        self._history = History()
+        self._sample: InsSample | None = None
+        self._angle: float | None = None  # road-wheel angle, left + [rad]
+        self._statistics: list[Any] = []
+        self._ticks = "predictor: no status yet"
+        self._health: dict[str, tuple[int, str, str]] = {}
+        self._text_due_ns = 0
+        self._named: list[str] = []  # models with a name label
+        self._scored: set[str] = set()  # models with error plots
         angle = np.linspace(0.0, 2.0 * math.pi, 73)
         rings = [np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1) for r in RINGS]
         recording.log("ahead/rings", rr.LineStrips2D(rings, colors=[LIGHT_GREY], radii=THIN, draw_order=-1.0),
@@ -125,44 +135,68 @@ class Scene:
         recording.log("ahead/ring_names", rr.Points2D(
             [(0.7 * r, -0.7 * r) for r in RINGS[1::2]], radii=THIN, colors=[(120, 120, 120)],
             labels=[f"{r} m" for r in RINGS[1::2]], show_labels=True), static=True)
-        for name, unit in (("steering", "road wheel angle"), ("speed", "speed"),
-                           ("lateral_acceleration", "v_x r")):
-            self._add_series(f"plots/{name}/measured", unit, MEASURED_COLOUR)
+        for name, series in (("steering", "road wheel angle"), ("speed", "speed"), ("lateral_acceleration", "v_x r")):
+            self._add_series(f"plots/{name}/measured", series, MEASURED_COLOUR)
 
     def _add_series(self, entity: str, name: str, colour: str) -> None:
         self._stream.log(entity, rr.SeriesLines(colors=[rgb(colour)], names=[name], widths=[2.0]), static=True)
 
-    def draw_motion(self, time_ns: int, velocity_x: float, yaw_rate: float, road_wheel_angle: float | None) -> None:
-        """Add points to the plots. SI; road_wheel_angle: None while unknown."""
-        self._set_time(time_ns)
-        self._stream.log("plots/speed/measured", rr.Scalars([velocity_x]))
-        self._stream.log("plots/lateral_acceleration/measured", rr.Scalars([velocity_x * yaw_rate]))
-        if road_wheel_angle is not None:
-            self._stream.log("plots/steering/measured", rr.Scalars([math.degrees(road_wheel_angle)]))
+    def take(self, kind: str, message: Any) -> None:
+        """Store a message; kind: of TOPICS. An error is plotted at once."""
+        if kind == "odometry":
+            sample = convert.ins_sample(message, self._map_frame)
+            self._sample = self._sample if isinstance(sample, str) else sample
+        elif kind == "steering":
+            self._angle = message.road_wheel_angle
+        elif kind == "prediction":
+            self._history.add_path(message.model, convert.ins_path(message))
+        elif kind == "error" and message.complete and message.mode == "forecast":
+            self._draw_error(message)
+        elif kind == "summary":
+            self._statistics = message.statistics
+        elif kind == "status":
+            skipped = message.skipped_stale + message.skipped_overrun + message.skipped_slow
+            reason = f" ({message.reason})" if message.reason else ""
+            self._ticks = f"Ticks {message.due}, predicted {message.predicted}, skipped {skipped}{reason}"
+        elif kind == "diagnostics":
+            for check in message.status:
+                level = check.level if isinstance(check.level, int) else int.from_bytes(check.level, "little")
+                self._health[check.name] = (level, check.name, check.message)
 
-    def draw_error(self, end_ns: int, model: str, longitudinal: float, lateral: float) -> None:
+    def _draw_error(self, message: Any) -> None:
         """Add the horizon means [m] of one forecast to the plots, at the end of its horizon."""
-        if model not in self._scored:
-            self._scored.add(model)
-            for quantity in ("lateral", "longitudinal"):
+        model, means = message.model, {"lateral": message.lateral_mean, "longitudinal": message.longitudinal_mean}
+        self._set_time(to_nanoseconds(message.header.stamp) + round(message.horizon[-1] * 1e9))
+        for quantity, mean in means.items():
+            if model not in self._scored:
                 self._add_series(f"plots/{quantity}/{model}", model, colour_of(model))
-        self._set_time(end_ns)
-        self._stream.log(f"plots/lateral/{model}", rr.Scalars([lateral]))
-        self._stream.log(f"plots/longitudinal/{model}", rr.Scalars([longitudinal]))
+            self._stream.log(f"plots/{quantity}/{model}", rr.Scalars([mean]))
+        self._scored.add(model)
 
-    def draw_text(self, time_ns: int, markdown: str) -> None:
-        self._set_time(time_ns)
-        self._stream.log("text", rr.TextDocument(markdown, media_type="text/markdown"))
-
-    def draw_paths(self, time_ns: int, pose: Pose, history: History) -> None:
-        """Draw car, track, predictions with bands, and earlier predictions in both views. pose: x, y [m], yaw [rad]."""
-        self._set_time(time_ns)
+    def draw(self) -> None:
+        """Draw the newest INS sample unless it has been drawn already."""
+        sample, self._sample = self._sample, None
+        if sample is None:
+            return
+        now_ns, log, pose = sample.time_ns, self._stream.log, (sample.x, sample.y, sample.yaw)
+        self._history.add_pose(now_ns, sample.x, sample.y)
+        self._set_time(now_ns)
+        log("plots/speed/measured", rr.Scalars([sample.velocity_x]))
+        log("plots/lateral_acceleration/measured", rr.Scalars([sample.velocity_x * sample.yaw_rate]))
+        if self._angle is not None:
+            log("plots/steering/measured", rr.Scalars([math.degrees(self._angle)]))
         lines = [north_up(x, y, pose) for x, y in grid(pose, GRID, 2.0 * AROUND)]
         self._log_lines("map/grid", lines, [LIGHT_GREY], THIN, order=-1.0)
-        self._draw_view("map", lambda x, y: north_up(x, y, pose), pose, history, time_ns)
-        self._draw_view("ahead", lambda x, y: heading_up(x, y, pose), pose, history, time_ns)
+        self._draw_view("map", lambda x, y: north_up(x, y, pose), pose, now_ns)
+        self._draw_view("ahead", lambda x, y: heading_up(x, y, pose), pose, now_ns)
+        if not 0 <= self._text_due_ns - now_ns <= TEXT_PERIOD_NS:
+            self._text_due_ns = now_ns + TEXT_PERIOD_NS
+            text = format_errors(self._statistics, self._ticks, list(self._health.values()))
+            log("text", rr.TextDocument(text, media_type="text/markdown"))
 
-    def _draw_view(self, root: str, project: Projection, pose: Pose, history: History, now_ns: int) -> None:
+    def _draw_view(self, root: str, project: Projection, pose: Pose, now_ns: int) -> None:
+        """Draw car, track, predictions with bands, and earlier predictions. pose: x, y [m], yaw [rad]."""
+        history = self._history
         track = np.array([(x, y) for _, x, y in history.track])[::-TRACK_STRIDE]
         colour = rgb(MEASURED_COLOUR, 0.6)
         self._log_lines(f"{root}/track", [project(track[:, 0], track[:, 1])], [colour], TRACK, order=0.0)
@@ -231,74 +265,22 @@ def draw(path: Path, file: Path, vehicle: Path | None = None) -> int:
     stream = rr.RecordingStream("single_track_predictor", batcher_config=batches)
     stream.send_recording_name(path.name)
     stream.set_sinks(rr.FileSink(str(file)), default_blueprint=make_blueprint())
-    collector = Collector(Scene(stream, car), recorded.nodes.get("predictor", {}).get("map_frame", "map"))
+    scene = Scene(stream, car, recorded.nodes.get("predictor", {}).get("map_frame", "map"))
     pictures, due_ns = 0, 0
     with AnyReader([bag], default_typestore=load_typestore(definitions_folder())) as reader:
-        connections = [c for c in reader.connections if _find_suite_topic(c.topic)]
+        # The topics of the suite may be recorded in any namespace.
+        kinds = {c.topic: kind for c in reader.connections for topic, kind in TOPICS.items()
+                 if f"/{c.topic}".endswith(f"/{topic.lstrip('/')}")}
+        connections = [c for c in reader.connections if c.topic in kinds]
         for connection, log_ns, data in reader.messages(connections=connections):
             if log_ns >= due_ns:
-                collector.draw()
+                scene.draw()
                 pictures, due_ns = pictures + 1, log_ns + PERIOD_NS
-            collector.take(str(_find_suite_topic(connection.topic)), reader.deserialize(data, connection.msgtype))
-    collector.draw()
+            scene.take(kinds[connection.topic], reader.deserialize(data, connection.msgtype))
+    scene.draw()
     stream.flush()
     stream.disconnect()
     return pictures
-
-
-def _find_suite_topic(name: str) -> str | None:
-    """The topic of TOPICS that a recorded topic in any namespace corresponds to; None for other topics."""
-    return next((topic for topic in TOPICS if name == topic or name.endswith(f"/{topic.lstrip('/')}")), None)
-
-
-class Collector:
-    """Collects messages and draws the newest state when requested."""
-
-    def __init__(self, scene: Scene, map_frame: str):
-        self._scene, self._map_frame = scene, map_frame
-        self._history = History()
-        self._sample: InsSample | None = None
-        self._angle: float | None = None
-        self._statistics: list[Any] = []
-        self._ticks = "predictor: no status yet"
-        self._health: dict[str, tuple[int, str, str]] = {}
-        self._text_due_ns = 0
-
-    def take(self, topic: str, message: Any) -> None:
-        kind = TOPICS[topic]
-        if kind == "odometry":
-            sample = convert.ins_sample(message, self._map_frame)
-            self._sample = self._sample if isinstance(sample, str) else sample
-        elif kind == "steering":
-            self._angle = message.road_wheel_angle
-        elif kind == "prediction":
-            self._history.add_path(message.model, convert.ins_path(message))
-        elif kind == "error" and message.complete and message.mode == "forecast":
-            end_ns = to_nanoseconds(message.header.stamp) + round(message.horizon[-1] * 1e9)
-            self._scene.draw_error(end_ns, message.model, message.longitudinal_mean, message.lateral_mean)
-        elif kind == "summary":
-            self._statistics = message.statistics
-        elif kind == "status":
-            skipped = message.skipped_stale + message.skipped_overrun + message.skipped_slow
-            reason = f" ({message.reason})" if message.reason else ""
-            self._ticks = f"Ticks {message.due}, predicted {message.predicted}, skipped {skipped}{reason}"
-        elif kind == "diagnostics":
-            for check in message.status:
-                level = check.level if isinstance(check.level, int) else int.from_bytes(check.level, "little")
-                self._health[check.name] = (level, check.name, check.message)
-
-    def draw(self) -> None:
-        """Draw the newest INS sample unless it has been drawn already."""
-        sample, self._sample = self._sample, None
-        if sample is None:
-            return
-        self._history.add_pose(sample.time_ns, sample.x, sample.y)
-        self._scene.draw_motion(sample.time_ns, sample.velocity_x, sample.yaw_rate, self._angle)
-        self._scene.draw_paths(sample.time_ns, (sample.x, sample.y, sample.yaw), self._history)
-        if not 0 <= self._text_due_ns - sample.time_ns <= TEXT_PERIOD_NS:
-            self._text_due_ns = sample.time_ns + TEXT_PERIOD_NS
-            text = format_errors(self._statistics, self._ticks, list(self._health.values()))
-            self._scene.draw_text(sample.time_ns, text)
 
 
 def format_errors(statistics: Sequence[Any], ticks: str, health: Sequence[tuple[int, str, str]]) -> str:

@@ -11,7 +11,6 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from st_core.vehicle import VehicleParameters
 from st_recordings.recorded_results import find_configuration
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import read_bag, was_interrupted
@@ -19,7 +18,6 @@ from st_recordings.runs.bag_storage import recorded_text
 from st_recordings.runs.cdr import ODOMETRY, STEERING
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.reconstruct import RECONSTRUCTED
-from st_recordings.runs.run_types import SteeringField
 
 from .configuration import REPLAY_NODES, TRUNCATED, add_files, replay_parameters
 from .node import Monitor
@@ -59,23 +57,18 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     if "map_frame" not in recorded.nodes.get("predictor", {}):
         for node in ("predictor", "evaluator"):  # external recordings may use another frame
             parameters[node]["map_frame"] = drive.frame
-    outcome = _play(bag, drive.topics, folder, parameters, rate, console, view, player_options(steering, car))
-    return outcome, car.name
+    options = []
+    if steering is not None:  # the player converts the external topic to st_msgs/Steering
+        options = ["--steering-field", steering.field, "--steering-scale", repr(steering.scale)]
+        if steering.quantity == "wheel":
+            options += ["--steering-wheel", repr(car.steering_ratio), repr(car.steering_wheel_offset)]
+    return _play(bag, drive.topics, folder, parameters, rate, console, view, options), car.name
 
 
 def describe_not_played(bag: Path, unknown: Sequence[str]) -> list[str]:
     """Lines about content that a replay omits: topics of unknown type, and the missing end of a truncated recording."""
     topics = [f"of unknown type and not played: {', '.join(unknown)}"] if unknown else []
     return topics + ([TRUNCATED.format(bag, "played")] if was_interrupted(bag) else [])
-
-
-def player_options(steering: SteeringField | None, car: VehicleParameters) -> list[str]:
-    """Options of the player to convert an external steering topic; empty for st_msgs/Steering."""
-    if steering is None:
-        return []
-    wheel = ["--steering-wheel", repr(car.steering_ratio), repr(car.steering_wheel_offset)]
-    return ["--steering-field", steering.field, "--steering-scale", repr(steering.scale),
-            *(wheel if steering.quantity == "wheel" else [])]
 
 
 def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mapping[str, Mapping[str, Any]], rate: float,

@@ -41,7 +41,12 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         if self.path.partition("?")[0] == RECORDING:
-            self._send_recording()
+            with self.recording.open("rb") as stream:
+                self.send_response(200)
+                self.send_header("Content-Type", "application/octet-stream")
+                self.send_header("Content-Length", str(self.recording.stat().st_size))
+                self.end_headers()
+                shutil.copyfileobj(stream, self.wfile)
             return
         try:
             source = http.client.HTTPConnection(LOOPBACK, self.source_port, timeout=30)
@@ -61,14 +66,6 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         shutil.copyfileobj(response, self.wfile)
         source.close()
-
-    def _send_recording(self) -> None:
-        with self.recording.open("rb") as stream:
-            self.send_response(200)
-            self.send_header("Content-Type", "application/octet-stream")
-            self.send_header("Content-Length", str(self.recording.stat().st_size))
-            self.end_headers()
-            shutil.copyfileobj(stream, self.wfile)
 
     def log_message(self, *_: object) -> None:
         """Do not log requests."""

@@ -1,12 +1,10 @@
 """Runs the live suite with the virtual Leaf or the real car; a supervisor restarts nodes that end or hang."""
 
-import os
-import select
 import signal
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -37,6 +35,7 @@ STOP_ORDER = ("predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_
 END_MARGIN = 0.5  # s between the end of the run and the end of the source
 START_TIMEOUT = 60.0  # s until all nodes are in the graph
 DISCOVERY_TIME = 1.5  # s until nodes of another suite are in the graph; nodes announce their presence every second
+UPDATE_PERIOD = 0.25  # s between checks of the nodes and updates of the terminal
 LOG_PERIOD = 10.0  # s between lines if the output is not a terminal
 
 
@@ -83,14 +82,19 @@ class Supervisor:
                 self._suite.start_node(node.package, node.name)
                 node.started, node.responded, node.restart_at = now, False, None
             if node.cause:
-                self._monitor.add_status(self._make_status(node, now))
+                times = "once" if node.restarts == 1 else f"{node.restarts} times"
+                running = node.restart_at is None and node.responded
+                text = f"restarted {times}; before the last restart it {node.cause}"
+                level, text = (WARN, text) if running else (ERROR, f"not running; {text}")
+                self._monitor.add_statuses([Status(f"suite: {node.name}", level, text, now)])
 
     def _check(self, node: _Supervised, now: float) -> None:
         if (ended := self._suite.reap(node.name)) is not None:
             output = ended.last_lines(1) or "no output"
             self._schedule_restart(node, now, f"ended with status {ended.process.returncode} ({output})")
             return
-        last = self._monitor.last_status_time(node.name)
+        statuses = self._monitor.state.health.values()
+        last = max((s.received_at for s in statuses if s.name.startswith(f"{node.name}: ")), default=float("-inf"))
         node.responded = node.responded or last > node.started
         silent = now - max(last, node.started)
         if silent > (SILENCE_TIMEOUT if node.responded else FIRST_STATUS_TIMEOUT):
@@ -103,13 +107,6 @@ class Supervisor:
         node.cause, node.restart_at = cause, now + node.back_off
         node.back_off = min(2 * node.back_off, BACK_OFF_LAST)
         node.restarts += 1
-
-    def _make_status(self, node: _Supervised, now: float) -> Status:
-        times = "once" if node.restarts == 1 else f"{node.restarts} times"
-        running = node.restart_at is None and node.responded
-        text = f"restarted {times}; before the last restart it {node.cause}"
-        level, text = (WARN, text) if running else (ERROR, f"not running; {text}")
-        return Status(f"suite: {node.name}", level, text, now)
 
 
 @dataclass(frozen=True)
@@ -144,12 +141,12 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
     if chosen is None and not source:
         chosen = 0
     reserved = claim_domain() if chosen is None else nullcontext(chosen)
-    with _StopRequest() as stop, reserved as domain, Monitor(domain) as monitor:
+    with _catch_signals() as stopped, reserved as domain, Monitor(domain) as monitor:
         if chosen is not None:
-            stop.wait(DISCOVERY_TIME)
+            time.sleep(DISCOVERY_TIME)
             _check_no_other_suite(monitor, domain, allowed=0)
         with Suite(folder, parameters, domain, realtime) as suite:
-            if not start_nodes(suite, monitor, NODES, lambda: stop.requested):
+            if not start_nodes(suite, monitor, NODES, stopped):
                 return Outcome({}, True)
             _check_no_other_suite(monitor, domain, allowed=1)
             text = f"{len(NODES)} nodes up in ROS domain {domain}; output in {folder}"
@@ -164,12 +161,12 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
                 available = source(suite) - END_MARGIN
                 duration = min(duration or available, available)
             supervisor = Supervisor(suite, monitor, NODES) if supervised else None
-            problem = _watch(suite, monitor, supervisor, console, title, duration, stop)
+            problem = _watch(suite, monitor, supervisor, console, title, duration, stopped)
             health_text = render_health(monitor.state).plain
             statuses = {}
             for name in STOP_ORDER:
                 statuses.update(suite.stop(name))
-        return Outcome(statuses, stop.requested, problem, health_text, supervisor.restarts if supervisor else {})
+        return Outcome(statuses, stopped(), problem, health_text, supervisor.restarts if supervisor else {})
 
 
 def _check_no_other_suite(monitor: Monitor, domain: int, allowed: int) -> None:
@@ -196,7 +193,7 @@ def start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]]
 
 
 def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
-           duration: float | None, stop: "_StopRequest") -> str:
+           duration: float | None, stopped: Callable[[], bool]) -> str:
     """Show the run until its duration has passed or until Ctrl-C; returns an empty string.
 
     Without a supervisor, the run also ends when a process ends; the returned message then names this process.
@@ -204,7 +201,8 @@ def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, consol
     started = time.monotonic()
     last_line = started
     with Live(console=console, refresh_per_second=4, transient=True, auto_refresh=False) as live:
-        while not stop.wait(0.25):
+        while not stopped():
+            time.sleep(UPDATE_PERIOD)
             elapsed = time.monotonic() - started
             if duration is not None and elapsed > duration:
                 break
@@ -225,27 +223,15 @@ def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, consol
     return ""
 
 
-class _StopRequest:
-    """Turns Ctrl-C and SIGTERM into a flag, so that the nodes can be stopped in order."""
-
-    def __init__(self) -> None:
-        self.requested = False
-        self._read, self._write = os.pipe()
-
-    def wait(self, seconds: float) -> bool:
-        select.select([self._read], [], [], seconds)
-        return self.requested
-
-    def _request(self, *_: object) -> None:
-        self.requested = True
-        os.write(self._write, b"x")
-
-    def __enter__(self) -> "_StopRequest":
-        self._handlers = {s: signal.signal(s, self._request) for s in (signal.SIGINT, signal.SIGTERM)}
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._handlers.items():
+@contextmanager
+def _catch_signals() -> Iterator[Callable[[], bool]]:
+    """A function that returns whether Ctrl-C or SIGTERM has arrived; they raise nothing, so that the nodes can be
+    stopped in order."""
+    received: list[int] = []
+    handlers = {number: signal.signal(number, lambda number, _: received.append(number))
+                for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(received)
+    finally:
+        for number, handler in handlers.items():
             signal.signal(number, handler)
-        os.close(self._read)
-        os.close(self._write)

@@ -120,7 +120,17 @@ class Processes:
         """End one child, or all in the order of their start; returns the exit statuses. timeout: for each child [s]."""
         statuses = {}
         for child in [c for c in self.children if name in (None, c.name)]:
-            statuses[child.name] = _end(child.process, timeout)
+            process = child.process
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                try:
+                    process.wait(timeout)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+                    process.wait()
+                if process.returncode == -signal.SIGINT:
+                    process.returncode = 0  # interrupted before it installed its handler
+            statuses[child.name] = process.returncode
             self.children.remove(child)
         return statuses
 
@@ -156,19 +166,6 @@ def _set_realtime(pid: int, name: str) -> bool:
         except ProcessLookupError:
             pass  # it has already ended; `check` reports that
     return True
-
-
-def _end(process: subprocess.Popen, timeout: float) -> int:
-    if process.poll() is None:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(timeout)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        if process.returncode == -signal.SIGINT:
-            return 0  # interrupted before it installed its handler
-    return process.returncode
 
 
 def find_executable(package: str, executable: str) -> str:

@@ -19,18 +19,9 @@ from st_core.models import Model, get_model
 from st_core.palette import MODEL_COLOUR
 from st_core.prediction import PredictionSettings, configuration_hash
 from st_core.vehicle import VehicleParameters
+from st_recordings import recorded_results
 from st_recordings.paths import new_folder
-from st_recordings.recorded_results import (
-    PlannedPredictions,
-    Predictions,
-    Progress,
-    RecordedConfiguration,
-    Scores,
-    find_configuration,
-    read_planned,
-    read_predictions,
-    read_scores,
-)
+from st_recordings.recorded_results import PlannedPredictions, Predictions, Progress, Scores
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import read_bag, was_interrupted
 
@@ -93,14 +84,16 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     vehicle: file to use instead of the recorded vehicle. Raises RunError, ConfigurationError.
     """
     bag, score_bags = recordings_of(path)
-    predictions = read_predictions(bag, progress)
+    predictions = recorded_results.read_predictions(bag, progress)
     if not predictions:
         return None
     drive = read_bag(bag, steering=read.steering, odometry=read.odometry) if read else read_bag(bag)
-    car, recorded, source = find_configuration(drive.records, vehicle)
-    settings = _read_settings(recorded)
-    scores = read_scores(score_bags, progress)
-    planned_by_mode = {mode: read_planned(bag, mode, progress) for mode in PLANNED_MODES}
+    car, recorded, source = recorded_results.find_configuration(drive.records, vehicle)
+    given = {**recorded.nodes.get("evaluator", {}), **recorded.nodes.get("predictor", {})}
+    names = PredictionSettings.__dataclass_fields__.keys() & given.keys()
+    settings = PredictionSettings(**{name: float(given[name]) for name in names})
+    scores = recorded_results.read_scores(score_bags, progress)
+    planned_by_mode = {mode: recorded_results.read_planned(bag, mode, progress) for mode in PLANNED_MODES}
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
     truncated = [TRUNCATED.format(file, "compared") for file in dict.fromkeys((bag, *score_bags))
                  if was_interrupted(file)]
@@ -117,12 +110,6 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     expected = configuration_hash(car, settings)
     same = all(live.hashes == {expected} for live in predictions.values())
     return Verification(comparisons, f"{car.name}, from {source}", same, tuple(warnings))
-
-
-def _read_settings(recorded: RecordedConfiguration) -> PredictionSettings:
-    given = {**recorded.nodes.get("evaluator", {}), **recorded.nodes.get("predictor", {})}
-    names = PredictionSettings.__dataclass_fields__.keys() & given.keys()
-    return PredictionSettings(**{name: float(given[name]) for name in names})
 
 
 def find_settled(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np.ndarray:
