@@ -43,7 +43,8 @@ def law(tmp_path):
 def test_the_library_is_listed():
     shown = st("effects").output
     assert all(name in shown for name in EFFECTS)
-    assert "acts on: slip angles, memory" in shown.partition("\nroll_steer ")[2].partition("hard to separate")[0]
+    roll_steer = shown.partition("\nroll_steer ")[2].partition("hard to separate")[0]
+    assert "acts on: slip angles, additional states" in roll_steer
 
 
 def test_own_effects_are_listed_with_their_folder(law):

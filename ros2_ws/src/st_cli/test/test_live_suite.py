@@ -219,8 +219,9 @@ def test_faults_are_printed_below_the_table_worst_first() -> None:
               Status("c: three", 0, "fine", now)]
     lines = lines_of(SuiteState(ErrorSummary(statistics=[ErrorStatistics(model="linear", mode="forecast")]), None,
                                 {s.name: s for s in health}))
-    assert lines[1:6] == ["no prediction yet", "waiting for the first complete horizon", "predictor: no status yet",
-                          "error: b: two: [bad]", "warning: a: one: not so good"]
+    assert lines[1:4] == [
+        "no prediction yet", "waiting for the end of the first prediction", "predictor: no status yet"]
+    assert lines[4:6] == ["error: b: two: [bad]", "warning: a: one: not so good"]
 
 
 def test_the_motion_line_has_the_side_of_the_steering() -> None:

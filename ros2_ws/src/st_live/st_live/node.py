@@ -161,7 +161,7 @@ def render_errors(state: SuiteState) -> RenderableType:
     """Table of the mean, largest value and RMS of the errors averaged over each horizon so far, by model and mode."""
     statistics = state.summary.statistics if state.summary else []
     if not any(s.n_starts for s in statistics):
-        return Text("waiting for the first complete horizon", style="dim")
+        return Text("waiting for the end of the first prediction", style="dim")
     table = Table(box=None, padding=(0, 1))
     for column in ("model", "mode", "starts", "longitudinal, m\nmean | max | RMSE", "lateral, m\nmean | max | RMSE"):
         table.add_column(column, justify="left" if column in ("model", "mode") else "right", no_wrap=True)

@@ -295,7 +295,7 @@ def format_errors(statistics: Sequence[Any], ticks: str, health: Sequence[tuple[
             numbers = " | ".join("-" if math.isnan(e) else f"{e:.2f}" for e in errors)
             lines.append(f"| {row.model} | {mode} | {row.n_starts} | {numbers} |")
     if len(lines) == 2:
-        lines = ["Waiting for the first complete horizon."]
+        lines = ["Waiting for the end of the first prediction."]
     lines += ["", *(f"- {line}" for line in format_band_lines(statistics)), "", ticks, ""]
     problems = [entry for entry in health if entry[0] > 0]
     lines += [f"- {LEVELS[min(level, 3)]}: {name}: {text}" for level, name, text in sorted(problems, reverse=True)]

@@ -35,11 +35,11 @@ def ins_sample(message: Odometry, map_frame: str) -> InsSample | str:
         return f"header.frame_id is {message.header.frame_id!r}, expected {map_frame!r} (parameter map_frame)"
     q, position = message.pose.pose.orientation, message.pose.pose.position
     linear, yaw_rate = message.twist.twist.linear, message.twist.twist.angular.z
-    norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
-    if not all(map(math.isfinite, (position.x, position.y, norm, linear.x, linear.y, yaw_rate))):
+    squared_norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
+    if not all(map(math.isfinite, (position.x, position.y, squared_norm, linear.x, linear.y, yaw_rate))):
         return "NaN or infinite values"
-    if abs(norm - 1.0) > QUATERNION_TOLERANCE:
-        return f"orientation is not a unit quaternion (squared length {norm:.3g})"
+    if abs(squared_norm - 1.0) > QUATERNION_TOLERANCE:
+        return f"orientation is not a unit quaternion (squared length {squared_norm:.3g})"
     yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
     return InsSample(to_nanoseconds(message.header.stamp), position.x, position.y, yaw, linear.x, linear.y, yaw_rate)
 
@@ -69,7 +69,7 @@ class PathBuilder:
 
 def prediction_message(start: Start, model: str, trajectory: Trajectory, vehicle: VehicleParameters, map_frame: str,
                        configuration_hash: str) -> Prediction:
-    """The message without issued_at and compute_time, which the node sets when it publishes."""
+    """Message of a prediction with held inputs, without issued_at and compute_time."""
     message = Prediction(model=model, configuration_hash=configuration_hash,
                          road_wheel_angle=float(start.inputs.road_wheel_angle),
                          velocity_x_dot=float(start.inputs.velocity_x_dot))
@@ -85,8 +85,8 @@ def planned_inputs(message: InputPlan, base_frame: str, vehicle: VehicleParamete
     lengths = [tuple(map(len, pair)) for pair in pairs]
     n = len(message.time)
     if n == 0 or sorted(lengths) != [(0, 0), (n, n)]:
-        return (f"plan: {n} times with road_wheel_angle and velocity_x_dot of {lengths[0]}, speed and curvature of "
-                f"{lengths[1]} values; expected one of the pairs in full and the other empty")
+        return (f"plan: {n} time stamps, but {lengths[0]} values of road_wheel_angle and velocity_x_dot, and "
+                f"{lengths[1]} of speed and curvature; expected a value of one pair for each time, none of the other")
     seconds = np.asarray(message.time)
     if not np.isfinite(seconds).all():
         return "plan: time is not finite"
@@ -100,7 +100,7 @@ def planned_inputs(message: InputPlan, base_frame: str, vehicle: VehicleParamete
 
 def planned_message(start: Start, model: str, plan_ns: int, inputs: InputSequence, trajectory: Trajectory,
                     vehicle: VehicleParameters, map_frame: str, configuration_hash: str) -> PlannedPrediction:
-    """As `prediction_message`, with inputs on the half-step grid. plan_ns: stamp of the plan, 0 for a course."""
+    """Message of a prediction with planned inputs on the half-step grid. plan_ns: stamp of the plan, 0 for a course."""
     message = PlannedPrediction(
         model=model, configuration_hash=configuration_hash, plan_stamp=from_nanoseconds(plan_ns),
         road_wheel_angle=_float64(inputs.road_wheel_angle), velocity_x_dot=_float64(inputs.velocity_x_dot))

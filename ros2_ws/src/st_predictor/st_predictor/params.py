@@ -6,8 +6,6 @@ from types import SimpleNamespace
 from typing import TypeVar
 
 from st_core import errors as core_errors
-from st_core.bands import Bands
-from st_core.course import Course
 from st_core.effects import load_folder
 from st_core.model_file import ModelFile
 from st_core.prediction import PredictionSettings
@@ -98,9 +96,10 @@ IDENTIFIER = (_VEHICLE_FILE, _MAP_FRAME)
 
 def load_vehicle(values: SimpleNamespace) -> VehicleParameters:
     """The vehicle of the parameter `vehicle_file`. Raises ConfigurationError naming the file and the key."""
-    if not values.vehicle_file:
+    vehicle = read_file(values, "vehicle_file", VehicleParameters.from_yaml)
+    if vehicle is None:
         raise ConfigurationError(f"{values.where}vehicle_file: not set; give a file of config/vehicle/")
-    return _read(values, "vehicle_file", VehicleParameters.from_yaml)
+    return vehicle
 
 
 def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile | None:
@@ -110,26 +109,21 @@ def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile
     """
     if values.effects_directory:
         translate_errors(values, lambda: load_folder(values.effects_directory), "effects_directory: ")
-    if not values.model_file:
-        return None
-    file = _read(values, "model_file", ModelFile.from_yaml)
-    prefix = f"model_file: {values.model_file}: "
-    translate_errors(values, lambda: file.check_vehicle(vehicle, values.vehicle_file), prefix)
+    file = read_file(values, "model_file", ModelFile.from_yaml)
+    if file is not None:
+        prefix = f"model_file: {values.model_file}: "
+        translate_errors(values, lambda: file.check_vehicle(vehicle, values.vehicle_file), prefix)
     return file
 
 
-def load_bands(values: SimpleNamespace) -> Bands | None:
-    """The bands of the parameter `bands_file`, None without one. Raises ConfigurationError naming the file."""
-    return _read(values, "bands_file", Bands.from_yaml) if values.bands_file else None
+def read_file(values: SimpleNamespace, parameter: str, parse: Callable[[str, str], T]) -> T | None:
+    """The parsed file that a parameter names; None if it is empty. Raises ConfigurationError naming parameter and file.
 
-
-def load_course(values: SimpleNamespace) -> Course | None:
-    """The course of the parameter `course_file`, None without one. Raises ConfigurationError naming the file."""
-    return _read(values, "course_file", Course.from_yaml) if values.course_file else None
-
-
-def _read(values: SimpleNamespace, parameter: str, parse: Callable[[str, str], T]) -> T:
+    parse: function of the text and the name of the file.
+    """
     name, prefix = getattr(values, parameter), f"{parameter}: "
+    if not name:
+        return None
     try:
         text = Path(name).read_text()
     except OSError as error:

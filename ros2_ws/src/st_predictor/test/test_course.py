@@ -134,5 +134,5 @@ def test_a_file_that_is_no_course_stops_the_start_with_file_and_reason(course: C
         whole = course.to_yaml()
         file.write_text({"empty": Course(()).to_yaml(), "cut": whole[:len(whole) // 2]}.get(text, text))
     with pytest.raises(ConfigurationError) as caught:
-        params.load_course(SimpleNamespace(course_file=str(file), where="predictor."))
+        params.read_file(SimpleNamespace(course_file=str(file), where="predictor."), "course_file", Course.from_yaml)
     assert str(file) in str(caught.value) and reason in str(caught.value) and "\n" not in str(caught.value)

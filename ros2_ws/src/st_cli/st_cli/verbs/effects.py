@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 HOOK_LABELS = {
     "vehicle": "car", "steering": "recorded steering", "inputs": "steering angle, forward acceleration",
-    "slip_angles": "slip angles", "axle_forces": "axle forces", "acceleration": "motion", "rates": "memory",
-    "specific_force": "motion", "observe": "readings"}
+    "slip_angles": "slip angles", "axle_forces": "axle forces", "acceleration": "accelerations",
+    "rates": "additional states", "specific_force": "accelerations", "observe": "sensor readings"}
 
 
 def effects(

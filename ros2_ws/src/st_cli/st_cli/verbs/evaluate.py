@@ -21,11 +21,11 @@ def evaluate(
     model: shared.Models = MODELS,
     effects: shared.EffectsOfFile = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/evaluate-<time>."),
-    at: str = typer.Option("", help="Starts drawn in detail, s: 1,10,19,28. Default: four spread over the run."),
+    at: str = typer.Option("", help="Starts of the predictions drawn in detail, s: 1,10,19,28; default: four."),
     acceleration: shared.Filtering = "causal",
     inputs: shared.Inputs = "interpolate",
     table: Literal["means", "samples"] = typer.Option(
-        "means", help="Statistics shown: of the horizon means, as in the paper, or of all samples."),
+        "means", help="Statistics of the mean error over each horizon, as in the paper, or of all samples of it."),
     horizon: shared.Horizon = 5.0,
     step: shared.Step = 0.05,
     interval: float = typer.Option(0.1, help="Time between starts, s."),
@@ -35,15 +35,14 @@ def evaluate(
         None, help="Bands of `st calibrate` to test on these runs: coverage, scores, reliability.", exists=True,
         dir_okay=False),
     adaptive: bool = typer.Option(
-        False, "--adaptive", help="Also test bands that adapt to the errors of each run; they start from --bands, or "
-        "without a calibration."
-    ),
+        False, "--adaptive", help="Also test bands that adapt to the errors of each run; initially those of --bands, "
+        "if given."),
     course: Path | None = typer.Option(
-        None, help="Course of `st course build`: also forecast with the inputs of its earlier drives.",
+        None, help="Course of `st course build`: also predict with the inputs recorded on this course before.",
         exists=True, dir_okay=False),
     advise: float | None = typer.Option(
-        None, help="Permitted lateral error, m: also report the cheapest model and step within it, by speed and time "
-        "ahead, with cost, error and band width of each.", min=0.001),
+        None, help="Permitted lateral error, m: also report the cheapest model and step that meet it, by speed and "
+        "prediction time, with cost, error and band width of each.", min=0.001),
     force: bool = typer.Option(False, "--force", help="Also evaluate runs in which `st check` finds an error."),
     workers: int = typer.Option(1, help="Number of runs evaluated in parallel (Dask).", min=1),
     scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler instead."),

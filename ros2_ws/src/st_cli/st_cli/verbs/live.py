@@ -82,21 +82,21 @@ def live(
     with shared.report_errors("live", SuiteError):
         named = car_options.resolve_car(complete=True)
         vehicle = configuration.vehicle_file(named.vehicle)
-        shared.report_default_car("live", named.vehicle, vehicle)
         bridges = configuration.bridge_parameters(vehicle, ins, bus | named.steering, named.dbc, named.signals)
         about = {"what": "live", "source": f"{can_interface}:{can_channel}, NCOM port {ncom_port}",
                  "vehicle": configuration.vehicle_name(vehicle)}
-        status = _run("live", about, vehicle, bridges, run_options, output, duration=duration, supervised=True,
-                      realtime=realtime)
+        status = _run("live", about, vehicle, bridges, run_options, output, named.vehicle is None, duration=duration,
+                      supervised=True, realtime=realtime)
     raise typer.Exit(status)
 
 
 def _run(name: str, about: dict[str, Any], vehicle: Path, bridges: Mapping[str, Mapping[str, Any]],
-         options: shared.RunOptions, output: Path | None, **how: Any) -> int:
+         options: shared.RunOptions, output: Path | None, reports_car: bool = False, **how: Any) -> int:
     """Run the suite and report the results; returns the exit status.
 
-    name: of the default output folder. about: entries of summary.json. bridges: parameters of the bridges. how: further
-    arguments of `session.run`. Raises SuiteError, StCoreError and RunError.
+    name: of the default output folder. about: entries of summary.json. bridges: parameters of the bridges. reports_car:
+    whether to report that the Leaf's file is used. how: further arguments of `session.run`. Raises SuiteError,
+    StCoreError and RunError.
     """
     from st_live import configuration, report, session
     from st_recordings.paths import new_folder
@@ -107,6 +107,8 @@ def _run(name: str, about: dict[str, Any], vehicle: Path, bridges: Mapping[str, 
     folder = new_folder(output, name)
     parameters = configuration.live_parameters(folder, vehicle, bridges, model_settings, options.record == "all")
     parameters = configuration.add_files(parameters, options.bands, options.course, options.adaptive)
+    if reports_car:
+        shared.report_default_car(name, None, vehicle)
     outcome = session.run(folder, parameters, about["what"], console=console, view=page, **how)
     status = report.conclude(folder, outcome, about, console)
     page.finish(folder, console)

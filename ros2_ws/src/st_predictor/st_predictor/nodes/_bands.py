@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 
 import numpy as np
-from st_core.bands import AdaptiveBands, CoverageMonitor, LiveBands, conditions_now
+from st_core.bands import AdaptiveBands, Bands, CoverageMonitor, LiveBands, conditions_now
 from st_core.bands.live import HalfWidths
 from st_core.evaluation import Evaluator, Mode
 from st_core.log_evaluation import MODES, PLANNED_MODES, EvaluationSettings
@@ -36,7 +36,7 @@ class PredictionBands:
         self._reason, self._calibration = "", ""  # why there is no band; origin of the bands file
         self._calibrated: LiveBands | None = None
         self._adaptive: AdaptiveBands | None = None
-        file = params.load_bands(values)
+        file = params.read_file(values, "bands_file", Bands.from_yaml)
         if file is not None:
             prefix = f"bands_file: {values.bands_file}: "
             evaluation = EvaluationSettings(settings)

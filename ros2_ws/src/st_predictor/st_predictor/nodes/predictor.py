@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from st_core.compiled import compile_models
+from st_core.course import Course
 from st_core.evaluation import Mode
 from st_core.log_evaluation import PLANNED_MODES
 from st_core.models import get_model
@@ -93,7 +94,8 @@ class PredictorNode(Node):
         self._inputs = Inputs(self, values.map_frame, self._add_ins, self._add_steering, self._diagnostics.publish)
         self._plan = PlanInput(self, values.plan_frame, self._vehicle)
         settings = self._core.settings
-        self._course = CourseInput(self, params.load_course(values), self._vehicle, settings.horizon, settings.step)
+        course = params.read_file(values, "course_file", Course.from_yaml)
+        self._course = CourseInput(self, course, self._vehicle, settings.horizon, settings.step)
         self._path = convert.PathBuilder(values.map_frame, settings.steps + 1)
         self._simulated = self.get_parameter("use_sim_time").value
         self._make_publishers()
