@@ -14,7 +14,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.paths import config
 from st_sim.can_wire import Background, CanWire, Frame
 from st_sim.ncom_wire import NcomWire, Origin
-from st_sim.sensors import InsReading, WheelSpeeds
+from st_sim.sensors import InsReading
 from winding_road import RATE, Truth, winding_road
 
 from .wires import Wire, pack
@@ -129,7 +129,7 @@ class _Frames:
             yield from _packed(self._wires.steering(self._drive.steering_wheel(now / 1000), 0.0))
         if now % WHEEL_PERIOD == 6:
             speed = self._drive.reading(now / 1000).velocity_x
-            yield from _packed(self._wires.wheel_speeds(WheelSpeeds((speed,) * 4, speed)))
+            yield from _packed(self._wires.wheel_speeds((speed,) * 4, speed))
         if self._others:
             yield from self._others[now % 100]
             yield from self._others[(now + 1) % 100]
