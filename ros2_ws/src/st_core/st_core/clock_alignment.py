@@ -49,12 +49,10 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     Coarse: masked normalised cross-correlation at all lags, averaged over the signals. Fine: robust joint fit of offset
     and drift (`clock_fit.fit`). The verdict depends on the height of the peak, a similar second peak, the uncertainty
     of the offset, the agreement of the signals, the drift, and steps of a clock. The recordings must overlap by 40 % of
-    the shorter one, or by 20 s if no offset fits with this overlap. search: bounds of reference minus other time [s];
-    None: no bounds.
+    the shorter one, or by 20 s if no offset fits with this overlap. search: bounds of reference minus other time [s].
 
     Never raises for the content of a recording: a refused alignment states its reasons. Valid for drifts of a few
-    hundred ppm and recordings of up to two days. Checked by: the synthetic pair in tests/golden/test_alignment.py, and
-    simulated clocks in test_clock_alignment.py, which also check the standard deviations.
+    hundred ppm and recordings of up to two days. Checked by: tests/golden/test_alignment.py, test_clock_alignment.py.
     """
     usable, reasons = _usable_signals(signals)
     if not usable:

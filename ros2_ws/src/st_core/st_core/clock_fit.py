@@ -136,9 +136,7 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
 
     The gain absorbs the scale of a wheel speed, the bias a gyro offset; scale_k is a robust standard deviation. The
     uncertainty is a sandwich estimate from blocks of 5 s, since residuals are autocorrelated. A weak prior (100 ppm)
-    limits the drift of short recordings.
-
-    Raises ValueError if less than 2 s are known on both sides, or if the signals do not vary.
+    limits the drift. Raises ValueError if less than 2 s are known on both sides, or if the signals do not vary.
     """
     splines = [CubicSpline(p.reference.time, p.reference.values) for p in pairs]
     parameters = np.array([offset, drift])

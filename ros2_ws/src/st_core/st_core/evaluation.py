@@ -135,11 +135,7 @@ class Evaluator:
 
     def flush(self) -> list[Score]:
         """Scores of all pending predictions, at the end of the data; horizons beyond the end are incomplete."""
-        scores, self._abandoned = self._abandoned, []
-        for key in sorted(self._waiting):
-            scores += self._score(key, self._waiting[key])
-        self._waiting.clear()
-        return scores
+        return self.poll(-_NEVER)
 
     def _abandon(self, keys: Sequence[tuple[int, int, float]], reason: str) -> None:
         for key in keys:

@@ -128,13 +128,11 @@ def predict_faultless_readings(model: Model, vehicle: VehicleParameters, states:
                                p: Any = None) -> Measured:
     """Readings of a faultless INS in the given states, at the INS point.
 
-    states: (x, y, velocity_x, velocity_y, yaw, yaw_rate, extra states ...) at the CG, floats or arrays of equal shape.
-    w, p: inputs and parameters of the model. Without them, the accelerations are NaN and the yaw acceleration
-    is 0, so a delay of the yaw rate has no effect.
-
         a_ins = a_cg + r_dot x d - r^2 d,   d: the INS seen from the CG,   a_cg = `Model.specific_force`
 
-    vehicle: as in its file, without effects.
+    states: (x, y, velocity_x, velocity_y, yaw, yaw_rate, extra states ...) at the CG, floats or arrays of equal shape.
+    w, p: inputs and parameters of the model. Without them, the accelerations are NaN and the yaw acceleration
+    is 0, so a delay of the yaw rate has no effect. vehicle: as in its file, without effects.
     """
     car = model.effective_vehicle(vehicle)
     dx, dy = car.cg_to_ins_x, car.cg_to_ins_y

@@ -1,13 +1,12 @@
 """Steady-state sideslip for drives without measured sideslip, with the course over ground of a GNSS receiver as yaw.
 
-The heading of a car differs from its course by the sideslip angle at the antenna. With the course as heading, each
-prediction would be rotated by this angle. Therefore the sideslip of steady cornering is computed with the vehicle file:
+The heading of a car differs from its course by the sideslip angle at the antenna, by which each prediction would be
+rotated. Therefore the sideslip of steady cornering is computed with the vehicle file:
 
     v_y = r (l_r - m l_f v_x^2 / (l C_r) + d_x),    beta = atan(v_y / v_x),    heading = course - beta
 
-r: yaw rate, d_x: distance of the antenna ahead of the CG. This sideslip contains no information on stiffnesses, lever
-arm and misalignment, so they cannot be identified from it; `DriveLog.sideslip_measured` is then False.
-Checked by: test_sideslip.py.
+r: yaw rate, d_x: distance of the antenna ahead of the CG. Stiffnesses, lever arm and misalignment cannot be identified
+from this sideslip; `DriveLog.sideslip_measured` is then False. Checked by: test_sideslip.py.
 """
 
 from dataclasses import replace

@@ -1,6 +1,4 @@
-"""Backends, which compute batches of predictions from the unchanged functions of a Model.
-
-A backend is a module with
+"""Backends, which compute batches of predictions from the unchanged functions of a Model. A backend is a module with
 
     LANES                                                       number of columns advanced together
     advance(model, p, start, w, offsets, step, points) -> out   RK4 of all columns
@@ -9,8 +7,8 @@ A backend is a module with
     offsets: (2 * steps + 1,); column i has w[:, offsets[k] + i] at time k * step / 2. points: step numbers, increasing.
     out: (len(points), 6, n), states at these steps. NaN in a column makes only that column NaN.
 
-numpy_batch needs only numpy; numba_lanes needs numba and is five to twenty times faster. numba and casadi are imported
-only when used.
+numpy_batch needs only numpy; numba_lanes needs numba, which is imported only when used, and is five to twenty times
+faster.
 """
 
 import importlib.util

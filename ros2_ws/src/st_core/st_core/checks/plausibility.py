@@ -1,12 +1,10 @@
 """Detection of samples that are physically impossible: spikes, sentinel values, values out of range, wrap-arounds.
 
 Each channel is examined alone, before any comparison, so that a faulty sample is not mistaken for a wrong unit.
-Implausible samples are reported, and no command uses them. A step from one sample to the next is large if it exceeds
-both a physical limit and a multiple of the channel's median step, which makes the test valid in any unit:
+A step from one sample to the next is large if it exceeds both a physical limit and a multiple of the channel's median
+step, which makes the test valid in any unit:
 
     |v_k - v_{k-1}| > max(limit, 20 median |v_k - v_{k-1}|),   median of the steps that are not 0
-
-Checked by: test_checks_plausibility.py.
 """
 
 from collections.abc import Iterable, Mapping

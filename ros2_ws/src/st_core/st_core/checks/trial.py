@@ -2,10 +2,9 @@
 
 The prediction error is the distance between measured position and prediction by the linear single-track model, both
 from the corrected drive, HORIZON after starts that are HORIZON apart. A wrong steering ratio or offset in the vehicle
-file would favour corrections that compensate it, so gain and offset are fitted, with and without correction:
+file would favour corrections that compensate it, so gain g [1] and offset o [rad] of the road wheel angle are fitted:
 
-    e = e_0 + (de/dg) g + (de/do) o,    g, o: gain [1] and offset [rad] of the road wheel angle, least squares within
-                                        |g| <= MAX_GAIN, |o| <= MAX_OFFSET
+    e = e_0 + (de/dg) g + (de/do) o,    least squares within |g| <= MAX_GAIN, |o| <= MAX_OFFSET
 
 Without bounds, huge values of both would explain any error on a circle, where gain and offset are confounded.
 Checked by: test_checks_trial.py, test_checks_step.py.

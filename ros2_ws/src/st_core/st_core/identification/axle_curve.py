@@ -3,9 +3,8 @@
     F(alpha) = (F_model(-alpha) - F_model(alpha)) / 2,   alpha >= 0
 
 F_model is the axle force in the model's equations of motion in steady cornering with equal slip of both axles, without
-forward acceleration. It includes every effect that acts in that state except steering effects; offsets cancel. The slip
-angle is computed from the measured steering, as in the regression, so compliance and roll steer change the curve. The
-curve ends at the driven slip. Checked by: test_axle_curve.py.
+forward acceleration and steering effects; offsets cancel. The slip angle is computed from the measured steering, as in
+the regression, so compliance and roll steer change the curve. Checked by: test_axle_curve.py.
 """
 
 from collections.abc import Iterable

@@ -1,10 +1,7 @@
 """Nonlinear least squares within bounds, and a profile-likelihood interval for each parameter.
 
     S(p) = sum r(p)^2,   s^2 = S_min / (n - k),   covariance = s^2 (J^T J)^-1 of the parameters inside their bounds
-
-The 95 % interval of a parameter ends where the sum of squares is significantly larger, with all others refitted:
-
-    min over the others of S = S_min + s^2 F_0.95(1, n - k)
+    ends of the 95 % interval:    min over the others of S = S_min + s^2 F_0.95(1, n - k)
 
 An end is open if the bound of the parameter is reached first. Source: Bates and Watts, Nonlinear Regression Analysis,
 ch. 6. Checked by: test_identification_result.py.

@@ -1,12 +1,11 @@
 """Online identification of steering offset, steering ratio and stiffness scale, by `driving_fit` on recent driving.
 
-The last BUFFER seconds of INS and steering samples of a moving car are stored. After every FIT_INTERVAL of usable
-driving, both stiffnesses, ratio, offset, INS misalignment, dead time of the steering and relaxation of the tyres are
-fitted together, so that delay and transients do not bias the ratio. The standard deviation is the sum in
-quadrature of two parts: the variation between blocks of driving, converted to a normal distribution with the same 95 %
-interval, and SYSTEMATIC, the error of the single-track model. A value is estimated after sufficient excitation
-(`_missing_driving`) if its deviation is below MAX_DEVIATIONS. It is invalid if it is implausible for the car or if the
-residual of the model is too large. Valid for |a_y| <= 4 m/s^2 on dry, level roads. Checked by: test_online.py.
+After every FIT_INTERVAL of usable driving, both stiffnesses, ratio, offset, INS misalignment, dead time of the steering
+and relaxation of the tyres are fitted together to the last BUFFER seconds. The standard deviation is the sum in
+quadrature of the variation between blocks of driving, converted to a normal distribution with the same 95 % interval,
+and of SYSTEMATIC, the error of the single-track model. A value is estimated after sufficient excitation if its
+deviation is below MAX_DEVIATIONS. It is invalid if it is implausible for the car or if the residual of the model is too
+large. Valid for |a_y| <= 4 m/s^2 on dry, level roads. Checked by: test_online.py.
 """
 
 import math
