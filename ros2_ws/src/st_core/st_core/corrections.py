@@ -57,7 +57,7 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
     Each channel is scaled, then offset, then shifted in time; "position" and "velocity" apply to both components, after
     corrections of a single component. Then
 
-        heading.add = a:    yaw -> yaw + a,  (v, acceleration)_body -> R(-a) (v, acceleration)_body; R(yaw) v is unchanged
+        heading.add = a:    yaw -> yaw + a,  (v, acceleration)_body -> R(-a) (v, acceleration)_body; R(yaw) v is kept
         position.ahead = d: (x, y) -> (x, y) + d (cos yaw, sin yaw)
 
     An INS channel that is shifted in time is interpolated at the stamps of the other channels. Samples without a value
