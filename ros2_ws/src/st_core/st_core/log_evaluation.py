@@ -298,8 +298,8 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     trajectories: dict[tuple[str, Mode], np.ndarray] = {}
     batches: dict[Mode, LogBatch] = {}
     for mode, planned in future_inputs.items():
-        planned_start = np.isfinite(np.stack(planned)).all(axis=(0, 2))[:, None]  # at other starts, inputs are held
-        inputs = tuple(np.where(planned_start, values, initial[:, :1])
+        is_planned = np.isfinite(np.stack(planned)).all(axis=(0, 2))[:, None]  # at other starts, inputs are held
+        inputs = tuple(np.where(is_planned, values, initial[:, :1])
                        for values, initial in zip(planned, (angle, acceleration, angle), strict=False))
         batches[mode] = LogBatch(signals, starts_ns, step * steps, step, inputs=inputs)
     for model in models:

@@ -210,9 +210,9 @@ class Predictor:
         both = {"INS": self.history.ins, "steering": self.history.steering}
         newest = min(int(series.times[-1]) for series in both.values())
         time_ns: int | None = newest
-        later_ns: int | None = None
-        while time_ns is not None and time_ns != later_ns:  # until both are known at the same instant
-            later_ns, time_ns = time_ns, self.history.ins.known_until(time_ns)
+        previous_ns: int | None = None
+        while time_ns is not None and time_ns != previous_ns:  # until both are known at the same instant
+            previous_ns, time_ns = time_ns, self.history.ins.known_until(time_ns)
             time_ns = None if time_ns is None else self.history.steering.known_until(time_ns)
         if time_ns is None or (now_ns - time_ns) * NANOSECOND > limit:
             old = "" if time_ns is None else f", last known {(now_ns - time_ns) * NANOSECOND:.2f} s ago"

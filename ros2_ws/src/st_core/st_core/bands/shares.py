@@ -61,7 +61,7 @@ def squared_contributions(model: Model, vehicle: VehicleParameters, signals: Log
     measured = batch(signals)
     errors, base = measured.errors(measured.predict(model, vehicle)), path(signals, model, vehicle)
     complete = np.isfinite(errors).all(axis=(1, 2))
-    # Both ends of each change; the first and the second entry of a pair differ by two standard deviations.
+    # Predictions with each cause one standard deviation lower and higher.
     ends: dict[Cause, list[np.ndarray]] = {}
     for key, cars in _vary_vehicle(vehicle).items():
         wheel = signals.log.steering_wheel_angle

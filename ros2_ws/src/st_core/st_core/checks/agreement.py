@@ -78,12 +78,12 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
     correlation = float(np.corrcoef(x, y)[0, 1]) if float(np.std(y)) > 0.0 else 0.0
     scale, bias = _fit_line(problem, x, correlation, biased)
     neighbours = solution.offset - LAG_TEST_SHIFT, solution.offset + LAG_TEST_SHIFT
-    rows, x_now = _common_samples(pair, 0.0)
-    y_now = other.values[rows]
-    correlation_now = float(np.corrcoef(x_now, y_now)[0, 1]) if len(rows) > 2 and np.std(x_now) * np.std(y_now) else 0.0
+    rows, x_unshifted = _common_samples(pair, 0.0)
+    y_unshifted = other.values[rows]
+    correlation_without_lag = float(np.corrcoef(x_unshifted, y_unshifted)[0, 1]) if len(rows) > 2 and np.std(x_unshifted) * np.std(y_unshifted) else 0.0
     return Agreement(lag, scale, bias, correlation, float(np.std(x)), common_time, y, x,
                      tuple(-alternative.offset for alternative in others),
-                     _fits_worse(pair, -expected_lag, solution.offset, cutoff), correlation_now,
+                     _fits_worse(pair, -expected_lag, solution.offset, cutoff), correlation_without_lag,
                      all(_fits_worse(pair, offset, solution.offset, cutoff) for offset in neighbours))
 
 

@@ -136,8 +136,6 @@ class Windows:
 
 def windows(time: np.ndarray, length: float, longest_gap: float = MAX_GAP) -> Windows:
     """Windows of `length` [s] in the stretches without a gap."""
-    if len(time) < 2:
-        return Windows(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
     # The edges are found among the samples, not by counting windows, since a gap may last years.
     edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / length), prepend=-1.0))
     first, last = edges[:-1], edges[1:]

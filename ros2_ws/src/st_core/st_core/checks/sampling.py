@@ -60,8 +60,6 @@ def resolution(time: np.ndarray, values: np.ndarray) -> float:
 
     Steps across lost samples are ignored, because in uniform motion they are always multiples of one step.
     """
-    if len(values) < 2:
-        return 0.0
     spacing = np.diff(time)
     steps = np.abs(np.diff(values))[spacing < MAX_STEP_RATIO * float(np.median(spacing))]
     all_change, steps = bool((steps > 0.0).all()), steps[steps > 0.0]

@@ -76,8 +76,6 @@ def _make_error(name: str, channels: tuple[str, ...], text: str, value: float | 
 
 def check_time_unit(motion: Motion) -> Corrected:
     """Correct a wrong unit of time, such as milliseconds read as seconds, by comparison with positions and yaw."""
-    if len(motion.time) < 20:
-        return motion, None
     spacing = float(np.median(np.diff(motion.time)))
     slow, fast = spacing > 0.2, spacing <= 2e-4
     found = ratios(motion, max(1.0, 50 * spacing) if slow else 50 * spacing if fast else 1.0)
