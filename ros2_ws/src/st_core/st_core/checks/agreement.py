@@ -78,9 +78,10 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
     correlation = float(np.corrcoef(x, y)[0, 1]) if float(np.std(y)) > 0.0 else 0.0
     scale, bias = _fit_line(problem, x, correlation, biased)
     neighbours = solution.offset - LAG_TEST_SHIFT, solution.offset + LAG_TEST_SHIFT
-    rows, x_unshifted = _common_samples(pair, 0.0)
-    y_unshifted = other.values[rows]
-    correlation_without_lag = float(np.corrcoef(x_unshifted, y_unshifted)[0, 1]) if len(rows) > 2 and np.std(x_unshifted) * np.std(y_unshifted) else 0.0
+    rows, unshifted = _common_samples(pair, 0.0)
+    both = np.stack((unshifted, other.values[rows]))
+    varies = len(rows) > 2 and both.std(axis=1).prod() > 0.0
+    correlation_without_lag = float(np.corrcoef(both)[0, 1]) if varies else 0.0
     return Agreement(lag, scale, bias, correlation, float(np.std(x)), common_time, y, x,
                      tuple(-alternative.offset for alternative in others),
                      _fits_worse(pair, -expected_lag, solution.offset, cutoff), correlation_without_lag,
