@@ -75,7 +75,7 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
     geometric_slips, base_forces, motion = _dynamics(base, layouts, base_begin)
     slips = _chain(lambda front, rear, state, instant: (front, rear), _add_slip_angles, layouts, "slip_angles")
     rhs = _rhs(geometric_slips, slips, _chain(base_forces, _add_axle_forces, layouts, "axle_forces"), motion,
-               _chain(lambda instant: (0.0 * instant.velocity_x,) * 3, _add_acceleration, layouts, "acceleration"),
+               _chain(_no_acceleration, _add_acceleration, layouts, "acceleration"),
                _chain(_nothing, _add_rates, layouts, "rates"))
     if base.axles is None:
         rhs = _blended(base_rhs, rhs, base_begin, _conversion_layout(layouts).index)
@@ -240,6 +240,11 @@ def _add_axle_forces(previous, layout):
     def forces(slip_front, slip_rear, instant):
         return hook(previous, slip_front, slip_rear, instant, instant.w[begin:end], instant.p.effects[index])
     return forces
+
+
+def _no_acceleration(instant):
+    zero = 0.0 * instant.velocity_x
+    return zero, zero, zero
 
 
 def _add_acceleration(previous, layout):
