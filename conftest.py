@@ -3,12 +3,18 @@
 `./st test --last-failed --once-more`, as `.ci/run` calls it, ends red where a test failed that has no such mark.
 """
 
+import signal
+
 import pytest
 from hypothesis import HealthCheck, settings
 
 # No property fails because the machine is busy.
 settings.register_profile("without time limits", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("without time limits")
+
+# Started in the background of a script, the tests ignore SIGINT, and so would all processes that they start.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

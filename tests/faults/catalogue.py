@@ -216,7 +216,7 @@ INS = (
     Fault("INS clock +1 s", 3.0, on_ins(lambda: changes.shifted(1000)), "no prediction from the future; reported",
           PREDICTION, "future", ANY),
     Fault("INS clock -1 s", 3.0, on_ins(lambda: changes.shifted(-1000)), "no prediction from stale input", PREDICTION,
-          "INS", STOP, short=True),
+          "INS", STOP),
     Fault("UDP loss 1 %", 5.0, on_ins(lambda: changes.Random(0.01).lose), "predictions go on; gaps counted", STREAM,
           "gaps"),
     Fault("UDP loss 10 %", 5.0, on_ins(lambda: changes.Random(0.1).lose), "the same", STREAM, "gaps", short=True),
@@ -230,7 +230,7 @@ INS = (
     Fault("two cars on one address", 4.0, second_car(LOOPBACK, 640.0), "the one that was there stays; reported", SOURCE,
           "second sender", short=True),
     Fault("second publisher of ins/odometry", 4.0, second_publisher, "reported at once with its name; not used",
-          PUBLISHERS, "/intruder", short=True),
+          PUBLISHERS, "/intruder"),
     *(Fault(f"position jumps by {size:g} m, and back", 3.0,
             on_ins(lambda size=size: changes.moved(size / changes.EARTH_RADIUS)),
             "no prediction and no score across it; reported, counted", POSITION, f"jump of {size:g}", short=size == 0.5)
@@ -290,12 +290,12 @@ LONG = (Fault("INS silent 120 s", 120.0, on_ins(changes.silent), "as 1 s", STREA
 CONSISTENCY, WITHIN = "evaluator: consistency", "reported within 60 s of ordinary driving, gone within 90 s"
 DRIVING = (
     Fault("yaw rate in deg/s", 60.0, on_ins(lambda: changes.yaw_rate_times(math.degrees(1.0))), WITHIN, CONSISTENCY,
-          "yaw_rate is 57.", settles=90.0),
+          "yaw_rate is 57.", short=True, settles=90.0),
     Fault("yaw rate 0.3 s late", 60.0, on_ins(lambda: changes.yaw_rate_late(30)), WITHIN, CONSISTENCY,
           "yaw_rate lags yaw by 0.3", settles=90.0),
     Fault("steering angle frozen, counter runs", 60.0, on_can(lambda: changes.Steering().frozen), WITHIN, STEERING,
-          "constant at", settles=90.0),
+          "constant at", short=True, settles=90.0),
     Fault("steering counts the other way", 60.0, on_can(lambda: changes.Steering().flipped), WITHIN, CONSISTENCY,
-          "opposite sign", settles=90.0),
+          "opposite sign", short=True, settles=90.0),
 )
 FAULTS = (*INS, *CAN, *KILLED, *HANGING, *MACHINE)

@@ -1,4 +1,4 @@
-"""A course over real DDS: from a demo's recording, used in the next demo, recorded, replayed and verified."""
+"""A course over real DDS: from a recording of the virtual Leaf, used in a demo, recorded, replayed and verified."""
 
 import json
 import subprocess
@@ -11,6 +11,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from bags import health, nanoseconds, read_messages
+from raw_drives import write_drives
 from support import ROOT
 
 pytestmark = [
@@ -29,9 +30,10 @@ def st(*arguments: object, status: int = 0) -> str:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = tmp_path_factory.mktemp("course")
-    st("demo", "--duration", 40, "--output", base / "first")
-    st("course", "build", base / "first" / "bag", "-o", base / "course.yaml")
-    st("demo", "--duration", 30, "--seed", 3, "--course", base / "course.yaml", "--output", base / "second")
+    write_drives(base / "first", {}, 0, (("S6", 36.0),))
+    st("import", base / "first" / "S6", "--output", base / "bag")
+    st("course", "build", base / "bag", "-o", base / "course.yaml")
+    st("demo", "--duration", 26, "--seed", 3, "--course", base / "course.yaml", "--output", base / "second")
     st("replay", base / "second", "--fast", "--output", base / "replayed")
     return base
 

@@ -125,20 +125,33 @@ def test_path_is_at_the_ins_point_in_the_map_frame(circle: Path) -> None:
             )
 
 
-def test_interrupt_ends_everything_with_files_closed(tmp_path: Path) -> None:
+def test_second_suite_in_one_domain_is_refused_and_interrupt_ends_the_first_with_files_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from rosbags.highlevel import AnyReader
+    from st_live.suite import claim_domain
 
-    process = start_demo("--scenario", "S2", "--duration", "120", "--output", str(tmp_path / "run"))
-    wait_for((tmp_path / "run" / "truth").exists, 60)
-    time.sleep(9)
-    below = children(process)
-    assert len(below) >= 6
-    os.kill(process.pid, signal.SIGINT)
-    text, _ = process.communicate(timeout=60)
-    assert process.returncode == 0, text
+    with claim_domain() as domain:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        first = start_demo("--scenario", "S2", "--duration", "120", "--output", str(tmp_path / "first"))
+        try:
+            wait_for((tmp_path / "first" / "truth").exists, 60)
+            scored = time.monotonic() + 9.0  # a horizon later
+            second = start_demo("--output", str(tmp_path / "second"))
+            text, _ = second.communicate(timeout=60)
+            assert second.returncode == 2
+            assert f"another suite is running in ROS domain {domain}" in text
+            assert not list((tmp_path / "second").iterdir())
+            time.sleep(max(0.0, scored - time.monotonic()))
+            below = children(first)
+            assert len(below) >= 6
+        finally:
+            os.kill(first.pid, signal.SIGINT)
+            text, _ = first.communicate(timeout=60)
+    assert first.returncode == 0, text
     assert not [pid for pid in below if Path(f"/proc/{pid}").exists()]
     for name in ("bag", "errors"):
-        with AnyReader([tmp_path / "run" / name]) as reader:
+        with AnyReader([tmp_path / "first" / name]) as reader:
             assert reader.message_count > 0
 
 
@@ -149,7 +162,7 @@ def test_killed_recorder_loses_at_most_a_second(tmp_path: Path) -> None:
     run = tmp_path / "run"
     process = start_demo("--scenario", "S2", "--duration", "60", "--output", str(run))
     wait_for(lambda: list((run / "bag").glob("*.mcap")), 60)
-    time.sleep(12)
+    time.sleep(6)
     recorder = next(pid for pid in children(process) if b"/recorder" in Path(f"/proc/{pid}/cmdline").read_bytes())
     killed_at = time.time_ns()
     os.kill(recorder, signal.SIGKILL)
@@ -186,25 +199,6 @@ def test_full_folder_is_refused(tmp_path: Path) -> None:
     text, _ = process.communicate(timeout=60)
     assert process.returncode == 2
     assert "is not empty" in text
-
-
-def test_second_suite_in_one_domain_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from st_live.suite import claim_domain
-
-    with claim_domain() as domain:
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-        first = start_demo("--scenario", "S2", "--duration", "60", "--output", str(tmp_path / "first"))
-        try:
-            wait_for((tmp_path / "first" / "truth").exists, 60)
-            second = start_demo("--output", str(tmp_path / "second"))
-            text, _ = second.communicate(timeout=60)
-            assert second.returncode == 2
-            assert f"another suite is running in ROS domain {domain}" in text
-            assert not list((tmp_path / "second").iterdir())
-        finally:
-            os.kill(first.pid, signal.SIGINT)
-            text, _ = first.communicate(timeout=60)
-    assert first.returncode == 0, text
 
 
 def test_interrupt_before_the_nodes_are_up_ends_cleanly(tmp_path: Path) -> None:
