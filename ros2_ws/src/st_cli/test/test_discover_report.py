@@ -13,6 +13,7 @@ from st_cli.verbs.discover import expand_references
 from st_core.augmented import augment
 from st_core.checks import Advice, Finding, Severity
 from st_core.discovery import DiscoverySettings
+from st_core.discovery.error_regions import window_errors
 from st_core.discovery.result import (
     CandidateEffect,
     Combination,
@@ -23,7 +24,6 @@ from st_core.discovery.result import (
     Separability,
     VaryingEffect,
 )
-from st_core.discovery.where import window_errors
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import drives, quantities, report_text
 from st_offline.discovery.discovery_report import document, print_result, write_page

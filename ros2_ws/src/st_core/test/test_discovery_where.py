@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
-from st_core.discovery.where import (
+from st_core.discovery.error_regions import (
     CELL_SIZE,
     Range,
     Samples,

@@ -32,7 +32,6 @@ from st_core.relations.formulas import fitted_shapes, simulated_formulas
 from st_core.relations.relation_fit import SMOOTHING, RelationFits, RunWindows
 from st_core.relations.relation_search import _find_imitated_fault
 from st_core.relations.selection import (
-    RunShares,
     describe_deterioration,
     describe_small_gain,
     describe_unusable_curve,
@@ -346,11 +345,6 @@ def test_what_was_not_driven_is_said(leaf):
     said = find_relation(discover(straight, leaf, "nonlinear", (), settings), straight, leaf, settings)
     assert said.relation is None and {"front_grip", "rear_grip", "both_grip"} <= set(said.not_examined())
     assert not any("acceleration_y" in name or "steering" in name for name in said.detection_limits)
-
-
-def test_a_law_of_some_runs_is_told_apart():
-    by_run = {"a": (1.4, 0.1), "b": (0.1, 0.1), "c": (0.9, 0.5)}
-    assert RunShares(by_run, 1e-9).absent() == ["b"]
 
 
 @pytest.mark.slow

@@ -131,12 +131,10 @@ MAX_LOG_SCALE = 60.0
 
 def make_half_width_function(band: Band, level: float, vehicle: VehicleParameters,
                              name: str = "half_widths") -> casadi.Function:
-    """CasADi function of the half-widths of a band, (points of the horizon, 3): along, across [m] and yaw [rad].
-
-    Its arguments are x: the six states at the CG; u: road_wheel_angle [rad], velocity_x_dot [m/s^2]; and
-    steering_activity [rad/s]: root mean square rate of the road-wheel angle in the last second. Its values equal
-    `Band.half_widths`; the calibration domain is not checked. Raises ConfigurationError for a level without a band.
-    """
+    """CasADi function of the half-widths of a band, (points of the horizon, 3): along, across [m] and yaw [rad]. Its
+    arguments are x: the six states at the CG; u: road_wheel_angle [rad], velocity_x_dot [m/s^2]; and steering_activity
+    [rad/s]: root mean square rate of the road-wheel angle in the last second. Its values equal `Band.half_widths`; the
+    calibration domain is not checked. Raises ConfigurationError for a level without a band."""
     if level not in band.factors:
         known = ", ".join(f"{one:g}" for one in band.factors)
         raise ConfigurationError(f"the bands have no level {level:g}; use {known}")

@@ -11,6 +11,7 @@ from effect_registry import restored
 from example_discovery import discovery
 from st_core.augmented import augment
 from st_core.contract import check_effect
+from st_core.discovery.evidence import Agreement
 from st_core.effects import EFFECTS, Measured, load_folder
 from st_core.manoeuvres import CATALOGUE
 from st_core.model_file import ModelFile
@@ -18,7 +19,6 @@ from st_core.models import MODELS
 from st_core.relations import Candidate, Formula, Relation, RelationSearch, needs_search
 from st_core.relations.candidates import ADMISSIBLE, NEITHER, PAIRS
 from st_core.relations.next_drive import NextDrives, Option
-from st_core.relations.selection import RunShares
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import quantities
 from st_offline.discovery.figures import display_unit, draw_relation
@@ -105,11 +105,12 @@ def test_the_curve_is_drawn_in_the_units_of_an_engineer():
 
 
 def test_what_comes_and_goes_is_told_and_a_law_of_time_is_no_file(tmp_path, registry):
-    shares = RunShares({"lap": (1.2, 0.1), "other": (0.1, 0.1)}, 1e-6)
+    shares = Agreement({"lap": (1.2, 0.1), "other": (0.1, 0.1), "third": (0.9, 0.5)}, 1e-6, 0.0)
     one = replace(proposal("both_grip", "run_time", 0.0), shares=shares)
     said = RelationSearch(one, "it takes away 10 %", {})
     lines = text_of(said)
-    assert "nearly absent in other (relative size by run, 95 %: lap 1.2 ± 0.2, other 0.1 ± 0.2)" in lines
+    sizes = "lap 1.2 ± 0.2, other 0.1 ± 0.2, third 0.9 ± 1.0"
+    assert f"nearly absent in other (relative size by run, 95 %: {sizes})" in lines
     assert "no effect file is written" in lines and "once from another starting point" in lines
     assert write_files(said, CAR, ["lap"], "2026-01-01", {}, tmp_path) == {} and not list(tmp_path.iterdir())
 

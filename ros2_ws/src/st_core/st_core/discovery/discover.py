@@ -17,6 +17,7 @@ from . import certificate, decision, result, waterfall
 from .axles import Axles
 from .clocks import MAX_CLOCK_DEVIATION, apply_clock_corrections, clock_corrections
 from .decision import Rival
+from .error_regions import find_error_regions
 from .evidence import Evidence, Joint, joint, library_p_value, share_of
 from .fit import Fit, Problem
 from .loss import Errors, Loss
@@ -27,7 +28,6 @@ from .search import Found, Search
 from .settings import DiscoverySettings
 from .space import Space, known_quantities
 from .varying import evidence_of, find_varying_effects
-from .where import find_error_regions
 from .windows import MARGIN_NS, Windows, noise_floor
 
 Progress = Callable[[str, int, int], None]
@@ -330,7 +330,7 @@ class _Analysis:
         """Effective corrections: the effects of `fit` that are not in `found.fit`."""
         horizon_errors = waterfall.HorizonErrors(problem, self.settings.seed)
         return tuple(result.FoundEffect(n, get_effect(n).kind, waterfall.parameters(problem, fit, n, {}), (),
-                                 horizon_errors.position_without(fit, n), {})
+                                        horizon_errors.position_without(fit, n), {})
                      for n in fit.names if n not in found.fit.names)
 
     def _find_varying(self, found: Found,

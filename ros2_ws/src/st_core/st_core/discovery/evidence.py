@@ -89,12 +89,10 @@ def share_of(gain: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Efficient scores of all effects of the library that are not in a fit.
-
-    by_effect: (b, k) scores by effect. largest: (draws,) largest statistic of the library under random block signs.
-    design_effect [1]: factor by which dependent windows increase the variance of a score (median of the library).
-    gains: by effect, ((b,) gain from the quadratic approximation, vector at the optimum of the approximation).
-    """
+    """Efficient scores of all effects of the library that are not in a fit. by_effect: (b, k) scores by effect.
+    largest: (draws,) largest statistic of the library under random block signs. design_effect [1]: factor by which
+    dependent windows increase the variance of a score (median of the library). gains: by effect, ((b,) gain from the
+    quadratic approximation, vector at the optimum of the approximation)."""
 
     by_effect: Mapping[str, np.ndarray]
     largest: np.ndarray
@@ -316,7 +314,11 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
     the block scores, H half the second derivative of the loss."""
     q = fit.quadratic.summed(problem.block, problem.blocks)
     curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.sensitivities.of(fit.indices))
-    h = inverse(_raised(curvature, q.hessian.sum(axis=0)) + problem.prior_curvature(fit.names, fit.indices))
+    if len(curvature):  # raised in every direction to at least MIN_CURVATURE times that of the reweighted least squares
+        root = np.linalg.cholesky(_regular(q.hessian.sum(axis=0)))
+        values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, curvature).T))
+        curvature = ((root @ vectors) * np.maximum(values, MIN_CURVATURE)) @ (root @ vectors).T
+    h = inverse(curvature + problem.prior_curvature(fit.names, fit.indices))
     centred = q.gradient - q.gradient.mean(axis=0)  # at the optimum the sum equals the gradient of the prior
     scatter = centred.T @ centred * problem.blocks / max(problem.blocks - 1, 1)
     if problem.prior is None:  # the values of the vehicle file are uncertain, and so is the gradient of the prior
@@ -361,16 +363,6 @@ def joint(problem: Problem, fit: Fit) -> Joint:
     gradient = q.gradient.sum(axis=0) - prior * problem.distance(fit.vector)[indices]
     shift = minimise_bounded(h, gradient, *problem.distance_to_bounds(fit.vector, indices))
     return Joint(indices, 0.5 * problem.design_effect * np.linalg.inv(h), shift)
-
-
-def _raised(curvature: np.ndarray, reweighted: np.ndarray) -> np.ndarray:
-    """The curvature, raised in every direction to at least MIN_CURVATURE times the curvature `reweighted`."""
-    if not len(curvature):
-        return curvature
-    root = np.linalg.cholesky(_regular(reweighted))
-    values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, curvature).T))
-    axes = root @ vectors
-    return (axes * np.maximum(values, MIN_CURVATURE)) @ axes.T
 
 
 def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:

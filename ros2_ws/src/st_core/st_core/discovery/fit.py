@@ -322,11 +322,9 @@ class Problem:
     def leave_out(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, indices: np.ndarray,
                   fold: np.ndarray, at_optimum: bool = False) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """({fold: step to the values fitted without it}, (b,) loss of each block at the values fitted without its fold,
-        including its share of the prior cost), from the quadratic approximation of the loss.
-
-        q: loss by block. fold: (b,). at_optimum: treat `vector` as the optimum, without a further Gauss-Newton step.
-        With a prior from reference drives, leaving out a fold changes only the parameters of the effects `names`.
-        """
+        including its share of the prior cost), from the quadratic approximation of the loss. q: loss by block. fold:
+        (b,). at_optimum: treat `vector` as the optimum, without a further Gauss-Newton step. With a prior from
+        reference drives, leaving out a fold changes only the parameters of the effects `names`."""
         names = tuple(names)
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
         best_step = self.stepper(names, vector, indices)

@@ -228,16 +228,12 @@ class LargeErrorRegion:
 
 
 @dataclass(frozen=True)
-class ChannelError:
+class ChannelError(Change):
     """Held-out error of a channel with the base model (base) and with effects (augmented) [unit]: root mean square at
     the end of the horizon, but mean for position_5s. interval: 95 %, for base - augmented. floor: error due to noise
     alone [unit]. worst_run, worst: run with the largest augmented error, and that error. worse_runs: runs in which the
     effects increase the error by more than the floor."""
 
-    base: float
-    augmented: float
-    interval: Interval
-    unit: str
     floor: float
     worst_run: str = ""
     worst: float = 0.0

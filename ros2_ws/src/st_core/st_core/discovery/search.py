@@ -94,12 +94,10 @@ class Search:
         return found
 
     def _add_partial_rivals(self, found: Found) -> None:
-        """Add a load as a rival of lower tyre stiffness, since drives show only the ratio of stiffness to mass.
-
-        Unless the drives exclude the load, it becomes an alternative to each effect that it moves nearer to the vehicle
-        file. Loads tried: the prior standard deviation, then `limits.min_relative_size` parameter scales. Bands of axle
-        forces include the laden car; intervals of values do not, since they apply to the car without a load.
-        """
+        """Add a load as a rival of lower tyre stiffness, since drives show only the ratio of stiffness to mass. Unless
+        the drives exclude the load, it becomes an alternative to each effect that it moves nearer to the vehicle file.
+        Loads tried: the prior standard deviation, then `limits.min_relative_size` parameter scales. Bands of axle
+        forces include the laden car; intervals of values do not, since they apply to the car without a load."""
         p, names = self.problem, found.fit.names
         for other in (n for n in p.space.additions if names and n not in names and not p.space.overlaps(n, names)):
             for size in (p.space.deviation[p.space.indices(other)], self.limits.min_relative_size):

@@ -121,12 +121,10 @@ def _chosen(usable: Sequence[str], settings: DiscoverySettings, known: Sequence[
 
 @dataclass(frozen=True)
 class FileQuantity:
-    """A quantity of the vehicle file that a parameter of an effect changes.
-
-    value, deviation [SI]: value and standard deviation in the file. slope: change of the quantity per unit of the
-    parameter. stated: whether the file states the deviation; otherwise it is the default for the quantity. absent [SI]:
-    value of the quantity in a model without the effect; 0 if the equations of the base model do not contain it.
-    """
+    """A quantity of the vehicle file that a parameter of an effect changes. value, deviation [SI]: value and standard
+    deviation in the file. slope: change of the quantity per unit of the parameter. stated: whether the file states the
+    deviation; otherwise it is the default for the quantity. absent [SI]: value of the quantity in a model without the
+    effect; 0 if the equations of the base model do not contain it."""
 
     key: str
     unit: str

@@ -19,12 +19,10 @@ from .partitions import Partition
 
 @dataclass(frozen=True)
 class Varying:
-    """An effect with its own value in each part of a partition.
-
-    gain [1]: additional reduction of the loss per residual compared with one common value. p_value [1]: p-value of
-    the gain, corrected for all effects and partitions. parameter: the parameter with the most information. values:
-    (value, standard deviation) of this parameter by part [its unit]. steps: by part, (p,) step of all parameters
-    [parameter scales]."""
+    """An effect with its own value in each part of a partition. gain [1]: additional reduction of the loss per residual
+    compared with one common value. p_value [1]: p-value of the gain, corrected for all effects and partitions.
+    parameter: the parameter with the most information. values: (value, standard deviation) of this parameter by part
+    [its unit]. steps: by part, (p,) step of all parameters [parameter scales]."""
 
     name: str
     varies_with: str

@@ -108,19 +108,6 @@ def _remember(cache: OrderedDict, key: tuple, value: Any, size: int = RECORDING_
     return value
 
 
-def score_points(settings: DiscoverySettings) -> np.ndarray:
-    """Multiples of STEP after the start at which predictions are scored."""
-    first = 0.0 if "velocity_y" in settings.channels else SIDESLIP_SETTLING_TIME
-    points = np.maximum(np.round((first + settings.horizon * np.array(SCORED_SHARES)) / STEP), 1).astype(int)
-    return np.unique(points)
-
-
-def prepare_initial_states(log: DriveLog, vehicle: VehicleParameters, settings: DiscoverySettings) -> DriveLog:
-    """The drive for the initial states: yaw rate smoothed, and sideslip of steady cornering if it is not measured."""
-    log = replace(log, yaw_rate=moving_average(log.ins_time_ns, log.yaw_rate, 50_000_000))
-    return log if "velocity_y" in settings.channels else replace(log, velocity_y=steady_velocity_y(log, vehicle))
-
-
 class Windows:
     """The n windows of some runs. starts_ns: (n,) start on the common clock. run, block: (n,) number of the run and of
     the block. seconds: (n,) time from the start of the run to the start of the window [s]. time: (k,) scored points
@@ -133,7 +120,10 @@ class Windows:
             raise StCoreError(f"drives {', '.join(self.names)}: duplicate name; give each drive once")
         self.channels = tuple(c for name, c in CHANNELS.items() if name in settings.channels)
         self.columns = tuple(column for channel in self.channels for column in channel.columns)
-        self._points = score_points(settings)
+        with_sideslip = "velocity_y" in settings.channels
+        first = 0.0 if with_sideslip else SIDESLIP_SETTLING_TIME
+        points = np.maximum(np.round((first + settings.horizon * np.array(SCORED_SHARES)) / STEP), 1)
+        self._points = np.unique(points.astype(int))  # multiples of STEP
         self.time = STEP * self._points
         joined, offsets = _join(runs)
         self.joined = joined
@@ -141,7 +131,9 @@ class Windows:
         starts, run, seconds = _starts(runs, offsets, horizon * STEP, settings)
         around = np.unique(np.concatenate([self._points - 1, self._points, self._points + 1]))
         self._around = np.searchsorted(around, np.stack([self._points - 1, self._points, self._points + 1]))
-        signals = Signals(prepare_initial_states(joined, vehicle, settings), MAX_GAP)
+        initial = replace(joined, yaw_rate=moving_average(joined.ins_time_ns, joined.yaw_rate, 50_000_000))
+        initial = initial if with_sideslip else replace(initial, velocity_y=steady_velocity_y(initial, vehicle))
+        signals = Signals(initial, MAX_GAP)
         self._batch = Batch(signals, starts, horizon * STEP, STEP, points=np.round(around * STEP, 6))
         times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
         self._times, self._measured = times, self._readings(times)

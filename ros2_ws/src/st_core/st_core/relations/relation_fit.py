@@ -32,12 +32,10 @@ ROUGHNESS = _SECOND.T @ _SECOND + SIZE_PENALTY * np.eye(SPLINES)
 
 @dataclass(frozen=True, eq=False)
 class RelationFit:
-    """A fit with a candidate, or of the discovered model without a relation (candidate None).
-
-    smooth: one of SMOOTHING. vector: in the space of the candidate. rows: (n, m) residuals. indices: (a,) free
-    parameters, the coefficients last. sensitivities: (a, n, m) to these parameters. penalty: (a, a). q: quadratic by
-    block. held_out: (b,) loss of each block at values fitted without its fold. steps: by fold, step to these values.
-    """
+    """A fit with a candidate, or of the discovered model without a relation (candidate None). smooth: one of SMOOTHING.
+    vector: in the space of the candidate. rows: (n, m) residuals. indices: (a,) free parameters, the coefficients last.
+    sensitivities: (a, n, m) to these parameters. penalty: (a, a). q: quadratic by block. held_out: (b,) loss of each
+    block at values fitted without its fold. steps: by fold, step to these values."""
 
     candidate: Candidate | None
     smooth: float
@@ -73,12 +71,10 @@ class RunWindows(Windows):
 
 
 class RelationFits:
-    """Fits of candidate relations in addition to one discovered model.
-
-    model: the discovered model. gain: its `Discovery.acceleration_gain`. names: names of its effects. fold: (b,) fold
-    of each block. refitted: indices of the parameters fitted together with a relation. car: indices of the other
-    vehicle parameters, which are projected out of its evidence. All fits use the residual scale of `model`.
-    """
+    """Fits of candidate relations in addition to one discovered model. model: the discovered model. gain: its
+    `Discovery.acceleration_gain`. names: names of its effects. fold: (b,) fold of each block. refitted: indices of the
+    parameters fitted together with a relation. car: indices of the other vehicle parameters, which are projected out of
+    its evidence. All fits use the residual scale of `model`."""
 
     def __init__(self, windows: Windows, model: AugmentedModel, gain: float, names: Sequence[str],
                  settings: DiscoverySettings, threads: int = 1):

@@ -6,23 +6,22 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..augmented import AugmentedModel
+from ..discovery.evidence import Agreement
 from ..discovery.result import Discovery
 from ..discovery.settings import DiscoverySettings, Limits
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from . import selection
-from .candidates import FACTORS, TYPICAL_SIZES, Candidate, covered_quantities
+from .candidates import FACTORS, SENSOR_READINGS, TYPICAL_SIZES, Candidate, covered_quantities
 from .formulas import Formula, simulated_formulas
 from .next_drive import NextDrives, next_drives, sparse_ranges
 from .relation_fit import RelationFit, RelationFits, RunWindows
-from .selection import RunShares, Screened
+from .selection import Screened
 
 REFITTED = 10  # largest number of candidates fitted by simulation
 MIN_BLOCKS = 10  # minimum number of blocks for a curve with eight coefficients
 MAX_DETECTABLE = 3.0  # typical magnitudes; model terms with a higher detection limit are reported as not examined
 MIN_REPORTED_RATIO = 1.25  # smallest reported ratio of the held-out errors of a run with and without the relation
-MEASURED_BY = {"sensor_yaw_rate": ("yaw_rate",), "sensor_acceleration_y": ("acceleration_y",),
-               "sensor_velocity_y": ("velocity_y",), "sensor_heading": ("yaw",)}  # channels of `st check` by term
 STEERING_TIMING = ("steering_rate", "lagging_steering")
 """Quantities of relations of the front steering that imitate a delayed or advanced steering signal."""
 
@@ -55,7 +54,7 @@ class Relation:
     model: AugmentedModel
     others: Mapping[str, float] = field(default_factory=dict)
     formulas: Sequence[Formula] = ()
-    shares: RunShares = field(default_factory=lambda: RunShares({}, 1.0))
+    shares: Agreement = field(default_factory=lambda: Agreement({}, 1.0, 0.0))
     redundant: Mapping[str, float] = field(default_factory=dict)
     drives: NextDrives = field(default_factory=NextDrives)
 
@@ -196,7 +195,7 @@ def _find_imitated_fault(candidate: Candidate, reported: Collection[tuple[str, s
     """Name of a finding of the checks that a candidate imitates, or ""."""
     if candidate.term == "front_steer" and {candidate.quantity, candidate.factor} & set(STEERING_TIMING):
         return next((name for name, channel in reported if channel == "road_wheel_angle" and name.endswith("_lag")), "")
-    return next((name for name, channel in reported if channel in MEASURED_BY.get(candidate.term, ())), "")
+    return next((name for name, channel in reported if channel == SENSOR_READINGS.get(candidate.term)), "")
 
 
 def _make_relation(best: Screened, fitted: Fitted, without: RelationFit, fits: RelationFits,

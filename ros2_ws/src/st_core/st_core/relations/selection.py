@@ -1,13 +1,13 @@
 """Screening of candidate relations, reasons to reject them, equally good rivals, and redundant effects."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
 from ..contract import describe_instability
-from ..discovery.evidence import TWO_SIDED
+from ..discovery.evidence import Agreement, pool_ratios
 from ..discovery.settings import Limits
 from ..effects import get_effect
 from ..effects._relation import MAX_COEFFICIENT, SPLINES
@@ -65,12 +65,10 @@ def screen(fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
 
 
 def p_values(screened: Sequence[Screened], blocks: int) -> dict[str, float]:
-    """p-value of each candidate, corrected for the number of candidates: the smaller of the p-values of two tests.
-
-    Sign flips: the statistic is compared with the largest of all candidates under random block signs. Likelihood ratio
-    (F test): twice the held-out gain divided by the design effect (at least the median of all) and by the degrees of
-    freedom, with a Bonferroni correction; it detects relations that act in few blocks.
-    """
+    """p-value of each candidate, corrected for the number of candidates: the smaller of the p-values of two tests. Sign
+    flips: the statistic is compared with the largest of all candidates under random block signs. Likelihood ratio (F
+    test): twice the held-out gain divided by the design effect (at least the median of all) and by the degrees of
+    freedom, with a Bonferroni correction; it detects relations that act in few blocks."""
     largest = np.max([s.drawn for s in screened], axis=0)
     median = float(np.median([s.design_effect for s in screened]))
     found = {}
@@ -115,19 +113,6 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
 
 BOUND_MARGIN = 0.02  # fraction of the bound of the coefficients; a curve nearer to the bound counts as on it
 MIN_INFORMATION = 0.02  # fraction of the information on the relation; a run with less gets no separate estimate
-
-
-@dataclass(frozen=True)
-class RunShares:
-    """Size of the relation in each run relative to the overall one. by_run: (ratio, standard deviation). p_equal:
-    p-value of the hypothesis of equal ratios."""
-
-    by_run: Mapping[str, tuple[float, float]]
-    p_equal: float
-
-    def absent(self) -> list[str]:
-        """Runs with a ratio significantly (two-sided 95 %) below one half."""
-        return [name for name, (ratio, deviation) in self.by_run.items() if ratio + TWO_SIDED * deviation < 0.5]
 
 
 def lower_bound(values: np.ndarray, p: float) -> float:
@@ -225,8 +210,9 @@ def find_equally_good(worse: np.ndarray, p: float, seed: int) -> np.ndarray:
     return t <= np.quantile(largest, 1.0 - p)
 
 
-def compare_runs(fits: RelationFits, fit: RelationFit) -> RunShares:
-    """`RunShares` from the quadratic approximation, with all other parameters refitted."""
+def compare_runs(fits: RelationFits, fit: RelationFit) -> Agreement:
+    """Size of the relation in each run relative to the overall one, from the quadratic approximation, with all other
+    parameters refitted."""
     h = fit.q.hessian.sum(axis=0)
     others, coefficients = h[:-SPLINES, :-SPLINES], fit.coefficients
     direction = np.concatenate([-np.linalg.solve(add_ridge(others), h[:-SPLINES, -SPLINES:] @ coefficients),
@@ -236,17 +222,15 @@ def compare_runs(fits: RelationFits, fit: RelationFit) -> RunShares:
     run = fits.problem.run_of_block
     informative = [k for k in np.unique(run) if curvature[run == k].sum() > MIN_INFORMATION * curvature.sum()]
     if len(informative) < 2:
-        return RunShares({}, 1.0)
+        return Agreement({}, 1.0, 0.0)
     excess = {k: gradient[run == k].sum() / curvature[run == k].sum() for k in informative}
     scatter = sum(float(np.square(gradient - excess[k] * curvature)[run == k].sum()) for k in informative)
     known = np.isin(run, informative)
     variance_ratio = 2.0 * scatter / curvature[known].sum()
     design_effect = max(variance_ratio * known.sum() / max(known.sum() - len(informative), 1), 1.0)
-    weight = {k: 2.0 * curvature[run == k].sum() / design_effect for k in informative}
-    mean = sum(excess[k] * w for k, w in weight.items()) / sum(weight.values())
-    square = sum(w * (excess[k] - mean) ** 2 for k, w in weight.items())
-    shares = {fits.windows.names[k]: (1.0 + float(excess[k]), float(weight[k] ** -0.5)) for k in informative}
-    return RunShares(shares, float(stats.chi2.sf(square, len(informative) - 1)))
+    variances = np.array([0.5 * design_effect / curvature[run == k].sum() for k in informative])
+    ratios = np.array([1.0 + excess[k] for k in informative])
+    return pool_ratios(ratios, variances, [fits.windows.names[k] for k in informative])
 
 
 def held_out_positions(fits: RelationFits, fit: RelationFit) -> np.ndarray:

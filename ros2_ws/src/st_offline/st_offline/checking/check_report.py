@@ -187,16 +187,11 @@ def findings_as_json(findings: Sequence[Finding]) -> list[dict[str, Any]]:
 
 def findings_from_json(about: Mapping[str, Any]) -> list[Finding]:
     """Findings under the key "findings" of the JSON values of a run."""
-    return [_finding_from_json(entry) for entry in about.get("findings", ())]
-
-
-def _finding_from_json(entry: Mapping[str, Any]) -> Finding:
-    advice = entry["advice"]
-    interval = tuple(entry["interval"]) if entry["interval"] else None
-    return Finding(**{**entry, "severity": Severity(entry["severity"]), "channels": tuple(entry["channels"]),
-                      "interval": interval, "where": tuple(map(tuple, entry["where"])),
-                      "advice": Advice(**advice) if advice else None,
-                      "tried": tuple(entry["tried"]) if entry.get("tried") else None})
+    return [Finding(**{
+        **entry, "severity": Severity(entry["severity"]), "channels": tuple(entry["channels"]),
+        "interval": tuple(entry["interval"]) if entry["interval"] else None,
+        "where": tuple(map(tuple, entry["where"])), "advice": Advice(**entry["advice"]) if entry["advice"] else None,
+        "tried": tuple(entry["tried"]) if entry.get("tried") else None}) for entry in about.get("findings", ())]
 
 
 def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from rich.progress import Progress
 from st_core.checks import pool_estimates
 from st_core.discovery import Discovery, discover
 from st_core.discovery.clocks import apply_clock_corrections
-from st_core.discovery.where import window_errors
+from st_core.discovery.error_regions import window_errors
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError
 from st_core.log import DriveLog

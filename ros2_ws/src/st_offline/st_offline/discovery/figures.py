@@ -11,8 +11,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from st_core.channels import UNITS
 from st_core.discovery import Discovery
+from st_core.discovery.error_regions import Samples
 from st_core.discovery.result import LocalEstimate, Step
-from st_core.discovery.where import Samples
 from st_core.log import DriveLog
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.relations import Relation

@@ -1,7 +1,7 @@
 """Formats the names and numbers of a discovery for reports: angles in degrees, digits according to the interval."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 from st_core.channels import LABELS
 from st_core.discovery.result import FittedParameter
@@ -160,10 +160,3 @@ def spell_out(name: str) -> str:
     if term not in TERMS or quantity not in QUANTITIES:
         return name
     return f"{TERMS[term]} as a function of the {QUANTITIES[quantity]}" + (f" times {QUANTITIES[by]}" if by else "")
-
-
-def spell_out_all(text: str, names: Iterable[str]) -> str:
-    """The text with each of these names of relations replaced by its description."""
-    for name in sorted(names, key=len, reverse=True):  # a name may begin with another
-        text = text.replace(name, spell_out(name))
-    return text

@@ -9,7 +9,7 @@ from st_core.discovery.next_manoeuvre import REPETITIONS
 from st_core.effects import Effect, load_file, source_file, unload_folder
 from st_core.model_file import Estimate, ModelFile, ModelProvenance
 from st_core.relations import Candidate, Relation, RelationSearch
-from st_core.relations.candidates import ALL_TERMS, FILTERED, QUANTITIES
+from st_core.relations.candidates import ALL_TERMS, FILTERED, QUANTITIES, SENSOR_READINGS
 from st_core.vehicle import VehicleParameters
 
 from . import quantities
@@ -27,8 +27,6 @@ STATE_EXPRESSIONS = {
     "position_x": "instant.x", "position_y": "instant.y"}
 READING_EXPRESSIONS = {"acceleration_y": "measured.velocity_x * measured.yaw_rate", "speed": "measured.velocity_x",
                        "yaw_rate": "measured.yaw_rate"}
-READING_FIELDS = {"sensor_yaw_rate": "yaw_rate", "sensor_acceleration_y": "acceleration_y",
-                 "sensor_velocity_y": "velocity_y", "sensor_heading": "yaw"}
 MAP_QUANTITIES = ("north", "east", "position_x", "position_y")  # relative to the map, not the car
 IMPORTED_OPS = {"east": "absolute, cos, maximum, minimum", "north": "absolute, maximum, minimum, sin"}
 SLIP_HOOK = "slip_angles(slip_front, slip_rear, extra, instant, prepared, theta)"
@@ -135,8 +133,8 @@ def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
 
 def _hooks_source(relation: Relation) -> str:
     c = relation.candidate
-    if c.term in READING_FIELDS:
-        field, u = READING_FIELDS[c.term], READING_EXPRESSIONS[c.quantity]
+    if c.is_sensor_error:
+        field, u = SENSOR_READINGS[c.term], READING_EXPRESSIONS[c.quantity]
         return "".join(f"\n    @staticmethod\n    def {hook}(measured, theta):\n"
                        f"        y = theta.share * relation({u})\n"
                        f"        return measured._replace({field}=measured.{field} {sign} y)\n"
@@ -219,7 +217,7 @@ def relation_document(found: RelationSearch) -> dict:
         "gain": relation.gain, "p_value": relation.p_value, "position_5s": list(relation.position_5s),
         "runs": {name: list(pair) for name, pair in relation.runs.items()}, "others": dict(relation.others),
         "redundant": dict(relation.redundant), "next_drives": _drives_document(relation),
-        "shares": {name: list(pair) for name, pair in relation.shares.by_run.items()},
+        "shares": {name: list(pair) for name, pair in relation.shares.ratios.items()},
         "p_equal": relation.shares.p_equal,
         "readings": [{"shape": r.shape, "text": r.text, "explained": r.kept, "causes": r.causes}
                      for r in relation.formulas]}}

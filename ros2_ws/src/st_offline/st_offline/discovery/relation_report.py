@@ -40,7 +40,10 @@ def relation_report(found: RelationSearch, discovery: Discovery, vehicle: Vehicl
     excluded: Groups = [("not excluded", [f"a relation for a term that these drives do not excite enough: {terms}"]
                          )] if terms else []
     if relation is None:
-        return RelationReport([("proposal", [f"none: {quantities.spell_out_all(found.why, found.tried)}"]), *excluded])
+        why = found.why
+        for name in sorted(found.tried, key=len, reverse=True):  # a name may begin with another
+            why = why.replace(name, quantities.spell_out(name))
+        return RelationReport([("proposal", [f"none: {why}"]), *excluded])
     without, with_it = relation.position_5s
     runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)"
                      for name, (before, after) in relation.worse_runs().items())
@@ -95,10 +98,11 @@ def _uncertainty(relation: Relation) -> list[str]:
                            for low, high in relation.drives.sparse)
         lines.append(f"sparsely driven: {ranges}{mirrored}. There the curve is interpolated, and the interval assumes "
                      "the same smoothness: drive some seconds in this range, turning to both sides")
-    absent = relation.shares.absent() if relation.shares.p_equal < SIGNIFICANCE_LEVEL else []
-    if absent:
+    absent = [name for name, (ratio, deviation) in relation.shares.ratios.items()
+              if ratio + report_text.Z95 * deviation < 0.5]
+    if absent and relation.shares.p_equal < SIGNIFICANCE_LEVEL:
         shares = ", ".join(f"{name} {share:.1f} ± {report_text.Z95 * deviation:.1f}" for name, (share, deviation) in
-                           relation.shares.by_run.items())
+                           relation.shares.ratios.items())
         lines.append(f"varies between runs: nearly absent in {', '.join(absent)} (relative size by run, 95 %: "
                      f"{shares})")
     return lines

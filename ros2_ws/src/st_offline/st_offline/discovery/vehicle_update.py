@@ -81,11 +81,9 @@ def update_vehicle(found: Discovery, request: Request) -> VehicleUpdate | None:
 
 def fold_named_effects(found: Discovery, request: Request) -> VehicleUpdate | None:
     """Fold the named effects into the vehicle file, whether or not it then predicts better; None without a model.
-
     Effects that an entry can express are folded in the order in which they act. An effect is skipped if predictions
     would change: if the recordings contain the road-wheel angle, or if the effect does not commute with an earlier one,
-    such as play in the steering. Minor and effective corrections never change the vehicle file.
-    """
+    such as play in the steering. Minor and effective corrections never change the vehicle file."""
     if found.model is None or found.named is None:
         return None
     drives = [d.log for d in request.drives if d.log is not None]

@@ -98,12 +98,10 @@ MIN_STARTS = 100  # in a speed bin; ten seconds of driving at 10 Hz, or more wit
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Accuracy of one model and step with measured inputs, for each whole `second` ahead.
-
-    rms: lateral error [m]. level, width: level and mean lateral half-width [m] of the calibrated band, None with too
-    few runs. within: lateral error [m] that WITHIN_SHARE of the starts do not exceed up to each second, by lower edge
-    of the speed bin [m/s]; all runs have the same weight.
-    """
+    """Accuracy of one model and step with measured inputs, for each whole `second` ahead. rms: lateral error [m].
+    level, width: level and mean lateral half-width [m] of the calibrated band, None with too few runs. within: lateral
+    error [m] that WITHIN_SHARE of the starts do not exceed up to each second, by lower edge of the speed bin [m/s]; all
+    runs have the same weight."""
 
     second: tuple[int, ...]
     rms: tuple[float, ...]

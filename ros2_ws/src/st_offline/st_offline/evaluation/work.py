@@ -43,13 +43,10 @@ from .run_figures import Drawing, describe_ranking, draw_run
 
 @dataclass(frozen=True)
 class Task:
-    """Settings of an evaluation.
-
-    models: by name, or (file name, content) of a model.yaml. starts: times of the predictions drawn in detail [s], ()
-    for an automatic choice. folder: for the results; None for no files. formats: of the figures. force: whether to
-    evaluate runs in which the checks find errors. bands, course: (file name, content). adaptive: whether to test
-    adaptive bands. effects: folder of user-defined effects in the model files.
-    """
+    """Settings of an evaluation. models: by name, or (file name, content) of a model.yaml. starts: times of the
+    predictions drawn in detail [s], () for an automatic choice. folder: for the results; None for no files. formats: of
+    the figures. force: whether to evaluate runs in which the checks find errors. bands, course: (file name, content).
+    adaptive: whether to test adaptive bands. effects: folder of user-defined effects in the model files."""
 
     vehicle: VehicleParameters
     models: tuple[str | tuple[str, str], ...]
@@ -244,11 +241,9 @@ PLANNED_PATH = ("planned_speed", "planned_curvature")  # alternative columns, fo
 def future_inputs(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters, prediction: PredictionSettings,
                  course: Course | None) -> dict[Mode, FutureInputs]:
     """Inputs over the horizon for `evaluate_log`: "plan" if the recording contains one, "course" if a course is given.
-
     The passes of this run are removed from the course. If both origins are known, the course is transformed into the
     map of the run; otherwise both must be in the same map. Raises RunError for planned columns that are not numbers,
-    and for a course at another location.
-    """
+    and for a course at another location."""
     inputs: dict[Mode, FutureInputs] = {}
     plan = _planned_columns(run.provenance["files"], vehicle)
     if plan is not None:

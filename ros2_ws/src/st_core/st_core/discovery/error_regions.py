@@ -47,7 +47,7 @@ MAX_RANGES = 3  # maximum number of statements about conditions per channel
 SIGNED = ("lateral acceleration", "steering angle", "steering rate")  # signed quantities that are binned by magnitude
 MIN_CONTRAST = 1.15  # minimum ratio of the error in a reported range to the error in all driving
 CELL_SIZE = 20.0  # m, side of a cell of the map
-MIN_PART_DURATION = 8.0  # s between change points
+MIN_STRETCH_DURATION = 8.0  # s between change points
 MAX_P_VALUE = 0.01  # largest p-value of a reported change point
 MIN_ERROR_RATIO = 1.5  # minimum ratio of RMS errors for a reported stretch or cell
 MAX_CHANGES = 3  # change points per run and channel
@@ -98,9 +98,9 @@ class BinExcess:
 
 
 @dataclass(frozen=True)
-class Part:
-    """A stretch of a run. start, end [s]: since the first measurement of the run. ratio [1]: RMS error divided by the
-    RMS error in the rest of the run under similar conditions."""
+class Stretch:
+    """A stretch of a run with larger errors. start, end [s]: since the first measurement of the run. ratio [1]: RMS
+    error divided by the RMS error in the rest of the run under similar conditions."""
 
     channel: str
     run: int
@@ -217,7 +217,7 @@ def _places_of_run(log: DriveLog, seconds: np.ndarray, horizon: float) -> dict[s
     }
 
 
-def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], places: Sequence[Cell],
+def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Stretch], places: Sequence[Cell],
                 samples: Samples, with_reference: bool) -> list[LargeErrorRegion]:
     """Statements on one channel; empty without a significant bin."""
     of_channel = [b for b in bins if b.channel == channel]
@@ -231,7 +231,7 @@ def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], 
     statements = [*clear[:MAX_RANGES]]
     if overall.significant:
         statements.append(LargeErrorRegion(channel, EVERYWHERE, overall.excess, overall.interval))
-    statements += [_part_statement(part, overall, samples) for part in parts if part.channel == channel]
+    statements += [_stretch_statement(part, overall, samples) for part in parts if part.channel == channel]
     statements += _place_statements([c for c in places if c.channel == channel], overall)
     return statements
 
@@ -278,7 +278,7 @@ def _range_statement(group: Sequence[BinExcess], bins: Sequence[BinExcess], over
     return LargeErrorRegion(overall.channel, condition, excess, (low, high))
 
 
-def _part_statement(part: Part, overall: BinExcess, samples: Samples) -> LargeErrorRegion:
+def _stretch_statement(part: Stretch, overall: BinExcess, samples: Samples) -> LargeErrorRegion:
     """Statement on a stretch of a run; its excess is the overall excess times the ratio of the stretch."""
     last = float(samples.time[samples.run == part.run].max())
     name = samples.names[part.run]
@@ -384,7 +384,8 @@ def log_residuals(samples: Samples, squares: np.ndarray, noise: float) -> np.nda
     return residual
 
 
-def find_changes(samples: Samples, channel: str, noise: float, block: float, seed: int, resamples: int) -> list[Part]:
+def find_changes(samples: Samples, channel: str, noise: float, block: float, seed: int,
+                 resamples: int) -> list[Stretch]:
     """Find the stretches with larger errors than the other parts of the run, by binary segmentation. A change point is
     significant if the cumulative sum of `log_residuals` is larger than with shuffled blocks."""
     residual = log_residuals(samples, samples.squares[channel], noise)
@@ -406,7 +407,7 @@ def find_changes(samples: Samples, channel: str, noise: float, block: float, see
             outside = np.concatenate((values[:a], values[b:]))
             ratio = math.exp(0.5 * float(values[a:b].mean() - outside.mean()))
             if ratio >= MIN_ERROR_RATIO:
-                parts.append(Part(channel, int(run), float(time[a]), float(time[b - 1] + 1.0), ratio, p))
+                parts.append(Stretch(channel, int(run), float(time[a]), float(time[b - 1] + 1.0), ratio, p))
     return parts
 
 
@@ -414,7 +415,7 @@ def _find_change_points(values: np.ndarray, first: int, last: int, block: int, r
                         max_changes: int) -> list[tuple[int, float]]:
     """(index, p-value) of at most `max_changes` significant change points in values[first:last]."""
     part = values[first:last]
-    shortest = round(MIN_PART_DURATION)
+    shortest = round(MIN_STRETCH_DURATION)
     if max_changes < 1 or len(part) < 2 * shortest:
         return []
     cusum = _cusum(part[None])[0]
