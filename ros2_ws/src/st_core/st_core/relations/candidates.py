@@ -7,15 +7,7 @@ import numpy as np
 
 from ..discovery.partitions import sites
 from ..discovery.windows import Windows
-from ..effects._relation import (
-    INTERVALS,
-    SPLINES,
-    TERMS,
-    LaggedRelationEffect,
-    RelationEffect,
-    TimedRelationEffect,
-    spline,
-)
+from ..effects import _relation
 from ..timeseries import NANOSECOND, moving_average
 from ..vehicle import VehicleParameters
 
@@ -35,7 +27,7 @@ MIN_RANGES = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "accele
 FILTERED = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
           "lean": ("acceleration_y", "lagging", 0.15)}
 """Quantity with memory -> (source, kind, lag [s])."""
-ALL_TERMS = {**TERMS, "both_grip": ("1", "relative change of the lateral force of both axles")}
+ALL_TERMS = {**_relation.TERMS, "both_grip": ("1", "relative change of the lateral force of both axles")}
 SENSOR_READINGS = {"sensor_yaw_rate": "yaw_rate", "sensor_acceleration_y": "acceleration_y",
                    "sensor_velocity_y": "velocity_y", "sensor_heading": "yaw"}
 """Channel of `st check` and reading of the INS, by sensor term."""
@@ -90,9 +82,9 @@ class Candidate:
     def effect(self) -> str:
         """Name of the effect that implements it."""
         if self.quantity == "run_time":
-            return TimedRelationEffect.name
+            return _relation.TimedRelationEffect.name
         is_filtered = self.quantity in FILTERED or self.factor in FILTERED
-        return LaggedRelationEffect.name if is_filtered else RelationEffect.name
+        return _relation.LaggedRelationEffect.name if is_filtered else _relation.RelationEffect.name
 
     @property
     def is_sensor_error(self) -> bool:
@@ -119,7 +111,7 @@ class Candidate:
     def constants(self) -> dict[str, float]:
         """Fixed parameters of the effect."""
         terms = ("front_grip", "rear_grip") if self.term == "both_grip" else (self.term,)
-        known = {"low": self.low, "spacing": (self.high - self.low) / INTERVALS, "parity": self.parity,
+        known = {"low": self.low, "spacing": (self.high - self.low) / _relation.INTERVALS, "parity": self.parity,
                  **{f"to_{term}": self.typical_size for term in terms}}
         for quantity, weight in ((self.quantity, "in"), (self.factor, "by")):
             if quantity in FILTERED:
@@ -132,9 +124,10 @@ class Candidate:
     def splines(self, u: np.ndarray) -> np.ndarray:
         """(SPLINES, ...) values of the basis splines [unit of the curve] at u [unit of the quantity]; the curve is a
         linear combination of them."""
-        t, s = ((np.clip(v, self.low, self.high) - self.low) * INTERVALS / (self.high - self.low) for v in (u, -u))
+        t, s = ((np.clip(v, self.low, self.high) - self.low) * _relation.INTERVALS / (self.high - self.low)
+                for v in (u, -u))
         return self.typical_size * np.stack([
-            spline(t - k) + self.parity * spline(s - k) for k in range(-1, SPLINES - 1)])
+            _relation.spline(t - k) + self.parity * _relation.spline(s - k) for k in range(-1, _relation.SPLINES - 1)])
 
 
 def run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:

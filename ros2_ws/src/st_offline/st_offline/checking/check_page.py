@@ -10,18 +10,7 @@ import numpy as np
 from st_core.checks import Checked, Comparison, Severity
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 
-from ..evaluation.drawing import (
-    BAD,
-    TEXT,
-    WARN,
-    WIDTH,
-    FigureOutput,
-    PageFigure,
-    break_at_gaps,
-    reduce_points,
-    save_figure,
-    style,
-)
+from ..evaluation import drawing
 from ..evaluation.evaluation_report import MAX_FIGURES
 from ..evaluation.work import to_file_name
 from ..pages import template
@@ -31,29 +20,30 @@ from .check_report import CheckedRun, residual_rms
 HEIGHT = 3.1  # inch
 MAX_LINE_GAP = 1.5  # s; a line is interrupted at longer gaps
 MIN_SHADE_WIDTH = 0.004  # fraction of the width of the figure; narrower shading would be invisible
-SHADE = {Severity.ERROR: BAD, Severity.WARNING: WARN, Severity.NOTE: MEASURED_COLOUR}
+SHADE = {Severity.ERROR: drawing.BAD, Severity.WARNING: drawing.WARN, Severity.NOTE: MEASURED_COLOUR}
 DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
 
-def draw_panel(pair: Comparison, checked: Checked, output: FigureOutput) -> PageFigure:
+def draw_panel(pair: Comparison, checked: Checked, output: drawing.FigureOutput) -> drawing.PageFigure:
     """Draw one comparison, with the stretches of its findings shaded."""
     findings = sorted((finding for finding in checked.findings if finding.name in pair.findings),
                       key=check_report.severity_rank)
-    with style():
-        figure, (upper, lower) = plt.subplots(2, 1, figsize=(WIDTH, HEIGHT), sharex=True, height_ratios=(3, 2))
+    with drawing.style():
+        figure, (upper, lower) = plt.subplots(2, 1, figsize=(drawing.WIDTH, HEIGHT), sharex=True, height_ratios=(3, 2))
         time = np.asarray(pair.time, float)
         measured, derived = (np.asarray(v, float) for v in (pair.measured, pair.derived))
         for axes, values, colour, width, label in (
                 (upper, measured, MEASURED_COLOUR, 2.6, pair.measured_label),
                 (upper, derived, DERIVED_COLOUR, 0.9, pair.derived_label),
-                (lower, measured - derived, TEXT, 0.9, None)):
-            axes.plot(*reduce_points(*break_at_gaps(time, values, MAX_LINE_GAP)), color=colour, lw=width, label=label)
+                (lower, measured - derived, drawing.TEXT, 0.9, None)):
+            line = drawing.reduce_points(*drawing.break_at_gaps(time, values, MAX_LINE_GAP))
+            axes.plot(*line, color=colour, lw=width, label=label)
         shortest = MIN_SHADE_WIDTH * float(np.ptp(upper.get_xlim()))
         for finding in findings:
             for start, end in finding.where:
                 for axes in (upper, lower):
                     axes.axvspan(start, max(end, start + shortest), color=SHADE[finding.severity], alpha=0.3, lw=0)
-        lower.axhline(0.0, color=TEXT, lw=0.5)
+        lower.axhline(0.0, color=drawing.TEXT, lw=0.5)
         lower.set_xlabel("time after the first INS measurement, s")
         unit = check_report.unit_symbol(pair.unit) or "1"
         upper.set_ylabel(unit)
@@ -65,7 +55,7 @@ def draw_panel(pair: Comparison, checked: Checked, output: FigureOutput) -> Page
         caption = f"Grey: {pair.measured_label}; blue: {pair.derived_label}; below, grey minus blue{shaded}."
         size = f"{residual_rms(pair):.2g} {check_report.unit_symbol(pair.unit)}".strip()
         found = findings[0].text if findings else f"no finding; they differ by {size} (root mean square)"
-        return save_figure(figure, output, key, f"{pair.title[0].upper()}{pair.title[1:]}: {found}", caption)
+        return drawing.save_figure(figure, output, key, f"{pair.title[0].upper()}{pair.title[1:]}: {found}", caption)
 
 
 def page_title(good: Sequence[CheckedRun]) -> str:
@@ -115,7 +105,7 @@ def write_page(file: Path, good: Sequence[CheckedRun], failed: Mapping[str, str]
     file.write_text(text, encoding="utf-8")
 
 
-def _draw_figures(runs: Sequence[CheckedRun]) -> list[PageFigure]:
+def _draw_figures(runs: Sequence[CheckedRun]) -> list[drawing.PageFigure]:
     """Draw at most MAX_FIGURES comparisons, those with the most severe findings first."""
     ranked: list[tuple[int, float, int, CheckedRun, Comparison]] = []
     for run in runs:
@@ -126,4 +116,5 @@ def _draw_figures(runs: Sequence[CheckedRun]) -> list[PageFigure]:
             ranked.append((worst, -largest, len(ranked), run, comparison))
     return [replace(drawn, title=f"{run.name}: {drawn.title}" if len(runs) > 1 else drawn.title)
             for *_, run, comparison in sorted(ranked)[:MAX_FIGURES]
-            for drawn in [draw_panel(comparison, run.checked, FigureOutput(None, (), f"{to_file_name(run.name)}-"))]]
+            for drawn in [draw_panel(comparison, run.checked,
+                                     drawing.FigureOutput(None, (), f"{to_file_name(run.name)}-"))]]

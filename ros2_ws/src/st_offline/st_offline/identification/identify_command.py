@@ -11,14 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from st_core.checks import Finding
 from st_core.handling import objections
-from st_core.identification.result import (
-    Coverage,
-    Identification,
-    IdentificationError,
-    apply_to_vehicle,
-    compare_with_file,
-    describe_stale_scales,
-)
+from st_core.identification import result
 from st_core.provenance import Provenance
 from st_core.vehicle import VehicleParameters, quantity, value_of
 from st_core.yaml_text import number, quote
@@ -59,17 +52,18 @@ def run_command(job: IdentificationJob, console: Console) -> int:
     RunError, OutputError."""
     with console.status(f"identifying: {job.experiment.what}"):
         if job.experiment.files_needed and not job.files:
-            raise IdentificationError(f"no files were given; {job.experiment.name} needs {job.experiment.files}")
+            raise result.IdentificationError(f"no files were given; {job.experiment.name} needs {job.experiment.files}")
         try:
             found = job.experiment.identify(job.files, job.setup)
-        except IdentificationError as error:
-            raise IdentificationError(f"{', '.join(map(str, job.files[:3]))}: {error}") from None
+        except result.IdentificationError as error:
+            raise result.IdentificationError(f"{', '.join(map(str, job.files[:3]))}: {error}") from None
         found = tuple(replace(outcome, warnings=(*outcome.warnings, *filter(None, (
-            compare_with_file(job.setup.vehicle, estimate) for estimate in outcome.estimates)))) for outcome in found)
+            result.compare_with_file(job.setup.vehicle, estimate) for estimate in outcome.estimates))))
+                      for outcome in found)
     now = datetime.now(UTC)
-    car = apply_to_vehicle(job.setup.vehicle, found, f"{now:%Y-%m-%d}")
+    car = result.apply_to_vehicle(job.setup.vehicle, found, f"{now:%Y-%m-%d}")
     found = (replace(found[0], warnings=(*found[0].warnings, *objections(car, job.setup.vehicle))), *found[1:])
-    stale = describe_stale_scales(job.setup.vehicle, found)
+    stale = result.describe_stale_scales(job.setup.vehicle, found)
     with console.status("writing"):
         files = write_results(job, found, car, provenance(job, now))
     print_results(found, job.setup.vehicle, stale, console)
@@ -79,7 +73,7 @@ def run_command(job: IdentificationJob, console: Console) -> int:
     return 0 if any(e.status != "unidentifiable" for outcome in found for e in outcome.estimates) else 1
 
 
-def print_results(found: Sequence[Identification], vehicle: VehicleParameters, stale: Sequence[str],
+def print_results(found: Sequence[result.Identification], vehicle: VehicleParameters, stale: Sequence[str],
                   console: Console) -> None:
     """Print the findings of the checks, and the table, verdicts and warnings of each result."""
     print_findings(findings_by_drive(found), console)
@@ -99,7 +93,7 @@ def print_results(found: Sequence[Identification], vehicle: VehicleParameters, s
         print_line(f"  [yellow]{escape(sentence)}[/yellow]", console)
 
 
-def findings_by_drive(found: Sequence[Identification]) -> dict[str, tuple[Finding, ...]]:
+def findings_by_drive(found: Sequence[result.Identification]) -> dict[str, tuple[Finding, ...]]:
     """Findings of the checks by drive."""
     return {name: findings for outcome in found for name, findings in outcome.findings.items()}
 
@@ -116,7 +110,7 @@ def provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
     }
 
 
-def write_results(job: IdentificationJob, found: Sequence[Identification], car: VehicleParameters,
+def write_results(job: IdentificationJob, found: Sequence[result.Identification], car: VehicleParameters,
                   facts: dict[str, Any]) -> dict[str, Path]:
     """Write all files; returns their paths by name."""
     output = FigureOutput(new_folder(job.folder, ""), FORMATS)
@@ -133,7 +127,7 @@ def write_results(job: IdentificationJob, found: Sequence[Identification], car: 
     return {name: job.folder / name for name in texts}
 
 
-def updated_vehicle_text(file: Path, car: VehicleParameters, found: Sequence[Identification]) -> str:
+def updated_vehicle_text(file: Path, car: VehicleParameters, found: Sequence[result.Identification]) -> str:
     """The user's vehicle file with the identified entries replaced; comments and other entries are unchanged. If the
     edited file does not load as `car`, for example because a derived scale changes, a new file is written."""
     keys = [e.parameter for outcome in found for e in outcome.estimates
@@ -152,7 +146,7 @@ def updated_vehicle_text(file: Path, car: VehicleParameters, found: Sequence[Ide
     return edit_or_rewrite(text, {key: partial(entry, key) for key in keys}, car, 1e-12)
 
 
-def experiment_details(found: Identification) -> dict[str, Any]:
+def experiment_details(found: result.Identification) -> dict[str, Any]:
     """Entry of one experiment in details.json."""
     matrix = found.correlation
     return {
@@ -169,17 +163,17 @@ def experiment_details(found: Identification) -> dict[str, Any]:
     }
 
 
-def render_page(found: Sequence[Identification], figures: Sequence[PageFigure | None], vehicle: VehicleParameters,
-                facts: dict[str, Any]) -> str:
+def render_page(found: Sequence[result.Identification], figures: Sequence[PageFigure | None],
+                vehicle: VehicleParameters, facts: dict[str, Any]) -> str:
     """Content of report.html."""
     values = [f"{name.replace('_', ' ')} "
               + (status if status == "unidentifiable" else f"{value} {unit}".removesuffix(" 1") + f" ({status})")
               for outcome in found for name, value, _, _, unit, _, status in estimate_rows(outcome, vehicle)]
 
-    def excitation(c: Coverage) -> tuple[list[str], list[list[str]]]:
+    def excitation(c: result.Coverage) -> tuple[list[str], list[list[str]]]:
         return [f"from, {c.unit}", *(f"{edge:.4g}" for edge in c.edges[:-1])], [["samples", *map(str, c.counts)]]
 
-    def correlation(outcome: Identification) -> tuple[list[str], list[list[str]]]:
+    def correlation(outcome: result.Identification) -> tuple[list[str], list[list[str]]]:
         names = [estimate.parameter for estimate in outcome.estimates]
         assert outcome.correlation is not None  # the template calls this only if there is one
         return ["correlation", *names], [[name, *(f"{x:+.2f}" for x in row[:len(names)])]

@@ -6,16 +6,10 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from st_core.identification import mass_and_cg
 from st_core.identification.cg_height import Lift, LiftedCar, identify_cg_height, pitch_from_lift
 from st_core.identification.lambda_ky import identify_lambda_ky
 from st_core.identification.magic_formula import FlatPlank, fit_tyre, identify_magic_formula
-from st_core.identification.mass_and_cg import (
-    SCALE_UNCERTAINTY,
-    WHEELS,
-    Weighings,
-    describe_swapped_axles,
-    identify_mass_and_cg,
-)
 from st_core.identification.result import Identification
 from st_core.identification.steering_ratio import Turntable, identify_steering_ratio
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
@@ -32,19 +26,19 @@ def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification
     """Identify mass and CG position; each row of the files is one weighing."""
     readings, names, loads, scales = [], [], [], set()
     for file in files:
-        table = read_columns(file, {wheel: ("kg",) for wheel in WHEELS}, {"scale_uncertainty": ("kg",)}, NOTES)
-        readings.append(np.stack([table.numbers[wheel] for wheel in WHEELS], axis=1))
+        table = read_columns(file, dict.fromkeys(mass_and_cg.WHEELS, ("kg",)), {"scale_uncertainty": ("kg",)}, NOTES)
+        readings.append(np.stack([table.numbers[wheel] for wheel in mass_and_cg.WHEELS], axis=1))
         labels = table.texts.get("weighing") or [str(row) for row in range(1, len(table) + 1)]
         names += [f"{file.name}:{label}" for label in labels]
         notes = [table.texts.get(key, ("",) * len(table)) for key in ("driver", "payload")]
         loads += [", ".join(note for note in row if note) for row in zip(*notes, strict=True)]
-        scales |= set(table.numbers.get("scale_uncertainty", np.array([SCALE_UNCERTAINTY])).tolist())
+        scales |= set(table.numbers.get("scale_uncertainty", np.array([mass_and_cg.SCALE_UNCERTAINTY])).tolist())
     if len(scales) > 1:
         raise RunError(files[0], f"scale_uncertainty_kg has several values: {sorted(scales)}", "use one set of scales")
     vehicle = setup.vehicle
-    weighings = Weighings(np.concatenate(readings), tuple(names), tuple(loads), scales.pop())
-    found = identify_mass_and_cg(weighings, vehicle.wheelbase, setup.uncertainty_of("wheelbase"))
-    swapped = describe_swapped_axles(found, vehicle.wheelbase, vehicle.cg_to_front_axle)
+    weighings = mass_and_cg.Weighings(np.concatenate(readings), tuple(names), tuple(loads), scales.pop())
+    found = mass_and_cg.identify_mass_and_cg(weighings, vehicle.wheelbase, setup.uncertainty_of("wheelbase"))
+    swapped = mass_and_cg.describe_swapped_axles(found, vehicle.wheelbase, vehicle.cg_to_front_axle)
     return (replace(found, warnings=(*found.warnings, *([swapped] if swapped else []))),)
 
 
