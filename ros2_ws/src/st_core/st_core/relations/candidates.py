@@ -12,7 +12,7 @@ from ..timeseries import NANOSECOND, moving_average
 from ..vehicle import VehicleParameters
 
 ODD, NEITHER = -1.0, 0.0
-TAIL_SHARE = 0.01  # fraction of the driving beyond either end of the range of a curve, where the curve is constant
+TAIL_SHARE = 0.01  # fraction of the samples below and above the range of a curve; the curve is constant there
 MIN_SPEED = 2.0  # m/s; at lower speed, slip angles are ill-defined
 QUANTITIES = {"slip_front": "rad", "slip_rear": "rad", "steering": "rad", "acceleration_y": "m/s^2",
               "acceleration_x": "m/s^2", "speed": "m/s", "yaw_rate": "rad/s", "steering_rate": "rad/s",
@@ -26,7 +26,7 @@ MIN_RANGES = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "accele
 """Minimum range of a quantity in the drives for candidates; smaller ranges are mostly noise and road unevenness."""
 FILTERED = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
           "lean": ("acceleration_y", "lagging", 0.15)}
-"""Quantity with memory -> (source, kind, lag [s])."""
+"""Lagged quantity, or rate of a quantity -> (source, kind, lag [s])."""
 ALL_TERMS = {**_relation.TERMS, "both_grip": ("1", "relative change of the lateral force of both axles")}
 SENSOR_READINGS = {"sensor_yaw_rate": "yaw_rate", "sensor_acceleration_y": "acceleration_y",
                    "sensor_velocity_y": "velocity_y", "sensor_heading": "yaw"}
@@ -92,8 +92,8 @@ class Candidate:
         return self.term.startswith("sensor_")
 
     @property
-    def changes_sides(self) -> bool:
-        """Whether it acts to the same side in left and right turns, so that it changes sign in a mirrored drive."""
+    def is_one_sided(self) -> bool:
+        """Whether it acts to the same side in left and right turns, so that its sign changes in a mirrored drive."""
         return self.parity == NEITHER and not self.factor and not self.term.endswith("_grip")
 
     @property

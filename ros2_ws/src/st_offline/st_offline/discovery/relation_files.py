@@ -124,7 +124,7 @@ def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
         unit=c.unit, meaning=f"y [{c.unit}]: {meaning}.", before=relation.position_5s[0], after=relation.position_5s[1],
         p_value=relation.p_value, formulas=formulas, heights=terms,
         cls="".join(word.title() for word in effect_name(relation).split("_")),
-        odd=", odd=True" if c.changes_sides else "", name=effect_name(relation),
+        odd=", odd=True" if c.is_one_sided else "", name=effect_name(relation),
         ops=IMPORTED_OPS.get(c.quantity, "absolute, maximum, minimum"), memory=_memory_source(c)[0],
         physics=f"y = curve of {c.quantity}: {meaning}", body=_hooks_source(relation),
         kind="surroundings" if c.quantity in MAP_QUANTITIES else "sensors" if c.is_sensor_error else "physics",

@@ -28,16 +28,13 @@ from st_core.types import ControlInput, VehicleState
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, RunSource, read
 
-from ..evaluation.tables import write_csv
-from ..evaluation.work import Task, load_models
 from ..terminal import list_files, print_line, rows_table
+from .tables import write_csv
+from .work import Task, load_models
 
 REPETITIONS = 5  # measurements of each call
 MIN_MEASUREMENT_TIME = 0.02  # s, processor time
 MAX_BATCH = 960  # predictions: 20 groups of the 48 that compiled code advances together
-
-Call = Callable[[], object]
-CallKey = tuple[str, float, str]
 
 
 @dataclass(frozen=True)
@@ -53,7 +50,7 @@ class Cost:
 def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
                   settings: Mapping[float, EvaluationSettings]) -> dict[tuple[str, float], Cost]:
     """Cost by model and step [s], measured with the inputs of one drive. settings: by step."""
-    calls: dict[tuple[str, float, str], tuple[Call, int]] = {}
+    calls: dict[tuple[str, float, str], tuple[Callable[[], object], int]] = {}  # (function, number of predictions)
     for step, one in settings.items():
         starts, _ = usable_starts(signals, vehicle, regular_starts(signals.log, one.interval),
                                   one.prediction.minimum_speed)
@@ -70,24 +67,19 @@ def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: 
             if model.name in compiled:
                 calls[model.name, step, "compiled"] = partial(compiled[model.name], state, held), 1
             calls[model.name, step, "batch"] = partial(batch.predict, model, vehicle), len(starts)
-    seconds = measure_median_times(calls)
-    return {(model.name, step): Cost(seconds[model.name, step, "floats"], seconds.get((model.name, step, "compiled")),
-                                     seconds[model.name, step, "batch"]) for model in models for step in settings}
-
-
-def measure_median_times(calls: Mapping[CallKey, tuple[Call, int]]) -> dict[CallKey, float]:
-    """Median processor time [s] per prediction of each call. calls: (function, number of predictions) by key."""
-    measured_times: dict[CallKey, list[float]] = {key: [] for key in calls}
     for call, _ in calls.values():
         call()  # warm-up
+    times_of: dict[tuple[str, float, str], list[float]] = {key: [] for key in calls}
     for _ in range(REPETITIONS):  # rounds over all calls, so that a busy period does not affect only one of them
         for key, (call, predictions) in calls.items():
             count, begin = 0, time.process_time()
             while not count or time.process_time() - begin < MIN_MEASUREMENT_TIME:
                 call()
                 count += 1
-            measured_times[key].append((time.process_time() - begin) / (count * predictions))
-    return {key: float(np.median(values)) for key, values in measured_times.items()}
+            times_of[key].append((time.process_time() - begin) / (count * predictions))
+    seconds = {key: float(np.median(values)) for key, values in times_of.items()}
+    return {(model.name, step): Cost(seconds[model.name, step, "floats"], seconds.get((model.name, step, "compiled")),
+                                     seconds[model.name, step, "batch"]) for model in models for step in settings}
 
 
 LATERAL = 1  # index in (longitudinal, lateral, yaw)
