@@ -1,6 +1,6 @@
 """Joint fits of sets of effects by simulation, and their held-out loss."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -224,19 +224,10 @@ class Problem:
 
     def solve(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
         """(a,) step from `vector` to the minimum of the quadratic q plus the prior within the bounds."""
-        return self.stepper(names, vector, indices)(q.hessian.sum(axis=0), q.gradient.sum(axis=0))
-
-    def stepper(self, names: Iterable[str], vector: np.ndarray,
-                indices: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        """A function that computes the best step (a,) from the vector for a Hessian (a, a) and a gradient (a,)."""
-        prior, limits = self.prior_curvature(names, indices), self.distance_to_bounds(vector, indices)
-        prior_gradient = prior @ self.distance(vector)[indices]
-
-        def best_step(h: np.ndarray, g: np.ndarray) -> np.ndarray:
-            if not len(indices):
-                return np.zeros(0)
-            return minimise_bounded(add_ridge(h + prior), g - prior_gradient, *limits)
-        return best_step
+        prior = self.prior_curvature(names, indices)
+        gradient = q.gradient.sum(axis=0) - prior @ self.distance(vector)[indices]
+        return minimise_bounded(add_ridge(q.hessian.sum(axis=0) + prior), gradient,
+                                *self.distance_to_bounds(vector, indices))
 
     def cost(self, names: Iterable[str], vector: np.ndarray, indices: np.ndarray) -> float:
         """The loss plus the cost of the prior."""
@@ -327,10 +318,10 @@ class Problem:
         reference drives, leaving out a fold changes only the parameters of the effects `names`."""
         names = tuple(names)
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
-        best_step = self.stepper(names, vector, indices)
-        optimum = best_step(h, g)
+        optimum = self.solve(q, names, vector, indices)
         prior, distance = self.prior_curvature(names, indices), self.distance(vector)[indices]
-        low, high = (edge - optimum for edge in self.distance_to_bounds(vector, indices))
+        limits = self.distance_to_bounds(vector, indices)
+        low, high = (edge - optimum for edge in limits)
         columns = np.flatnonzero(np.isin(indices, self.space.indices(*names)))
         gradient = q.gradient - q.hessian @ optimum
         base = optimum
@@ -341,7 +332,8 @@ class Problem:
             out = fold == k
             fitted = h - q.hessian[out].sum(axis=0)
             if self.prior is None:
-                d = best_step(fitted, g - (gradient + q.hessian @ optimum)[out].sum(axis=0)) - optimum
+                others = g - (gradient + q.hessian @ optimum)[out].sum(axis=0) - prior @ distance
+                d = minimise_bounded(add_ridge(fitted + prior), others, *limits) - optimum
             else:
                 d = np.zeros(len(indices))
                 ridge = RIDGE * np.trace(h) / len(h) * np.eye(len(columns))
