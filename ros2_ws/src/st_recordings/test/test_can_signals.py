@@ -9,7 +9,7 @@ from canedge_bridge.decode import Decoder
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.can_signals import decode_signals, find_steering, load_signal_table
 from st_recordings.runs.errors import RunError
-from st_recordings.runs.frames import REMOTE, Frames
+from st_recordings.runs.frames import REMOTE, Frames, merge_by_time
 from support import KEPT, ROOT
 
 DBC, TABLE = ROOT / "config/can/leaf_ze0.dbc", ROOT / "config/can/leaf_ze0.yaml"
@@ -120,6 +120,60 @@ def test_the_same_message_on_two_buses_counts_once(frames: Frames) -> None:
                                                                          "flags")))
     signal = decode_signals(twice, load_signal_table(DBC, TABLE)).first_of("steering_wheel_angle")
     assert np.array_equal(signal.time_ns, steering.time_ns)
+
+
+@pytest.mark.parametrize("other", ["gateway", "other content", "longer"])
+def test_an_identifier_on_two_buses_is_read_from_the_bus_that_fits(frames: Frames, other: str) -> None:
+    steering = replace(own := frames.select(frames.id == 2), bus=np.full(len(own), 1, np.uint8))
+    payload = steering.payload.copy()
+    if other != "gateway":
+        payload[:, :5] = np.random.default_rng(1).integers(0, 256, (len(payload), 5))
+    foreign = replace(steering, time_ns=steering.time_ns + 150_000, bus=np.full(len(steering), 2, np.uint8),
+                      payload=payload, length=np.full(len(payload), 8 if other == "longer" else 5, np.uint8))
+    signals = decode_signals(merge_by_time([foreign, steering]), load_signal_table(DBC, TABLE))
+    signal = signals.first_of("steering_wheel_angle")
+    alone = decode_signals(steering, load_signal_table(DBC, TABLE)).first_of("steering_wheel_angle")
+    offset = signal.time_ns - alone.time_ns
+    assert signal.valid.all() and np.array_equal(signal.values, alone.values) and set(offset.tolist()) <= {0, 150_000}
+    assert signals.faults["Leaf_Steering"] == f"{len(foreign)} frames of this identifier on other buses are not used"
+
+
+def test_halves_of_a_drive_on_two_buses_are_both_used(frames: Frames) -> None:
+    steering = frames.select(frames.id == 2)
+    bus = np.where(np.arange(len(steering)) < len(steering) // 2, 1, 2).astype(np.uint8)
+    payload = steering.payload.copy()
+    payload[100, 4] ^= 0x10
+    found = decode_signals(replace(steering, bus=bus, payload=payload), load_signal_table(DBC, TABLE))
+    assert len(found.first_of("steering_wheel_angle").time_ns) == len(steering)
+
+
+def test_steering_that_the_dbc_decodes_incorrectly_is_refused(frames: Frames) -> None:
+    payload = frames.payload.copy()
+    payload[frames.id == 2, :2] = payload[frames.id == 2, 1::-1]  # high byte first
+    table = load_signal_table(DBC, TABLE)
+    with pytest.raises(RunError, match=r"cannot be used: .*implausible .* in \d+ of \d+ frames; correct the DBC"):
+        find_steering(decode_signals(replace(frames, payload=payload), table), "a.mf4", table)
+
+
+def test_an_identifier_that_differs_only_in_the_source_address_of_j1939_is_named(tmp_path) -> None:
+    (tmp_path / "car.dbc").write_text(
+        f'VERSION ""\n\nBS_:\n\nBU_: X\n\nBO_ {0x98F009FE} VDC2: 8 X\n'
+        ' SG_ Angle : 0|16@1+ (0.0009765625,-31.374) [0|0] "rad" X\n')
+    (tmp_path / "car.yaml").write_text(
+        "messages: {VDC2: {needed: true, period: {value: 0.01, unit: s}, timeout: {value: 0.2, unit: s}, signals: "
+        "{Angle: {name: steering_wheel_angle, unit: rad, sign: 1}}}}\n")
+    n, table = 50, load_signal_table(tmp_path / "car.dbc", tmp_path / "car.yaml")
+    log = Frames(np.arange(n) * 10_000_000, np.full(n, 0x98F0090B, np.uint32), np.full((n, 8), 127, np.uint8),
+                 np.full(n, 8, np.uint8), np.zeros(n, np.uint8), np.zeros(n, np.uint8))
+    with pytest.raises(RunError, match=r"the log has 0x18F0090B \(50 frames\) instead, .* J1939 priority and source"):
+        find_steering(decode_signals(log, table), "a.asc", table)
+
+
+def test_unreadable_lines_are_named_where_the_steering_is_missing(frames: Frames) -> None:
+    table = load_signal_table(DBC, TABLE)
+    with pytest.raises(RunError, match=r"RT_VelocityLevel; 7 of 9 lines cannot be read; name the car"):
+        find_steering(decode_signals(frames.select(frames.id != 2), table), "a.asc", table,
+                      ["a.asc: 7 of 9 lines cannot be read"])
 
 
 def test_a_table_that_does_not_hold_together(tmp_path) -> None:

@@ -1,6 +1,6 @@
 """Decodes the CAN frames of a log to signals (one column each), with the same checks as the live CAN bridge."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -15,6 +15,9 @@ from st_core.checks import Series
 from .errors import RunError, format_share
 from .frames import ERROR, EXTENDED, REMOTE, Frames
 from .ins_log import SPEEDS, compute_car_speed, make_series
+
+J1939_GROUP = EXTENDED | 0x03FFFF00
+"""Bits of an identifier that J1939 uses for the group of parameters."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,8 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
     """Decodes and checks every message of the table.
 
     Frames are checked as by the live decoder (canedge_bridge.decode): length, checksum, counter, range and rate. Of
-    several frames with the same time (the same message on two buses), only the first is used.
+    several frames with the same time, only the first is used. If several buses carry the identifier of a message and
+    their frames do not fit together, only the bus with the most usable frames is used.
     """
     signals: dict[tuple[str, str], Signal] = {}
     faults: dict[str, str] = {}
@@ -68,37 +72,73 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
     order = np.argsort(frames.id, kind="stable")
     sorted_ids = frames.id[order]
     for message, spec in table.messages.items():
-        identifier, extended = spec.key
-        key = identifier | (EXTENDED if extended else 0)
+        key = spec.key[0] | (EXTENDED if spec.key[1] else 0)
         rows = order[slice(*np.searchsorted(sorted_ids, (key, key + 1)).tolist())]
         rows = rows[frames.flags[rows] & (REMOTE | ERROR) == 0]
         if not len(rows):
-            other_key = key ^ EXTENDED
-            count = int(np.subtract(*np.searchsorted(sorted_ids, (other_key + 1, other_key))))
-            if spec.needed and count:
-                faults[message] = (f"its identifier 0x{identifier:X} has {29 if extended else 11} bits in the DBC, but "
-                                   f"{11 if extended else 29} bits in {count} frames of the log")
+            if spec.needed and (fault := _describe_similar_id(frames.id, key)):
+                faults[message] = fault
             continue
-        payload, lengths = frames.payload[rows], frames.length[rows]
-        decoded = decode_log(table.database, frames.id[rows], payload, lengths, [message]).get(message)
-        length_fault = _describe_length_fault(spec, lengths, 0 if decoded is None else len(decoded.rows))
-        if decoded is None:
-            faults[message] = length_fault
-            continue
-        rows, payload = rows[decoded.rows], payload[decoded.rows, : max(spec.dbc.length, 8)]
-        time_ns = frames.time_ns[rows]
-        columns = {signal.name: signal.to_si(decoded.signals) for signal in spec.signals}
-        keep, valid, fault = check_frames(spec, payload, time_ns, columns)
-        if fault or length_fault:
-            faults[message] = "; ".join(filter(None, (length_fault, fault)))
-        if not keep.all():
-            rejected[message] = time_ns[~keep]
-        keep &= np.diff(time_ns, prepend=time_ns[0] - 1) > 0
-        for name, values in replace_gps_time(columns).items():
-            good = keep & np.isfinite(values)
-            if good.any():
-                signals[name, message] = Signal(name, message, time_ns[good], values[good], valid[good], rows[good])
+        found = _decode_message(frames, rows, spec, table)
+        buses = np.unique(frames.bus[rows])
+        if found.fault and len(buses) > 1:
+            single = [_decode_message(frames, rows[frames.bus[rows] == bus], spec, table) for bus in buses.tolist()]
+            best = max(single, key=lambda one: one.n_valid)
+            if best.n_valid >= found.n_valid:
+                others = f"{len(rows) - best.n_frames} frames of this identifier on other buses are not used"
+                found = replace(best, fault="; ".join(filter(None, (best.fault, others))))
+        if found.fault:
+            faults[message] = found.fault
+        if len(found.rejected):
+            rejected[message] = found.rejected
+        signals |= {(signal.name, message): signal for signal in found.signals}
     return CanSignals(signals, faults, rejected)
+
+
+def _describe_similar_id(ids: np.ndarray, key: int) -> str:
+    """Describes frames whose identifier differs from that in the DBC (with EXTENDED) only in its number of bits, or in
+    priority and source address of J1939; empty if there are none."""
+    identifier, bits = key & ~EXTENDED, 29 if key & EXTENDED else 11
+    if count := int((ids == key ^ EXTENDED).sum()):
+        return (f"its identifier 0x{identifier:X} has {bits} bits in the DBC, but {40 - bits} bits in {count} frames "
+                "of the log")
+    same_group, counts = np.unique(ids[(ids ^ key) & J1939_GROUP == 0], return_counts=True)
+    if bits == 11 or not len(same_group):
+        return ""
+    found = ", ".join(f"0x{one & ~EXTENDED:X} ({count} frames)" for one, count in
+                      zip(same_group.tolist(), counts.tolist(), strict=True))
+    return f"the log has {found} instead, which differs only in the J1939 priority and source address"
+
+
+@dataclass(frozen=True)
+class _DecodedMessage:
+    """Signals of one message. fault: description of its faults. rejected: log times [ns] of rejected frames. n_frames:
+    number of its frames. n_valid: number of those that are usable and valid."""
+
+    signals: tuple[Signal, ...]
+    fault: str
+    rejected: np.ndarray
+    n_frames: int
+    n_valid: int = 0
+
+
+def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec, table: SignalTable) -> _DecodedMessage:
+    n_frames, payload, lengths = len(rows), frames.payload[rows], frames.length[rows]
+    decoded = decode_log(table.database, frames.id[rows], payload, lengths, [spec.name]).get(spec.name)
+    length_fault = _describe_length_fault(spec, lengths, 0 if decoded is None else len(decoded.rows))
+    if decoded is None:
+        return _DecodedMessage((), length_fault, np.zeros(0, np.int64), n_frames)
+    rows, payload = rows[decoded.rows], payload[decoded.rows, : max(spec.dbc.length, 8)]
+    time_ns = frames.time_ns[rows]
+    columns = {signal.name: signal.to_si(decoded.signals) for signal in spec.signals}
+    keep, valid, fault = check_frames(spec, payload, time_ns, columns)
+    rejected = time_ns[~keep]
+    keep &= np.diff(time_ns, prepend=time_ns[0] - 1) > 0
+    found = tuple(Signal(name, spec.name, time_ns[good], values[good], valid[good], rows[good])
+                  for name, values in replace_gps_time(columns).items()
+                  if (good := keep & np.isfinite(values)).any())
+    return _DecodedMessage(found, "; ".join(filter(None, (length_fault, fault))), rejected, n_frames,
+                           int((keep & valid).sum()))
 
 
 def _describe_length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: int) -> str:
@@ -112,17 +152,19 @@ def _describe_length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: in
     return f"{', '.join(found)} instead of {spec.dbc.length} as in the DBC; {consequence}"
 
 
-def find_steering(signals: CanSignals, file: Path | str, table: SignalTable) -> Signal:
-    """Finds the signal of the steering wheel angle. Raises RunError if it is not in the log."""
+def find_steering(signals: CanSignals, file: Path | str, table: SignalTable, notes: Sequence[str] = ()) -> Signal:
+    """Finds the signal of the steering wheel angle. Raises RunError if it is not in the log, or if more of its frames
+    were rejected than accepted, as with a wrong DBC. notes: warnings about the log."""
     steering = signals.first_of("steering_wheel_angle")
-    if steering is not None:
+    if steering is not None and len(signals.rejected.get(steering.message, ())) <= len(steering.time_ns):
         return steering
     source = table.find_source("steering_wheel_angle")
     expected = f"{source[0].name} (0x{source[0].dbc.frame_id:03X})" if source else "(not in the signal table)"
     if source and (fault := signals.faults.get(source[0].name)):
         raise RunError(file, f"the steering message {expected} cannot be used: {fault}",
-                       "correct the DBC or the signal table")
-    found = ", ".join(sorted({message for _, message in signals.signals})) or "none"
+                       "correct the DBC (identifier, length, byte order, factor) or the signal table")
+    found = "; ".join([", ".join(sorted({message for _, message in signals.signals})) or "none",
+                       *(note.removeprefix(f"{file}: ") for note in notes)])
     raise RunError(file, f"the steering message {expected} is not in the log; known messages in the log: {found}",
                    "name the car of this log with --car DIR, or log the bus that carries the message")
 

@@ -65,7 +65,7 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     dbc, file = find_signal_files(source, settings)
     table = load_signal_table(dbc, file)
     signals = decode_signals(can.frames, table)
-    steering = find_steering(signals, can.files[0], table) if needs_steering else None
+    steering = find_steering(signals, can.files[0], table, can.warnings) if needs_steering else None
     parts = _split_log(can)
     if not keep_frames:
         can = replace(can, frames=empty_frames())
@@ -78,7 +78,7 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
         span, alignment, shared = part
         signals = signals.between(*span)
         can = replace(can, frames=can.frames.select(slice(*np.searchsorted(can.frames.time_ns, span).tolist())))
-        steering = find_steering(signals, can.files[0], table) if needs_steering else None
+        steering = find_steering(signals, can.files[0], table, can.warnings) if needs_steering else None
         used, total = (1e-9 * sum(end - start for start, end in spans) for spans in ([span], parts))
         notes.append(f"{can.files[0]}: its clock was set, or it contains several drives; the {used:.1f} of "
                      f"{total:.1f} s ({100.0 * used / total:.0f} %) that match the INS recording are used")
