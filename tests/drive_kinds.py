@@ -108,7 +108,8 @@ def write_bag(file: Path, log: DriveLog, first: int = 0, last: int | None = None
         wheel = columns(log)[7]
         for k in range(first, len(log.x) if last is None else last):
             ns = int(log.ins_time_ns[k])
-            stamp = {"zero": 0, "boot": ns - int(log.ins_time_ns[0]) + 10**9}.get(stamps, ns)
+            stamp = {"zero": 0, "seconds": ns // 10**9 * 10**9,
+                     "boot": ns - int(log.ins_time_ns[0]) + 10**9}.get(stamps, ns)
             if own:
                 message = store.types[OWN](stamp=time(ns), spare=np.zeros(2, np.float32),
                                            angle_deg=-float(np.degrees(wheel[k])))

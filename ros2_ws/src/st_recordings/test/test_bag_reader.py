@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
 from mcap.writer import IndexType
 from mcap.writer import Writer as McapWriter
 from oxts_bridge.channels import encode_channel
 from oxts_bridge.ncom import Packet, encode
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from st_recordings.mcap import BagWriter
+from st_recordings.runs import find_runs, read
 from st_recordings.runs import bag
 from st_recordings.runs.bag import ODOMETRY, STEERING, definitions_folder, read_bag
 from st_recordings.runs.bag_storage import McapStorage, SqliteStorage
@@ -142,6 +144,30 @@ def test_unusable_messages_are_left_out_and_counted(tmp_path: Path) -> None:
     assert any(f"50 of {N} steering messages (10 %) have no usable value" in w for w in drive.warnings)
     assert drive.auxiliary.missing == {"road_wheel_angle": 50} and len(drive.auxiliary.stamps["steering"]) == N
     assert any("steering messages (0.22 %) are not later" in w for w in drive.warnings)
+
+
+def test_a_bag_whose_odometry_lacks_a_value_is_refused_with_its_name(tmp_path: Path) -> None:
+    def without(k: int) -> tuple[int, bytes]:
+        time_ns, data = odometry(k)
+        message = STORE.deserialize_cdr(data, ODOMETRY)
+        message.twist.twist.linear.y = float("nan")
+        return time_ns, bytes(STORE.serialize_cdr(message, ODOMETRY))
+
+    folder = write_ours(tmp_path / "drive", {**OURS, ("/ins/odometry", ODOMETRY): [without(k) for k in range(N)]})
+    with pytest.raises(RunError, match=rf"fewer than two measurements .*{N} of {N} odometry messages \(100 %\) have no "
+                       "usable value of velocity_y"):
+        read(find_runs([folder])[0])
+
+
+def test_compressed_messages_without_metadata_are_read(tmp_path: Path) -> None:
+    folder = tmp_path / "drive"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        for (topic, kind), messages in OURS.items():
+            connection = writer.add_connection(topic, kind, typestore=STORE)
+            for time_ns, data in messages:
+                writer.write(connection, time_ns, zstandard.compress(data))
+    (folder / "metadata.yaml").unlink()
+    check(next(folder.glob("*.db3")))
 
 
 def wheels(k: int, front: bool, valid: bool = True) -> tuple[int, bytes]:

@@ -68,6 +68,20 @@ def trc(lines: list[str], wide: bool) -> str:
     return "\r\n".join(out) + "\r\n"
 
 
+def trc_1_2(lines: list[str]) -> str:
+    begin = float(lines[0].split()[0][1:-1])
+    out = [";$FILEVERSION=1.2", ";$STARTTIME=45903.7500000579", ";   C:\\M\u00fcller\\run.trc", ";---+--   ----+----  +  --+--"]
+    for k, line in enumerate(lines, 1):
+        stamp, channel, rest = line.split()[:3]
+        identifier, data = rest.split("#")
+        time = f"{k:6d}) {(float(stamp[1:-1]) - begin) * 1e3:12.3f} {int(channel[-1]) + 1}"
+        if k % 1000 == 0:
+            out.append(f"{time}  Warng  FFFFFFFF  4  00 00 00 08  BUSHEAVY")
+        out.append(f"{time}  Rx     {int(identifier, 16):04X}  {len(data) // 2}  "
+                   f"{' '.join(data[j : j + 2] for j in range(0, len(data), 2))} ")
+    return "\r\n".join(out) + "\r\n"
+
+
 def spoilt(lines: list[str], every: int) -> str:
     return "\n".join(line[:20] if k % every == every - 1 else line for k, line in enumerate(lines)) + "\n"
 
@@ -106,6 +120,9 @@ LOGS: list[tuple[str, Callable[[list[str]], str], str, str]] = [
     ("run.log", lambda lines: replaced(lines, later(lines[5001])), "utf-8", ""),
     ("run.trc", lambda lines: trc(lines, True), "ascii", ""),
     ("run.trc", lambda lines: trc(lines, False), "ascii", ""),
+    ("run.trc", lambda lines: trc_1_2(lines), "cp1252", ""),
+    ("run.asc", lambda lines: "\n".join(asc(lines).splitlines()[4:]), "utf-8", ""),
+    ("run.txt", "\n".join, "utf-8", "is a candump log with the extension .txt"),
 ]
 
 
@@ -149,8 +166,8 @@ def test_steering_frames_without_a_usable_value_are_no_gap_of_the_logger(tmp_pat
 
 
 @pytest.mark.parametrize(("name", "warning"), [
-    ("run.log", r"\d+\.\d of 2\d\.\d s of the INS \(5\d %\) are not used: the steering was not recorded then"),
-    ("run.ncom", r"\d+\.\d of 2\d\.\d s of the steering \(5\d %\) are not used: the INS was not recorded then"),
+    ("run.log", r"\d+\.\d of 2\d\.\d s of the INS \(5\d %\) are not used: no usable sample of the steering covers them"),
+    ("run.ncom", r"\d+\.\d of 2\d\.\d s of the steering \(5\d %\) are not used: no usable sample of the INS covers them"),
 ])
 def test_a_file_that_ends_early_costs_the_rest_of_the_other(tmp_path: Path, drive, name: str, warning: str) -> None:
     """Whatever the format, no mark of its own shows that it is cut."""
@@ -228,6 +245,8 @@ BAGS: list[tuple[str, Callable[[Path, DriveLog], Path], ReadSettings, str]] = [
     ("lz4", lambda folder, log: write_bag(folder / "a.mcap", log, compression=CompressionType.LZ4), ReadSettings(), ""),
     ("stamps zero", lambda folder, log: write_bag(folder / "a.mcap", log, stamps="zero"), ReadSettings(),
      r"all \d+ stamps of /odom are 0 s; the times of reception are used"),
+    ("stamps of whole seconds", lambda folder, log: write_bag(folder / "a.mcap", log, stamps="seconds"), ReadSettings(),
+     r"stamps \(9\d %\) of /odom repeat the previous one; the times of reception are used"),
     ("stamps since boot", lambda folder, log: write_bag(folder / "a.mcap", log, stamps="boot"), ReadSettings(),
      "do not overlap in time; the times of reception are used for both"),
     ("twelve splits", splits, ReadSettings(), ""),

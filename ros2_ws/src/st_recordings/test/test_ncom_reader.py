@@ -68,6 +68,7 @@ def test_only_packets_with_a_fix_and_a_time(tmp_path: Path) -> None:
     file.write_bytes(packets([0.0, 0.1], status=2) + packets([0.2 + 0.01 * k for k in range(20)]))
     log = read_ncom(file)
     assert len(log.time_ns) == 20
+    assert "2 of 22 packets (9.1 %) have no fix, no time or an invalid value; they were left out" in log.warnings[0]
     assert log.absolute
 
 

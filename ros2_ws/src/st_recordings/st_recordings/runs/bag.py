@@ -46,6 +46,8 @@ SUITE_RECORDS = {"recording", "configuration"}  # metadata records that recorder
 CLOSING_RECORD = "rosbag2"  # metadata record that a recorder writes when it closes a recording
 PREFERRED_TOPICS = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}
 """Type -> ending of the topic name that is preferred if several topics have this type."""
+MAX_REPEATED_STAMPS = 0.75
+"""If a larger fraction of the stamps repeats the previous one, the clock of the stamps is useless."""
 _ODOMETRY_FIELDS = ("header.stamp", "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation.x",
                     "pose.pose.orientation.y", "pose.pose.orientation.z", "pose.pose.orientation.w",
                     "twist.twist.linear.x", "twist.twist.linear.y", "twist.twist.angular.z")
@@ -169,16 +171,18 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
                                 columns: dict[str, dict[str, np.ndarray]]) -> list[str]:
     """Replaces meaningless stamps by the times of reception; returns a note on each replacement.
 
-    A driver or simulator may leave header.stamp at a constant value such as 0, or stamp two topics with unrelated
-    clocks. The times of reception are correct nevertheless.
+    A driver or simulator may leave header.stamp at a constant value such as 0, write whole seconds, or stamp two topics
+    with unrelated clocks. The times of reception are correct nevertheless.
     """
     notes = []
     for kind, topic in topics.items():
         stamps = columns[kind]["header.stamp"]
-        if len(stamps) > 1 and (stamps == stamps[0]).all():
+        repeated = int((np.diff(stamps) == 0).sum())
+        if repeated > MAX_REPEATED_STAMPS * len(stamps) or (len(stamps) == 2 and repeated):
             columns[kind]["header.stamp"] = _read_log_times(storage, topic, columns[kind])
-            notes.append(f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s; the times of reception are "
-                         "used")
+            count = (f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s" if repeated == len(stamps) - 1
+                     else f"{format_share(repeated, len(stamps), 'stamps')} of {topic} repeat the previous one")
+            notes.append(f"{count}; the times of reception are used")
     if len(topics) > 1 and not any(topic.endswith(RECONSTRUCTED) for topic in topics.values()):
         (a, b), names = (columns[kind]["header.stamp"] for kind in topics), list(topics.values())
         if len(a) > 1 and len(b) > 1 and max(a.min(), b.min()) > min(a.max(), b.max()):
@@ -285,7 +289,7 @@ def _odometry_rows(odometry: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict
     }
     missing = {signal: int((~np.isfinite(value)).sum()) for signal, value in values.items()}
     good = np.isfinite(np.stack(list(values.values()))).all(axis=0)
-    time_ns, rows, notes = _select_usable_messages(odometry["header.stamp"], good, "odometry messages")
+    time_ns, rows, notes = _select_usable_messages(odometry["header.stamp"], good, "odometry messages", missing)
     return time_ns, {k: np.unwrap(v[rows]) if k == "yaw" else v[rows] for k, v in values.items()}, missing, notes
 
 
@@ -296,7 +300,7 @@ def _drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], steeri
     good = np.isfinite(steering["road_wheel_angle"]) & steering["valid"].astype(bool)
     missing["road_wheel_angle"] = int((~good).sum())
     steering_ns, steering_rows, steering_notes = _select_usable_messages(
-        steering["header.stamp"], good, "steering messages")
+        steering["header.stamp"], good, "steering messages", {"the steering angle": missing["road_wheel_angle"]})
     wheel = steering["steering_wheel_angle"][steering_rows]
     log = make_drive_log(path, name, ins_time_ns=ins_ns, **values, steering_time_ns=steering_ns,
                          road_wheel_angle=steering["road_wheel_angle"][steering_rows],
@@ -304,14 +308,18 @@ def _drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], steeri
     return log, missing, [*notes, *steering_notes]
 
 
-def _select_usable_messages(time_ns: np.ndarray, good: np.ndarray,
-                            what: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """(strictly ascending times [ns] of the usable messages, their indices, notes)."""
+def _select_usable_messages(time_ns: np.ndarray, good: np.ndarray, what: str,
+                            missing: Mapping[str, int]) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """(strictly ascending times [ns] of the usable messages, their indices, notes).
+
+    missing: channel -> number of messages without a usable value.
+    """
     time = np.asarray(time_ns, np.int64)
     rows = np.flatnonzero(good & (time != 0))
     notes = []
     if (lost := len(time) - len(rows)):
-        missing = "usable value" if (time[good] != 0).all() else "usable value or no stamp"
-        notes.append(f"{format_share(lost, len(time), what)} have no {missing}; they were left out")
+        reasons = [f"usable value of {', '.join(names)}"] if (names := [k for k, n in missing.items() if n]) else []
+        reasons += ["stamp"] if (time == 0).any() else []
+        notes.append(f"{format_share(lost, len(time), what)} have no {' or no '.join(reasons)}; they were left out")
     kept, time_notes = select_usable_rows(time[rows], what)
     return time[rows[kept]], rows[kept], [*notes, *time_notes]

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+import zstandard
 from mcap.reader import NonSeekingReader
 from mcap.summary import Summary
 from rosbags.highlevel import AnyReader, AnyReaderError
@@ -29,6 +30,7 @@ from .cdr import READ_ERRORS, Block, Layout, read_blocks, read_summary
 from .errors import RunError, format_share, shorten
 
 EXTENSIONS = (".mcap", ".db3")
+ZSTD_MARK = b"\x28\xb5\x2f\xfd"
 RECOVERY_ADVICE = "if the recording was interrupted, repair it with `st recover`"
 
 
@@ -255,7 +257,7 @@ class SqliteStorage(Storage):
         text = ("SELECT messages.timestamp, messages.data FROM messages JOIN topics ON messages.topic_id = topics.id "
                 "WHERE topics.name = ? ORDER BY messages.timestamp")
         for file in self._files:
-            yield from self.query(file, text, topic)
+            yield from ((log_ns, _decompress(data)) for log_ns, data in self.query(file, text, topic))
 
     def definitions(self) -> dict[str, tuple[str, str]]:
         found: dict[str, tuple[str, str]] = {}
@@ -265,6 +267,16 @@ class SqliteStorage(Storage):
                                          "FROM message_definitions")
                 found |= {str(name): (str(encoding), str(text)) for name, encoding, text in rows}
         return found
+
+
+def _decompress(data: bytes) -> bytes:
+    """A message, decompressed if it is compressed; without metadata.yaml, only its first bytes show that."""
+    if data[:4] != ZSTD_MARK:
+        return data
+    try:
+        return zstandard.decompress(data)
+    except zstandard.ZstdError:
+        return data  # its reader reports the damage
 
 
 class RosbagsStorage(Storage):

@@ -28,6 +28,7 @@ _SCREEN_LINE = re.compile(
     r"([0-9A-F]{3}|[0-9A-F]{8})\s+\[(\d+)\]\s*((?:[0-9A-F]{2}\s*)*|remote request\s*)(?:'.*')?\s*$")
 UNSTAMPED_LINE = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
 """A line of candump without -l and without -t."""
+_ASC_LINE = re.compile(rb"^\s*\d+[.,]\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+[dr]\s", re.MULTILINE)
 _ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)(?=\s)")
 # Name of an error handler that decodes Windows-1252 bytes in a text that is otherwise UTF-8
 _CP1252_FALLBACK = "single_track_cp1252"
@@ -186,6 +187,8 @@ def _read_trc(lines: Lines, notes: list[str]) -> Any:
             return self._parse_cols(tuple(line.split(maxsplit=self._num_columns))) if line else None
 
         def _parse_msg_v1_0(self, columns: tuple[str, ...]) -> Any:
+            if not columns[3].isdigit():  # version 1.2, which is 1.3 without the reserved column
+                return self._parse_cols_v1_3((*columns[:5], "-", *columns[5:]))
             message = super()._parse_msg_v1_0(columns)
             if message is not None:  # version 1.0 may write every identifier with eight digits
                 message.is_extended_id = message.arbitration_id > 0x7FF
@@ -236,7 +239,7 @@ def _is_candump(head: bytes) -> bool:
 
 def _is_asc(head: bytes) -> bool:
     text = head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe" + b" \t\r\n")
-    return text[:5].lower() == b"date " or b"\nbase hex" in text or b"\nbase dec" in text
+    return text[:5].lower() == b"date " or b"\nbase hex" in text or b"\nbase dec" in text or bool(_ASC_LINE.search(text))
 
 
 FORMATS = (
@@ -249,17 +252,23 @@ FORMATS = (
         head.lstrip().startswith(b";") and (b"Start time:" in head or b"Message Number" in head)),
            _make_text_reader(_read_trc)),
 )
+SHARED_EXTENSIONS = (".log", ".txt", "")
+"""Extensions of CAN logs and of files of other programs."""
 EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *VENDOR_SUFFIXES}
 
 
 def is_can_log(file: Path) -> bool:
-    """Whether a file is a CAN log and not a .log file of another program; True if undecided."""
-    if file.suffix.lower() != ".log":
-        return True
+    """Whether a file is a CAN log, by its extension, or by its content if other programs use the extension too.
+
+    A .log file that is empty, compressed or unreadable is taken as a CAN log, so that its reader reports that.
+    """
+    extension = file.suffix.lower()
+    if extension not in SHARED_EXTENSIONS:
+        return extension in EXTENSIONS
     try:
         with file.open("rb") as stream:
             head = stream.read(4096)
     except OSError:
-        return True
-    return (not head or head[:4] in (b"MDF ", b"UnFi") or head.startswith(tuple(COMPRESSED_MARKS))
-            or any(kind.matches(head) for kind in FORMATS))
+        head = b""
+    return head[:4] in (b"MDF ", b"UnFi") or any(kind.matches(head) for kind in FORMATS) or (
+        extension == ".log" and (not head or head.startswith(tuple(COMPRESSED_MARKS))))

@@ -39,7 +39,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
         if source.can and reader.read_ins and not reader.needs_can and not settings.steering:
             reader = READERS["ncom"]  # it combines an INS recording of any kind with CAN logs
         loaded = reader.read(source, vehicle, settings)
-    start_ns = int(loaded.log.ins_time_ns[0]) if len(loaded.log.ins_time_ns) else 0
+    _check_size(source, loaded.log, loaded.warnings)
+    start_ns = int(loaded.log.ins_time_ns[0])
     log, implausible = drop_implausible(loaded.log, start_ns)
     if vehicle is not None and log.steering_wheel_angle is not None:
         log = log.with_steering(vehicle)
@@ -81,18 +82,24 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
 
 def check_coverage(source: RunSource, log: DriveLog) -> list[str]:
     """Warnings about time that only INS or only steering covers. Raises RunError if the two do not overlap in time."""
+    _check_size(source, log, ())
     spans = {"INS": log.ins_time_ns, "steering": log.steering_time_ns}
-    if min(map(len, spans.values())) < 2:
-        raise RunError(source.where, "it contains fewer than two measurements of INS or steering",
-                       "remove it from the command")
     if min(time[-1] for time in spans.values()) <= max(time[0] for time in spans.values()):
         raise RunError(source.where, "INS and steering were not recorded at the same time",
                        "check that the files belong to one drive, and check the offset if you gave one")
     seconds = {name: float(time[-1] - time[0]) * 1e-9 for name, time in spans.items()}
     return [f"{source.where}: {unused:.1f} of {seconds[name]:.1f} s of the {name} "
-            f"({100.0 * unused / seconds[name]:.0f} %) are not used: the {other} was not recorded then"
+            f"({100.0 * unused / seconds[name]:.0f} %) are not used: no usable sample of the {other} covers them"
             for name, other in (("INS", "steering"), ("steering", "INS"))
             if (unused := seconds[name] - log.overlap) > max(MIN_UNCOVERED_TIME, MIN_UNCOVERED_SHARE * seconds[name])]
+
+
+def _check_size(source: RunSource, log: DriveLog, notes: Iterable[str]) -> None:
+    """Raises RunError, with the notes, if fewer than two measurements remain."""
+    if min(len(log.ins_time_ns), len(log.steering_time_ns)) < 2:
+        what = "it contains fewer than two measurements of INS or steering"
+        reasons = (note.removeprefix(f"{source.where}: ") for note in notes)
+        raise RunError(source.where, "; ".join([what, *reasons]), "remove it from the command")
 
 
 def hash_files(paths: Iterable[Path]) -> dict[str, str]:

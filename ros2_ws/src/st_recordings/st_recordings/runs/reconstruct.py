@@ -276,9 +276,9 @@ def _is_list(value: Any) -> bool:
 
 
 def get_stamp(message: Any, log_ns: int) -> int:
-    """header.stamp [ns], or the log time if the message has no stamp or its stamp is zero."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    return (stamp.sec * 1_000_000_000 + stamp.nanosec if stamp else 0) or log_ns
+    """header.stamp or stamp [ns], or the log time if the message has neither or its stamp is zero."""
+    stamp = getattr(getattr(message, "header", message), "stamp", None)
+    return (stamp.sec * 1_000_000_000 + stamp.nanosec if hasattr(stamp, "nanosec") else 0) or log_ns
 
 
 def deserialise(where: Any, storage: Storage, topic: Topic, store: Typestore) -> Iterator[tuple[int, Any]]:

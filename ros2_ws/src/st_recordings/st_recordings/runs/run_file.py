@@ -129,7 +129,8 @@ def _build_run(path: Path, content: Mapping[str, Any], name: str, key: str, file
 
 def find_logs(file: Path, files: Sequence[Path]) -> list[Path]:
     """Finds the CAN logs among files that have the same folder and stem as a recording."""
-    return [f for f in files if f.stem == file.stem and f.parent == file.parent and f.suffix.lower() in CAN_EXTENSIONS]
+    return [f for f in files if f.stem == file.stem and f.parent == file.parent
+            and (f.suffix.lower() in CAN_EXTENSIONS or is_can_log(f))]
 
 
 def _find_parts(path: Path, key: str, value: Any) -> tuple[Path, ...]:
@@ -145,7 +146,7 @@ def _find_parts(path: Path, key: str, value: Any) -> tuple[Path, ...]:
 def _find_can_logs(path: Path, value: Any) -> list[Path]:
     return [f for entry in _find_matching_files(path, "can", value)
             for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
-            if f.is_file() and f.suffix.lower() in CAN_EXTENSIONS and (f == entry or is_can_log(f))]
+            if f.is_file() and (is_can_log(f) or (f == entry and f.suffix.lower() in CAN_EXTENSIONS))]
 
 
 def _find_matching_files(path: Path, key: str, value: Any) -> list[Path]:

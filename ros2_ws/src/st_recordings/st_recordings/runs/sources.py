@@ -121,7 +121,7 @@ def _search_folder(folder: Path) -> list[RunSource]:
 def _may_be_in_a_run(path: Path, files: Sequence[Path]) -> bool:
     """Whether a file that was found in a folder may belong to a run; False for tables and bags without a drive."""
     reader = find_reader(path)
-    if reader is None or reader.needs_can:
+    if reader is None or reader.needs_can or is_can_log(path):
         return True
     if path.suffix.lower() in TEXT_EXPORTS and not reader.has_drive(path) and any(
             other.stem == path.stem and other != path and find_reader(other) for other in files):
@@ -133,14 +133,14 @@ def _may_be_in_a_run(path: Path, files: Sequence[Path]) -> bool:
 def _is_document(file: Path) -> bool:
     """Whether a file has the extension of a document and is not a table with a recording."""
     reader = find_reader(file)
-    return file.suffix.lower() in DOCUMENT_EXTENSIONS and not (
+    return file.suffix.lower() in DOCUMENT_EXTENSIONS and not is_can_log(file) and not (
         reader and (reader.has_drive(file) or reader.is_ins_only(file) or reader.is_incomplete(file)))
 
 
 def _group_files(files: Sequence[Path], given: bool) -> list[RunSource]:
     """Groups single files into runs. given: whether the user named the files, so that an unknown type is a problem."""
-    readers = {f: reader for f in files if (reader := find_reader(f)) is not None}
-    logs = [f for f in files if f not in readers and f.suffix.lower() in CAN_EXTENSIONS and (given or is_can_log(f))]
+    readers = {f: reader for f in files if (reader := find_reader(f)) is not None and not is_can_log(f)}
+    logs = [f for f in files if f not in readers and (is_can_log(f) or (given and f.suffix.lower() in CAN_EXTENSIONS))]
     runs = [_reject_unknown_file(f) for f in files if given and f not in readers and f not in logs]
     for group in _group_split_bags([f for f in readers if f.suffix.lower() in BAG_EXTENSIONS and f.is_file()]):
         runs.append(RunSource(group[0].stem.rpartition("_")[0] or group[0].stem, readers[group[0]].kind, tuple(group)))
