@@ -120,7 +120,7 @@ LOGS: list[tuple[str, Callable[[list[str]], str], str, str]] = [
     ("run.log", lambda lines: replaced(lines, later(lines[5001])), "utf-8", ""),
     ("run.trc", lambda lines: trc(lines, True), "ascii", ""),
     ("run.trc", lambda lines: trc(lines, False), "ascii", ""),
-    ("run.trc", lambda lines: trc_1_2(lines), "cp1252", ""),
+    ("run.trc", trc_1_2, "cp1252", ""),
     ("run.asc", lambda lines: "\n".join(asc(lines).splitlines()[4:]), "utf-8", ""),
     ("run.txt", "\n".join, "utf-8", "is a candump log with the extension .txt"),
 ]
@@ -166,8 +166,8 @@ def test_steering_frames_without_a_usable_value_are_no_gap_of_the_logger(tmp_pat
 
 
 @pytest.mark.parametrize(("name", "warning"), [
-    ("run.log", r"\d+\.\d of 2\d\.\d s of the INS \(5\d %\) are not used: no usable sample of the steering covers them"),
-    ("run.ncom", r"\d+\.\d of 2\d\.\d s of the steering \(5\d %\) are not used: no usable sample of the INS covers them"),
+    ("run.log", r"\d+\.\d of 2\d\.\d s of the INS \(5\d %\) are not used: no usable sample of the steering"),
+    ("run.ncom", r"\d+\.\d of 2\d\.\d s of the steering \(5\d %\) are not used: no usable sample of the INS"),
 ])
 def test_a_file_that_ends_early_costs_the_rest_of_the_other(tmp_path: Path, drive, name: str, warning: str) -> None:
     """Whatever the format, no mark of its own shows that it is cut."""
