@@ -13,8 +13,7 @@ from oxts_bridge.channels import encode_channel
 from oxts_bridge.ncom import Packet, encode
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from st_recordings.mcap import BagWriter
-from st_recordings.runs import find_runs, read
-from st_recordings.runs import bag
+from st_recordings.runs import bag, find_runs, read
 from st_recordings.runs.bag import ODOMETRY, STEERING, definitions_folder, read_bag
 from st_recordings.runs.bag_storage import McapStorage, SqliteStorage
 from st_recordings.runs.cdr import INS_ON_CAN, INS_STATUS, NCOM, WHEEL_SPEEDS, Layout, load_typestore

@@ -239,7 +239,8 @@ def _is_candump(head: bytes) -> bool:
 
 def _is_asc(head: bytes) -> bool:
     text = head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe" + b" \t\r\n")
-    return text[:5].lower() == b"date " or b"\nbase hex" in text or b"\nbase dec" in text or bool(_ASC_LINE.search(text))
+    return text[:5].lower() == b"date " or any(part in text for part in (b"\nbase hex", b"\nbase dec")) or (
+        _ASC_LINE.search(text) is not None)
 
 
 FORMATS = (
