@@ -70,7 +70,7 @@ def trc(lines: list[str], wide: bool) -> str:
 
 def trc_1_2(lines: list[str]) -> str:
     begin = float(lines[0].split()[0][1:-1])
-    out = [";$FILEVERSION=1.2", ";$STARTTIME=45903.7500000579", ";   C:\\M\u00fcller\\run.trc", ";---+--   ----+----  +  --+--"]
+    out = [";$FILEVERSION=1.2", ";$STARTTIME=45903.7500000579", ";   C:\\M\u00fcller\\run.trc", ";---+--   ----+--"]
     for k, line in enumerate(lines, 1):
         stamp, channel, rest = line.split()[:3]
         identifier, data = rest.split("#")
