@@ -50,8 +50,8 @@ def read_ncom(file: Path) -> NcomLog:
                        "record for more than a few seconds; the unit sends it at least every 200 packets")
     found, total = np.flatnonzero(timed), int(regular.sum())
     if (lost := total - len(found)) > MAX_LOST_SHARE * total:
-        warnings.append(f"{file}: {format_share(lost, total, 'packets')} have no fix, no time or an invalid value; they "
-                        "were left out")
+        warnings.append(f"{file}: {format_share(lost, total, 'packets')} have no fix, no time or an invalid value; "
+                        "they were left out")
     used, notes = select_usable_rows(columns.utc_ns[found], "packets")
     rows = found[used]
     warnings += [f"{file}: {note}" for note in notes]
