@@ -277,7 +277,7 @@ def _is_list(value: Any) -> bool:
 
 def get_stamp(message: Any, log_ns: int) -> int:
     """header.stamp or stamp [ns], or the log time if the message has neither or its stamp is zero."""
-    stamp = getattr(getattr(message, "header", message), "stamp", None)
+    stamp: Any = getattr(getattr(message, "header", message), "stamp", None)
     return (stamp.sec * 1_000_000_000 + stamp.nanosec if hasattr(stamp, "nanosec") else 0) or log_ns
 
 
