@@ -166,10 +166,14 @@ def library_p_value(best: np.ndarray, gain: np.ndarray, scores: Scores, library:
     if blocks < 2:
         return 1.0
     p_score = (1 + int((scores.largest >= statistic(best)).sum())) / (1 + len(scores.largest))
-    spread = float(gain.std(ddof=1)) * np.sqrt(len(gain)) if len(gain) > 1 else np.inf
-    p_gain = float(stats.norm.sf(gain.sum() / max(spread, 1e-12)))
     ratio = 2.0 * max(float(gain.sum()), 0.0) / scores.design_effect
-    return min(max(p_score, p_gain), library * float(stats.f.sf(ratio / values, values, blocks - 1)), 1.0)
+    return min(max(p_score, no_worse(gain)), library * float(stats.f.sf(ratio / values, values, blocks - 1)), 1.0)
+
+
+def no_worse(difference: np.ndarray) -> float:
+    """p-value of the hypothesis that one loss is not higher than another. difference: (b,) by block."""
+    spread = float(difference.std(ddof=1)) * np.sqrt(len(difference)) if len(difference) > 1 else np.inf
+    return float(stats.norm.sf(difference.sum() / max(spread, 1e-12)))
 
 
 def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scores, partitions: Mapping[str, Partition],

@@ -6,11 +6,10 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import stats
 
 from ..effects import confounded_effects, get_effect
 from .decision import ACCEPTED, GAIN_INSIGNIFICANT, NULL, Rival, judge, judge_alternative
-from .evidence import Evidence, Scores, evidence, library_p_value, null_by_sensors, screen
+from .evidence import Evidence, Scores, evidence, library_p_value, no_worse, null_by_sensors, screen
 from .fit import Fit, Problem, Sensitivities
 from .loss import Quadratic
 from .partitions import Partition
@@ -439,9 +438,3 @@ def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, indice
         a = a + 1e-6 * (np.trace(a) / len(a) + 1e-9) * np.eye(len(a))
         d[free] = np.linalg.solve(a, g[free] - h[np.ix_(free, ~free)] @ d[~free])
     return float(d @ h @ d - 2.0 * g @ d), d
-
-
-def no_worse(difference: np.ndarray) -> float:
-    """p-value of the hypothesis that one loss is not higher than another. difference: (b,) by block."""
-    spread = float(difference.std(ddof=1)) * np.sqrt(len(difference)) if len(difference) > 1 else np.inf
-    return float(stats.norm.sf(difference.sum() / max(spread, 1e-12)))

@@ -8,7 +8,7 @@ from scipy import stats
 from ..channels import CHANNEL_OF_COLUMN, UNITS
 from ..effects import EFFECT_KINDS, get_effect
 from ..regression import random_effects
-from .evidence import TWO_SIDED, Joint, agreement, covariance, inverse
+from .evidence import TWO_SIDED, Joint, agreement, deviation, inverse
 from .fit import Fit, Problem
 from .partitions import Partition
 from .result import PARTS, BudgetLine, Change, ChannelError, FittedParameter, Step
@@ -81,15 +81,14 @@ def parameters(problem: Problem, fit: Fit, effect: str, partitions: Mapping[str,
     space, result = problem.space, {}
     indices = space.indices(effect)
     model_error = np.array([p.model_error for p in get_effect(effect).parameters if p.fit])
-    columns = np.searchsorted(fit.indices, indices)
-    spread = np.sqrt(np.maximum(np.diag(covariance(problem, fit))[columns], 0.0)) * space.scale[indices]
+    spread = deviation(problem, fit, effect)
     if problem.prior is not None:  # the values of the healthy car are uncertain as well
         spread = np.hypot(spread, np.sqrt(0.5 * np.diag(inverse(problem.prior))[indices]) * space.scale[indices])
     quantile = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.indices), 2)))
     half = quantile * spread
     if joint is not None:
-        deviation, shift = joint.of(indices)
-        joint_half = np.hypot(quantile * deviation, shift) * space.scale[indices] * max(unexplained, 1.0)
+        joint_spread, shift = joint.of(indices)
+        joint_half = np.hypot(quantile * joint_spread, shift) * space.scale[indices] * max(unexplained, 1.0)
         half = np.maximum(half, np.hypot(joint_half, TWO_SIDED * model_error))
     for partition in (partition for name, partition in partitions.items() if name != "place"):
         ratios = agreement(problem, fit, effect, *partition).ratios
