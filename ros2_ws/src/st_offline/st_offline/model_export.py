@@ -22,6 +22,8 @@ from st_recordings.paths import json_ready
 
 Format = Literal["casadi", "c"]
 STEPS = (0.01, 0.02, 0.05, 0.1)  # s; the description states the lowest stable speed for each
+MAX_LOG_SCALE = 60.0
+"""Limit of |log(scale^2)|; scales at the upper limit are finite in floats and far above any prediction error."""
 
 
 def load_model(name: str, vehicle: VehicleParameters, origin: str, requested: bool) -> tuple[Model, VehicleParameters]:
@@ -123,10 +125,6 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
         f"A step h is stable above this speed (the equations are stiff at low speed): {stable}.",
         f"Not in the equations: {missing}. They act on the steering signal before the model, or on the sensors; apply "
         "them outside." if missing else "", how))) + "\n"
-
-
-MAX_LOG_SCALE = 60.0
-"""Limit of |log(scale^2)|; scales at the upper limit are finite in floats and far above any prediction error."""
 
 
 def make_half_width_function(band: Band, level: float, vehicle: VehicleParameters,

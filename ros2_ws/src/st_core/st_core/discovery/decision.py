@@ -13,6 +13,8 @@ from .settings import Limits
     "accepted", "named", "minor", "too small", "gain not significant", "value not significant", "not relevant",
     "refuted by the sensors", "refuted by the vehicle file", "on a bound", "varies", "refuted by the axle forces",
     "implausible")
+PARTITION_NAMES = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",
+                   "condition": "the kinds of driving"}
 
 
 @dataclass(frozen=True)
@@ -224,10 +226,6 @@ def _describe_effect_size(e: Evidence, limits: Limits) -> str:
     channel_part = f"the baseline {CHANNELS[channel].label} error by {share:.1%} and " if channel else ""
     where = " in one driving condition" if e.position_somewhere > e.position else ""
     return f"it reduces {channel_part}the position error after 5 s by {100 * position_reduction(e):.1f} cm{where}"
-
-
-PARTITION_NAMES = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",
-                   "condition": "the kinds of driving"}
 
 
 def varying_partition(e: Evidence, limits: Limits) -> str:

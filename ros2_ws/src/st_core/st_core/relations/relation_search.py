@@ -24,6 +24,7 @@ MAX_DETECTABLE = 3.0  # typical magnitudes; model terms with a higher detection 
 MIN_REPORTED_RATIO = 1.25  # smallest reported ratio of the held-out errors of a run with and without the relation
 STEERING_TIMING = ("steering_rate", "lagging_steering")
 """Quantities of relations of the front steering that imitate a delayed or advanced steering signal."""
+Fitted = dict[Screened, RelationFit]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,9 +160,6 @@ def _select(screened: Sequence[Screened], fits: RelationFits, without: RelationF
                + (limits.relevant * number if s.candidate.factor else 0.0))
     relation, why = _make_relation(best, fitted, without, fits, p_values, settings, vehicle, named)
     return RelationSearch(relation, why, tried, detection_limits)
-
-
-Fitted = dict[Screened, RelationFit]
 
 
 def _fit_candidates(significant: Sequence[Screened], fits: RelationFits, without: RelationFit,

@@ -19,6 +19,8 @@ from .relation_fit import SMOOTHING, RelationFit, RelationFits
 
 DRAWS = 999  # number of draws of random block signs
 POINTS = 41  # number of points at which a curve is evaluated
+BOUND_MARGIN = 0.02  # fraction of the bound of the coefficients; a curve nearer to the bound counts as on it
+MIN_INFORMATION = 0.02  # fraction of the information on the relation; a run with less gets no separate estimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,10 +111,6 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
     design_effect = max(2.0 * float(np.einsum("bi,ij,bj->", after, inverse, after)) / degrees_of_freedom, 1.0)
     return Screened(candidate, float(total @ inverse @ total) / mean, drawn / mean, degrees_of_freedom, design_effect,
                     float((base - losses[smooth]).sum()), information)
-
-
-BOUND_MARGIN = 0.02  # fraction of the bound of the coefficients; a curve nearer to the bound counts as on it
-MIN_INFORMATION = 0.02  # fraction of the information on the relation; a run with less gets no separate estimate
 
 
 def lower_bound(values: np.ndarray, p: float) -> float:

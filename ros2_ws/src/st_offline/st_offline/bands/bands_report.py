@@ -21,6 +21,10 @@ from .scoring import Sums, pool_sums, summarise_adaptive, summarise_bands, top_l
 
 MODE_TITLES = {"hindsight": "model (measured inputs)", "forecast": "forecast (inputs held)"}
 NO_CONTENT: dict[str, Any] = {"models": {}}  # replaces the result of `summarise_bands` without scored runs
+NO_BANDS = ("[dim]no bands were given: calibrate them on other runs of this car with `st calibrate RUN… --vehicle FILE "
+            "--output bands.yaml`, and test them on these runs with `--bands bands.yaml`[/dim]")
+RESIDUAL = "what remains"  # key in evaluation.json
+REPORTED_SECONDS = ("1", "3", "5")  # prediction times in the table
 
 
 def draw_bands(content: dict[str, Any] | None, output: FigureOutput) -> list[PageFigure]:
@@ -49,10 +53,6 @@ def draw_bands(content: dict[str, Any] | None, output: FigureOutput) -> list[Pag
         return [save_figure(figure, output, "bands_reliability",
                             f"Reliability of the bands; largest deviation from {_percent(top)}: {worst}",
                             "Grey line: coverage equal to the nominal coverage. Below it, the band is too narrow.")]
-
-
-NO_BANDS = ("[dim]no bands were given: calibrate them on other runs of this car with `st calibrate RUN… --vehicle FILE "
-            "--output bands.yaml`, and test them on these runs with `--bands bands.yaml`[/dim]")
 
 
 def band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
@@ -130,10 +130,6 @@ def _format_pair(axes: dict[str, float] | None) -> str:
     if not axes or axes["longitudinal"] is None:
         return "-"
     return f"{axes['longitudinal']:.2f} | {axes['lateral']:.2f}"
-
-
-RESIDUAL = "what remains"  # key in evaluation.json
-REPORTED_SECONDS = ("1", "3", "5")  # prediction times in the table
 
 
 def collect_intervals(files: Sequence[ModelFile]) -> dict[str, Intervals]:

@@ -31,6 +31,7 @@ QUANTITY_UNITS = {**{f"{channel}_bias": unit for channel, unit in CHANNEL_UNITS.
                   **dict.fromkeys(("position_reference", "measuring_point"), "m")}
 ADVICE_PLACE = {"run.yaml": "in its run.yaml: ", "vehicle": "in the vehicle file: ", "option": "with the option ",
                 "look": ""}
+SEVERITY_STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
 
 
 def severity_rank(finding: Finding) -> int:
@@ -222,9 +223,6 @@ def residual_rms(comparison: Comparison) -> float:
     residual = np.asarray(comparison.measured) - np.asarray(comparison.derived)
     residual = residual[np.isfinite(residual)]
     return float(np.sqrt(np.square(residual).mean())) if len(residual) else float("nan")
-
-
-SEVERITY_STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
 
 
 def print_run(run: CheckedRun, console: Console) -> None:

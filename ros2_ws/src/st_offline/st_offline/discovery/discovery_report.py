@@ -30,6 +30,13 @@ from .vehicle_update import VehicleUpdate
 SCHEMA = 3
 FIRST_VERDICTS = ("alternative", "varies")  # these effects come first in the table of other effects
 MAX_ROWS = 8  # of a table; discovery.json contains all
+FILE_MEANINGS = {
+    "report.html": "one page, with all figures", "discovery.json": "all numbers; keys in docs/manual/discovery.md",
+    "vehicle.yaml": "the corrected vehicle file, for --vehicle of every command",
+    "effects": "the proposed relation as an effect; give its folder as --effects to st evaluate, st demo, st live",
+    "proposed.yaml": "a model with the relation, for --model with --effects and the original vehicle file",
+    "model.yaml": "effects to add to the vehicle file, for --model of st demo, st live, st evaluate"}
+MAX_ADVICE = 3  # sentences on the terminal; the page contains all
 
 
 def document(found: Discovery, request: Request, update: VehicleUpdate | None,
@@ -193,15 +200,6 @@ def _wide_tables(found: Discovery) -> list[Table]:
               f"the first {len(candidates)} of {len(tried)}; all in discovery.json"),
         Table("Not detectable in these drives", "", ("effect", "why", "recommended manoeuvre"), undetectable,
               f"the first {len(undetectable)} of {len(found.not_testable)}")]
-
-
-FILE_MEANINGS = {
-    "report.html": "one page, with all figures", "discovery.json": "all numbers; keys in docs/manual/discovery.md",
-    "vehicle.yaml": "the corrected vehicle file, for --vehicle of every command",
-    "effects": "the proposed relation as an effect; give its folder as --effects to st evaluate, st demo, st live",
-    "proposed.yaml": "a model with the relation, for --model with --effects and the original vehicle file",
-    "model.yaml": "effects to add to the vehicle file, for --model of st demo, st live, st evaluate"}
-MAX_ADVICE = 3  # sentences on the terminal; the page contains all
 
 
 def print_result(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive], files: Mapping[str, Path],

@@ -26,6 +26,9 @@ AFTER = MODEL_COLOUR["augmented"]
 HALF_WIDTH = 6.8  # inch; for two figures side by side on the page
 MIN_CHANGE = 0.005  # m; if the position error changes less, the most reduced channel error is reported instead
 MIN_ASPECT = 0.3  # width / length of a track; the axes of narrower tracks have different scales
+MAX_PANELS = 6
+MAX_ROWS = 14  # a partition with more parts is drawn in one row
+MAX_RATIO = 3.0  # end of the axis, at which intervals are cut off
 
 
 @dataclass(frozen=True)
@@ -192,11 +195,6 @@ def _aspect_ratio(log: DriveLog) -> float:
     """Smaller extent of the track, to the east or to the north, divided by the larger one."""
     width, height = np.ptp(log.x), np.ptp(log.y)
     return float(min(width, height) / max(width, height, 1e-9))
-
-
-MAX_PANELS = 6
-MAX_ROWS = 14  # a partition with more parts is drawn in one row
-MAX_RATIO = 3.0  # end of the axis, at which intervals are cut off
 
 
 def draw_agreement(scene: Scene) -> PageFigure | None:

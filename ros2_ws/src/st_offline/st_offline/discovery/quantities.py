@@ -13,6 +13,29 @@ from st_core.vehicle import VehicleParameters
 MAX_DECIMALS = 6  # numbers that need more are written with an exponent
 BOUND_TOLERANCE = Limits().at_bound  # distance from a bound, divided by the typical size of the parameter
 _DISPLAY = {"rad": ("°", 57.29577951308232), "rad/s": ("°/s", 57.29577951308232)}
+TERMS = {
+    "front_steer": "steering of the front wheels", "rear_steer": "steering of the rear wheels",
+    "front_force": "lateral force of the front axle", "rear_force": "lateral force of the rear axle",
+    "front_grip": "grip of the front axle", "rear_grip": "grip of the rear axle", "both_grip": "grip of both axles",
+    "yaw_moment": "yaw moment on the body", "side_force": "side force on the body",
+    "sensor_yaw_rate": "error of the yaw rate sensor", "sensor_acceleration_y": "error of the lateral accelerometer",
+    "sensor_velocity_y": "error of the lateral velocity of the INS",
+    "sensor_heading": "error of the heading of the INS",
+}
+QUANTITIES = {
+    "slip_front": "slip angle of the front axle", "slip_rear": "slip angle of the rear axle",
+    "steering": "road-wheel angle", "acceleration_y": "lateral acceleration", "acceleration_x": "forward acceleration",
+    "speed": "speed", "yaw_rate": "yaw rate", "steering_rate": "rate of the road-wheel angle",
+    "lagging_steering": "road-wheel angle, lagging by 0.2 s",
+    "lean": "lateral acceleration, lagging by 0.15 s like the roll angle", "north": "sine of the yaw angle",
+    "east": "cosine of the yaw angle", "position_x": "position to the east", "position_y": "position to the north",
+    "run_time": "time in the run",
+}
+SIGNS = {"acceleration_x": " (derivative of the forward speed, also where a bend slows the car; braking −)",
+         **dict.fromkeys(("slip_front", "slip_rear"), " (axle moving to its left +)"),
+         **dict.fromkeys(("steering", "steering_rate", "lagging_steering", "acceleration_y", "lean", "yaw_rate"),
+                         " (left +)")}
+"""Positive direction of a quantity."""
 
 
 def display_factor(unit: str) -> float:
@@ -105,31 +128,6 @@ def format_fitted(name: str, numbers: Mapping[str, float]) -> str:
 def format_deviation(deviation: float, unit: str) -> str:
     """Magnitude of a deviation from the neutral value; dimensionless ones in per cent."""
     return f"{float(f'{100 * abs(deviation):.2g}'):g} %" if unit == "1" else format_value(abs(deviation), unit)
-
-
-TERMS = {
-    "front_steer": "steering of the front wheels", "rear_steer": "steering of the rear wheels",
-    "front_force": "lateral force of the front axle", "rear_force": "lateral force of the rear axle",
-    "front_grip": "grip of the front axle", "rear_grip": "grip of the rear axle", "both_grip": "grip of both axles",
-    "yaw_moment": "yaw moment on the body", "side_force": "side force on the body",
-    "sensor_yaw_rate": "error of the yaw rate sensor", "sensor_acceleration_y": "error of the lateral accelerometer",
-    "sensor_velocity_y": "error of the lateral velocity of the INS",
-    "sensor_heading": "error of the heading of the INS",
-}
-QUANTITIES = {
-    "slip_front": "slip angle of the front axle", "slip_rear": "slip angle of the rear axle",
-    "steering": "road-wheel angle", "acceleration_y": "lateral acceleration", "acceleration_x": "forward acceleration",
-    "speed": "speed", "yaw_rate": "yaw rate", "steering_rate": "rate of the road-wheel angle",
-    "lagging_steering": "road-wheel angle, lagging by 0.2 s",
-    "lean": "lateral acceleration, lagging by 0.15 s like the roll angle", "north": "sine of the yaw angle",
-    "east": "cosine of the yaw angle", "position_x": "position to the east", "position_y": "position to the north",
-    "run_time": "time in the run",
-}
-SIGNS = {"acceleration_x": " (derivative of the forward speed, also where a bend slows the car; braking −)",
-         **dict.fromkeys(("slip_front", "slip_rear"), " (axle moving to its left +)"),
-         **dict.fromkeys(("steering", "steering_rate", "lagging_steering", "acceleration_y", "lean", "yaw_rate"),
-                         " (left +)")}
-"""Positive direction of a quantity."""
 
 
 def axis_label(c: Candidate) -> str:

@@ -40,6 +40,9 @@ EFFECT_NOTE = ("Errors are those of the complete model on held-out drives; \"wit
                f"{100 * LIMITS.relevant:g} % or the 5 s position error by at least {LIMITS.relevant_position:g} m. A "
                "sensor error that redundant sensors confirm is also named, if it is at least "
                f"{LIMITS.min_relative_size:g} times its typical size")
+PAIR_HEAD = ("effect", "alternative", f"share of the gain (limit {LIMITS.min_rival_gain:.0%})",
+             f"increase of the residual (limit {LIMITS.unexplained_share:.0%})",
+             f"p (limit {LIMITS.undecided_p:g})", "cosine", "separation, σ of the noise")
 
 
 def name_with_alternatives(found: Discovery, effect: result.FoundEffect, short: str = "") -> str:
@@ -216,11 +219,6 @@ def list_inseparable(found: Discovery) -> str:
               f"{100 * LIMITS.unexplained_share:g} % of a residual above {LIMITS.max_noise_ratio:g} times the noise)"
               ) if names else ""
     return f"not separable: {'; '.join((*names, *pairs))}{limits}" if names or pairs else ""
-
-
-PAIR_HEAD = ("effect", "alternative", f"share of the gain (limit {LIMITS.min_rival_gain:.0%})",
-             f"increase of the residual (limit {LIMITS.unexplained_share:.0%})",
-             f"p (limit {LIMITS.undecided_p:g})", "cosine", "separation, σ of the noise")
 
 
 def pair_rows(found: Discovery) -> list[tuple[str, ...]]:

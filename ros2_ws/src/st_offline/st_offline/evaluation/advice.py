@@ -35,6 +35,12 @@ from .work import Task, load_models
 REPETITIONS = 5  # measurements of each call
 MIN_MEASUREMENT_TIME = 0.02  # s, processor time
 MAX_BATCH = 960  # predictions: 20 groups of the 48 that compiled code advances together
+LATERAL = 1  # index in (longitudinal, lateral, yaw)
+BAND_LEVELS = (0.9, 0.5)
+WITHIN_SHARE = 0.9  # fraction of the starts that must be within the tolerance
+MIN_STARTS = 100  # in a speed bin; ten seconds of driving at 10 Hz, or more with fewer starts per second
+Key = tuple[str, float]  # model, step [s]
+STEP_MULTIPLES = (1, 2, 4)  # of the integration step of the task
 
 
 @dataclass(frozen=True)
@@ -82,12 +88,6 @@ def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: 
                                      seconds[model.name, step, "batch"]) for model in models for step in settings}
 
 
-LATERAL = 1  # index in (longitudinal, lateral, yaw)
-BAND_LEVELS = (0.9, 0.5)
-WITHIN_SHARE = 0.9  # fraction of the starts that must be within the tolerance
-MIN_STARTS = 100  # in a speed bin; ten seconds of driving at 10 Hz, or more with fewer starts per second
-
-
 @dataclass(frozen=True)
 class Accuracy:
     """Accuracy of one model and step with measured inputs, for each whole `second` ahead. rms: lateral error [m].
@@ -129,9 +129,6 @@ def model_accuracy(runs: Sequence[ErrorSamples], model: str, settings: Evaluatio
     return Accuracy(tuple(seconds), tuple(rms.tolist()), level, width, within)
 
 
-Key = tuple[str, float]  # model, step [s]
-
-
 def processor_time(cost: Cost) -> float:
     """Processor time of a single prediction [s], compiled if possible."""
     return cost.floats if cost.compiled is None else cost.compiled
@@ -147,9 +144,6 @@ def find_cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
     return {low: tuple(next((key for key in order if low in accuracies[key].within
                              and accuracies[key].within[low][k] <= tolerance), None) for k in range(seconds))
             for low in speeds}
-
-
-STEP_MULTIPLES = (1, 2, 4)  # of the integration step of the task
 
 
 @dataclass(frozen=True)

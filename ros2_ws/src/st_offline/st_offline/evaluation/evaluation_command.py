@@ -27,6 +27,7 @@ FILE_DESCRIPTIONS = {
     "seconds": "errors by second of the horizon", "bins": "errors by driving condition",
     "manoeuvres": "errors by part of the drive",
 }
+MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is restarted, and its run fails
 
 
 def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: str, vehicle_file: str, workers: int,
@@ -94,9 +95,6 @@ def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, schedul
             found[report.name] = report
             progress.advance(runs)
     return [found[source.name] for source in sources]
-
-
-MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is restarted, and its run fails
 
 
 def evaluate_runs(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,

@@ -29,6 +29,7 @@ SCHEMA = 2
 MAX_FIGURE_BYTES = 4_500_000  # on the page, so that it stays below 5 MB
 MAX_FIGURES = 6  # on the page; the others are written to files only
 MAX_RUNS = 40  # in the overview figure
+FORECAST_LABELS = {"forecast": "", "plan": "with the inputs of the plan ", "course": "with the inputs of the course "}
 
 
 @dataclass(frozen=True)
@@ -204,9 +205,6 @@ def headline(reports: Sequence[RunReport], over: str) -> str:
     ranked = sorted((size, m) for size, m in sizes if size is not None)
     name = reports[0].name if len(reports) == 1 else f"{len(reports)} runs"
     return f"{name}: lateral RMSE " + ", ".join(f"{model} {format_metres(size)} m" for size, model in ranked)
-
-
-FORECAST_LABELS = {"forecast": "", "plan": "with the inputs of the plan ", "course": "with the inputs of the course "}
 
 
 def summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str]:

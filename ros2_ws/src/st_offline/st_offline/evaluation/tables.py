@@ -21,6 +21,14 @@ from .drive_parts import DrivePart, assign_horizons
 STATISTICS = ("mean", "max", "rmse")
 
 Entry = dict[str, Any]
+DECIMALS = 2  # centimetres, as in the paper
+MIN_FORECAST_WIDTH = 100  # characters; a narrower terminal shows no forecasts
+REPORTED_AXES = ("longitudinal", "lateral")
+NOTE = "mean | max | RMSE over {what}, m; bold: smallest magnitude of each run"
+OVER_LABELS = {"means": "the horizon means", "samples": "all samples of all horizons"}
+
+Models = Mapping[str, Any]  # {model: {mode: entry}}
+Row = dict[str, Any]
 
 
 def summarise_errors(errors: ModelErrors, select: np.ndarray | slice = ALL_ROWS) -> Entry:
@@ -100,15 +108,6 @@ def _pool(entries: Sequence[Entry]) -> Entry:
 def _statistics(*values: float) -> Entry:
     """Statistics by name; None in place of NaN, which JSON cannot represent."""
     return {kind: float(v) if math.isfinite(v) else None for kind, v in zip(STATISTICS, values, strict=True)}
-
-
-DECIMALS = 2  # centimetres, as in the paper
-MIN_FORECAST_WIDTH = 100  # characters; a narrower terminal shows no forecasts
-REPORTED_AXES = ("longitudinal", "lateral")
-NOTE = "mean | max | RMSE over {what}, m; bold: smallest magnitude of each run"
-OVER_LABELS = {"means": "the horizon means", "samples": "all samples of all horizons"}
-
-Models = Mapping[str, Any]  # {model: {mode: entry}}
 
 
 def axis_statistics(models: Models, model: str, mode: str, axis: str, over: str) -> Mapping[str, float | None]:
@@ -191,9 +190,6 @@ def latex_table(reports: Sequence[Any], over: str, what: str) -> str:
 def _escape_tex(text: str) -> str:
     special = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
     return "".join(special.get(c, "\\" + c if c in "&%$#_{}" else c) for c in text)
-
-
-Row = dict[str, Any]
 
 
 def write_csv(file: Path, rows: Iterator[Row]) -> None:

@@ -40,6 +40,10 @@ from .drawing import FigureOutput, PageFigure
 from .drive_parts import segment_drive
 from .run_figures import Drawing, describe_ranking, draw_run
 
+PLANNED_INPUTS = ("planned_road_wheel_angle", "planned_velocity_x_dot")
+"""Columns of a CSV [rad, left +; m/s^2]: inputs at the time of the row, as planned before the prediction started."""
+PLANNED_PATH = ("planned_speed", "planned_curvature")  # alternative columns, for the CG [m/s; 1/m, left +]
+
 
 @dataclass(frozen=True)
 class Task:
@@ -231,11 +235,6 @@ def write_starts(file: Path, evaluation: LogEvaluation) -> None:
                **{f"{model}_{mode}_{axis}_mean": format_numbers(errors.mean[:, k], 5)
                   for (model, mode), errors in evaluation.errors.items() for k, axis in enumerate(AXES)}}
     tables.write_csv(file, (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)))
-
-
-PLANNED_INPUTS = ("planned_road_wheel_angle", "planned_velocity_x_dot")
-"""Columns of a CSV [rad, left +; m/s^2]: inputs at the time of the row, as planned before the prediction started."""
-PLANNED_PATH = ("planned_speed", "planned_curvature")  # alternative columns, for the CG [m/s; 1/m, left +]
 
 
 def future_inputs(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters, prediction: PredictionSettings,

@@ -28,6 +28,9 @@ MAX_POINTS = 4000  # in a scatter plot; more points would only overlap
 PAPER_COLOUR, FIT_COLOUR = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
 DEG = np.rad2deg(1.0)
 DISPLAY_UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
+MAX_DISAGREEMENT = 0.15  # relative difference of two stiffnesses
+STIFFNESS_ADVICE = "Steering ratio or lever arm may be wrong: run `st identify steering` and `st identify ins` first."
+RECORDINGS_HELP = "recordings of drives (several are better): folders, .ncom with CAN logs, bags, CSV"
 
 
 def draw_offset(found: Identification, output: FigureOutput) -> PageFigure:
@@ -199,11 +202,6 @@ def _format_estimate(estimate: Estimate) -> str:
     value, uncertainty = estimate.value * factor, estimate.standard_uncertainty * factor
     text = f"{format_rounded(value, uncertainty)} +/- {format_rounded(uncertainty, uncertainty)}"
     return text if unit == "1" else f"{text} {unit}"
-
-
-MAX_DISAGREEMENT = 0.15  # relative difference of two stiffnesses
-STIFFNESS_ADVICE = "Steering ratio or lever arm may be wrong: run `st identify steering` and `st identify ins` first."
-RECORDINGS_HELP = "recordings of drives (several are better): folders, .ncom with CAN logs, bags, CSV"
 
 
 def drive_experiment(name: str, what: str, needs: str, compute: Callable[..., Identification], draw,

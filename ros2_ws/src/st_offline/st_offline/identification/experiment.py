@@ -15,6 +15,9 @@ from st_recordings.runs.errors import RunError, check_readable
 
 from ..evaluation.drawing import FigureOutput, PageFigure
 
+COLUMN_NAMES = ("parameter", "value", "±", "95 % interval", "unit", "in the file", "status")
+SI_FACTORS = {"kg": 1.0, "n": 1.0, "kn": 1000.0, "m": 1.0, "mm": 0.001, "rad": 1.0, "deg": math.pi / 180.0}
+
 
 @dataclass(frozen=True)
 class Setup:
@@ -47,9 +50,6 @@ class Experiment:
     drives: bool = False
 
 
-COLUMN_NAMES = ("parameter", "value", "±", "95 % interval", "unit", "in the file", "status")
-
-
 def estimate_rows(found: Identification, vehicle: VehicleParameters) -> list[Sequence[str]]:
     """Table row of each estimate, with the columns of COLUMN_NAMES; "in the file" is the value of `vehicle`."""
     rows: list[Sequence[str]] = []
@@ -70,9 +70,6 @@ def format_rounded(value: float, uncertainty: float) -> str:
         return f"{value:.5g}"
     decimals = min(1 - math.floor(math.log10(uncertainty)), 12)
     return f"{round(value, decimals):.{max(decimals, 0)}f}"
-
-
-SI_FACTORS = {"kg": 1.0, "n": 1.0, "kn": 1000.0, "m": 1.0, "mm": 0.001, "rad": 1.0, "deg": math.pi / 180.0}
 
 
 @dataclass(frozen=True)

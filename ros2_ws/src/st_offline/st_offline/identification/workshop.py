@@ -20,6 +20,13 @@ from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_fig
 from .experiment import Experiment, Setup, Table, read_columns
 
 NOTES = ("weighing", "driver", "payload")  # columns of text
+ANGLES = {"steering_wheel": ("deg", "rad"), "left_wheel": ("deg", "rad"), "right_wheel": ("deg", "rad")}
+LOADS = {"rear_left": ("kg",), "rear_right": ("kg",)}
+RADII = {"front_radius": ("m", "mm"), "rear_radius": ("m", "mm")}
+OTHER_COLUMNS = {"pitch": ("deg", "rad"), "lift": ("m", "mm"), "car_mass": ("kg",)}
+TYRE_COLUMNS = {"load": ("n", "kn", "kg"), "slip_angle": ("deg", "rad"), "lateral_force": ("n", "kn")}
+# The first three colours are those of the paper, darkened for a white background.
+LOAD_COLOURS = ("#3baa32", "#1792b5", "#d1048b", "#8c6d1f", "#5a5a5a", "#7e2f8e")
 
 
 def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
@@ -75,9 +82,6 @@ SCALES = Experiment("scales", "mass and CG position from four wheel scales",
                     identify_scales, draw_scales)
 
 
-ANGLES = {"steering_wheel": ("deg", "rad"), "left_wheel": ("deg", "rad"), "right_wheel": ("deg", "rad")}
-
-
 def identify_ratio(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
     """Identify the steering ratio; each file has one or more sweeps, named in the column `series`."""
     columns, names = [], []
@@ -126,11 +130,6 @@ def draw_ratio(found: Identification, output: FigureOutput) -> PageFigure:
 STEERING_RATIO = Experiment("steering-ratio", "steering ratio from turntables",
                             "CSV: steering_wheel_deg, left_wheel_deg, right_wheel_deg; left positive",
                             identify_ratio, draw_ratio)
-
-
-LOADS = {"rear_left": ("kg",), "rear_right": ("kg",)}
-RADII = {"front_radius": ("m", "mm"), "rear_radius": ("m", "mm")}
-OTHER_COLUMNS = {"pitch": ("deg", "rad"), "lift": ("m", "mm"), "car_mass": ("kg",)}
 
 
 def identify_height(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
@@ -199,11 +198,6 @@ def draw_height(found: Identification, output: FigureOutput) -> PageFigure:
 CG_HEIGHT = Experiment("cg-height", "CG height from the axle-lift test (ISO 10392)",
                        "CSV: pitch_deg, rear_left_kg, rear_right_kg, front_radius_m, rear_radius_m; one row per pitch",
                        identify_height, draw_height)
-
-
-TYRE_COLUMNS = {"load": ("n", "kn", "kg"), "slip_angle": ("deg", "rad"), "lateral_force": ("n", "kn")}
-# The first three colours are those of the paper, darkened for a white background.
-LOAD_COLOURS = ("#3baa32", "#1792b5", "#d1048b", "#8c6d1f", "#5a5a5a", "#7e2f8e")
 
 
 def identify_lambda(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
