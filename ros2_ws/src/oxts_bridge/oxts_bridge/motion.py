@@ -231,20 +231,10 @@ class Origin:
         return self.frame
 
 
-class ReconstructedOdometry(NamedTuple):
-    """Content of one odometry message. stamp_ns: UTC [ns since 1970]. position: ENU relative to the origin [m].
-    velocity [m/s], rate [rad/s]: FLU."""
-
-    stamp_ns: int
-    position: Vector
-    orientation: Quaternion
-    velocity: Vector
-    rate: Vector
-
-
 def reconstruct_odometry(packets: Iterable[tuple[int, bytes]], origin: Origin, live: bool = True,
-                         by_receive_time: bool = False) -> Iterator[ReconstructedOdometry]:
-    """Odometry from recorded packets, bit-identical to the messages of the live node.
+                         by_receive_time: bool = False) -> Iterator[tuple[int, Vector, Motion]]:
+    """(UTC [ns since 1970], ENU position relative to the origin [m], motion) of each odometry message that the live
+    node publishes for recorded packets, bit-identical.
 
     packets: (time of receipt [ns since 1970], 72 bytes), in order of receipt. origin: as configured in the node.
     live: the packets came from a unit, not from a replayed file. by_receive_time: stamp_source was "receive".
@@ -265,5 +255,4 @@ def reconstruct_odometry(packets: Iterable[tuple[int, bytes]], origin: Origin, l
                 minute.update(received, received_ns, parser.clock)
             stamp = received_ns if by_receive_time else received.utc_ns
             if motion is not None and frame is not None and stamp is not None:
-                yield ReconstructedOdometry(stamp, motion.position(frame), motion.attitude.quaternion(),
-                                            motion.body_velocity, motion.angular_velocity)
+                yield stamp, motion.position(frame), motion

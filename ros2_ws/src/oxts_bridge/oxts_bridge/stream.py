@@ -185,24 +185,17 @@ class StreamStatistics:
         """Count a new regular packet, unless its time is unknown."""
         if received.gps_ns is None:
             return
-        if self._last_gps_ns is not None and received.gps_ns > self._last_gps_ns:
-            self._count_step(received.gps_ns - self._last_gps_ns)
+        if self._last_gps_ns is not None and (step := received.gps_ns - self._last_gps_ns) > 0:
+            self._steps += 1
+            self._covered_ns += step
+            self._longest_ns = max(self._longest_ns, step)
+            typical = self._typical_ns or step
+            # Adapts slowly: a changed rate becomes typical, but a lost packet has little effect.
+            self._typical_ns = typical + min(step - typical, typical) // 64
+            self.gaps += step > GAP_STEPS * typical
         self._last_gps_ns = received.gps_ns
         if received.received_ns is not None and received.utc_ns is not None:
             self._offsets.append(received.utc_ns - received.received_ns)
-
-    def _count_step(self, step: int) -> None:
-        self._steps += 1
-        self._covered_ns += step
-        self._longest_ns = max(self._longest_ns, step)
-        if not self._typical_ns:
-            self._typical_ns = step
-        elif step > GAP_STEPS * self._typical_ns:
-            self.gaps += 1
-            # Adapts slowly: a changed rate becomes typical, but a lost packet has little effect.
-            self._typical_ns += min(step - self._typical_ns, self._typical_ns) // 64
-        else:
-            self._typical_ns += (step - self._typical_ns) // 64
 
     def take(self) -> tuple[float, float]:
         """Mean rate [1/s] and longest step [s] since the previous call."""

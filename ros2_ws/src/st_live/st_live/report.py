@@ -166,7 +166,7 @@ def _format_cell(models: dict[str, Any], mode: str, axis: str, row: dict[str, An
 
 
 def make_headline(summary: dict[str, Any]) -> str:
-    """Text for a title: the lateral RMSE in hindsight, the best model first."""
+    """Title of the figure: the lateral RMSE in hindsight, the best model first."""
     lateral = {m: v["hindsight"]["lateral"]["rmse"] for m, v in summary["models"].items()}
     known = sorted((value, model) for model, value in lateral.items() if value is not None)
     if not known:

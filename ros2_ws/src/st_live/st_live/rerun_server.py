@@ -71,15 +71,6 @@ class _Handler(BaseHTTPRequestHandler):
         """Do not log requests."""
 
 
-def rerun_environment(folder: Path) -> dict[str, str]:
-    """Environment in which Rerun stores its own files in `folder` and sends no usage data."""
-    (folder / "rerun").mkdir(parents=True, exist_ok=True)
-    (folder / "rerun" / "analytics.json").write_text(json.dumps({
-        "analytics_enabled": False, "analytics_id": "", "metadata": {},
-        "config_file_path": str(folder / "rerun" / "analytics.json"), "data_dir_path": str(folder / "rerun")}))
-    return dict.fromkeys(("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME"), str(folder))
-
-
 class RecordingView:
     """Server of a recording; leaving its `with` block ends Rerun's process.
 
@@ -98,7 +89,14 @@ class RecordingView:
         recording = f"http://{LOOPBACK}:{self._page.server_port}{RECORDING}"
         self.url = f"http://{LOOPBACK}:{self._page.server_port}/?url={quote(recording, safe='')}"
         self._processes = Processes(folder)
-        self._processes.environment |= rerun_environment(folder / "settings")
+        # Rerun stores its own files in this folder and sends no usage data.
+        settings = folder / "settings" / "rerun"
+        settings.mkdir(parents=True, exist_ok=True)
+        (settings / "analytics.json").write_text(json.dumps({
+            "analytics_enabled": False, "analytics_id": "", "metadata": {},
+            "config_file_path": str(settings / "analytics.json"), "data_dir_path": str(settings)}))
+        self._processes.environment |= dict.fromkeys(
+            ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME"), str(settings.parent))
         # Start the executable directly: it would survive the end of its wrapper script `rerun`. Given a URL, it starts
         # no server for recordings, which would use 3 % of a core while idle.
         found = importlib.util.find_spec("rerun_cli")

@@ -39,7 +39,6 @@ class Scheduling:
 
 
 def read_scheduling() -> Scheduling:
-    """Current scheduling of this process."""
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     priority = os.sched_getparam(0).sched_priority if policy in _REALTIME else 0
     return Scheduling(_POLICIES.get(policy, f"policy {policy}"), priority, os.getpriority(os.PRIO_PROCESS, 0),

@@ -68,7 +68,10 @@ class Driver:
         elif demand.steer == "path":
             fast_enough = speed > MIN_STEERING_SPEED
             if self._holding and fast_enough:
-                self._continue_from_here(s)
+                # Move the road to the car after a phase with a held steering wheel: its curvature is then continuous.
+                course = s[YAW] + math.atan2(s[VY], s[VX])
+                self.plan.path.anchor(self.distance, Pose(s[X], s[Y], course))
+                self._offset_integral = 0.0
             if fast_enough:
                 angle = self._steer_along(s, speed) * self.car.steering_ratio
                 self._target = min(max(angle, -MAX_STEERING_WHEEL_ANGLE), MAX_STEERING_WHEEL_ANGLE)
@@ -86,12 +89,6 @@ class Driver:
         for _ in range(2):
             road = self.plan.path.pose(self.distance)
             self.distance += math.cos(road.yaw) * (x - road.x) + math.sin(road.yaw) * (y - road.y)
-
-    def _continue_from_here(self, s: tuple[float, ...]) -> None:
-        """Move the road to the car after a phase with a held steering wheel, so that the curvature is continuous."""
-        course = s[YAW] + math.atan2(s[VY], s[VX])
-        self.plan.path.anchor(self.distance, Pose(s[X], s[Y], course))
-        self._offset_integral = 0.0
 
     def _steer_along(self, s: tuple[float, ...], speed: float) -> float:
         """Road-wheel angle [rad] for the curvature ahead and to return to the road within the preview distance."""

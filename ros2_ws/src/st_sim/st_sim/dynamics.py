@@ -29,19 +29,9 @@ X, Y, Z, YAW, VX, VY, YAW_RATE, RACK, COMPLIANCE_ANGLE, S_FL, S_FR, S_RL, S_RR, 
 STATES = A_X + 1
 
 
-class TyreCoefficients(NamedTuple):
-    """F_z0 [N], C, p_ky1 F_z0 lambda [N/rad], 1 / (p_ky2 F_z0) [1/N], and p_ky4 to p_ey3 as in `tyre_force`."""
-
-    nominal: float
-    shape: float
-    stiffness: float
-    inverse_load: float
-    p_ky4: float
-    p_dy1: float
-    p_dy2: float
-    p_ey1: float
-    p_ey2: float
-    p_ey3: float
+TyreCoefficients = tuple[float, ...]
+"""F_z0 [N], C, p_ky1 F_z0 lambda [N/rad], 1 / (p_ky2 F_z0) [1/N], p_ky4, p_dy1, p_dy2, p_ey1, p_ey2, p_ey3; see
+`tyre_force`."""
 
 
 class Constants(NamedTuple):
@@ -101,8 +91,8 @@ def tyre_coefficients(tyre: Tyre, stiffness_factor: float) -> TyreCoefficients:
     """Coefficients of one tyre with its cornering stiffness K scaled by a factor."""
     nominal = tyre.nominal_load
     stiffness = tyre.p_ky1 * nominal * tyre.lambda_ky * stiffness_factor
-    return TyreCoefficients(nominal, tyre.p_cy1, stiffness, 1.0 / (tyre.p_ky2 * nominal), tyre.p_ky4, tyre.p_dy1,
-                            tyre.p_dy2, tyre.p_ey1, tyre.p_ey2, tyre.p_ey3)
+    return (nominal, tyre.p_cy1, stiffness, 1.0 / (tyre.p_ky2 * nominal), tyre.p_ky4, tyre.p_dy1, tyre.p_dy2,
+            tyre.p_ey1, tyre.p_ey2, tyre.p_ey3)
 
 
 def tyre_force(tyre: TyreCoefficients, slip_angle: float, load: float, friction_factor: float) -> tuple[float, float]:

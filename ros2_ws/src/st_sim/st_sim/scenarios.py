@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path as FilePath
-from typing import Any, Protocol
+from typing import Any
 
 from st_core.manoeuvres import CATALOGUE, Manoeuvre, PiecewiseLinear
 
@@ -35,21 +35,8 @@ class Demand:
     steer: str | OpenLoopSteering = "path"
 
 
-class Plan(Protocol):
-    """Targets of the driver along a path. start: distance along the path at which the drive begins [m]."""
-
-    path: Path
-    start: float
-
-    def speed_at(self, distance: float) -> float:
-        """Initial speed at a distance [m/s]."""
-        ...
-
-    def demand(self, time: float, distance: float, speed: float) -> Demand: ...
-
-
 class RoadPlan:
-    """Plan that follows a road with its speed profile."""
+    """Plan that follows a road with its speed profile. start: distance along the path at which the drive begins [m]."""
 
     def __init__(self, pieces: Sequence[Piece], acceleration: float = 1.2, braking: float = 1.5, start: float = 0.0):
         self.path = Path(pieces)
@@ -57,6 +44,7 @@ class RoadPlan:
         self.start = start
 
     def speed_at(self, distance: float) -> float:
+        """Initial speed at a distance [m/s]."""
         return self._profile.at(distance)[0]
 
     def demand(self, time: float, distance: float, speed: float) -> Demand:
@@ -112,6 +100,9 @@ class OpenLoopPlan:
     def demand(self, time: float, distance: float, speed: float) -> Demand:
         angle = partial(self._manoeuvre.steering, time)
         return Demand(self._manoeuvre.speed, 0.0, (lambda wheelbase: float(angle(wheelbase))) if time >= 0 else "path")
+
+
+Plan = RoadPlan | PhasePlan | OpenLoopPlan
 
 
 def make_plan(manoeuvre: Manoeuvre) -> Plan:

@@ -93,16 +93,13 @@ class ControlledCar:
         rate, which the plant's steering follows. velocity_x_dot [m/s^2]: converted to a drive force with the nominal
         mass; cornering resistance is compensated, but not drag, slopes and tyre limits.
         """
-        plant, target = self.plant, road_wheel_angle * self.car.steering_ratio
+        car, plant, target = self.car, self.plant, road_wheel_angle * self.car.steering_ratio
         max_step = MAX_STEERING_WHEEL_RATE * plant.time_step
         for _ in range(round(duration / plant.time_step)):
             self.steering_wheel_angle += min(max(target - self.steering_wheel_angle, -max_step), max_step)
-            plant.step(self.steering_wheel_angle, self._drive_force(velocity_x_dot))
+            s = plant.state
+            # Cornering resistance per mass: lateral force of the front axle times the sine of the steering angle.
+            resistance = abs(s[VX] * s[YAW_RATE] * sin(s[RACK])) * car.cg_to_rear_axle / car.wheelbase
+            acceleration = velocity_x_dot + resistance - s[VY] * s[YAW_RATE]
+            plant.step(self.steering_wheel_angle, car.mass * min(max(acceleration, -MAX_BRAKING), MAX_DRIVE))
             self._count += 1
-
-    def _drive_force(self, velocity_x_dot: float) -> float:
-        # Cornering resistance per mass: lateral force of the front axle times the sine of the steering angle.
-        s = self.plant.state
-        resistance = abs(s[VX] * s[YAW_RATE] * sin(s[RACK])) * self.car.cg_to_rear_axle / self.car.wheelbase
-        target = velocity_x_dot + resistance - s[VY] * s[YAW_RATE]
-        return self.car.mass * min(max(target, -MAX_BRAKING), MAX_DRIVE)

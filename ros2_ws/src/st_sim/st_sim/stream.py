@@ -5,8 +5,7 @@ import socket
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from enum import IntEnum
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import can
 from canedge_bridge.transport import open_bus
@@ -15,9 +14,12 @@ from oxts_bridge.ncom import INITIALISING, LOCKED, LOCKING
 from .can_wire import FRAME_TIME, Background, CanWire, Frame
 from .ncom_wire import NO_DATA, RAW_IMU, NcomWire
 from .plant import Truth
+from .recorded_drive import RecordedDrive
 from .sensors import Ins, Loss, SteeringSensor, read_wheel_speeds
 from .settings import Settings, SimulationError
+from .simulation import SimulatedCar
 
+Source = SimulatedCar | RecordedDrive
 TICK_MS = 2
 TRUTH_PERIOD_MS = 10
 # Period and phase [ms]; the control units of the car are not synchronous with the INS.
@@ -28,30 +30,13 @@ LATE_THRESHOLD = 0.005  # s after the deadline; an output sent later counts as l
 INITIALISING_END, LOCKING_DURATION = 7.0, 11.0  # s, phases of the start-up of an INS
 
 
-class Kind(IntEnum):
-    NCOM = 0
-    CAN = 1
-    TRUTH = 2
-
-
 class Output(NamedTuple):
     """One output. due: time of sending [s since the start]. order: rank among outputs with the same due time. payload:
-    an NCOM packet, a Frame or a Truth."""
+    an NCOM packet, a frame or a true state."""
 
     due: float
     order: int
-    kind: Kind
-    payload: Any
-
-
-class Source(Protocol):
-    """A simulated car or a recorded drive. duration: in s, None if unlimited."""
-
-    duration: float | None
-
-    def advance(self, time: float) -> None: ...
-
-    def truth(self) -> Truth: ...
+    payload: bytes | Frame | Truth
 
 
 def find_start_up_status(time: float) -> tuple[int, float] | None:
@@ -102,7 +87,7 @@ class Stream:
         if now % self._ins_period == 0:
             self._send_ins(self._source.truth(), time)
         if now % TRUTH_PERIOD_MS == 0:
-            self._push(time, Kind.TRUTH, self._source.truth())
+            self._push(time, self._source.truth())
         if now % STEERING_SCHEDULE[0] == STEERING_SCHEDULE[1]:
             truth = self._source.truth()
             frames = self._can.steering(self._steering.read(truth), truth.steering_wheel_rate)
@@ -124,18 +109,18 @@ class Stream:
         due = time + self._settings["ins_latency"] + delay
         packet = self._ncom.packet(reading, status)
         if not self._ins_loss.loses(time):
-            self._push(due, Kind.NCOM, packet)
+            self._push(due, packet)
         if status >= INITIALISING:
             self._send_frames(self._can.ins(reading), due + INS_CAN_DELAY)
 
     def _send_frames(self, frames: list[Frame], due: float) -> None:
         for i, frame in enumerate(frames):
             if not self._can_loss.loses(due):
-                self._push(due + i * FRAME_TIME, Kind.CAN, frame)
+                self._push(due + i * FRAME_TIME, frame)
 
-    def _push(self, due: float, kind: Kind, payload: bytes | Frame | Truth) -> None:
+    def _push(self, due: float, payload: bytes | Frame | Truth) -> None:
         self._pushed += 1
-        heapq.heappush(self._queue, Output(due, self._pushed, kind, payload))
+        heapq.heappush(self._queue, Output(due, self._pushed, payload))
 
 
 @dataclass
@@ -197,16 +182,16 @@ def send(outputs: Iterable[Output], send_ncom: Callable[[bytes], object], send_f
         deadline = time.monotonic() if started is None else started + output.due
         wait = deadline - time.monotonic()
         # Only frames may be sent early: a packet must not arrive before its time of measurement.
-        if wait > (0.0 if output.kind is Kind.NCOM else EARLY_TOLERANCE):
+        if wait > (0.0 if isinstance(output.payload, bytes) else EARLY_TOLERANCE):
             time.sleep(wait)
         if stopped():
             break
         due = output.due
-        if output.kind is Kind.TRUTH:
+        if isinstance(output.payload, Truth):
             if record_truth is not None:
                 record_truth(output.payload)
             continue
-        if output.kind is Kind.NCOM:
+        if isinstance(output.payload, bytes):
             send_ncom(output.payload)
         else:
             send_frame(output.payload, due)

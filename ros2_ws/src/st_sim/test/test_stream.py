@@ -8,14 +8,15 @@ from canedge_bridge.decode import Decoder
 from oxts_bridge.channels import decode_channel
 from oxts_bridge.motion import LocalFrame
 from oxts_bridge.stream import NcomParser
-from st_sim.can_wire import CAR_CAN_RATE, INS_BUS, VEHICLE_BUS, CanWire
+from st_sim.can_wire import CAR_CAN_RATE, INS_BUS, VEHICLE_BUS, CanWire, Frame
 from st_sim.car import read_car
 from st_sim.ncom_wire import CYCLE, UNDULATION, NcomWire, Origin, from_ecef, make_schedule, to_ecef
+from st_sim.plant import Truth
 from st_sim.scenarios import load
 from st_sim.sensors import Ins, SteeringSensor
 from st_sim.settings import resolve
 from st_sim.simulation import SimulatedCar
-from st_sim.stream import Kind, Stream
+from st_sim.stream import Stream
 from support import ROOT
 
 CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
@@ -37,12 +38,12 @@ def outputs(seconds, effects=(), scenario="S6", plant="ideal", rate=100, seed=0,
 
 
 def of(kind, made):
-    return [o for o in made if o.kind is kind]
+    return [o for o in made if isinstance(o.payload, kind)]
 
 
 def parsed(made):
     parser = NcomParser()
-    received = [r for o in of(Kind.NCOM, made) for r in parser.feed(o.payload)]
+    received = [r for o in of(bytes, made) for r in parser.feed(o.payload)]
     return received, parser
 
 
@@ -82,7 +83,7 @@ def test_ncom_of_a_tilted_car():
     """Roll and pitch include body and road; heading and velocity are horizontal."""
     made = outputs(3, ["bank_angle=0.05", "roll_gradient=0.0075"], scenario="S3")
     received, _ = parsed(made)
-    truth = of(Kind.TRUTH, made)[200].payload
+    truth = of(Truth, made)[200].payload
     packet = received[200].packet
     assert packet.roll == pytest.approx(truth.roll, abs=1e-6) and truth.roll > 0.06
     across, lift = -packet.acceleration[1], -packet.acceleration[2]
@@ -130,7 +131,7 @@ def test_lever_arm_of_the_antenna_is_known_after_every_status_channel():
 def test_unit_that_starts_up():
     made = outputs(30, start_up=True)
     received, parser = parsed(made)
-    due = [o.due for o in of(Kind.NCOM, made)]
+    due = [o.due for o in of(bytes, made)]
     status = np.array([r.packet.navigation_status for r in received])
     assert [s for i, s in enumerate(status) if i == 0 or s != status[i - 1]] == [0, 1, 2, 3, 4]
     assert (status <= 1).sum() == 20 and all(r.utc_ns is None for r in received[:20])
@@ -150,7 +151,7 @@ def test_can_equals_the_truth_within_its_resolution():
     decoder = codec()
     expected = {round(t.time * 500): t for t in truths(12, "S6", 500)}
     seen = {}
-    for o in of(Kind.CAN, outputs(12)):
+    for o in of(Frame, outputs(12)):
         decoded = decoder.decode(o.payload.message, START_NS + round(o.due * 1e9))
         if decoded is None:
             # 0x421 and 0x601: in the DBC, but not used by the suite.
@@ -190,7 +191,7 @@ def test_can_equals_the_truth_within_its_resolution():
 
 
 def test_bus_traffic():
-    ids = [o.payload.message.arbitration_id for o in of(Kind.CAN, outputs(2, background=True))]
+    ids = [o.payload.message.arbitration_id for o in of(Frame, outputs(2, background=True))]
     car = [i for i in ids if not 0x600 <= i <= 0x608 and not 0x630 <= i <= 0x634]
     # 0x60D of the car's own traffic lies in the range of the INS but is none of its frames here.
     assert len(car) / 2 == pytest.approx(CAR_CAN_RATE, rel=0.02)
@@ -203,9 +204,9 @@ def test_sorted_and_delayed_as_set():
     made = outputs(2, ["ins_latency=0.02", "steering_sensor_latency=0.03"])
     assert [o.due for o in made] == sorted(o.due for o in made)
     received, _ = parsed(made)
-    late = [o.due - (r.utc_ns - START_NS) / 1e9 for o, r in zip(of(Kind.NCOM, made), received, strict=True)]
+    late = [o.due - (r.utc_ns - START_NS) / 1e9 for o, r in zip(of(bytes, made), received, strict=True)]
     assert late == pytest.approx([0.02] * len(late))
-    first = next(o for o in of(Kind.CAN, made) if o.payload.message.arbitration_id == 2)
+    first = next(o for o in of(Frame, made) if o.payload.message.arbitration_id == 2)
     assert first.due == pytest.approx(0.002 + 0.03)
 
 
@@ -215,7 +216,7 @@ def test_losses_leave_gaps_the_receiver_can_count():
     assert not [t for t in times if 5.0 <= t < 6.0] and times[-1] > 7.9
     assert len(times) == pytest.approx(0.9 * 700, rel=0.05)
     decoder = codec()
-    for o in of(Kind.CAN, made):
+    for o in of(Frame, made):
         decoder.decode(o.payload.message, START_NS + round(o.due * 1e9))
     statistics = decoder.statistics("Leaf_Steering")
     assert statistics.lost == pytest.approx(80, abs=25) and statistics.wrong_checksum == 0

@@ -91,7 +91,6 @@ class PredictionBands:
                 self._scorer.add_prediction(model, start.time_ns, trajectory, mode)
 
     def check(self) -> Check:
-        """Diagnostic check of the bands."""
         if self._reason:
             return Check("bands", diagnostics.WARN, f"no band: {self._reason}")
         if self._calibrated:

@@ -37,7 +37,6 @@ class PlanInput:
         self._counts = {"received": 0, "used": 0, "refused": 0}
 
     def drain(self) -> None:
-        """Read all queued messages and keep the newest plan."""
         for message, _, _ in self._subscription.take(QUEUE_DEPTH):
             self._counts["received"] += 1
             self._plan = convert.planned_inputs(message, self._frame, self._vehicle)

@@ -44,7 +44,7 @@ class TickCounter:
     """Counts ticks from the first one with inputs. rclpy's timer keeps its time grid and drops the ticks it missed."""
 
     def __init__(self) -> None:
-        self.predicted = self.stale = self.overrun = self.slow = 0
+        self._counts = {"predicted": 0, "stale": 0, "overrun": 0, "slow": 0}
         self._started = False
         self._next_due_ns: int | None = None
         self._reported_overruns = 0
@@ -61,26 +61,21 @@ class TickCounter:
 
         skipped: why it made no prediction, "stale" (inputs) or "slow" (below the minimum speed).
         """
-        if not self._started and skipped == "stale":
-            return
-        self.overrun += missed if self._started else 0
-        self._started = True
-        if skipped is None:
-            self.predicted += 1
-        elif skipped == "slow":
-            self.slow += 1
-        else:
-            self.stale += 1
+        if self._started or skipped != "stale":
+            self._counts["overrun"] += missed if self._started else 0
+            self._counts[skipped or "predicted"] += 1
+            self._started = True
 
     def new_overruns(self) -> int:
         """Number of overruns since the last call."""
-        new, self._reported_overruns = self.overrun - self._reported_overruns, self.overrun
-        return new
+        before, self._reported_overruns = self._reported_overruns, self._counts["overrun"]
+        return self._reported_overruns - before
 
     def as_dict(self) -> dict[str, int]:
         """The counts by field name of st_msgs/PredictorStatus."""
-        return {"due": self.predicted + self.stale + self.overrun + self.slow, "predicted": self.predicted,
-                "skipped_stale": self.stale, "skipped_overrun": self.overrun, "skipped_slow": self.slow}
+        predicted, stale, overrun, slow = self._counts.values()
+        return {"due": sum(self._counts.values()), "predicted": predicted, "skipped_stale": stale,
+                "skipped_overrun": overrun, "skipped_slow": slow}
 
 
 class PredictorNode(Node):

@@ -95,7 +95,6 @@ class RecorderNode(Node):
         self.get_logger().info(f"recording into {self._bag.directory}")
 
     def _subscribe_new(self) -> None:
-        """Subscribe to new topics that match the patterns."""
         for topic, types in self.get_topic_names_and_types():
             is_new = topic not in self._recorded and topic not in self._refused
             matches = any(fnmatchcase(topic, pattern) for pattern in self._patterns)
