@@ -20,7 +20,7 @@ from urllib.parse import quote
 from rich.console import Console
 from st_ros.scheduling import lower_priority
 
-from .suite import VIEW_NICE, Processes, SuiteError
+from .suite import VIEW_NICE, Child, Processes, SuiteError
 
 LOOPBACK = "127.0.0.1"
 READY_TIMEOUT = 20.0  # s
@@ -71,62 +71,56 @@ class _Handler(BaseHTTPRequestHandler):
         """Do not log requests."""
 
 
-class RecordingView:
-    """Server of a recording; leaving its `with` block ends Rerun's process.
+def show_recording(folder: Path, file: Path, console: Console) -> None:
+    """Serve a recording (.rrd), print its address, open it in the browser on a terminal, and wait for Ctrl-C.
 
-    folder: for settings and logs. file: a recording (.rrd). Raises SuiteError without rerun-sdk or if the start fails.
+    folder: for settings and logs. Raises SuiteError without rerun-sdk or if the start fails.
     """
-
-    def __init__(self, folder: Path, file: Path):
-        check_rerun("st view")
-        lower_priority(VIEW_NICE)
-        with socket.socket() as probe:
-            probe.bind((LOOPBACK, 0))
-            source = probe.getsockname()[1]
-        handler = type("Handler", (_Handler,), {"source_port": source, "recording": file})
-        self._page = ThreadingHTTPServer((LOOPBACK, 0), handler)
-        threading.Thread(target=self._page.serve_forever, name="page", daemon=True).start()
-        recording = f"http://{LOOPBACK}:{self._page.server_port}{RECORDING}"
-        self.url = f"http://{LOOPBACK}:{self._page.server_port}/?url={quote(recording, safe='')}"
-        self._processes = Processes(folder)
-        # Rerun stores its own files in this folder and sends no usage data.
-        settings = folder / "settings" / "rerun"
-        settings.mkdir(parents=True, exist_ok=True)
-        (settings / "analytics.json").write_text(json.dumps({
-            "analytics_enabled": False, "analytics_id": "", "metadata": {},
-            "config_file_path": str(settings / "analytics.json"), "data_dir_path": str(settings)}))
-        self._processes.environment |= dict.fromkeys(
-            ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME"), str(settings.parent))
-        # Start the executable directly: it would survive the end of its wrapper script `rerun`. Given a URL, it starts
-        # no server for recordings, which would use 3 % of a core while idle.
-        found = importlib.util.find_spec("rerun_cli")
-        assert found and found.submodule_search_locations
-        self._rerun = self._processes.start("rerun", [
-            str(Path(found.submodule_search_locations[0], "rerun")), recording, "--serve-web", "--bind", LOOPBACK,
-            "--web-viewer-port", str(source), "--hide-welcome-screen"])
-        end = time.monotonic() + READY_TIMEOUT
-        while not _listens(source):
-            if self._rerun.process.poll() is not None or time.monotonic() > end:
-                self._processes.stop(timeout=STOP_TIMEOUT)
-                output = self._rerun.last_lines() or "no output"
-                raise SuiteError(f"the server of the view did not start: {output} (log: {self._rerun.log})")
-            time.sleep(0.1)
-
-    def show(self, console: Console) -> None:
-        """Print the address, open the browser on a terminal, and wait for Ctrl-C or the end of the server."""
-        show_address(self.url, console)
+    check_rerun("st view")
+    lower_priority(VIEW_NICE)
+    with socket.socket() as probe:
+        probe.bind((LOOPBACK, 0))
+        source = probe.getsockname()[1]
+    handler = type("Handler", (_Handler,), {"source_port": source, "recording": file})
+    page, processes = ThreadingHTTPServer((LOOPBACK, 0), handler), Processes(folder)
+    threading.Thread(target=page.serve_forever, name="page", daemon=True).start()
+    recording = f"http://{LOOPBACK}:{page.server_port}{RECORDING}"
+    try:
+        rerun = _start_rerun(processes, recording, source)
+        show_address(f"http://{LOOPBACK}:{page.server_port}/?url={quote(recording, safe='')}", console)
         console.print("Ctrl-C ends the view.")
-        try:
-            self._rerun.process.wait()
-        except KeyboardInterrupt:
-            console.print()
+        rerun.process.wait()
+    except KeyboardInterrupt:
+        console.print()
+    finally:
+        processes.stop(timeout=STOP_TIMEOUT)
+        page.shutdown()
 
-    def __enter__(self) -> "RecordingView":
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        self._processes.stop(timeout=STOP_TIMEOUT)
-        self._page.shutdown()
+def _start_rerun(processes: Processes, recording: str, port: int) -> Child:
+    """Start Rerun with the address of a recording and wait until its page is available at a port."""
+    # Rerun stores its own files in this folder and sends no usage data.
+    settings = processes.folder / "settings" / "rerun"
+    settings.mkdir(parents=True, exist_ok=True)
+    (settings / "analytics.json").write_text(json.dumps({
+        "analytics_enabled": False, "analytics_id": "", "metadata": {},
+        "config_file_path": str(settings / "analytics.json"), "data_dir_path": str(settings)}))
+    processes.environment |= dict.fromkeys(
+        ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME"), str(settings.parent))
+    # Start the executable directly: it would survive the end of its wrapper script `rerun`. Given a URL, it starts
+    # no server for recordings, which would use 3 % of a core while idle.
+    found = importlib.util.find_spec("rerun_cli")
+    assert found and found.submodule_search_locations
+    rerun = processes.start("rerun", [
+        str(Path(found.submodule_search_locations[0], "rerun")), recording, "--serve-web", "--bind", LOOPBACK,
+        "--web-viewer-port", str(port), "--hide-welcome-screen"])
+    end = time.monotonic() + READY_TIMEOUT
+    while not _listens(port):
+        if rerun.process.poll() is not None or time.monotonic() > end:
+            output = rerun.last_lines() or "no output"
+            raise SuiteError(f"the server of the view did not start: {output} (log: {rerun.log})")
+        time.sleep(0.1)
+    return rerun
 
 
 def _listens(port: int) -> bool:

@@ -8,15 +8,15 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import NoReturn
 
 from canedge_bridge.decode import Decoder
 
 from .can_wire import STEERING_MESSAGE, CanWire
-from .car import Car, read_car
+from .car import read_car
 from .files import LogFile, Mf4File, TruthFile, make_folder
 from .ncom_wire import NcomWire, Origin
 from .recorded_drive import RecordedDrive
@@ -24,7 +24,7 @@ from .scenarios import SCENARIOS, load
 from .sensors import Ins, SteeringSensor
 from .settings import SETTINGS, SimulationError, overrides, resolve
 from .simulation import SimulatedCar
-from .stream import LiveOutput, Report, Source, Stream, send
+from .stream import LiveOutput, Output, Report, Source, Stream, send
 
 DEFAULT_DURATION = 60.0  # s
 START_GRID_NS = 20_000_000  # drives start on this UTC grid, so that epochs at 100 and 250 Hz are whole milliseconds
@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def check(arguments: Sequence[str]) -> None:
     """Check arguments as main() does before it starts. Raises SimulationError with a message of one line."""
     try:
-        _prepare(_parser().parse_args(arguments))
+        _Run(_parser().parse_args(arguments))
     except (OSError, ValueError) as error:
         raise SimulationError(_one_line(error)) from None
 
@@ -77,24 +77,37 @@ def _watch_signals() -> Callable[[], bool]:
     return lambda: bool(received)
 
 
-@dataclass(frozen=True)
 class _Run:
     """Inputs of a run, checked before it starts. about: entries of the metadata record `run` in truth.mcap."""
 
-    car: Car
-    settings: dict[str, float]
-    source: Source
-    codec: Decoder
-    origin: Origin
-    duration: float
-    about: dict[str, object]
+    def __init__(self, options: argparse.Namespace):
+        if not options.vehicle:
+            raise SimulationError("--vehicle is missing; the Leaf is config/vehicle/leaf.yaml")
+        self._options, self._car = options, read_car(options.vehicle)
+        self._codec = Decoder(*_find_can_tables(options))
+        self.settings = _settings(options)
+        if options.drive:
+            self._source: Source = RecordedDrive(options.drive, self._car)
+        else:
+            self._source = SimulatedCar(self._car, self.settings, load(options.scenario), options.seed)
+        longest = self._source.duration
+        self.duration = options.duration if options.duration is not None else longest or DEFAULT_DURATION
+        if not 0 < self.duration <= 1e6:
+            raise SimulationError(f"--duration {self.duration:g}: must be above 0 and at most 1000000 s")
+        if longest is not None:
+            self.duration = min(self.duration, longest)
+        self.about = {
+            "scenario": "" if options.drive else options.scenario, "drive": options.drive.name if options.drive else "",
+            "vehicle": self._car.name, "plant": options.plant or "", "seed": options.seed,
+            "ncom_rate": options.ncom_rate, "changed_settings": json.dumps(overrides(self.settings))}
+        self._origin = _origin(options.origin)
 
-    def make_stream(self, options: argparse.Namespace, start_ns: int) -> Stream:
-        seed = options.seed
-        return Stream(self.source, self.settings, Ins(self.car, self.settings, 1 / options.ncom_rate, seed),
-                      SteeringSensor(self.car, self.settings, seed), NcomWire(self.origin, start_ns, options.ncom_rate),
-                      CanWire(self.codec, self.origin, start_ns), options.ncom_rate, seed, options.can_rate == "full",
-                      options.startup)
+    def outputs(self, start_ns: int) -> Iterator[Output]:
+        options, settings, rate = self._options, self.settings, self._options.ncom_rate
+        return Stream(self._source, settings, Ins(self._car, settings, 1 / rate, options.seed),
+                      SteeringSensor(self._car, settings, options.seed), NcomWire(self._origin, start_ns, rate),
+                      CanWire(self._codec, self._origin, start_ns), rate, options.seed, options.can_rate == "full",
+                      options.startup).outputs(self.duration)
 
 
 def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
@@ -114,28 +127,6 @@ def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
             return dbc, signals
     raise SimulationError(f"--config {config or 'is missing'}: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the CAN tables "
                           "of the virtual car, not found; give the folder config/ of the project")
-
-
-def _prepare(options: argparse.Namespace) -> _Run:
-    if not options.vehicle:
-        raise SimulationError("--vehicle is missing; the Leaf is config/vehicle/leaf.yaml")
-    car = read_car(options.vehicle)
-    codec = Decoder(*_find_can_tables(options))
-    settings = _settings(options)
-    source: Source
-    if options.drive:
-        source = RecordedDrive(options.drive, car)
-    else:
-        source = SimulatedCar(car, settings, load(options.scenario), options.seed)
-    duration = options.duration if options.duration is not None else source.duration or DEFAULT_DURATION
-    if not 0 < duration <= 1e6:
-        raise SimulationError(f"--duration {duration:g}: must be above 0 and at most 1000000 s")
-    if source.duration is not None:
-        duration = min(duration, source.duration)
-    about = {"scenario": "" if options.drive else options.scenario,
-             "drive": options.drive.name if options.drive else "", "vehicle": car.name, "plant": options.plant or "",
-             "seed": options.seed, "ncom_rate": options.ncom_rate, "changed_settings": json.dumps(overrides(settings))}
-    return _Run(car, settings, source, codec, _origin(options.origin), duration, about)
 
 
 def _settings(options: argparse.Namespace) -> dict[str, float]:
@@ -163,7 +154,7 @@ def _origin(text: str) -> Origin:
 
 
 def _live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> None:
-    run = _prepare(options)
+    run = _Run(options)
     with contextlib.ExitStack() as resources:
         output = LiveOutput(options.ncom_host, options.ncom_port, options.can_interface, options.can_channel)
         resources.callback(output.close)
@@ -174,7 +165,7 @@ def _live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> No
         if options.output:
             truth = TruthFile(make_folder("--output", options.output) / "truth.mcap", start_ns, run.settings, run.about)
             resources.callback(truth.close)
-        outputs = run.make_stream(options, start_ns).outputs(run.duration)
+        outputs = run.outputs(start_ns)
         # A higher priority, if permitted, helps to keep the deadlines.
         with contextlib.suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, 0, -10)
@@ -188,7 +179,7 @@ def _live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> No
 
 def _to_files(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> None:
     """Write the drive to files. CAN frames are stamped by the logger's clock, which has offset and drift."""
-    run = _prepare(options)
+    run = _Run(options)
     start_ns = FILE_EPOCH_NS + options.seed * 3_600_000_000_000  # one hour later for each seed
     folder = make_folder("--to-files", options.to_files)
     offset, drift = run.settings["logger_clock_offset"], run.settings["logger_clock_drift"]
@@ -200,7 +191,7 @@ def _to_files(options: argparse.Namespace, stop_requested: Callable[[], bool]) -
         truth = TruthFile(folder / "truth.mcap", start_ns, run.settings, run.about)
         files.callback(truth.close)
         written = send(
-            run.make_stream(options, start_ns).outputs(run.duration), ncom.write,
+            run.outputs(start_ns), ncom.write,
             lambda frame, due: frames.write(start_ns + round((due * (1 + drift) + offset) * 1e9), frame),
             truth.write, stop_requested, Report())
     _report(state="done", duration=round(written, 3), seconds=round(time.monotonic() - began, 3))

@@ -20,7 +20,7 @@ def view(
     import tempfile
 
     from rich.console import Console
-    from st_live.rerun_server import RecordingView, check_new_rerun_file, check_rerun
+    from st_live.rerun_server import check_new_rerun_file, check_rerun, show_recording
     from st_live.suite import SuiteError
 
     # SIGTERM acts like Ctrl-C, so that the server is stopped and the temporary folder removed.
@@ -43,8 +43,7 @@ def view(
         elif save:
             raise SuiteError(f"--save {save}: {recording} is already a saved view; leave out --save")
         if not save:
-            with RecordingView(Path(name), file) as page:
-                page.show(console)
+            show_recording(Path(name), file, console)
 
 
 def foxglove(
