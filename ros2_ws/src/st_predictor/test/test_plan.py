@@ -117,8 +117,8 @@ def test_a_plan_of_speed_and_curvature_predicts_far_better_than_held_inputs(path
 
 
 @pytest.mark.parametrize(("changes", "reason"), [
-    ({"speed": [1.0, 1.0]}, "expected a value of one pair"), ({"velocity_x_dot": [0.0]}, "expected a value of one pair"),
-    ({"time": []}, "expected a value of one pair"), ({"time": [0.0, float("nan")]}, "time is not finite"),
+    ({"speed": [1.0, 1.0]}, "value of one pair"), ({"velocity_x_dot": [0.0]}, "value of one pair"),
+    ({"time": []}, "value of one pair"), ({"time": [0.0, float("nan")]}, "time is not finite"),
 ])
 def test_a_malformed_message_is_refused(changes: dict[str, list[float]], reason: str) -> None:
     car = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
