@@ -6,7 +6,6 @@ A jump is one large d. A stale position, which is older by one receiver interval
 by v h, and the next new position an equal step forward.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -106,22 +105,18 @@ def _check_jumps(motion: Motion, errors: np.ndarray, stale: np.ndarray, rounding
             f"{median:.2f} m, largest {largest:.2f} m")
     share = min(count * HORIZON / max(float(motion.time[-1] - motion.time[0]), 1.0), 1.0)
     effect = median * float(np.sqrt(share))
-    return [Finding("position_jumps", LIMITS.severity(effect, largest >= LIMITS.warning), ("x", "y"), text,
-                    float(count), "1", None, where[:MAX_LISTED_JUMPS], effect, _leave_out_jumps(where))]
-
-
-def _leave_out_jumps(where: Sequence[tuple[float, float]]) -> Advice:
-    """Advice to leave out the jumps, because no prediction is scored across the resulting gaps."""
-    if len(where) > MAX_LISTED_JUMPS:
-        return Advice("look", "too many jumps to leave out: record with RTK, or post-process the raw data of the INS")
-    gaps: list[list[float]] = []
+    gaps: list[list[float]] = []  # no prediction is scored across the gaps that result from leaving out the jumps
     for first, last in where:
         begin, end = round(first - JUMP_MARGIN, 2), round(last + JUMP_MARGIN, 2)
         if gaps and begin <= gaps[-1][1]:
             gaps[-1][1] = end
         else:
             gaps.append([begin, end])
-    return Advice("run.yaml", f"leave_out: {gaps}", {"leave_out": gaps})
+    advice = Advice("run.yaml", f"leave_out: {gaps}", {"leave_out": gaps})
+    if count > MAX_LISTED_JUMPS:
+        advice = Advice("look", "too many jumps to leave out: record with RTK, or post-process the raw data of the INS")
+    return [Finding("position_jumps", LIMITS.severity(effect, largest >= LIMITS.warning), ("x", "y"), text,
+                    float(count), "1", None, where[:MAX_LISTED_JUMPS], effect, advice)]
 
 
 def _check_noise(motion: Motion, errors: np.ndarray) -> list[Finding]:

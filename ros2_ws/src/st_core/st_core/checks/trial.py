@@ -160,24 +160,22 @@ def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log
         return None
     unstable = np.interp(speed, speeds, np.max(list(factors.values()), axis=0)) > 1.0
     affected = speed[unstable] if unstable.any() else speed[:1]
-    value, unit, advice = _step_advice(chosen, vehicle, speeds.tolist(), step)
+    needed = slip_speed_needed(chosen, vehicle, speeds.tolist(), step)
+    shorter = None if needed is not None else next(
+        (step / parts for parts in STEP_DIVISORS if are_stable(chosen, vehicle, speeds.tolist(), step / parts)), None)
+    if needed is not None:
+        line = f'minimum_slip_speed: {{value: {needed:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'
+        if any(isinstance(model, AugmentedModel) for model in chosen):
+            line += "  # then rerun st discover: a model file is valid for its own vehicle file only"
+        advice = Advice("vehicle", line, {"minimum_slip_speed": needed})
+    elif shorter is not None:
+        advice = Advice("option", f"--step {shorter:.9g}", {"step": shorter})
+    else:
+        advice = Advice("look", f"no step down to {1e3 * step / MAX_SUBSTEPS:.2g} ms is short enough: check the "
+                        "vehicle's yaw_inertia, mass and stiffnesses, and the effects of the model")
+    value, unit = (shorter, "s") if needed is None else (needed, "m/s")
     text = (f"integration steps of {1e3 * step:g} ms are too long for the {' and '.join(unstable_models)} model of "
             f"{vehicle.name} at {affected.min():.1f} to {affected.max():.1f} m/s: the lateral motion is wrong")
     seconds = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
     where = () if unstable.all() else stretches(seconds[unstable], MERGE_GAP)
     return Finding("step_too_long", Severity.WARNING, ("velocity_x",), text, value, unit, where=where, advice=advice)
-
-
-def _step_advice(models: Sequence[Model], vehicle: VehicleParameters, speeds: Sequence[float],
-                 step: float) -> tuple[float | None, str, Advice]:
-    needed = slip_speed_needed(models, vehicle, speeds, step)
-    if needed is not None:
-        line = f'minimum_slip_speed: {{value: {needed:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'
-        if any(isinstance(model, AugmentedModel) for model in models):
-            line += "  # then rerun st discover: a model file is valid for its own vehicle file only"
-        return needed, "m/s", Advice("vehicle", line, {"minimum_slip_speed": needed})
-    shorter = next((step / parts for parts in STEP_DIVISORS if are_stable(models, vehicle, speeds, step / parts)), None)
-    if shorter is not None:
-        return shorter, "s", Advice("option", f"--step {shorter:.9g}", {"step": shorter})
-    return None, "s", Advice("look", f"no step down to {1e3 * step / MAX_SUBSTEPS:.2g} ms is short enough: check "
-                             "the vehicle's yaw_inertia, mass and stiffnesses, and the effects of the model")

@@ -156,8 +156,16 @@ def axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tu
 def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tuple[
         tuple[AxleRegression, AxleRegression], np.ndarray, tuple[tuple[str, str], ...]]:
     """(regressions, correlation of the two stiffnesses (2, 2), (run, reason why samples are left out))."""
-    masks, rejected = zip(*(_select_samples(run) for run in runs), strict=True)
-    times = [run.time for run in runs]
+    masks, rejected, times = [], [], [run.time for run in runs]
+    for run in runs:
+        slow = np.abs(run.velocity_x) < MIN_SPEED
+        straight = ~slow & (np.abs(run.yaw_rate) * MAX_RADIUS < np.abs(run.velocity_x))
+        hard = ~slow & ~straight & (np.abs(run.lateral_acceleration) > MAX_ACCELERATION)
+        masks.append(~(slow | straight | hard))
+        reasons = {f"slower than {MIN_SPEED:g} m/s": slow, f"straighter than R = {MAX_RADIUS:g} m": straight,
+                   f"beyond {MAX_ACCELERATION:g} m/s^2": hard}
+        rejected += [(run.name, f"{int(mask.sum())} of {len(run)} samples {reason}")
+                     for reason, mask in reasons.items() if mask.any()]
     covered = (
         signal_coverage("cornering speed", "m/s", SPEED_EDGES,
                         [run.velocity_x[m] for run, m in zip(runs, masks, strict=True)], times, 2.0, 1),
@@ -174,7 +182,7 @@ def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tupl
         influences = np.stack([slopes[0][3][front_rows], slopes[1][3][rear_rows]])
         if len(front_rows) > 2 and (influences.std(axis=1) > 0.0).all():
             correlation = np.corrcoef(influences)
-    return (front, rear), correlation, tuple(r for rows in rejected for r in rows)
+    return (front, rear), correlation, tuple(rejected)
 
 
 def _fit_slope(samples: AxleSamples) -> Slope:
@@ -241,17 +249,6 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
               for regression in regressions for key in ("slip", "force", "run_of")}
     return Identification("stiffness", estimates, names, rejected, correlation, regressions[0].coverage,
                           (*notes, *describe_correlations([e.parameter for e in estimates], correlation)), figure)
-
-
-def _select_samples(run: RunSamples) -> tuple[np.ndarray, list[tuple[str, str]]]:
-    """(mask (n,) of the usable samples, [(run, reason why others are left out)])."""
-    slow = np.abs(run.velocity_x) < MIN_SPEED
-    straight = ~slow & (np.abs(run.yaw_rate) * MAX_RADIUS < np.abs(run.velocity_x))
-    hard = ~slow & ~straight & (np.abs(run.lateral_acceleration) > MAX_ACCELERATION)
-    reasons = {f"slower than {MIN_SPEED:g} m/s": slow, f"straighter than R = {MAX_RADIUS:g} m": straight,
-               f"beyond {MAX_ACCELERATION:g} m/s^2": hard}
-    return ~(slow | straight | hard), [(run.name, f"{int(mask.sum())} of {len(run)} samples {reason}")
-                                       for reason, mask in reasons.items() if mask.any()]
 
 
 def _axle_samples(runs: Sequence[RunSamples], masks: Sequence[np.ndarray], vehicle: VehicleParameters,
