@@ -24,9 +24,6 @@ class SharedSignal:
     """One quantity in both recordings, each on its own clock; NaN where it must not be used (standstill, not ready).
 
     Times are int64 [ns], strictly increasing. The values of both recordings agree up to a gain > 0 and a bias.
-    angle: the values are an angle [rad], wrapped or not, with a different zero in each recording; its rate is
-    compared. latency: delay [s] from the instant of a value to its stamp in the other recording; latency_uncertainty:
-    its standard deviation. min_deviation: standard deviation at or below which the signal counts as constant.
     """
 
     name: str
@@ -34,46 +31,39 @@ class SharedSignal:
     reference: np.ndarray
     other_time_ns: np.ndarray
     other: np.ndarray
-    latency: float = 0.0
-    latency_uncertainty: float = 0.0
-    min_deviation: float = 0.0
-    angle: bool = False
+    latency: float = 0.0  # delay from the instant of a value to its stamp in the other recording [s]
+    latency_uncertainty: float = 0.0  # standard deviation [s]
+    min_deviation: float = 0.0  # standard deviation at or below which the signal counts as constant
+    angle: bool = False  # an angle [rad], wrapped or not, with another zero in each recording; its rate is compared
 
 
 @dataclass(frozen=True)
 class SignalLag:
-    """Fit of one signal alone. difference: its offset minus the common offset [s], with its standard deviation.
-    residual: RMS divided by the standard deviation of the signal."""
+    """Fit of one signal alone."""
 
     name: str
-    difference: float
-    deviation: float
-    residual: float
+    difference: float  # its offset minus the common offset [s]
+    deviation: float  # standard deviation [s]
+    residual: float  # RMS divided by the standard deviation of the signal
     correlation: float
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """Conversion of the other clock to the reference clock.
+    """Conversion of the other clock to the reference clock."""
 
-    at_ns: instant on the other clock at which `offset_ns` applies. drift_ppm: rate of the reference clock relative to
-    the other, minus 1. offset_deviation [s] (latency included), drift_deviation [ppm]: standard deviations.
-    method: "time frame", "shared signals", "by hand" or "none". overlap: common time [s].
-    peak, second_peak: (offset [s], correlation) of the coarse search, None without a search.
-    """
-
-    at_ns: int
+    at_ns: int  # instant on the other clock at which `offset_ns` applies
     offset_ns: int
-    drift_ppm: float
-    offset_deviation: float
-    drift_deviation: float
-    method: str
+    drift_ppm: float  # rate of the reference clock relative to the other, minus 1
+    offset_deviation: float  # standard deviation, latency included [s]
+    drift_deviation: float  # standard deviation [ppm]
+    method: str  # "time frame", "shared signals", "by hand" or "none"
     verdict: Verdict
     reasons: tuple[str, ...] = ()
     signals: tuple[SignalLag, ...] = ()
-    peak: tuple[float, float] | None = None
+    peak: tuple[float, float] | None = None  # (offset [s], correlation) of the coarse search
     second_peak: tuple[float, float] | None = None
-    overlap: float = 0.0
+    overlap: float = 0.0  # common time [s]
 
     def to_reference_ns(self, other_ns: np.ndarray | int) -> np.ndarray:
         """Time on the reference clock [ns] of a time on the other clock [ns]."""

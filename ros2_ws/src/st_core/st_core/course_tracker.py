@@ -75,17 +75,13 @@ class EgoMotion(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CourseForecast:
-    """Inputs predicted from a course. inputs: on the half-step grid of the horizon; None if the course is not used.
+    """Inputs predicted from a course."""
 
-    curvature_share, speed_share: weight of the course in the mixture, 0 to 1. speed_deviation: standard deviation of
-    the speeds of the candidates at the end of the horizon [m/s]. reason: why the course is not used, or "".
-    """
-
-    inputs: InputSequence | None
-    curvature_share: float = 0.0
-    speed_share: float = 0.0
-    speed_deviation: float = math.nan
-    reason: str = ""
+    inputs: InputSequence | None  # on the half-step grid of the horizon; None if the course is not used
+    curvature_share: float = 0.0  # weight of the course in the mixture, 0 to 1
+    speed_share: float = 0.0  # weight of the course in the mixture, 0 to 1
+    speed_deviation: float = math.nan  # of the candidates at the end of the horizon [m/s]
+    reason: str = ""  # why the course is not used, or ""
 
 
 _PendingForecast = tuple[int, float, EgoMotion, np.ndarray, np.ndarray]

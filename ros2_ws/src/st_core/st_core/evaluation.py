@@ -24,25 +24,21 @@ from a motion planner; course = from earlier drives at the same place."""
 
 @dataclass(frozen=True)
 class Score:
-    """Error of one prediction of one model, predicted minus measured, at the INS point.
+    """Error of one prediction of one model, predicted minus measured, at the INS point, in axes along the measured heading.
 
-    mode: forecast, plan, course = the trajectory as issued; hindsight = re-simulated from the same start with the
-    measured inputs (the paper's protocol). horizon [s]: time after the start, 0 first. longitudinal [m]: + predicted
-    ahead, lateral [m]: + predicted to the left, both in axes along the measured heading at each point; yaw [rad] in
-    [-pi, pi): + predicted further to the left. NaN where not scored: from a position jump on, without a measured
-    position, or in hindsight if an earlier input was not measured.
-    *_mean: mean over all points of the horizon, the start included; NaN unless complete.
+    NaN where not scored: from a position jump on, without a measured position, or in hindsight if an earlier input was
+    not measured. *_mean: mean over all points of the horizon, the start included; NaN unless complete.
     """
 
     model: str
-    mode: Mode
+    mode: Mode  # hindsight: re-simulated with the measured inputs (the paper's protocol); otherwise as issued
     start_ns: int
     complete: bool
     incomplete_reason: str
-    horizon: np.ndarray
-    longitudinal: np.ndarray
-    lateral: np.ndarray
-    yaw: np.ndarray
+    horizon: np.ndarray  # time after the start, 0 first [s]
+    longitudinal: np.ndarray  # m, + predicted ahead
+    lateral: np.ndarray  # m, + predicted to the left
+    yaw: np.ndarray  # rad in [-pi, pi), + predicted further to the left
     longitudinal_mean: float
     lateral_mean: float
     yaw_mean: float

@@ -78,19 +78,14 @@ class EvaluationSettings:
 
 @dataclass(frozen=True, eq=False)
 class ModelErrors:
-    """Errors of one model and mode at the INS point, one row per start; NaN where incomplete.
+    """Errors of one model and mode at the INS point, one row per start; NaN where incomplete. Last axis: AXES [m, m, rad]."""
 
-    The last axis of each array is AXES [m, m, rad]. complete: (n,), whether the whole horizon was scored. mean,
-    mean_square, largest: (n, 3) over all points of the horizon, the start included; largest is a magnitude. at_seconds:
-    (n, s, 3), error at 1, 2, ... s. profile_squares: (points, 3), sum of the squares over the complete starts.
-    """
-
-    complete: np.ndarray
-    mean: np.ndarray
-    mean_square: np.ndarray
-    largest: np.ndarray
-    at_seconds: np.ndarray
-    profile_squares: np.ndarray
+    complete: np.ndarray  # (n,), whether the whole horizon was scored
+    mean: np.ndarray  # (n, 3), over all points of the horizon, the start included
+    mean_square: np.ndarray  # (n, 3)
+    largest: np.ndarray  # (n, 3), magnitude
+    at_seconds: np.ndarray  # (n, s, 3), error at 1, 2, ... s
+    profile_squares: np.ndarray  # (points, 3), sum of the squares over the complete starts
 
     @classmethod
     def empty(cls, count: int, horizon: np.ndarray) -> "ModelErrors":
@@ -151,22 +146,20 @@ class ModelErrors:
 class LogEvaluation:
     """Evaluation of all models on one drive.
 
-    start_ns: first INS sample of the drive. starts_ns: (n,) starts of the predictions. skipped: number of starts
-    without a prediction, by reason. incomplete: number of starts not scored to the end in hindsight, by reason.
     conditions: (n,) each, measured over the horizon, NaN if it is incomplete: mean speed [m/s], mean
     lateral_acceleration v_x r [m/s^2], mean velocity_x_dot [m/s^2], RMS steering_rate of the road wheels [rad/s],
-    heading_change [rad]; left +. errors: by (model, mode). horizon: (points,) [s].
+    heading_change [rad]; left +.
     """
 
     name: str
     settings: EvaluationSettings
-    start_ns: int
-    starts_ns: np.ndarray
-    skipped: dict[str, int]
-    incomplete: dict[str, int]
+    start_ns: int  # first INS sample of the drive
+    starts_ns: np.ndarray  # (n,) starts of the predictions
+    skipped: dict[str, int]  # number of starts without a prediction, by reason
+    incomplete: dict[str, int]  # number of starts not scored to the end in hindsight, by reason
     conditions: dict[str, np.ndarray]
-    errors: dict[tuple[str, Mode], ModelErrors]
-    horizon: np.ndarray
+    errors: dict[tuple[str, Mode], ModelErrors]  # by (model, mode)
+    horizon: np.ndarray  # (points,) [s]
 
     @property
     def models(self) -> tuple[str, ...]:

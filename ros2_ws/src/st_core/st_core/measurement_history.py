@@ -71,10 +71,10 @@ def _split_displacement(spacing: float, before: Sequence[float], after: Sequence
 
 
 class PositionJump(NamedTuple):
-    """time_ns: first sample after the jump. size: change of position that the velocity does not explain [m]."""
+    """A change of position that the velocity does not explain."""
 
-    time_ns: int
-    size: float
+    time_ns: int  # first sample after the jump
+    size: float  # m
 
 
 class MeasurementHistory:

@@ -36,19 +36,14 @@ SPEED_TOLERANCE = 2.0  # m/s between planned and measured speed at the start
 
 @dataclass(frozen=True, eq=False)
 class PlannedInputs:
-    """Inputs of one plan, linear between its n points.
+    """Inputs of one plan, linear between its n points. Raises StCoreError, one line, for arrays of unequal length."""
 
-    issued_ns: time of issue; time_ns: (n,), instants of the points; both on the measurement clock [ns]. Each (n,):
-    road_wheel_angle [rad], left +, as the steering sensor will measure it; velocity_x_dot [m/s^2]; speed [m/s] and
-    slip_free_angle [rad] of a plan `from_path`. Raises StCoreError, one line, for arrays of unequal length.
-    """
-
-    issued_ns: int
-    time_ns: np.ndarray
-    road_wheel_angle: np.ndarray
-    velocity_x_dot: np.ndarray
-    speed: np.ndarray | None = None
-    slip_free_angle: np.ndarray | None = None
+    issued_ns: int  # time of issue on the measurement clock
+    time_ns: np.ndarray  # (n,) instants of the points on the measurement clock
+    road_wheel_angle: np.ndarray  # (n,) [rad], left +, as the steering sensor will measure it
+    velocity_x_dot: np.ndarray  # (n,) [m/s^2]
+    speed: np.ndarray | None = None  # (n,) [m/s], of a plan `from_path`
+    slip_free_angle: np.ndarray | None = None  # (n,) [rad], of a plan `from_path`
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time_ns", np.asarray(self.time_ns, np.int64))

@@ -34,19 +34,14 @@ def step_count(horizon: float, step: float) -> int:
 
 @dataclass(frozen=True)
 class PredictionSettings:
-    """Settings of a prediction. Raises ConfigurationError naming the key and the limit.
+    """Settings of a prediction. Raises ConfigurationError naming the key and the limit."""
 
-    horizon, step [s]. minimum_speed [m/s]: no prediction is made below it. stale_after [s]: no prediction is made from
-    older measurements. maximum_gap [s]: longest gap that is interpolated. filter_cutoff [Hz]: cut-off of the
-    low-pass for the forward acceleration.
-    """
-
-    horizon: float = 5.0
-    step: float = 0.05
-    minimum_speed: float = 0.5
-    stale_after: float = 0.2
-    maximum_gap: float = 0.1
-    filter_cutoff: float = 5.0
+    horizon: float = 5.0  # s
+    step: float = 0.05  # s
+    minimum_speed: float = 0.5  # m/s; no prediction is made below it
+    stale_after: float = 0.2  # s; no prediction is made from older measurements
+    maximum_gap: float = 0.1  # s; longest gap that is interpolated
+    filter_cutoff: float = 5.0  # Hz; cut-off of the low-pass for the forward acceleration
 
     def __post_init__(self) -> None:
         limits = {"horizon": (0.01, 60.0, "s"), "step": (0.001, 1.0, "s"), "minimum_speed": (0.0, 50.0, "m/s"),

@@ -17,21 +17,16 @@ SEPARATE_BLOCK = 2**17  # instants per block with separate instants
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Columns of a batch that are computed together. rows: starts in the block. selected: column of each start.
-
-    starts_ns: (count,), start of each column. times_ns: instants to sample, (m,) if shared, else (instants, columns).
-    offsets: instant k of column i is element `offsets[k] + i` of a row of the table. columns: count, rounded up to a
-    multiple of the lanes. spacing: half steps between shared columns; 0 for separate instants.
-    """
+    """Columns of a batch that are computed together."""
 
     number: int
-    rows: slice
-    selected: np.ndarray
-    starts_ns: np.ndarray
-    times_ns: np.ndarray
-    offsets: np.ndarray
-    columns: int
-    spacing: int = 0
+    rows: slice  # starts in the block
+    selected: np.ndarray  # column of each start
+    starts_ns: np.ndarray  # (count,), start of each column
+    times_ns: np.ndarray  # instants to sample, (m,) if shared, else (instants, columns)
+    offsets: np.ndarray  # instant k of column i is element `offsets[k] + i` of a row of the table
+    columns: int  # count, rounded up to a multiple of the lanes
+    spacing: int = 0  # half steps between shared columns; 0 for separate instants
 
     @property
     def count(self) -> int:

@@ -18,23 +18,18 @@ MAX_RELATIVE_SPREAD = 0.25  # largest standard deviation between consistent runs
 
 @dataclass(frozen=True)
 class RunComparison:
-    """One quantity [unit] in several runs.
-
-    mean, interval: by random effects, including the variance between runs (DerSimonian and Laird 1986). between:
-    standard deviation between runs in excess of their uncertainties. reported: number of runs with this finding.
-    consistent: whether the differences between the runs are within their intervals, or small (MAX_RELATIVE_SPREAD).
-    """
+    """One quantity [unit] in several runs."""
 
     name: str
     unit: str
     runs: int
-    reported: int
-    mean: float
-    interval: tuple[float, float]
-    between: float
+    reported: int  # number of runs with this finding
+    mean: float  # by random effects (DerSimonian and Laird 1986)
+    interval: tuple[float, float]  # of the mean, including the variance between runs
+    between: float  # standard deviation between runs in excess of their uncertainties
     lowest: float
     highest: float
-    consistent: bool
+    consistent: bool  # whether the runs differ within their intervals, or little (MAX_RELATIVE_SPREAD)
 
     @property
     def text(self) -> str:

@@ -24,26 +24,20 @@ GRID_LOSS = 0.1  # of the variance; error of a residual minimum that lies betwee
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """Lag [s], scale [1] and bias [unit] of a measured quantity relative to a derived one.
-
-    correlation: at this lag. correlation_without_lag: at zero lag. spread: standard deviation of the derived quantity.
-    time, measured, derived: filtered series at this lag, for a figure. other_lags: further lags [s] that do not fit
-    significantly worse, because the drive repeats itself. is_late: whether the expected lag fits significantly worse.
-    determines_lag: whether lags LAG_TEST_SHIFT away fit significantly worse; slow changes do not determine a lag.
-    """
+    """Lag [s], scale [1] and bias [unit] of a measured quantity relative to a derived one."""
 
     lag: Estimate
     scale: Estimate
     bias: Estimate
-    correlation: float
-    spread: float
-    time: np.ndarray
+    correlation: float  # at this lag
+    spread: float  # standard deviation of the derived quantity
+    time: np.ndarray  # of the filtered series at this lag, for a figure
     measured: np.ndarray
     derived: np.ndarray
-    other_lags: tuple[float, ...] = ()
-    is_late: bool = True
-    correlation_without_lag: float = 0.0
-    determines_lag: bool = True
+    other_lags: tuple[float, ...] = ()  # lags [s] that fit as well, because the drive repeats itself
+    is_late: bool = True  # whether the expected lag fits significantly worse
+    correlation_without_lag: float = 0.0  # at zero lag
+    determines_lag: bool = True  # whether lags LAG_TEST_SHIFT away fit significantly worse
 
 
 def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray,

@@ -39,26 +39,19 @@ class Advice:
 
 @dataclass(frozen=True)
 class Finding:
-    """One fault or property of a recording.
+    """One fault or property of a recording."""
 
-    name: never renamed, listed in docs/manual/checks.md. channels: affected fields of DriveLog (or time, wheel_speed,
-    ins). text: one sentence. value, interval: estimate and its 95 % interval in `unit`, or None. where: stretches [s
-    since the first INS measurement]; empty for the whole run. effect: approximate shift of the predicted or measured
-    position after the horizon [m], or None. tried: prediction error of the run at the horizon without and with the
-    correction [m]; None if the correction was not tried.
-    """
-
-    name: str
+    name: str  # never renamed; listed in docs/manual/checks.md
     severity: Severity
-    channels: tuple[str, ...]
-    text: str
-    value: float | None = None
+    channels: tuple[str, ...]  # affected fields of DriveLog, or time, wheel_speed, ins
+    text: str  # one sentence
+    value: float | None = None  # estimate [unit]
     unit: str = "1"
-    interval: tuple[float, float] | None = None
-    where: tuple[tuple[float, float], ...] = ()
-    effect: float | None = None
+    interval: tuple[float, float] | None = None  # its 95 % interval [unit]
+    where: tuple[tuple[float, float], ...] = ()  # stretches [s since the first INS measurement]; empty: all
+    effect: float | None = None  # approximate shift of the position after the horizon [m]
     advice: Advice | None = None
-    tried: tuple[float, float] | None = None
+    tried: tuple[float, float] | None = None  # prediction error [m] without and with the correction, if it was tried
 
     @property
     def concerns_only_acceleration(self) -> bool:
@@ -87,52 +80,42 @@ def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
 
 @dataclass(frozen=True)
 class Channel:
-    """Sampling and noise of one channel, in its own `unit`.
-
-    rate: samples per second, from the median interval. gaps: number of intervals longer than `motion.MAX_GAP`.
-    longest_gap: longest interval [s]. noise: standard deviation of white noise. resolution: smallest step of the
-    values, 0 if they are not quantised. repeated: fraction of samples equal to the previous one. missing: number of
-    rows without a value, which were left out.
-    """
+    """Sampling and noise of one channel, in its own `unit`."""
 
     unit: str
     samples: int
-    rate: float
-    gaps: int
-    longest_gap: float
-    noise: float
-    resolution: float
-    repeated: float
-    missing: int = 0
+    rate: float  # samples per second, from the median interval
+    gaps: int  # number of intervals longer than `motion.MAX_GAP`
+    longest_gap: float  # s
+    noise: float  # standard deviation of white noise
+    resolution: float  # smallest step of the values; 0 if they are not quantised
+    repeated: float  # fraction of samples equal to the previous one
+    missing: int = 0  # number of rows without a value, which were left out
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """A quantity from two sources, for a figure: measured and derived, (n,) each, at `time` [s since the first INS
-    measurement]. findings: names of the findings based on this comparison."""
+    """A quantity from two sources, for a figure."""
 
     name: str
     title: str
     unit: str
     measured_label: str
     derived_label: str
-    time: np.ndarray
-    measured: np.ndarray
-    derived: np.ndarray
-    findings: tuple[str, ...] = ()
+    time: np.ndarray  # (n,) [s since the first INS measurement]
+    measured: np.ndarray  # (n,)
+    derived: np.ndarray  # (n,)
+    findings: tuple[str, ...] = ()  # names of the findings based on this comparison
 
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """Result of a check: findings, the most severe first; channels by name; comparisons in the order of the checks.
+    """Result of a check."""
 
-    estimates: value and 95 % interval (value, low, high) of every quantity estimated, by name of the finding.
-    """
-
-    findings: tuple[Finding, ...]
+    findings: tuple[Finding, ...]  # the most severe first
     channels: Mapping[str, Channel]
-    comparisons: tuple[Comparison, ...]
-    estimates: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    comparisons: tuple[Comparison, ...]  # in the order of the checks
+    estimates: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)  # (value, low, high), by finding
 
     def of(self, severity: Severity) -> tuple[Finding, ...]:
         """Findings of one severity."""
@@ -155,17 +138,13 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class InsQuality:
-    """Status and accuracy reported by the INS, (n,) each at time_ns [ns]; NaN where unknown.
-
-    navigation_status: NCOM byte 21, 4 = locked. position_mode: NCOM mode, 6 = RTK integer, 5 = RTK float, -1 unknown.
-    position_accuracy: horizontal standard deviation [m]. heading_accuracy: standard deviation [rad].
-    """
+    """Status and accuracy reported by the INS, (n,) each; NaN where unknown."""
 
     time_ns: np.ndarray
-    navigation_status: np.ndarray
-    position_mode: np.ndarray
-    position_accuracy: np.ndarray
-    heading_accuracy: np.ndarray
+    navigation_status: np.ndarray  # NCOM byte 21, 4 = locked
+    position_mode: np.ndarray  # NCOM mode: 6 = RTK integer, 5 = RTK float, -1 unknown
+    position_accuracy: np.ndarray  # horizontal standard deviation [m]
+    heading_accuracy: np.ndarray  # standard deviation [rad]
 
 
 @dataclass(frozen=True, eq=False)

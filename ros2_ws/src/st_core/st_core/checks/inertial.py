@@ -20,27 +20,20 @@ from .regression import Estimate, with_systematic
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Errors of a channel below which it agrees with a reference.
-
-    lag [s], bias [unit], scale: smallest reported lag, bias, and deviation of the scale from 1. severe: (lag, scale,
-    bias) from which the finding is at least a warning, even without an effect on predictions, since identification and
-    discovery use the channel. position_effect: position shift after the horizon per unit of error [m]. min_spread:
-    smallest standard deviation of the reference for which a lag is reported [unit]. correlation: minimum, for scale and
-    bias to be judged. factors: question on the cause of a wrong scale, by factor. causes: of a bias, as text.
-    """
+    """Errors of a channel below which it agrees with a reference."""
 
     channel: str
     reference: str
     unit: str
-    lag: float
-    scale: float
-    bias: float
-    severe: tuple[float, float, float]
-    position_effect: float = 0.0
-    min_spread: float = 0.0
-    correlation: float = LIMITS.correlation
-    factors: Mapping[float, str] = field(default_factory=dict)
-    causes: str = ""
+    lag: float  # smallest reported lag [s]
+    scale: float  # smallest reported deviation of the scale from 1
+    bias: float  # smallest reported bias [unit]
+    severe: tuple[float, float, float]  # (lag, scale, bias) that identification and discovery do not tolerate
+    position_effect: float = 0.0  # position shift after the horizon per unit of error [m]
+    min_spread: float = 0.0  # smallest standard deviation of the reference for which a lag is reported [unit]
+    correlation: float = LIMITS.correlation  # minimum, for scale and bias to be judged
+    factors: Mapping[float, str] = field(default_factory=dict)  # question on the cause of a wrong scale, by factor
+    causes: str = ""  # of a bias, as text
 
 
 def judge_agreement(found: Agreement | None, tolerances: Tolerances, removed_scale: float = 1.0,

@@ -26,17 +26,15 @@ BAND = (0.05, 0.95)  # quantiles of the draws
 
 @dataclass(frozen=True, eq=False)
 class AxleCurve:
-    """Force curve of one axle. slip: (m,) from 0 to the driven slip [rad]. force: (m,) opposing it [N]. low, high: (m,)
-    90 % band [N], equal to force without draws. file: (m,) force of the original model [N]. density: (m - 1,) fraction
-    of the driving between two values of slip [1], with sum 1."""
+    """Force curve of one axle."""
 
     axle: str
-    slip: np.ndarray
-    force: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    file: np.ndarray
-    density: np.ndarray
+    slip: np.ndarray  # (m,) from 0 to the driven slip [rad]
+    force: np.ndarray  # (m,) opposing the slip [N]
+    low: np.ndarray  # (m,) lower end of the 90 % band [N]; equal to force without draws
+    high: np.ndarray  # (m,) upper end [N]
+    file: np.ndarray  # (m,) force of the original model [N]
+    density: np.ndarray  # (m - 1,) fraction of the driving between two values of slip [1], with sum 1
 
 
 def axle_forces(model: str | Model, vehicle: VehicleParameters, slip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

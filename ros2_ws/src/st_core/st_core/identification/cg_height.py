@@ -34,17 +34,13 @@ MAX_LOAD_DIFFERENCE = 0.02  # largest error of the rear load of the level car, d
 
 @dataclass(frozen=True)
 class Lift:
-    """Rows of one or more lifts: pitch (n,) relative to the level car, nose up [rad]; rear_load (n,), both wheels [kg].
+    """Rows (n,) of one or more lifts."""
 
-    lifts: name of the lift of each row. front_radius, rear_radius: (n,) height of the wheel centres above the ground
-    below them [m], NaN where not measured; required for the level rows.
-    """
-
-    pitch: np.ndarray
-    rear_load: np.ndarray
-    lifts: tuple[str, ...]
-    front_radius: np.ndarray
-    rear_radius: np.ndarray
+    pitch: np.ndarray  # rad relative to the level car, nose up
+    rear_load: np.ndarray  # kg, both wheels
+    lifts: tuple[str, ...]  # name of the lift of each row
+    front_radius: np.ndarray  # m, height of the wheel centres; NaN where not measured; required for the level rows
+    rear_radius: np.ndarray  # m, as front_radius
 
 
 @dataclass(frozen=True)

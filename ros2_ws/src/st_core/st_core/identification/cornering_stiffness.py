@@ -84,22 +84,17 @@ class AxleSamples:
 
 @dataclass(frozen=True, eq=False)
 class AxleRegression:
-    """Result of the regression of one axle. stiffness, standard_error, interval95 [N/rad]: NaN if it failed.
-
-    samples: all samples above the minimum speed. coverage: excitation by signal. reasons: why the value is rejected;
-    empty for a usable value. basis: text on the number of samples and blocks. model_error: standard uncertainty of the
-    stiffness at zero slip [N/rad], see the module; NaN if the samples do not determine it.
-    """
+    """Result of the regression of one axle. stiffness, standard_error, interval95 [N/rad]: NaN if it failed."""
 
     axle: str
     stiffness: float
     standard_error: float
     interval95: tuple[float, float]
-    samples: AxleSamples
-    coverage: tuple[Coverage, ...]
-    reasons: tuple[str, ...]
-    basis: str
-    model_error: float = float("nan")
+    samples: AxleSamples  # all samples above the minimum speed
+    coverage: tuple[Coverage, ...]  # excitation by signal
+    reasons: tuple[str, ...]  # why the value is rejected; empty for a usable value
+    basis: str  # text on the number of samples and blocks
+    model_error: float = float("nan")  # standard uncertainty at zero slip [N/rad], see the module; NaN if unknown
 
     @property
     def usable(self) -> bool:

@@ -132,29 +132,26 @@ class _LimitedWindows(Windows):
 
 @dataclass(frozen=True, eq=False)
 class DrivingFit:
-    """Result of a fit: names and their values (p,) [SI]. spread: their covariance over blocks of driving.
+    """Result of a fit: names and their values (p,) [SI].
 
-    at_bound: names of values at a bound. slopes: (p, q) change of each value [SI] with each parameter of the fit.
-    hessian: (q, q) Gauss-Newton approximation to half the second derivative of the loss. residuals: (n, c) predicted
-    minus measured `columns` [SI], with their run_of (n,) and time (n,) [s]. windows: number (used, all) by run.
-    curvature_square, acceleration: means of curvature^2 [1/m^2] and |v_x r| [m/s^2], weighted by (v_x r)^2. peaks:
-    largest |v_x r| of each used window [m/s^2].
+    hessian: (q, q) Gauss-Newton approximation to half the second derivative of the loss. curvature_square, acceleration:
+    means weighted by (v_x r)^2.
     """
 
     names: tuple[str, ...]
     values: np.ndarray
-    spread: Spread
-    at_bound: tuple[str, ...]
-    slopes: np.ndarray
+    spread: Spread  # covariance over blocks of driving
+    at_bound: tuple[str, ...]  # names of values at a bound
+    slopes: np.ndarray  # (p, q) change of each value [SI] with each parameter of the fit
     hessian: np.ndarray
-    residuals: np.ndarray
+    residuals: np.ndarray  # (n, c) predicted minus measured `columns` [SI]
     columns: tuple[str, ...]
-    run_of: np.ndarray
-    time: np.ndarray
-    windows: Mapping[str, tuple[int, int]]
-    curvature_square: float
-    acceleration: float
-    peaks: np.ndarray
+    run_of: np.ndarray  # (n,) of the residuals
+    time: np.ndarray  # (n,) of the residuals [s]
+    windows: Mapping[str, tuple[int, int]]  # number (used, all) by run
+    curvature_square: float  # 1/m^2
+    acceleration: float  # mean |v_x r| [m/s^2]
+    peaks: np.ndarray  # largest |v_x r| of each used window [m/s^2]
 
     @property
     def prediction_count(self) -> int:

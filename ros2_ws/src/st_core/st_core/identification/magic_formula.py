@@ -131,18 +131,15 @@ MEANING = {"p_cy1": "shape", "p_dy1": "peak friction", "p_dy2": "load dependence
 
 @dataclass(frozen=True)
 class TyreFit:
-    """Result of the fit of a tyre. tyre: its fitted Magic Formula. names: fitted parameters, SHIFT last. fit: the
-    simultaneous fit, with the parameters in this order. staged: the tyre after the paper's two stages. levels: mean
-    load of each level [N]. level: index of the level of each row. flipped: whether the sign of the slip angle was
-    changed."""
+    """Result of the fit of a tyre."""
 
-    tyre: MagicFormula
-    names: tuple[str, ...]
-    fit: CurveFit
-    staged: MagicFormula
-    levels: np.ndarray
-    level: np.ndarray
-    flipped: bool
+    tyre: MagicFormula  # its fitted Magic Formula
+    names: tuple[str, ...]  # fitted parameters, SHIFT last
+    fit: CurveFit  # simultaneous fit, with the parameters in this order
+    staged: MagicFormula  # the tyre after the paper's two stages
+    levels: np.ndarray  # mean load of each level [N]
+    level: np.ndarray  # index of the level of each row
+    flipped: bool  # whether the sign of the slip angle was changed
 
     def stiffness(self, load: float) -> tuple[float, float]:
         """K [N/rad] of one tyre at a load [N] and its standard uncertainty, from the covariance of the fit."""

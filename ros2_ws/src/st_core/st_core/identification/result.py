@@ -25,37 +25,29 @@ class IdentificationError(StCoreError):
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimate of a parameter, named as in the vehicle file ("mass", "tyre_front.p_ky1"), in SI units.
-
-    standard_uncertainty: one standard deviation. interval95: lower and upper end of the 95 % interval, which may be
-    asymmetric. An unidentifiable parameter may have an infinite uncertainty and interval. method: short text. runs:
-    names of the data. verdict: sentences for the user.
-    """
+    """Estimate of a parameter, named as in the vehicle file ("mass", "tyre_front.p_ky1"), in SI units."""
 
     parameter: str
     value: float
     unit: str
-    standard_uncertainty: float
-    interval95: tuple[float, float]
-    method: str
-    runs: tuple[str, ...]
-    verdict: str
+    standard_uncertainty: float  # one standard deviation; may be infinite if unidentifiable
+    interval95: tuple[float, float]  # lower and upper end of the 95 % interval, which may be asymmetric
+    method: str  # short text
+    runs: tuple[str, ...]  # names of the data
+    verdict: str  # sentences for the user
     status: Status = "identified"
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """Coverage of the range of a signal: number of samples, counts (n,), in bins between edges (n + 1,).
-
-    needed: minimum number of samples in a filled bin. bins_needed: minimum number of filled bins.
-    """
+    """Coverage of the range of a signal by samples."""
 
     signal: str
     unit: str
-    edges: np.ndarray
-    counts: np.ndarray
-    needed: int = 1
-    bins_needed: int = 1
+    edges: np.ndarray  # of the bins, (n + 1,)
+    counts: np.ndarray  # number of samples, (n,)
+    needed: int = 1  # minimum number of samples in a filled bin
+    bins_needed: int = 1  # minimum number of filled bins
 
     @property
     def filled(self) -> int:
@@ -76,21 +68,17 @@ class Identification:
 
     An estimate with zero inside its 95 % interval is doubtful, or unidentifiable if only positive values are possible.
     Parameters of the Magic Formula are exempt, because zero is a valid value for them.
-
-    experiment: its name in `st identify`. used: names of the data. rejected: (data, reason). correlation: matrix of the
-    estimates, in their order, or None. coverage: excitation by signal. warnings: sentences. figure: content of the
-    figure. findings: findings of the checks, by drive, used or rejected.
     """
 
-    experiment: str
+    experiment: str  # its name in `st identify`
     estimates: tuple[Estimate, ...]
-    used: tuple[str, ...]
-    rejected: tuple[tuple[str, str], ...] = ()
-    correlation: np.ndarray | None = None
-    coverage: tuple[Coverage, ...] = ()
-    warnings: tuple[str, ...] = ()
-    figure: Mapping[str, Any] = field(default_factory=dict)
-    findings: "Mapping[str, tuple[Finding, ...]]" = field(default_factory=dict)
+    used: tuple[str, ...]  # names of the data
+    rejected: tuple[tuple[str, str], ...] = ()  # (data, reason)
+    correlation: np.ndarray | None = None  # matrix of the estimates, in their order
+    coverage: tuple[Coverage, ...] = ()  # excitation by signal
+    warnings: tuple[str, ...] = ()  # sentences
+    figure: Mapping[str, Any] = field(default_factory=dict)  # content of the figure
+    findings: "Mapping[str, tuple[Finding, ...]]" = field(default_factory=dict)  # by drive, used or rejected
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "estimates", tuple(_with_status(estimate) for estimate in self.estimates))

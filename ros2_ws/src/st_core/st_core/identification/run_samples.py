@@ -25,23 +25,18 @@ ACCELERATION_EDGES = np.array([-8.0, -4.0, -3.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0
 
 @dataclass(frozen=True, eq=False)
 class RunSamples:
-    """Samples of one drive, (n,) each, at the CG in body axes, without NaN.
-
-    time [s since the first INS sample]. velocity_x, velocity_y [m/s], yaw_rate [rad/s], yaw_acceleration [rad/s^2],
-    lateral_acceleration (v_y_dot + v_x r) [m/s^2], left +. road_wheel_angle [rad]: computed with the ratio and offset
-    of the vehicle file. steering_wheel_angle [rad]: at the sensor, filtered. yaw [rad]: not filtered.
-    """
+    """Samples of one drive, (n,) each, at the CG in body axes, without NaN; left +."""
 
     name: str
-    time: np.ndarray
-    velocity_x: np.ndarray
-    velocity_y: np.ndarray
-    yaw: np.ndarray
-    yaw_rate: np.ndarray
-    yaw_acceleration: np.ndarray
-    lateral_acceleration: np.ndarray
-    road_wheel_angle: np.ndarray
-    steering_wheel_angle: np.ndarray
+    time: np.ndarray  # s since the first INS sample
+    velocity_x: np.ndarray  # m/s
+    velocity_y: np.ndarray  # m/s
+    yaw: np.ndarray  # rad, not filtered
+    yaw_rate: np.ndarray  # rad/s
+    yaw_acceleration: np.ndarray  # rad/s^2
+    lateral_acceleration: np.ndarray  # v_y_dot + v_x r [m/s^2]
+    road_wheel_angle: np.ndarray  # rad, with the ratio and offset of the vehicle file
+    steering_wheel_angle: np.ndarray  # rad at the sensor, filtered
 
     def __len__(self) -> int:
         return len(self.time)
