@@ -23,15 +23,12 @@ class AugmentedModel(Model):
 
     It extends Model with `effective_vehicle`, which applies effects to the vehicle parameters; `steering`, which
     applies delay, play and lag to a recorded road wheel angle; and `observe` and `correct`, which convert true values
-    to INS readings and back. `st_core.readings` uses them for logs and trajectories. Models that differ only in values
-    share their compiled functions.
-
-    base: model without effects. effects: in the order in which they act. values: by effect and parameter.
+    to INS readings and back. Models that differ only in values share their compiled functions.
     """
 
-    base: Model = field(kw_only=True)
-    effects: tuple[type[Effect], ...] = field(kw_only=True)
-    values: Values = field(kw_only=True)
+    base: Model = field(kw_only=True)  # model without effects
+    effects: tuple[type[Effect], ...] = field(kw_only=True)  # in the order in which they act
+    values: Values = field(kw_only=True)  # by effect and parameter
 
     @cached_property
     def free(self) -> tuple[tuple[str, Parameter], ...]:

@@ -32,7 +32,7 @@ Signals = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class LogPrediction:
-    """Predictions of one model from n starts, at k points of the horizon. time: (k,) after the start [s].
+    """Predictions of one model from n starts, at k points of the horizon.
 
     states: (n, k, 6) at the CG, columns as STATE_NAMES; NaN from an unknown input on, and for an unknown start state.
     """
@@ -40,7 +40,7 @@ class LogPrediction:
     model: Model
     vehicle: VehicleParameters
     starts_ns: np.ndarray
-    time: np.ndarray
+    time: np.ndarray  # (k,) after the start [s]
     states: np.ndarray
 
 

@@ -17,16 +17,13 @@ MAX_STRAIGHT_TURN = math.radians(5.0)  # largest change of heading within the ho
 
 @dataclass(frozen=True, eq=False)
 class Bin:
-    """Starts within a range of one quantity.
-
-    label: for tables, with the unit. low, high: edges in SI, None if open. mask: (n,), True for the starts in the bin.
-    """
+    """Starts within a range of one quantity."""
 
     quantity: str
-    label: str
-    low: float | None
-    high: float | None
-    mask: np.ndarray
+    label: str  # for tables, with the unit
+    low: float | None  # edge in SI, None if open
+    high: float | None  # edge in SI, None if open
+    mask: np.ndarray  # (n,), True for the starts in the bin
 
 
 def bin_starts(evaluation: LogEvaluation) -> list[Bin]:

@@ -18,26 +18,21 @@ STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster counts as stationary
 class Channel:
     """One measured quantity.
 
-    label: name in reports. unit: SI. resolution [unit]: accuracy of an INS; smaller errors are not distinguished.
-    signals: DriveLog fields with the measurements. columns: components of its error. Both default to `name`.
-    errors(measured, readings): measured minus predicted `effects.Measured`, by column; None: difference of the field
-    `name`. smoothed: measured and predicted values are averaged over SMOOTHING_NS. accumulates: its errors grow over
-    the horizon. zero_means_missing: only zeros in a recording mean that it was not measured.
     noise(log, step, x, y, yaw, v_x, v_y, r): standard deviation, by column, of the errors at the end of windows due to
     noise alone, from redundant measurements; arrays (windows, instants `step` [s] apart). None: white noise from third
     differences, to which the motion of a car does not contribute.
     """
 
     name: str
-    label: str
-    unit: str
-    resolution: float
-    signals: tuple[str, ...] = ()
-    columns: tuple[str, ...] = ()
+    label: str  # name in reports
+    unit: str  # SI
+    resolution: float  # accuracy of an INS [unit]; smaller errors are not distinguished
+    signals: tuple[str, ...] = ()  # DriveLog fields with the measurements; default: name
+    columns: tuple[str, ...] = ()  # components of its error; default: name
     errors: Callable[[Mapping[str, np.ndarray], Any], tuple[np.ndarray, ...]] | None = None
-    smoothed: bool = False
-    accumulates: bool = False
-    zero_means_missing: bool = False
+    smoothed: bool = False  # measured and predicted values are averaged over SMOOTHING_NS
+    accumulates: bool = False  # its errors grow over the horizon
+    zero_means_missing: bool = False  # only zeros mean that it was not measured
     noise: Callable[..., tuple[float, ...]] | None = None
 
     def __post_init__(self) -> None:

@@ -21,11 +21,11 @@ FILTER_SETTLING = 0.5  # periods of the cut-off frequency, masked on both sides 
 
 @dataclass(frozen=True)
 class Resampled:
-    """A signal on a regular grid that begins at `origin` [s]; known: True for samples away from gaps and edges."""
+    """A signal on a regular grid."""
 
-    origin: float
+    origin: float  # s, of the first sample
     values: np.ndarray
-    known: np.ndarray
+    known: np.ndarray  # True for samples away from gaps and edges
 
     @property
     def time(self) -> np.ndarray:
@@ -114,19 +114,15 @@ class Pair:
 
 @dataclass(frozen=True)
 class Fit:
-    """Fitted relation t_reference = t_other + offset + drift (t_other - middle).
+    """Fitted relation t_reference = t_other + offset + drift (t_other - middle)."""
 
-    offset [s] at `middle` [s, other clock] and drift [1], with standard deviations. By signal: residual RMS divided
-    by the standard deviation of the signal, and correlation, both at the solution.
-    """
-
-    offset: float
+    offset: float  # s
     drift: float
-    offset_deviation: float
-    drift_deviation: float
-    middle: float
-    residual: tuple[float, ...]
-    correlation: tuple[float, ...]
+    offset_deviation: float  # standard deviation [s]
+    drift_deviation: float  # standard deviation
+    middle: float  # s, other clock
+    residual: tuple[float, ...]  # of each signal, RMS divided by the standard deviation of the signal
+    correlation: tuple[float, ...]  # of each signal
 
 
 def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0, free_drift: bool = True) -> Fit:
@@ -166,11 +162,10 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
 
 
 class _SignalFit(NamedTuple):
-    """Fit of one signal. score: (2, n), derivatives without gain and bias, times weighted residual. residual and
-    correlation as in `Fit`."""
+    """Fit of one signal; residual and correlation as in `Fit`."""
 
     time: np.ndarray
-    score: np.ndarray
+    score: np.ndarray  # (2, n), derivatives without gain and bias, times weighted residual
     residual: float
     correlation: float
 

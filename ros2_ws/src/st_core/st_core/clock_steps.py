@@ -17,11 +17,11 @@ OUTLIER = 5.0  # standard deviations: scale of the robust weight of a window, an
 
 @dataclass(frozen=True)
 class WindowLag:
-    """Offset of a window around `time` [s, other clock] minus the common offset [s], and its standard deviation [s]."""
+    """Offset of a window minus the common offset."""
 
-    time: float
-    lag: float
-    deviation: float
+    time: float  # middle of the window [s, other clock]
+    lag: float  # s
+    deviation: float  # standard deviation [s]
 
 
 def window_lags(pairs: Sequence[Pair], offset: float, search: float) -> list[WindowLag]:

@@ -31,9 +31,9 @@ class AugmentedParameters(NamedTuple):
 
 @dataclass(frozen=True)
 class Composed:
-    """Functions of an augmented model. active: effects with a theta in p; if empty, p is the p of the base model."""
+    """Functions of an augmented model."""
 
-    active: tuple[type[Effect], ...]
+    active: tuple[type[Effect], ...]  # effects with a theta in p; if empty, p is the p of the base model
     inputs: Callable[..., tuple]
     rhs: Callable[[tuple, tuple, Any], tuple]
     start: Callable[[tuple, tuple, Any], tuple] | None = None
@@ -44,12 +44,12 @@ class Composed:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Index of the theta of an effect in p, and (begin, end) of its entries in w and in the state."""
+    """Place of an effect in p, in w and in the state."""
 
     effect: type[Effect]
-    index: int
-    prepared: tuple[int, int]
-    extra: tuple[int, int]
+    index: int  # of its theta in p
+    prepared: tuple[int, int]  # (begin, end) in w
+    extra: tuple[int, int]  # (begin, end) in the state
 
 
 @cache

@@ -42,14 +42,14 @@ COLUMNS = ("x", "y", "direction", "curvature", "speed")
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """Continuous path of a recording. recording: name of the recording. digests: sha256 of its files.
+    """Continuous path of a recording.
 
     points: (n, 5), every SPACING m, columns as COLUMNS: INS point in the map frame [m], course angle of the INS point
     from east, counter-clockwise + [rad], curvature yaw_rate/v_x [1/m], left +, v_x [m/s].
     """
 
-    recording: str
-    digests: tuple[str, ...]
+    recording: str  # name of the recording
+    digests: tuple[str, ...]  # sha256 of its files
     points: np.ndarray
 
 

@@ -49,18 +49,17 @@ MIN_SPEED = 0.5  # m/s, below which the course is not used: curvature is undefin
 
 
 class EgoMotion(NamedTuple):
-    """Measured motion of the INS point at a start: time [ns]; x, y [m], yaw [rad] in the map frame; velocities [m/s]
-    and velocity_x_dot [m/s^2] in body axes; yaw_rate [rad/s]; road_wheel_angle [rad]."""
+    """Measured motion of the INS point at a start."""
 
-    time_ns: int
-    x: float
-    y: float
-    yaw: float
-    velocity_x: float
-    velocity_y: float
-    yaw_rate: float
-    velocity_x_dot: float
-    road_wheel_angle: float
+    time_ns: int  # ns
+    x: float  # m, map frame
+    y: float  # m, map frame
+    yaw: float  # rad, map frame
+    velocity_x: float  # m/s, body axes
+    velocity_y: float  # m/s, body axes
+    yaw_rate: float  # rad/s
+    velocity_x_dot: float  # m/s^2
+    road_wheel_angle: float  # rad
 
     @property
     def direction(self) -> float:

@@ -24,7 +24,7 @@ from a motion planner; course = from earlier drives at the same place."""
 
 @dataclass(frozen=True)
 class Score:
-    """Error of one prediction of one model, predicted minus measured, at the INS point, in axes along the measured heading.
+    """Error of one prediction, predicted minus measured, at the INS point, in axes along the measured heading.
 
     NaN where not scored: from a position jump on, without a measured position, or in hindsight if an earlier input was
     not measured. *_mean: mean over all points of the horizon, the start included; NaN unless complete.

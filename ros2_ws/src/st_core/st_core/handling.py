@@ -37,17 +37,14 @@ def linear_system(speed: float, car: VehicleParameters) -> tuple[np.ndarray, np.
 
 @dataclass(frozen=True)
 class Range:
-    """Plausible range of a quantity of road cars, wider than the range published in `source`.
+    """Plausible range of a quantity of road cars, wider than the range published in `source`."""
 
-    key: entry of the vehicle file that mainly determines the quantity. value: function of a car, result in `unit`.
-    """
-
-    key: str
+    key: str  # entry of the vehicle file that mainly determines the quantity
     name: str
     unit: str
     low: float
     high: float
-    value: Callable[[VehicleParameters], float]
+    value: Callable[[VehicleParameters], float]  # result in `unit`
     source: str
 
     def objection(self, car: VehicleParameters) -> str:

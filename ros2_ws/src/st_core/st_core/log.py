@@ -18,38 +18,26 @@ SLOPE_HALF_WIDTH = 0.025
 
 @dataclass(frozen=True, eq=False)
 class DriveLog:
-    """Measurements of one drive, each on its own time base. Arrays are read-only.
+    """Measurements of one drive, INS and steering each on its own time base. Arrays are read-only.
 
-    ins_time_ns, steering_time_ns: int64 UTC nanoseconds since the Unix epoch, on the INS clock, strictly increasing.
-    Gaps are not filled. Only OPTIONAL_INS_SIGNALS may be NaN.
-
-    x, y: INS point in the map frame, east and north [m]. yaw: from east counter-clockwise, unwrapped [rad].
-    velocity_x, velocity_y: body axes, forward and left, at the INS point [m/s]. yaw_rate: left turn + [rad/s].
-    acceleration_x, acceleration_y: body axes, forward and left, as the source defines them [m/s^2]. None if not
-    recorded, NaN at samples without a value.
-
-    road_wheel_angle: mean of the front axle, left + [rad]. steering_wheel_angle: as measured, with its offset, left +
-    [rad]; None if only the road wheel angle was recorded.
-
-    sideslip_measured: False if velocity_y and yaw were computed with the vehicle file (`st_core.sideslip`).
-
-    Raises StCoreError, naming the log and the signal, if an array violates these rules.
+    The INS channels are at the INS point, in body axes forward and left. Gaps are not filled. Only OPTIONAL_INS_SIGNALS
+    may be NaN. Raises StCoreError, naming the log and the signal, if an array violates these rules.
     """
 
     name: str
-    ins_time_ns: np.ndarray
-    x: np.ndarray
-    y: np.ndarray
-    yaw: np.ndarray
-    velocity_x: np.ndarray
-    velocity_y: np.ndarray
-    yaw_rate: np.ndarray
-    steering_time_ns: np.ndarray
-    road_wheel_angle: np.ndarray
-    steering_wheel_angle: np.ndarray | None = None
-    acceleration_x: np.ndarray | None = None
-    acceleration_y: np.ndarray | None = None
-    sideslip_measured: bool = True
+    ins_time_ns: np.ndarray  # int64 UTC nanoseconds since the Unix epoch, strictly increasing
+    x: np.ndarray  # map frame, east [m]
+    y: np.ndarray  # map frame, north [m]
+    yaw: np.ndarray  # from east counter-clockwise, unwrapped [rad]
+    velocity_x: np.ndarray  # m/s, forward
+    velocity_y: np.ndarray  # m/s, left
+    yaw_rate: np.ndarray  # rad/s, left turn +
+    steering_time_ns: np.ndarray  # as ins_time_ns, on the clock of the INS
+    road_wheel_angle: np.ndarray  # mean of the front axle [rad], left +
+    steering_wheel_angle: np.ndarray | None = None  # as measured, with its offset [rad], left +
+    acceleration_x: np.ndarray | None = None  # as the source defines it [m/s^2]
+    acceleration_y: np.ndarray | None = None  # NaN at samples without a value
+    sideslip_measured: bool = True  # False: velocity_y and yaw are from the vehicle file (`sideslip`)
 
     def __post_init__(self) -> None:
         for base, signals in (("ins_time_ns", (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)), ("steering_time_ns", STEERING)):

@@ -48,15 +48,13 @@ grid; NaN where unknown."""
 class EvaluationSettings:
     """Settings of an evaluation. Raises ConfigurationError naming the key and the limit.
 
-    prediction: as for the live nodes; stale_after is not used. interval: time between starts [s]. acceleration: filter
-    of the forward speed before its derivative, causal (as in the car) or zero_phase. inputs: use of the measured inputs
-    within an integration step: interpolate = at its start, middle and end; hold = at its start only. The paper does not
-    specify which.
+    inputs: use of the measured inputs within an integration step: interpolate = at its start, middle and end; hold = at
+    its start only. The paper does not specify which.
     """
 
-    prediction: PredictionSettings = field(default_factory=PredictionSettings)
-    interval: float = 0.1
-    acceleration: Acceleration = "causal"
+    prediction: PredictionSettings = field(default_factory=PredictionSettings)  # stale_after is not used
+    interval: float = 0.1  # time between starts [s]
+    acceleration: Acceleration = "causal"  # filter of the forward speed before its derivative
     inputs: Literal["interpolate", "hold"] = "interpolate"
 
     def __post_init__(self) -> None:
@@ -78,7 +76,7 @@ class EvaluationSettings:
 
 @dataclass(frozen=True, eq=False)
 class ModelErrors:
-    """Errors of one model and mode at the INS point, one row per start; NaN where incomplete. Last axis: AXES [m, m, rad]."""
+    """Errors of one model and mode at the INS point; last axis: AXES [m, m, rad]. NaN for an incomplete start."""
 
     complete: np.ndarray  # (n,), whether the whole horizon was scored
     mean: np.ndarray  # (n, 3), over all points of the horizon, the start included
@@ -239,15 +237,12 @@ def usable_starts(signals: LogSignals, vehicle: VehicleParameters, requested: np
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Evaluation of a few starts. errors: (n, points, 3), NaN where not scored, axes as AXES (see `evaluation.Score`).
+    """Evaluation of a few starts."""
 
-    trajectories: states (n, points, 6). conditions, incomplete: as in LogEvaluation.
-    """
-
-    errors: dict[tuple[str, Mode], np.ndarray]
-    trajectories: dict[tuple[str, Mode], np.ndarray]
-    conditions: dict[str, np.ndarray]
-    incomplete: dict[str, int]
+    errors: dict[tuple[str, Mode], np.ndarray]  # (n, points, 3), NaN where not scored, axes as AXES
+    trajectories: dict[tuple[str, Mode], np.ndarray]  # states (n, points, 6)
+    conditions: dict[str, np.ndarray]  # as in LogEvaluation
+    incomplete: dict[str, int]  # as in LogEvaluation
 
 
 def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,

@@ -60,23 +60,19 @@ class Sine:
 class Manoeuvre:
     """Steering and pedal inputs over time.
 
-    name: also the scenario name. speed: at the start [m/s]. lateral: peak target lateral acceleration at the initial
-    speed [m/s^2]. profile: lateral acceleration divided by `lateral`, over time. period: time after which the
-    manoeuvre repeats [s]. repetitions: periods in one drive. pedals: consecutive (duration [s], forward acceleration
-    [m/s^2]), limited to the initial speed; empty for constant speed. closed_loop: the driver follows a road of this
-    curvature (PiecewiseLinear); otherwise the steering is open loop. With pedals the road is a circle, and the steering
-    is held while braking. description: one line.
+    closed_loop: the driver follows a road of this curvature; with pedals it is a circle, and the steering is held while
+    braking. Otherwise the steering is open loop.
     """
 
-    name: str
-    speed: float
-    lateral: float
-    profile: Shape
-    period: float
-    repetitions: int = 1
-    pedals: tuple[tuple[float, float], ...] = ()
+    name: str  # also the scenario name
+    speed: float  # at the start [m/s]
+    lateral: float  # peak target lateral acceleration at the initial speed [m/s^2]
+    profile: Shape  # lateral acceleration divided by `lateral`, over time
+    period: float  # time after which the manoeuvre repeats [s]
+    repetitions: int = 1  # periods in one drive
+    pedals: tuple[tuple[float, float], ...] = ()  # consecutive (duration [s], forward acceleration [m/s^2])
     closed_loop: bool = False
-    description: str = field(default="", compare=False)
+    description: str = field(default="", compare=False)  # one line
 
     @property
     def duration(self) -> float:

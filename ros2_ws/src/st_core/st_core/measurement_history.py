@@ -169,12 +169,12 @@ class MeasurementHistory:
 
 
 class FrozenAngle(NamedTuple):
-    """angle: constant road wheel angle [rad]. duration [s]. low, high: range of delta' [rad]."""
+    """A constant steering angle during changing yaw motion."""
 
-    angle: float
-    duration: float
-    low: float
-    high: float
+    angle: float  # constant road wheel angle [rad]
+    duration: float  # s
+    low: float  # smallest delta' [rad]
+    high: float  # largest delta' [rad]
 
 
 class FrozenSteeringDetector:

@@ -34,39 +34,33 @@ HEADER = "# Model file: base model, its effects (SI units, 95 % intervals), and 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Value of one parameter of an effect [its unit], with its 95 % interval if known, and its source.
-
-    effective: the value improves the prediction but is not a property of the car.
-    """
+    """Value of one parameter of an effect [its unit], with its 95 % interval if known, and its source."""
 
     value: float
     interval: Interval = None
     source: str = "not stated"
-    effective: bool = False
+    effective: bool = False  # improves the prediction but is not a property of the car
 
 
 @dataclass(frozen=True)
 class ModelProvenance:
-    """date: day of the estimate, ISO 8601. version: of st_core. data: sha256 of each run, by name. note: free text."""
+    """Origin of the values of a model file."""
 
-    date: str = ""
-    version: str = __version__
-    data: Mapping[str, str] = field(default_factory=dict)
-    note: str = ""
+    date: str = ""  # day of the estimate, ISO 8601
+    version: str = __version__  # of st_core
+    data: Mapping[str, str] = field(default_factory=dict)  # sha256 of each run, by name
+    note: str = ""  # free text
 
 
 @dataclass(frozen=True)
 class ModelFile:
-    """Content of a model.yaml. base: name of the base model. effects: estimates by effect and parameter.
+    """Content of a model.yaml."""
 
-    vehicle: the car, if embedded. vehicle_name, vehicle_hash: the car for which the values are valid; "" if not stated.
-    """
-
-    base: str
-    effects: Mapping[str, Mapping[str, Estimate]]
-    vehicle: VehicleParameters | None = None
-    vehicle_name: str = ""
-    vehicle_hash: str = ""
+    base: str  # name of the base model
+    effects: Mapping[str, Mapping[str, Estimate]]  # by effect and parameter
+    vehicle: VehicleParameters | None = None  # the car, if embedded
+    vehicle_name: str = ""  # car for which the values are valid; "" if not stated
+    vehicle_hash: str = ""  # hash of that car
     provenance: ModelProvenance = field(default_factory=ModelProvenance)
 
     @classmethod

@@ -119,9 +119,9 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Skip:
-    """No prediction at this time. kind: stale (a measurement is missing, old or invalid) or slow. reason: text."""
+    """No prediction at this time."""
 
-    kind: Literal["stale", "slow"]
+    kind: Literal["stale", "slow"]  # a measurement is missing, old or invalid; or the car is slow
     reason: str
 
 

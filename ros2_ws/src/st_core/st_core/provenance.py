@@ -14,12 +14,12 @@ KEYS = ("uncertainty", *TEXTS)
 
 @dataclass(frozen=True)
 class Provenance:
-    """uncertainty: standard deviation in SI, None if unknown. method, data: free text. date: YYYY-MM-DD."""
+    """Provenance of an identified value."""
 
-    uncertainty: float | None = None
-    method: str = ""
-    data: str = ""
-    date: str = ""
+    uncertainty: float | None = None  # standard deviation in SI, None if unknown
+    method: str = ""  # free text
+    data: str = ""  # free text
+    date: str = ""  # YYYY-MM-DD
 
     def entries(self) -> str:
         """The entries as text for a vehicle file, each preceded by a comma."""

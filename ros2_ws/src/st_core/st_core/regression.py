@@ -105,15 +105,12 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Partition of samples into blocks. block_of: (n,) block index of each sample. name: description, such as "8 runs".
+    """Partition of samples into blocks."""
 
-    run, block: (k,) run of each block and its number within the run, ascending.
-    """
-
-    block_of: np.ndarray
-    run: np.ndarray
-    block: np.ndarray
-    name: str
+    block_of: np.ndarray  # (n,) block index of each sample
+    run: np.ndarray  # (k,) run of each block
+    block: np.ndarray  # (k,) number within the run, ascending
+    name: str  # description, such as "8 runs"
 
     def __len__(self) -> int:
         return len(self.run)

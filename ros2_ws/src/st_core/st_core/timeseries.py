@@ -173,17 +173,13 @@ def half_step_grid(start_ns: int, steps: int, step: float) -> np.ndarray:
 
 
 class Neighbours(NamedTuple):
-    """Samples around instants. before, after: index of the last sample before and of the first at or after an instant.
+    """Samples around instants."""
 
-    exact: whether sample `after` is at the instant. known: whether the signal is known there. fraction: position of the
-    instant between the two samples, 0 to 1.
-    """
-
-    before: np.ndarray
-    after: np.ndarray
-    exact: np.ndarray
-    known: np.ndarray
-    fraction: np.ndarray
+    before: np.ndarray  # index of the last sample before an instant
+    after: np.ndarray  # index of the first sample at or after an instant
+    exact: np.ndarray  # whether sample `after` is at the instant
+    known: np.ndarray  # whether the signal is known there
+    fraction: np.ndarray  # position of the instant between the two samples, 0 to 1
 
     def interpolate(self, values: np.ndarray) -> np.ndarray:
         """A signal at the instants, from its samples; NaN where it is unknown."""

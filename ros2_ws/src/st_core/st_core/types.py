@@ -23,18 +23,14 @@ StateTuple = tuple[float, float, float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class VehicleState:
-    """State of every model, at the centre of gravity (CG). The field order is the state order everywhere.
+    """State of every model, at the centre of gravity (CG). The field order is the state order everywhere."""
 
-    x, y: position in the map frame [m]. velocity_x, velocity_y: body axes, forward and left [m/s].
-    yaw: from map x (east) counter-clockwise, not wrapped [rad]. yaw_rate: left turn + [rad/s].
-    """
-
-    x: float
-    y: float
-    velocity_x: float
-    velocity_y: float
-    yaw: float
-    yaw_rate: float
+    x: float  # position in the map frame [m]
+    y: float  # position in the map frame [m]
+    velocity_x: float  # body axes, forward [m/s]
+    velocity_y: float  # body axes, left [m/s]
+    yaw: float  # from map x (east) counter-clockwise, not wrapped [rad]
+    yaw_rate: float  # left turn + [rad/s]
 
     def as_tuple(self) -> StateTuple:
         """The six values as Python floats, in state order."""
@@ -93,19 +89,15 @@ class Trajectory:
 
 
 class InsSample(NamedTuple):
-    """One measurement of the INS, at the INS point.
+    """One measurement of the INS, at the INS point."""
 
-    time_ns: UTC nanoseconds since the Unix epoch. x, y: map frame [m]. yaw: from east counter-clockwise, wrapped or not
-    [rad]. velocity_x, velocity_y: body axes, forward and left [m/s]. yaw_rate: left turn + [rad/s].
-    """
-
-    time_ns: int
-    x: float
-    y: float
-    yaw: float
-    velocity_x: float
-    velocity_y: float
-    yaw_rate: float
+    time_ns: int  # UTC nanoseconds since the Unix epoch
+    x: float  # map frame [m]
+    y: float  # map frame [m]
+    yaw: float  # from east counter-clockwise, wrapped or not [rad]
+    velocity_x: float  # body axes, forward [m/s]
+    velocity_y: float  # body axes, left [m/s]
+    yaw_rate: float  # left turn + [rad/s]
 
 
 def wrap_angle(angle: Number) -> Number:

@@ -17,12 +17,9 @@ MINIMUM_LOAD = 1.0  # N, of one tyre
 
 
 class MagicFormula(NamedTuple):
-    """Pure lateral slip parameters of one tyre, names as in the paper's table, SAE sign (p_ky1 < 0).
+    """Pure lateral slip parameters of one tyre, names as in the paper's table, SAE sign (p_ky1 < 0)."""
 
-    nominal_load: F_z0 [N]; all others [1]. lambda_ky scales the stiffness, lambda_cy the shape, lambda_muy friction.
-    """
-
-    nominal_load: float
+    nominal_load: float  # F_z0 [N]; all others [1]
     p_cy1: float
     p_dy1: float
     p_dy2: float
@@ -32,9 +29,9 @@ class MagicFormula(NamedTuple):
     p_ky1: float
     p_ky2: float
     p_ky4: float
-    lambda_ky: float = 1.0
-    lambda_cy: float = 1.0
-    lambda_muy: float = 1.0
+    lambda_ky: float = 1.0  # scale of the stiffness
+    lambda_cy: float = 1.0  # scale of the shape
+    lambda_muy: float = 1.0  # scale of the friction
 
 
 def slip_angle(velocity_lateral, velocity_forward, minimum_speed):

@@ -18,16 +18,13 @@ from .yaml_text import check_keys, load, number, quote
 
 @dataclass(frozen=True)
 class Quantity:
-    """One key of a vehicle file: permitted units with their factor to SI, and limits in SI (inclusive).
+    """One key of a vehicle file."""
 
-    required: whether every vehicle file must contain the key. default: value of an optional quantity, in SI.
-    """
-
-    units: Mapping[str, float]
-    minimum: float
-    maximum: float
-    required: bool = True
-    default: float = math.nan
+    units: Mapping[str, float]  # permitted units with their factor to SI
+    minimum: float  # limit in SI, inclusive
+    maximum: float  # limit in SI, inclusive
+    required: bool = True  # whether every vehicle file must contain the key
+    default: float = math.nan  # of an optional quantity, in SI
 
     @property
     def si_unit(self) -> str:
@@ -88,9 +85,9 @@ TYRES = ("tyre_front", "tyre_rear")
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Default standard deviation: a fraction `size` of the value if `relative`, else `size` in SI."""
+    """Default standard deviation of a value."""
 
-    size: float
+    size: float  # fraction of the value if `relative`, else in SI
     relative: bool
     source: str
 
@@ -124,39 +121,30 @@ def road_wheel_angle(steering_wheel_angle: Number, offset: Number, ratio: Number
 
 @dataclass(frozen=True)
 class VehicleParameters:
-    """One car, in SI units.
+    """One car, in SI units. Raises ConfigurationError, naming the key and the limit, for impossible values.
 
-    mass [kg], yaw_inertia [kg m^2] about the CG; wheelbase, cg_to_front_axle, cg_height [m]. cg_to_ins_x, cg_to_ins_y:
-    the INS point seen from the CG, forward and left [m]; behind the CG is negative. steering_ratio [1];
-    steering_wheel_offset [rad]: reading of the steering wheel sensor when driving straight, left +.
-    cornering_stiffness_front/_rear: per axle, > 0 [N/rad]. minimum_slip_speed: v_eps, lower limit of the speed in the
-    denominator of the slip angle [m/s]. tyre_front, tyre_rear: one tyre each, lambda_ky filled in. length, width [m]:
-    of the body, for drawing. track_width [m]: both axles. drive_front, brake_front: fraction of drive and brake force
-    on the front axle [1]; rear-wheel drive: drive_front 0. load_transfer_front: fraction of the lateral load transfer
-    on the front axle [1]. side_area: side force coefficient times its reference area, C_y A [m^2]; side_force_arm [m]:
-    distance ahead of the CG. sources: source of each value, by key ("tyre_front.p_cy1" for the tyres).
-    provenance: uncertainty, method, data and date of identified values, by key.
-
-    Raises ConfigurationError, naming the key and the limit, for a value out of bounds or contradictory lengths.
+    Optional quantities: track_width of both axles; drive_front, brake_front, load_transfer_front: fraction of the drive
+    force, brake force and lateral load transfer on the front axle (rear-wheel drive: drive_front 0); side_area: side
+    force coefficient times its reference area, C_y A; side_force_arm: its distance ahead of the CG.
     """
 
     name: str
-    mass: float
-    yaw_inertia: float
-    wheelbase: float
-    cg_to_front_axle: float
-    cg_height: float
-    cg_to_ins_x: float
-    cg_to_ins_y: float
-    steering_ratio: float
-    steering_wheel_offset: float
-    cornering_stiffness_front: float
-    cornering_stiffness_rear: float
-    minimum_slip_speed: float
-    length: float
-    width: float
-    tyre_front: MagicFormula
-    tyre_rear: MagicFormula
+    mass: float  # kg
+    yaw_inertia: float  # kg m^2, about the CG
+    wheelbase: float  # m
+    cg_to_front_axle: float  # m
+    cg_height: float  # m
+    cg_to_ins_x: float  # m; INS point ahead of the CG, behind it < 0
+    cg_to_ins_y: float  # m; INS point to the left of the CG
+    steering_ratio: float  # 1
+    steering_wheel_offset: float  # rad; reading of the steering wheel sensor when driving straight, left +
+    cornering_stiffness_front: float  # N/rad per axle, > 0
+    cornering_stiffness_rear: float  # N/rad per axle, > 0
+    minimum_slip_speed: float  # m/s; v_eps, lower limit of the speed in the denominator of the slip angle
+    length: float  # m, of the body, for drawing
+    width: float  # m, of the body, for drawing
+    tyre_front: MagicFormula  # one tyre, lambda_ky filled in
+    tyre_rear: MagicFormula  # one tyre, lambda_ky filled in
     track_width: float = OPTIONAL_QUANTITIES["track_width"].default
     drive_front: float = OPTIONAL_QUANTITIES["drive_front"].default
     brake_front: float = OPTIONAL_QUANTITIES["brake_front"].default

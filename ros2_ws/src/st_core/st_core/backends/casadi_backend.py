@@ -31,16 +31,13 @@ for _kind in (casadi.SX, casadi.MX, casadi.DM):
 
 @dataclass(frozen=True)
 class Variable:
-    """One entry of x, u or p. lower, upper: range of validity of the model [unit], infinite if unlimited.
-
-    value: known value of a parameter, from vehicle and model; NaN if the caller must supply it.
-    """
+    """One entry of x, u or p."""
 
     name: str
     unit: str
-    lower: float = -math.inf
+    lower: float = -math.inf  # end of the range of validity of the model [unit]
     upper: float = math.inf
-    value: float = math.nan
+    value: float = math.nan  # known value of a parameter; NaN if the caller must supply it
 
 
 # Wide enough for driving on a road, narrow enough to help a solver: 35 deg of steering, 1 g of braking or acceleration.

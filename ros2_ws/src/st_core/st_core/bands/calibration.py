@@ -87,11 +87,13 @@ MIN_RUNS = 3  # the calibration domain of a scored run requires two other runs
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """The band of one model and mode: half-widths are factor times scale. factors: by level, not decreasing [1].
-    ratios: (3, len(RELIABILITY)) quantiles of |error| / scale at a single point, by axis, for the CRPS."""
+    """The band of one model and mode: half-widths are factor times scale.
+
+    ratios: (3, len(RELIABILITY)) quantiles of |error| / scale at a single point, by axis, for the CRPS.
+    """
 
     scale: Scale
-    factors: dict[float, float]
+    factors: dict[float, float]  # by level, not decreasing [1]
     ratios: np.ndarray
 
     def half_widths(self, conditions: np.ndarray, level: float) -> np.ndarray:

@@ -70,11 +70,10 @@ def cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationDomain:
-    """Calibrated conditions. starts: number of starts by (speed bin, lateral acceleration bin), 0 if fewer than
-    MIN_RUNS runs had MIN_STARTS. largest: maximum of forward_acceleration [m/s^2] and steering_activity [rad/s]."""
+    """Calibrated conditions."""
 
-    starts: np.ndarray
-    largest: tuple[float, float]
+    starts: np.ndarray  # by (speed bin, lateral acceleration bin), 0 if fewer than MIN_RUNS runs had MIN_STARTS
+    largest: tuple[float, float]  # forward_acceleration [m/s^2], steering_activity [rad/s]
 
     @classmethod
     def of(cls, conditions: Sequence[np.ndarray]) -> "CalibrationDomain":

@@ -40,19 +40,16 @@ CHECKED_SETTINGS = ("horizon", "step", "minimum_speed", "maximum_gap", "filter_c
 
 @dataclass(frozen=True, eq=False)
 class Bands:
-    """All bands of a car. bands: by (model, mode). hashes: `prediction.configuration_hash` by model.
-
-    settings: from `EvaluationSettings.as_dict`. recordings: sha256 by name. runs: number of runs.
-    """
+    """All bands of a car."""
 
     vehicle_name: str
     vehicle_hash: str
-    settings: Mapping[str, Any]
-    recordings: Mapping[str, str]
-    runs: int
+    settings: Mapping[str, Any]  # from `EvaluationSettings.as_dict`
+    recordings: Mapping[str, str]  # sha256 by name
+    runs: int  # number of runs
     domain: CalibrationDomain
-    bands: Mapping[ModelMode, Band]
-    hashes: Mapping[str, str] = field(default_factory=dict)
+    bands: Mapping[ModelMode, Band]  # by (model, mode)
+    hashes: Mapping[str, str] = field(default_factory=dict)  # `prediction.configuration_hash` by model
 
     @property
     def models(self) -> tuple[str, ...]:

@@ -159,13 +159,12 @@ END_SHARE = 0.5  # fraction of the limit; a warning ends when S falls below it
 
 @dataclass
 class BandCoverage:
-    """Observed coverage of one model and mode. n: number of scored windows with a band. inside: by level, number of
-    these with the whole path inside. warns: whether the coverage is significantly too low. evidence: S, see module."""
+    """Observed coverage of one model and mode."""
 
-    n: int = 0
-    inside: dict[float, int] = field(default_factory=dict)
-    warns: bool = False
-    evidence: float = 0.0
+    n: int = 0  # number of scored windows with a band
+    inside: dict[float, int] = field(default_factory=dict)  # number of these with the whole path inside, by level
+    warns: bool = False  # whether the coverage is significantly too low
+    evidence: float = 0.0  # S, see module
     _last_ns: int | None = None
 
     def share(self, level: float) -> float:

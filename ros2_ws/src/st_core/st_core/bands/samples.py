@@ -27,11 +27,14 @@ class NotFiniteError(StCoreError):
 
 @dataclass(frozen=True, eq=False)
 class ErrorSamples:
-    """Samples of one run. conditions: (n, 4) as `conditions.CONDITIONS`. errors: (n, points - 1, 3) by (model, mode),
-    float32, in the predicted frame (see `to_predicted_frame`), without the start, where they are 0."""
+    """Samples of one run.
+
+    errors: (n, points - 1, 3) by (model, mode), float32, in the predicted frame (see `to_predicted_frame`), without the
+    start, where they are 0.
+    """
 
     name: str
-    conditions: np.ndarray
+    conditions: np.ndarray  # (n, 4) as `conditions.CONDITIONS`
     errors: dict[ModelMode, np.ndarray]
 
 

@@ -82,13 +82,12 @@ def floor_at(floor: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """A fitted scale. coefficients: C (3, knots, features). floor: (2, 3), NOISE_FACTOR n and FLOOR_SHARE e [m, m,
-    rad]. time: (points,) ahead [s, > 0]. knots: (knots,) [s]."""
+    """A fitted scale."""
 
-    coefficients: np.ndarray
-    floor: np.ndarray
-    time: np.ndarray
-    knots: np.ndarray
+    coefficients: np.ndarray  # C (3, knots, features)
+    floor: np.ndarray  # (2, 3), NOISE_FACTOR n and FLOOR_SHARE e [m, m, rad]
+    time: np.ndarray  # (points,) ahead [s, > 0]
+    knots: np.ndarray  # (knots,) [s]
 
     @cached_property
     def _interpolation(self) -> np.ndarray:

@@ -151,24 +151,19 @@ class InsQuality:
 class AuxiliaryData:
     """Data recorded in addition to the drive, all optional.
 
-    stamps: time stamps of "INS" and "steering" [int64 ns] as recorded, before rows were left out. missing: number of
-    rows left out without a usable value, by channel. wheel_speed: forward speed from the wheels or the car's speed
-    signal [m/s]. ins_speed: forward speed from a second output of the INS (CAN frames, or NCOM packets recorded in
-    addition to an odometry) [m/s]. corrected: phrases on the corrections by run.yaml. implausible: findings about
-    samples that the reader left out, see `plausibility`. start_ns: time of the first recorded INS measurement; None for
-    the first one of the drive. geographic: whether x and y were computed from latitude and longitude, which makes them
-    east and north.
+    stamps: time stamps of "INS" and "steering" as recorded, before rows were left out. missing: number of rows left out
+    without a usable value, by channel. ins_speed: from CAN frames, or from NCOM packets in addition to an odometry.
     """
 
     stamps: Mapping[str, np.ndarray] = field(default_factory=dict)
     missing: Mapping[str, int] = field(default_factory=dict)
-    wheel_speed: Series | None = None
-    ins_speed: Series | None = None
+    wheel_speed: Series | None = None  # forward speed from the wheels or the car's speed signal [m/s]
+    ins_speed: Series | None = None  # forward speed [m/s]
     quality: InsQuality | None = None
-    corrected: tuple[str, ...] = ()
-    implausible: tuple[Finding, ...] = ()
-    start_ns: int | None = None
-    geographic: bool = False
+    corrected: tuple[str, ...] = ()  # phrases on the corrections by run.yaml
+    implausible: tuple[Finding, ...] = ()  # findings about samples that the reader left out, see `plausibility`
+    start_ns: int | None = None  # time of the first recorded INS measurement; None: the first one of the drive
+    geographic: bool = False  # whether x and y are east and north, computed from latitude and longitude
 
 
 HORIZON = 5.0  # s; prediction time at which the effect of a fault is evaluated

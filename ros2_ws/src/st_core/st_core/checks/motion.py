@@ -22,26 +22,24 @@ MIN_SIGNAL_TO_NOISE = 10.0  # minimum forward velocity divided by the standard d
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A drive with times in seconds since the first INS measurement and signals as in DriveLog, corrected for the
-    findings so far; accelerations may be NaN.
+    """A drive with signals as in DriveLog, corrected for the findings so far; accelerations may be NaN.
 
-    steering [rad]: road wheel angle at steering_time [s], left +. speeds: (time [s], values [m/s]) of other sources of
-    the forward speed, by name. geographic: see `AuxiliaryData`.
+    speeds: (time [s], values [m/s]) of other sources of the forward speed, by name.
     """
 
-    time: np.ndarray
+    time: np.ndarray  # s since the first INS measurement
     x: np.ndarray
     y: np.ndarray
     yaw: np.ndarray
     velocity_x: np.ndarray
     velocity_y: np.ndarray
     yaw_rate: np.ndarray
-    steering_time: np.ndarray
-    steering: np.ndarray
+    steering_time: np.ndarray  # s since the first INS measurement
+    steering: np.ndarray  # road wheel angle at steering_time [rad], left +
     acceleration_x: np.ndarray | None = None
     acceleration_y: np.ndarray | None = None
     speeds: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
-    geographic: bool = False
+    geographic: bool = False  # see `AuxiliaryData`
 
     @classmethod
     def of(cls, log: DriveLog, start: int, auxiliary: AuxiliaryData) -> "Motion":
@@ -116,11 +114,11 @@ def integral(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Windows without gaps, in order of time: indices of their first and last samples, time of the first [s]."""
+    """Windows without gaps, in order of time."""
 
-    first: np.ndarray
-    last: np.ndarray
-    time: np.ndarray
+    first: np.ndarray  # index of the first sample
+    last: np.ndarray  # index of the last sample
+    time: np.ndarray  # of the first sample [s]
 
     def change(self, values: np.ndarray) -> np.ndarray:
         """Change from start to end of each window."""
@@ -166,16 +164,12 @@ SAME_RATIO_FACTOR = 1.2  # factor by which equal ratios may differ
 
 
 class Ratios(NamedTuple):
-    """Robust ratios between the changes of two channels in windows; NaN with too little motion.
+    """Robust ratios between the changes of two channels in windows; NaN with too little motion."""
 
-    distance: positions to integrated velocity. yaw_rate: yaw to integrated yaw rate. yaw_course: yaw to course over
-    ground. rate_course: integrated yaw rate to course over ground.
-    """
-
-    distance: float
-    yaw_rate: float
-    yaw_course: float
-    rate_course: float
+    distance: float  # positions to integrated velocity
+    yaw_rate: float  # yaw to integrated yaw rate
+    yaw_course: float  # yaw to course over ground
+    rate_course: float  # integrated yaw rate to course over ground
 
 
 def is_near(value: float, target: float, factor: float = SAME_RATIO_FACTOR) -> bool:

@@ -38,12 +38,11 @@ STEP_TIME = 0.05  # s; interval that `ChannelLimits.step` refers to
 
 @dataclass(frozen=True)
 class ChannelLimits:
-    """Plausible changes and values of a channel of a road car. step: largest change within STEP_TIME [unit],
-    proportionally more in longer intervals. largest: magnitude above which a value is out of range [unit]."""
+    """Plausible changes and values of a channel of a road car."""
 
     unit: str
-    step: float
-    largest: float = np.inf
+    step: float  # largest change within STEP_TIME [unit]; proportionally more in longer intervals
+    largest: float = np.inf  # magnitude above which a value is out of range [unit]
 
 
 CHANNELS: Mapping[str, ChannelLimits] = {

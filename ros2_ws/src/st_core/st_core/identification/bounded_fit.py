@@ -26,15 +26,14 @@ BOUND_TOLERANCE = 1e-6  # distance within which a value is at its bound, as a fr
 
 @dataclass(frozen=True)
 class CurveFit:
-    """Fitted values (k,), covariance (k, k), which is zero for parameters at a bound, residuals (n,), their standard
-    deviation s, degrees of freedom n - k, and bounds (k,) each."""
+    """Result of `fit_curve`."""
 
-    values: np.ndarray
-    covariance: np.ndarray
-    residuals: np.ndarray
-    residual_deviation: float
-    degrees_of_freedom: int
-    lower: np.ndarray
+    values: np.ndarray  # (k,)
+    covariance: np.ndarray  # (k, k), zero for parameters at a bound
+    residuals: np.ndarray  # (n,)
+    residual_deviation: float  # standard deviation s
+    degrees_of_freedom: int  # n - k
+    lower: np.ndarray  # bounds (k,)
     upper: np.ndarray
 
     @property

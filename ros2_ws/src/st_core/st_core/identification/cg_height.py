@@ -45,11 +45,11 @@ class Lift:
 
 @dataclass(frozen=True)
 class LiftedCar:
-    """The car in the state of the test: mass [kg], wheelbase [m], cg_to_front_axle [m], and standard uncertainties."""
+    """The car in the state of the test, with standard uncertainties."""
 
-    mass: float
-    wheelbase: float
-    cg_to_front_axle: float
+    mass: float  # kg
+    wheelbase: float  # m
+    cg_to_front_axle: float  # m
     mass_uncertainty: float = 0.0
     wheelbase_uncertainty: float = 0.0
 

@@ -51,15 +51,14 @@ Slope = tuple[float, Spread, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class AxleSamples:
-    """Slip angle [rad] and force [N] of an axle, (n,) each, of opposite sign, with the run and the time [s] of each
-    sample. used: (n,) whether a sample is used in the regression."""
+    """Samples (n,) of an axle; slip angle and force have opposite signs."""
 
     axle: str
-    slip: np.ndarray
-    force: np.ndarray
-    run_of: np.ndarray
-    time: np.ndarray
-    used: np.ndarray
+    slip: np.ndarray  # slip angle [rad]
+    force: np.ndarray  # N
+    run_of: np.ndarray  # number of the run
+    time: np.ndarray  # s
+    used: np.ndarray  # whether a sample is used in the regression
 
     def bin_forces(self) -> tuple[np.ndarray, np.ndarray]:
         """(mean slip, mean force opposing it) in each bin of |slip|, (b,) each.

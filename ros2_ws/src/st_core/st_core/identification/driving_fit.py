@@ -51,17 +51,13 @@ Values = Mapping[str, float]
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A quantity that can be identified from driving, and the effect that represents it in the fit; SI units.
-
-    value: computes it from the vehicle and the values of the effects, by "effect.parameter". relative: whether it is
-    judged by its relative uncertainty, otherwise by max_uncertainty [unit].
-    """
+    """A quantity that can be identified from driving, and the effect that represents it in the fit; SI units."""
 
     effect: str
     unit: str
-    value: Callable[[VehicleParameters, Values], float]
-    relative: bool = False
-    max_uncertainty: float = 0.0
+    value: Callable[[VehicleParameters, Values], float]  # from the vehicle and values by "effect.parameter"
+    relative: bool = False  # whether it is judged by its relative uncertainty
+    max_uncertainty: float = 0.0  # otherwise [unit]
 
 
 def _make_scaled_parameter(effect: str, key: str, unit: str) -> FreeParameter:
@@ -91,17 +87,14 @@ FREE_PARAMETERS: Mapping[str, FreeParameter] = {
 
 @dataclass(frozen=True)
 class DrivingFitSettings:
-    """Settings of a fit. horizon [s] of the predictions, 1 or more; interval [s] between their starts. A window is used
-    if throughout the horizon the speed is at least minimum_speed [m/s] and |v_x r| at most maximum_acceleration
-    [m/s^2]; a fit requires min_windows of them. channels: measured quantities that are compared with predictions;
-    without velocity_y, predictions start from steady sideslip."""
+    """Settings of a fit. A window is used if its whole horizon is within the limits of speed and acceleration."""
 
-    horizon: float = 1.5
-    interval: float = 0.5
-    minimum_speed: float = 5.0
-    maximum_acceleration: float = 4.0
-    min_windows: int = 60
-    channels: tuple[str, ...] = ("yaw_rate", "velocity_y")
+    horizon: float = 1.5  # s, of the predictions; 1 or more
+    interval: float = 0.5  # s, between the starts of the predictions
+    minimum_speed: float = 5.0  # m/s
+    maximum_acceleration: float = 4.0  # m/s^2, largest |v_x r|
+    min_windows: int = 60  # of a fit
+    channels: tuple[str, ...] = ("yaw_rate", "velocity_y")  # without velocity_y, predictions start from steady sideslip
 
 
 class _LimitedWindows(Windows):
@@ -134,8 +127,8 @@ class _LimitedWindows(Windows):
 class DrivingFit:
     """Result of a fit: names and their values (p,) [SI].
 
-    hessian: (q, q) Gauss-Newton approximation to half the second derivative of the loss. curvature_square, acceleration:
-    means weighted by (v_x r)^2.
+    hessian: (q, q) Gauss-Newton approximation to half the second derivative of the loss. The means curvature_square and
+    acceleration are weighted by (v_x r)^2.
     """
 
     names: tuple[str, ...]

@@ -35,16 +35,13 @@ MIN_FILLED_BINS = 3
 
 @dataclass(frozen=True)
 class FlatPlank:
-    """A flat-plank table: load [N], slip angle [rad], lateral force [N], (n,) each, in either sign convention.
+    """A flat-plank table, (n,) each, in either sign convention."""
 
-    tyre: tyre_front or tyre_rear. name: name of the data.
-    """
-
-    tyre: str
-    load: np.ndarray
-    slip: np.ndarray
-    force: np.ndarray
-    name: str
+    tyre: str  # tyre_front or tyre_rear
+    load: np.ndarray  # N
+    slip: np.ndarray  # slip angle [rad]
+    force: np.ndarray  # lateral force [N]
+    name: str  # name of the data
 
 
 def load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:

@@ -26,13 +26,12 @@ MAX_MASS_RANGE = 0.02  # largest relative range of the mass over weighings of on
 
 @dataclass(frozen=True)
 class Weighings:
-    """n weighings with readings (n, 4) [kg], columns as WHEELS. names, loads: (n,) names of the weighings and texts on
-    the loading of the car. scale_uncertainty: standard uncertainty of one scale [kg]."""
+    """n weighings."""
 
-    readings: np.ndarray
-    names: tuple[str, ...]
-    loads: tuple[str, ...]
-    scale_uncertainty: float = SCALE_UNCERTAINTY
+    readings: np.ndarray  # (n, 4) [kg], columns as WHEELS
+    names: tuple[str, ...]  # (n,) names of the weighings
+    loads: tuple[str, ...]  # (n,) texts on the loading of the car
+    scale_uncertainty: float = SCALE_UNCERTAINTY  # standard uncertainty of one scale [kg]
 
 
 def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: float = 0.0) -> Identification:

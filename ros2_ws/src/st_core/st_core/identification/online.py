@@ -50,41 +50,39 @@ MIN_LOADED_ACCELERATION = 1.5  # m/s^2; minimum |v r| with a significant load on
 
 @dataclass(frozen=True)
 class OnlineEstimate:
-    """Current estimate of one parameter. deviation: standard deviation. reason: why it is not estimated, or invalid."""
+    """Current estimate of one parameter."""
 
     parameter: str
     value: float
     unit: str
-    deviation: float
+    deviation: float  # standard deviation
     status: OnlineStatus
-    reason: str
+    reason: str  # why it is not estimated, or invalid
 
 
 @dataclass
 class DrivingTime:
-    """Duration of the driving so far [s]: used, and its parts by direction, load (above MIN_LOADED_ACCELERATION) and
-    speed bin; rejected, by reason."""
+    """Duration of the driving so far [s]."""
 
     used: float = 0.0
     straight: float = 0.0
     left: float = 0.0
     right: float = 0.0
-    loaded_left: float = 0.0
-    loaded_right: float = 0.0
-    speeds: list[float] = field(default_factory=lambda: [0.0] * len(SPEED_BINS))
-    rejected: dict[str, float] = field(default_factory=dict)
+    loaded_left: float = 0.0  # above MIN_LOADED_ACCELERATION
+    loaded_right: float = 0.0  # above MIN_LOADED_ACCELERATION
+    speeds: list[float] = field(default_factory=lambda: [0.0] * len(SPEED_BINS))  # by speed bin
+    rejected: dict[str, float] = field(default_factory=dict)  # by reason
 
 
 @dataclass(frozen=True)
 class OnlineFit:
-    """Result of one fit: values and standard deviations (3,) in the order of NAMES. unexplained: RMS residual divided
-    by RMS yaw rate. at_bound: names of values at a bound. problem: why the fit failed, or empty."""
+    """Result of one fit."""
 
-    values: tuple[float, ...]
-    deviations: tuple[float, ...]
-    unexplained: float = 0.0
-    at_bound: tuple[str, ...] = ()
-    problem: str = ""
+    values: tuple[float, ...]  # (3,) in the order of NAMES
+    deviations: tuple[float, ...]  # standard deviations (3,)
+    unexplained: float = 0.0  # RMS residual divided by RMS yaw rate
+    at_bound: tuple[str, ...] = ()  # names of values at a bound
+    problem: str = ""  # why the fit failed, or empty
 
 
 def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:

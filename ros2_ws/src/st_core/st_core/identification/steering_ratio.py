@@ -25,12 +25,12 @@ from .result import Coverage, Estimate, Identification, IdentificationError
 
 @dataclass(frozen=True)
 class Line:
-    """Fitted slope b with its standard uncertainty, intercepts a_j by group, residuals (n,), and degrees of freedom."""
+    """Result of `fit_line`."""
 
-    slope: float
-    uncertainty: float
-    intercepts: dict[str, float]
-    residuals: np.ndarray
+    slope: float  # b
+    uncertainty: float  # standard uncertainty of b
+    intercepts: dict[str, float]  # a_j by group
+    residuals: np.ndarray  # (n,)
     degrees_of_freedom: int
 
 

@@ -11,15 +11,11 @@ from ..vehicle import VehicleParameters
 
 @dataclass(frozen=True)
 class Axles:
-    """The rhs of a dynamic model as three functions: slip angles, axle forces, motion. Their composition is the rhs.
+    """The rhs of a dynamic model as three functions: slip angles, axle forces, motion. Their composition is the rhs."""
 
-    slip_angles(state, w, p) -> (front, rear) [rad], forces(slip_front, slip_rear, w, p) -> (front, rear) [N],
-    motion(state, force_front, force_rear, w, p) -> time derivative of the state.
-    """
-
-    slip_angles: Callable[[tuple, tuple, Any], tuple]
-    forces: Callable[[Any, Any, tuple, Any], tuple]
-    motion: Callable[[tuple, Any, Any, tuple, Any], tuple]
+    slip_angles: Callable[[tuple, tuple, Any], tuple]  # (state, w, p) -> (front, rear) [rad]
+    forces: Callable[[Any, Any, tuple, Any], tuple]  # (slip_front, slip_rear, w, p) -> (front, rear) [N]
+    motion: Callable[[tuple, Any, Any, tuple, Any], tuple]  # (state, force_front, force_rear, w, p) -> derivative
 
 
 @dataclass(frozen=True)
