@@ -180,10 +180,9 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
     """Predict with every model from every start, and score the predictions.
 
     log: a drive, or its precomputed signals. starts_ns: increasing; default: every `interval` of the drive from its
-    first INS sample. A start at which INS or steering is unknown, or the car is slower than minimum_speed,
-    is skipped and counted. progress(done, total): called after each block of starts.
-    on_block(starts_ns, block): called with the errors of each block. future_inputs: inputs of the modes plan and
-    course; where they are unknown, inputs are held. Source: paper, section on the comparison. Checked by:
+    first INS sample; starts that cannot be predicted are skipped and counted. progress(done, total): called after each
+    block of starts. on_block(starts_ns, block): called with the errors of each block. future_inputs: inputs of the modes
+    plan and course; where they are unknown, inputs are held. Source: paper, section on the comparison. Checked by:
     test_log_evaluation.py, against the live classes.
     """
     settings = settings or EvaluationSettings()

@@ -75,8 +75,7 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
     inputs: held over the horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
     horizon, step [s]: the horizon must be a whole number of steps. substeps: number >= 1 of integration steps per step,
     with inputs interpolated linearly; see `stability` for the number needed. NaN in the state or an input gives NaN
-    from there on; a step too long for the stiffness gives large or non-finite numbers, never an exception. Raises
-    StCoreError for inputs of the wrong length and for a missing signal.
+    from there on. Raises StCoreError for inputs of the wrong length and for a missing signal.
     """
     model = get_model(model)
     p, steps = model.parameters(vehicle), step_count(horizon, step)

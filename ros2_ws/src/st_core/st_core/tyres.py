@@ -65,8 +65,7 @@ def magic_formula_coefficients(load, tyre: MagicFormula):
 
         D = (p_dy1 + p_dy2 df) lambda_muy F_z,  B = K / (C D),  E = p_ey1 + p_ey2 df,  df = (F_z - F_z0) / F_z0
 
-    Limited to F_z >= 1 N and E <= 1; with a larger E the curve folds back (Pacejka, Tire and Vehicle Dynamics, eq.
-    4.E24). The Leaf reaches neither limit up to a braking deceleration of 8 m/s^2.
+    F_z >= 1 N and E <= 1; with a larger E the curve folds back (Pacejka, Tire and Vehicle Dynamics, eq. 4.E24).
     """
     load = maximum(load, MINIMUM_LOAD)
     increment = load / tyre.nominal_load - 1.0

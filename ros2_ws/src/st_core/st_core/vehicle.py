@@ -125,7 +125,8 @@ class VehicleParameters:
 
     Optional quantities: track_width of both axles; drive_front, brake_front, load_transfer_front: fraction of the drive
     force, brake force and lateral load transfer on the front axle (rear-wheel drive: drive_front 0); side_area: side
-    force coefficient times its reference area, C_y A; side_force_arm: its distance ahead of the CG.
+    force coefficient times its reference area, C_y A; side_force_arm: its distance ahead of the CG. sources and
+    provenance are by key, such as "tyre_front.p_cy1".
     """
 
     name: str

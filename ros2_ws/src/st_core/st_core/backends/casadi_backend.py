@@ -79,12 +79,10 @@ class SymbolicModel:
 
 def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1,
           free: Iterable[str] = ()) -> SymbolicModel:
-    """The functions of a model with the parameters of a car.
+    """The functions of a model with the parameters of a car, named after the model.
 
     substeps: RK4 steps within h. free: parameters that remain an argument, such as "road_bank.angle"; only effects that
-    act in the equations have them; effects on vehicle parameters (mass, friction, stiffness) are constant. The
-    functions are named after the model, such as <model>_dynamics. Raises ConfigurationError for an unknown model or
-    parameter.
+    act in the equations have them. Raises ConfigurationError for an unknown model or parameter.
     """
     model = get_model(model)
     if substeps < 1:

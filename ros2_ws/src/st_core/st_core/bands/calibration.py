@@ -112,9 +112,8 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
         band = { |e_a(t)| <= c s_a(t | z)  for all t and a },       score of a window = max over t, a of |e_a(t)| / s_a
 
     A run is scored with a scale fitted to other runs (cross-fitting), because scores of runs used in the fit would be
-    too small. Windows outside the calibration domain of the other runs are ignored, because they would have no band.
-    time: (points,) of the errors [s]. Raises a one-line StCoreError if there are too few runs for a level or if errors
-    are not finite.
+    too small. Windows outside the calibration domain of the other runs are ignored. time: (points,) of the errors [s].
+    Raises a one-line StCoreError if there are too few runs for a level or if errors are not finite.
     """
     check_levels(levels, len(runs))
     if len(runs) < MIN_RUNS:

@@ -68,10 +68,9 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
                       nuisance: Sequence[str] = NUISANCE) -> Identification:
     """Both stiffnesses, with an uncertainty from the variation between runs.
 
-    vehicle: source of all other values and of the start values. base: linear, nonlinear, or one of these with known
-    effects (`augment`), such as the drive force on steered wheels. also: further parameters to fit and report, from
-    `driving_fit.FREE_PARAMETERS` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). nuisance:
-    parameters that are fitted but not reported. Raises IdentificationError for too little excitation.
+    base: linear, nonlinear, or one of these with known effects (`augment`), such as the drive force on steered wheels.
+    also: further parameters to fit and report, from `driving_fit.FREE_PARAMETERS` (steering_ratio needs low and high
+    speeds, cg_to_ins_x tight bends). nuisance: parameters that are fitted but not reported. Raises IdentificationError.
     """
     names = tuple(dict.fromkeys((*STIFFNESSES, *also, *nuisance)))
     logs, notices = prepare_drives(logs, vehicle)

@@ -45,10 +45,9 @@ class RunSamples:
 def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) -> RunSamples:
     """Samples of a drive at the INS sample times at which all signals are available.
 
-    Velocity, yaw rate and steering pass the same zero-phase filter, which attenuates both sides of each equation
-    equally: first-order Butterworth with `cutoff` [Hz], forward and backward (`timeseries.filtered_derivative`).
-    Derivatives are central differences of the filtered signals. The lateral acceleration is v_y_dot + v_x r, without
-    gravity, transformed to the CG. Raises IdentificationError for a drive without common measurements.
+    Velocity, yaw rate and steering pass the same zero-phase Butterworth filter of first order with `cutoff` [Hz]
+    (`timeseries.filtered_derivative`), which attenuates both sides of each equation equally. The lateral acceleration is
+    v_y_dot + v_x r, transformed to the CG. Raises IdentificationError for a drive without common measurements.
     """
     def smooth(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return filtered_derivative(time_ns, values, cutoff, MAXIMUM_GAP, "zero_phase")
@@ -82,8 +81,7 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
     If the steering wheel angle was recorded, the road wheel angle is computed with this vehicle's ratio and offset. The
     yaw rate bias of each drive is removed, since it would appear as an offset of the steering. needed: channels that
-    each drive must have. Raises IdentificationError for no drive, two drives of one name, and a drive that is too short
-    or lacks a channel.
+    each drive must have. Raises IdentificationError for unusable drives.
     """
     names = [log.name for log in logs]
     if not names:

@@ -25,12 +25,8 @@ class Model:
     parameters(vehicle) -> p: a NamedTuple of the numbers the equations need, possibly nested.
     inputs(road_wheel_angle, velocity_x_dot, p, *signals) -> w: a tuple of all quantities that depend only on the
         inputs; computed once per instant, or once per prediction with constant inputs. One argument per signal.
-    rhs(state, w, p) -> time derivative of the state: a tuple of six values and one for each of `extra_states`.
-    extra_states: names of the states that follow the six. start(state, w, p) -> their values at the start of a
-        prediction, from the six states and w there; None: zeros.
-    signals: names of further measured quantities that the model needs.
-    axles: functions of a dynamic model; None for the kinematic model.
-
+    rhs(state, w, p) -> time derivative of the state: six values and one for each of `extra_states`.
+    start(state, w, p) -> the extra states at the start of a prediction, from the six states and w there; None: zeros.
     The functions use `st_core.ops` and accept floats, or arrays of equal shape for a batch.
     """
 
@@ -38,10 +34,10 @@ class Model:
     parameters: Callable[[VehicleParameters], Any]
     inputs: Callable[..., tuple]
     rhs: Callable[[tuple, tuple, Any], tuple]
-    extra_states: tuple[str, ...] = ()
+    extra_states: tuple[str, ...] = ()  # names of the states that follow the six
     start: Callable[[tuple, tuple, Any], tuple] | None = None
-    signals: tuple[str, ...] = ()
-    axles: Axles | None = None
+    signals: tuple[str, ...] = ()  # names of further measured quantities that the model needs
+    axles: Axles | None = None  # of a dynamic model
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
         """The vehicle parameters that the model uses in place of those in the vehicle file."""
