@@ -46,8 +46,8 @@ def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) 
     """Samples of a drive at the INS sample times at which all signals are available.
 
     Velocity, yaw rate and steering pass the same zero-phase Butterworth filter of first order with `cutoff` [Hz]
-    (`timeseries.filtered_derivative`), which attenuates both sides of each equation equally. The lateral acceleration is
-    v_y_dot + v_x r, transformed to the CG. Raises IdentificationError for a drive without common measurements.
+    (`timeseries.filtered_derivative`), so both sides of each equation are attenuated equally. The lateral acceleration
+    is v_y_dot + v_x r, transformed to the CG. Raises IdentificationError for a drive without common measurements.
     """
     def smooth(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return filtered_derivative(time_ns, values, cutoff, MAXIMUM_GAP, "zero_phase")
