@@ -181,23 +181,20 @@ def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
     slow = np.minimum(log.velocity_x[1:], log.velocity_x[:-1]) < PAUSE_SPEED
     breaks = slow | (spacing > MAX_GAP) | (np.abs(displacement - travelled) > 0.5 + 0.5 * travelled)
     edges = np.flatnonzero(np.diff(np.concatenate([[True], breaks, [True]]).astype(int)))
-    found = [Pass(log.name, tuple(digests), points) for first, last in edges.reshape(-1, 2)
-             if (points := _resample(log, slice(int(first), int(last) + 1))) is not None]
+    found = []
+    for rows in (slice(first, last + 1) for first, last in edges.reshape(-1, 2).tolist()):
+        x, y, speed, seconds = log.x[rows], log.y[rows], log.velocity_x[rows], time[rows]
+        distance = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(seconds))])
+        if distance[-1] < MIN_LENGTH:
+            continue
+        grid = np.arange(0.0, distance[-1], SPACING)
+        east, north, curvature, speed = (np.interp(grid, distance, v)
+                                         for v in (x, y, log.yaw_rate[rows] / speed, speed))
+        curvature, d_x, d_y = (uniform_filter1d(v, round(SMOOTHING / SPACING), mode="nearest")
+                               for v in (curvature, np.gradient(east), np.gradient(north)))
+        direction = np.unwrap(np.arctan2(d_y, d_x))
+        found.append(Pass(log.name, tuple(digests), np.stack([east, north, direction, curvature, speed], axis=1)))
     if not found:
         raise StCoreError(f"{log.name}: no {MIN_LENGTH:g} m of continuous driving faster than {PAUSE_SPEED:g} m/s; "
                           "leave it out of the course")
     return found
-
-
-def _resample(log: DriveLog, rows: slice) -> np.ndarray | None:
-    """Points (n, 5) of a Pass from the samples of a drive in these rows; None if they are shorter than MIN_LENGTH."""
-    x, y, speed = log.x[rows], log.y[rows], log.velocity_x[rows]
-    seconds = (log.ins_time_ns[rows] - log.ins_time_ns[rows][:1]) * 1e-9
-    distance = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(seconds))])
-    if distance[-1] < MIN_LENGTH:
-        return None
-    grid = np.arange(0.0, distance[-1], SPACING)
-    east, north, curvature, speed = (np.interp(grid, distance, v) for v in (x, y, log.yaw_rate[rows] / speed, speed))
-    curvature, d_x, d_y = (uniform_filter1d(v, round(SMOOTHING / SPACING), mode="nearest")
-                           for v in (curvature, np.gradient(east), np.gradient(north)))
-    return np.stack([east, north, np.unwrap(np.arctan2(d_y, d_x)), curvature, speed], axis=1)

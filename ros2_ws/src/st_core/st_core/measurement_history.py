@@ -139,21 +139,17 @@ class MeasurementHistory:
             times, rows = self.ins.times[after - 1:after + 1].tolist(), self.ins.rows[after - 1:after + 1].tolist()
             size = unexplained_step((times[1] - times[0]) * NANOSECOND, *rows)
             was_jump = self.ins.breaks.pop(times[1], None) is not None
-            is_jump = size > 0.0 and self._exceeds_noise(size, after)
+            is_jump = size > MAX_NOISE
+            if 0.0 < size <= MAX_NOISE and after > MIN_NOISE_STEPS:  # compare with the steps before it
+                before = slice(max(0, after - 1 - NOISE_STEPS), after)
+                times_ns, samples = self.ins.times[before].tolist(), self.ins.rows[before].tolist()
+                noise = [_split_displacement((times_ns[i] - times_ns[i - 1]) * NANOSECOND, *samples[i - 1:i + 1])[0]
+                         for i in range(1, len(times_ns))]
+                is_jump = size > NOISE_FACTOR * median_high(noise)
             if is_jump:
                 self.ins.breaks[times[1]] = f"position jumps by {size:.2f} m"
                 self.jump = PositionJump(times[1], size)
             self.jumps += is_jump - was_jump
-
-    def _exceeds_noise(self, step: float, index: int) -> bool:
-        """Whether an unexplained step [m] to the sample at this index exceeds the noise of the steps before it."""
-        if step > MAX_NOISE or index <= MIN_NOISE_STEPS:
-            return step > MAX_NOISE
-        before = slice(max(0, index - 1 - NOISE_STEPS), index)
-        times, rows = self.ins.times[before].tolist(), self.ins.rows[before].tolist()
-        noise = [_split_displacement((times[i] - times[i - 1]) * NANOSECOND, rows[i - 1], rows[i])[0]
-                 for i in range(1, len(times))]
-        return step > NOISE_FACTOR * median_high(noise)
 
     def ins_at(self, time_ns: int) -> InsSample | None:
         """The INS sample at an instant, interpolated; None where it is unknown."""

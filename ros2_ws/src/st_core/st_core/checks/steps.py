@@ -47,7 +47,16 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     rounding = max(resolution(motion.time, motion.x), resolution(motion.time, motion.y))
     stale, findings = _check_stale(motion, errors, along, rounding)
     findings += _check_jumps(motion, errors, stale, rounding)
-    return motion, findings + (_check_noise(motion, errors) if rounding == 0.0 else [])
+    within = np.diff(motion.time) <= MAX_GAP
+    if rounding == 0.0 and within.sum() >= 50:
+        # With white noise of positions, |d_k| has a Rayleigh distribution with median 1.665 sigma.
+        sigma = float(np.median(np.abs(errors[within]))) / 1.665
+        if sigma >= MIN_NOISE:
+            text = f"positions are noisy: standard deviation {sigma:.2f} m between samples"
+            advice = Advice("look", "record with RTK, or use the positions of the INS, not of the receiver")
+            findings.append(Finding("position_noise", LIMITS.severity(sigma), ("x", "y"), text, sigma, "m",
+                                    effect=sigma, advice=advice))
+    return motion, findings
 
 
 def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
@@ -117,19 +126,6 @@ def _check_jumps(motion: Motion, errors: np.ndarray, stale: np.ndarray, rounding
         advice = Advice("look", "too many jumps to leave out: record with RTK, or post-process the raw data of the INS")
     return [Finding("position_jumps", LIMITS.severity(effect, largest >= LIMITS.warning), ("x", "y"), text,
                     float(count), "1", None, where[:MAX_LISTED_JUMPS], effect, advice)]
-
-
-def _check_noise(motion: Motion, errors: np.ndarray) -> list[Finding]:
-    """Finding of white noise of positions: |d_k| has a Rayleigh distribution with median 1.665 sigma."""
-    within = np.diff(motion.time) <= MAX_GAP
-    if within.sum() < 50:
-        return []
-    sigma = float(np.median(np.abs(errors[within]))) / 1.665
-    if sigma < MIN_NOISE:
-        return []
-    text = f"positions are noisy: standard deviation {sigma:.2f} m between samples"
-    return [Finding("position_noise", LIMITS.severity(sigma), ("x", "y"), text, sigma, "m", effect=sigma,
-                    advice=Advice("look", "record with RTK, or use the positions of the INS, not of the receiver"))]
 
 
 def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:

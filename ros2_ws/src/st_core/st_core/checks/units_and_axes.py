@@ -47,21 +47,16 @@ def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
                  _correct_velocity_axes, _correct_yaw_offset):
         motion, finding = step(motion)
         findings += [finding] if finding else []
-    return motion, _merge_yaw_findings(findings)
-
-
-def _merge_yaw_findings(findings: list[Finding]) -> list[Finding]:
-    """The findings, with only one for a yaw that counts clockwise, but not from north."""
     by_name = {finding.name: finding for finding in findings}
-    if not {"yaw_convention", "yaw_offset"} <= by_name.keys():
-        return findings
-    clockwise, offset = by_name["yaw_convention"], by_name.pop("yaw_offset")
-    assert clockwise.advice and offset.advice  # both findings always have advice
-    correct = {channel: dict(values) for channel, values in clockwise.advice.entry["correct"].items()}
-    correct["yaw"]["add"] += offset.advice.entry["correct"]["yaw"]["add"]
-    text = f"{clockwise.text.partition(':')[0]}, and not from north; expected: from east, counter-clockwise"
-    by_name["yaw_convention"] = replace(clockwise, text=text, advice=_correct_channels(correct))
-    return list(by_name.values())
+    if {"yaw_convention", "yaw_offset"} <= by_name.keys():  # one finding for a yaw clockwise, but not from north
+        clockwise, offset = by_name["yaw_convention"], by_name.pop("yaw_offset")
+        assert clockwise.advice and offset.advice  # both findings always have advice
+        correct = {channel: dict(values) for channel, values in clockwise.advice.entry["correct"].items()}
+        correct["yaw"]["add"] += offset.advice.entry["correct"]["yaw"]["add"]
+        text = f"{clockwise.text.partition(':')[0]}, and not from north; expected: from east, counter-clockwise"
+        by_name["yaw_convention"] = replace(clockwise, text=text, advice=_correct_channels(correct))
+        findings = list(by_name.values())
+    return motion, findings
 
 
 def _correct_channels(correct: Mapping[str, Mapping[str, float]]) -> Advice:

@@ -166,7 +166,15 @@ def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tupl
         signal_coverage("lateral acceleration", "m/s^2", ACCELERATION_EDGES,
                         [run.lateral_acceleration[m] for run, m in zip(runs, masks, strict=True)], times, 1.0, 3))
     insufficient = "; ".join(c.describe() for c in covered if not c.sufficient)
-    samples = [_axle_samples(runs, masks, vehicle, index) for index in range(2)]
+    samples = []
+    for index, name in enumerate(AXLES):
+        rows = []
+        for number, (run, mask) in enumerate(zip(runs, masks, strict=True)):
+            slip, force = slip_angles(run, vehicle)[index], axle_forces(run, vehicle)[index]
+            fast = np.abs(run.velocity_x) >= MIN_SPEED
+            rows.append([v[fast] for v in (slip, force, np.full(len(run), number), run.time,
+                                           mask & (np.abs(slip) <= MAX_SLIP))])
+        samples.append(AxleSamples(name, *(np.concatenate(column) for column in zip(*rows, strict=True))))
     slopes = [_fit_slope(axle) if axle.used.sum() >= 10 else None for axle in samples]
     front, rear = (_make_regression(*pair, covered, [f"too little excitation: {insufficient}"] if insufficient else [])
                    for pair in zip(samples, slopes, strict=True))
@@ -243,14 +251,3 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
               for regression in regressions for key in ("slip", "force", "run_of")}
     return Identification("stiffness", estimates, names, rejected, correlation, regressions[0].coverage,
                           (*notes, *describe_correlations([e.parameter for e in estimates], correlation)), figure)
-
-
-def _axle_samples(runs: Sequence[RunSamples], masks: Sequence[np.ndarray], vehicle: VehicleParameters,
-                  index: int) -> AxleSamples:
-    rows = []
-    for number, (run, mask) in enumerate(zip(runs, masks, strict=True)):
-        slip, force = slip_angles(run, vehicle)[index], axle_forces(run, vehicle)[index]
-        fast = np.abs(run.velocity_x) >= MIN_SPEED
-        rows.append([v[fast] for v in (slip, force, np.full(len(run), number), run.time,
-                                       mask & (np.abs(slip) <= MAX_SLIP))])
-    return AxleSamples(AXLES[index], *(np.concatenate(column) for column in zip(*rows, strict=True)))

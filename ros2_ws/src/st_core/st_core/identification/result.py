@@ -17,6 +17,7 @@ if TYPE_CHECKING:  # `checks` imports this module
 Status = Literal["identified", "doubtful", "unidentifiable"]
 
 NORMAL_QUANTILE = 1.959963984540054  # quantile of the standard normal distribution, two-sided 5 %
+NOT_ZERO = " Not distinguishable from zero."
 
 
 class IdentificationError(StCoreError):
@@ -81,7 +82,19 @@ class Identification:
     findings: "Mapping[str, tuple[Finding, ...]]" = field(default_factory=dict)  # by drive, used or rejected
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "estimates", tuple(_with_status(estimate) for estimate in self.estimates))
+        estimates = list(self.estimates)
+        for k, estimate in enumerate(estimates):
+            low, high = estimate.interval95
+            if not low <= 0.0 <= high or estimate.status == "unidentifiable" or "." in estimate.parameter:
+                continue
+            known = quantity(estimate.parameter)
+            if known is not None and known.minimum > 0.0:
+                verdict = f"Not identifiable: zero is inside the interval. {estimate.verdict}"
+                estimates[k] = replace(estimate, status="unidentifiable", verdict=verdict)
+            else:
+                verdict = f"{estimate.verdict.removesuffix(NOT_ZERO)}{NOT_ZERO}"
+                estimates[k] = replace(estimate, status="doubtful", verdict=verdict)
+        object.__setattr__(self, "estimates", tuple(estimates))
 
     def __getitem__(self, parameter: str) -> Estimate:
         return {estimate.parameter: estimate for estimate in self.estimates}[parameter]
@@ -96,22 +109,6 @@ class Identification:
             "standard_uncertainty": _finite_or_none(e.standard_uncertainty),
             "interval95": [_finite_or_none(end) for end in e.interval95], "method": e.method, "runs": list(e.runs),
             "verdict": e.verdict} for e in self.estimates}
-
-
-NOT_ZERO = " Not distinguishable from zero."
-
-
-def _with_status(estimate: Estimate) -> Estimate:
-    """The estimate with the status that zero inside its interval implies; see `Identification`."""
-    low, high = estimate.interval95
-    if not low <= 0.0 <= high or estimate.status == "unidentifiable" or "." in estimate.parameter:
-        return estimate
-    known = quantity(estimate.parameter)
-    if known is not None and known.minimum > 0.0:
-        return replace(estimate, status="unidentifiable",
-                       verdict=f"Not identifiable: zero is inside the interval. {estimate.verdict}")
-    verdict = f"{estimate.verdict.removesuffix(NOT_ZERO)}{NOT_ZERO}"
-    return replace(estimate, status="doubtful", verdict=verdict)
 
 
 def describe_contradiction(estimate: Estimate, value: float, standard_uncertainty: float, origin: str) -> str:
