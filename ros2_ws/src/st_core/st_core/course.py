@@ -183,7 +183,8 @@ def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
     edges = np.flatnonzero(np.diff(np.concatenate([[True], breaks, [True]]).astype(int)))
     found = []
     for rows in (slice(first, last + 1) for first, last in edges.reshape(-1, 2).tolist()):
-        x, y, speed, seconds = log.x[rows], log.y[rows], log.velocity_x[rows], time[rows]
+        x, y, speed = log.x[rows], log.y[rows], log.velocity_x[rows]
+        seconds = (log.ins_time_ns[rows] - log.ins_time_ns[rows][:1]) * 1e-9
         distance = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(seconds))])
         if distance[-1] < MIN_LENGTH:
             continue
