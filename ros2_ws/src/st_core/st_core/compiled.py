@@ -17,8 +17,7 @@ from .prediction import PredictionSettings, predict
 from .types import STATE_NAMES, ControlInput, InputSequence, Trajectory, VehicleState
 from .vehicle import VehicleParameters
 
-# Largest difference from the result of the interpreted model, relative to max(1, |value|).
-TOLERANCE = 1.0e-9
+TOLERANCE = 1.0e-9  # largest difference from the interpreted model, relative to max(1, |value|)
 # States and inputs of the comparison with the interpreted model: (v_x [m/s], v_y [m/s], yaw rate [rad/s],
 # road wheel angle [rad], acceleration [m/s^2]): walking pace to motorway, both sides, driven and braked.
 _SAMPLES = ((1.0, 0.0, 0.05, 0.1, 0.3), (8.0, 0.1, -0.25, -0.08, 0.0), (15.0, -0.2, 0.2, 0.04, -1.0),

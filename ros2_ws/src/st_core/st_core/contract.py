@@ -24,8 +24,7 @@ STEP, STEPS = 0.05, 40  # s; number of steps
 SPEEDS = (4.0, 8.0, 15.0, 25.0)  # m/s
 STANDSTILL_SPEEDS = (-1.0, 0.0, 1e-9, 0.5, 2.0)  # m/s
 ROUNDING = 1e-9  # largest difference between backends, relative to max(1, |value|)
-# Largest residual after `correct`, relative to the change by `observe`; not 0, because `correct` starts at the reading.
-CORRECTION_RESIDUAL = 0.05
+CORRECTION_RESIDUAL = 0.05  # largest residual after `correct`, which starts at the reading, / change by `observe`
 GROWTH_RATE = 0.1  # 1/s, largest increase of the growth rate of a mode by an effect
 MIRROR_SIGNS = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])  # signs of the states under left-right mirroring
 ODD_READINGS = ("y", "yaw", "velocity_y", "yaw_rate", "acceleration_y", "yaw_acceleration")

@@ -19,8 +19,7 @@ from .vehicle import VehicleParameters
 
 MAXIMUM_GAP = 0.25  # longest gap across which a signal shifted in time is interpolated [s]
 
-MAX_VALUES = {"scale": 1e12, "add": 1e12, "earlier": 60.0, "ahead": 100.0}
-"""Largest magnitude of each field; a channel that is late by more than a minute belongs to another recording."""
+MAX_VALUES = {"scale": 1e12, "add": 1e12, "earlier": 60.0, "ahead": 100.0}  # largest magnitudes
 
 STEERING = ("road_wheel_angle", "steering")
 _COMPONENTS = {"position": ("x", "y"), "velocity": ("velocity_x", "velocity_y")}

@@ -22,19 +22,14 @@ from .log import DriveLog
 from .types import wrap_angle
 from .yaml_text import check_keys, load
 
-SPACING = 1.0
-"""m between points along the path; a right-angle turn of the smallest radius of a car, 5 m, then has 8 points."""
-SMOOTHING = 3.0
-"""Length of the moving average of curvature and direction [m]: about one wheelbase; the curvature of a path hardly
-changes over shorter distances."""
+SPACING = 1.0  # m between points along the path: 8 points in a right-angle turn of the smallest radius, 5 m
+SMOOTHING = 3.0  # m, moving average of curvature and direction: about one wheelbase
 MAX_DISTANCE = 4.0  # m, largest distance of a pass from the car: one lane and its neighbour
-MAX_HEADING_DIFFERENCE = 0.5
-"""rad, between the directions of car and pass; a larger difference means the opposite direction or a crossing."""
+MAX_HEADING_DIFFERENCE = 0.5  # rad between car and pass; a larger one means the opposite direction or a crossing
 PAUSE_SPEED = 0.5  # m/s; slower driving is left out, because curvature is undefined at standstill
 MAX_GAP = 0.1  # s, maximum time between samples of a pass
 MIN_LENGTH = 20.0  # m, minimum length of a pass; above 4 m/s, a shorter pass ends within the horizon of 5 s
-MAX_ORIGIN_DISTANCE = 5000.0
-"""m, distance between map origins; beyond it the axes differ by more than 1 mrad at latitude 50 deg."""
+MAX_ORIGIN_DISTANCE = 5000.0  # m between map origins; beyond it the axes differ by 1 mrad at latitude 50 deg
 SCHEMA = 1
 POINTS = "\npoints: |\n"
 COLUMNS = ("x", "y", "direction", "curvature", "speed")

@@ -42,8 +42,7 @@ DECAY_TIME = 0.7  # s, time constant of the decaying acceleration: pedals change
 FORGETTING_TIME = 10.0  # s, time constant of the mean square errors E: two horizons
 INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
 """m^2, initial E, in the order of the module docstring, from leave-one-run-out errors of real laps."""
-SQUARED_ERROR_LIMITS = (0.01, 9.0)
-"""m^2, limits of a squared error: the accuracy of the INS, and the largest influence of one error."""
+SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2: the accuracy of the INS, and the largest influence of one error
 MAX_JUMP = 2.0  # m, largest difference between displacement and distance driven; with a larger one the tracker restarts
 MIN_SPEED = 0.5  # m/s, below which the course is not used: curvature is undefined at standstill
 

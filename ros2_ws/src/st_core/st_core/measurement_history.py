@@ -24,15 +24,10 @@ from .timeseries import NANOSECOND, TimeSeries, low_pass_step
 from .types import ControlInput, InsSample
 from .vehicle import VehicleParameters
 
-# Unexplained displacement allowed at any distance [m]: RTK positions have 2 cm of noise, INS positions far less from
-# sample to sample.
-POSITION_TOLERANCE = 0.3
-# Allowed in addition, as a fraction of the distance driven, for errors of velocity scale and heading.
-DISTANCE_TOLERANCE = 0.1
-# Largest acceleration of a car on tyres [m/s^2]; it limits the error of the trapezoidal rule over longer steps.
-MAX_ACCELERATION = 10.0
-# Longer gaps are not examined, because the motion within them is unknown [s].
-MAX_EXAMINED_GAP = 10.0
+POSITION_TOLERANCE = 0.3  # m, unexplained displacement allowed at any distance; RTK positions have 2 cm of noise
+DISTANCE_TOLERANCE = 0.1  # of the distance driven, allowed in addition for errors of velocity scale and heading
+MAX_ACCELERATION = 10.0  # m/s^2 on tyres; it limits the error of the trapezoidal rule over longer steps
+MAX_EXAMINED_GAP = 10.0  # s; the motion within longer gaps is unknown
 # Positions may be noisier than RTK positions: a jump must also exceed NOISE_FACTOR times the median of the last
 # MIN_NOISE_STEPS to NOISE_STEPS steps, or MAX_NOISE [m].
 NOISE_STEPS, MIN_NOISE_STEPS, NOISE_FACTOR = 20, 5, 6.0
@@ -43,8 +38,7 @@ MAX_NOISE = 5.0
 FROZEN_MIN_VARIATION, FROZEN_RELATIVE_VARIATION = 0.02, 0.3
 FROZEN_MIN_SPEED = 3.0  # m/s; below it the noise of the yaw rate gives large angles
 FROZEN_TIME_CONSTANT = 0.2  # s, of the low-pass on delta'
-# A smaller change of the steering angle is rounding, not a change of the sensor value [rad].
-ANGLE_RESOLUTION = 1.0e-9
+ANGLE_RESOLUTION = 1.0e-9  # rad; a smaller change of the steering angle is rounding
 
 INS_COLUMNS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "filtered_velocity_x", "velocity_x_dot")
 X, Y, YAW, VELOCITY_X, VELOCITY_Y, YAW_RATE, FILTERED, DERIVATIVE = range(8)

@@ -78,8 +78,7 @@ def _from_math(name: str) -> Callable:
     return function
 
 
-sin, cos, tan, atan, sqrt = map(_from_math, ("sin", "cos", "tan", "atan", "sqrt"))
-"""Angles in rad."""
+sin, cos, tan, atan, sqrt = map(_from_math, ("sin", "cos", "tan", "atan", "sqrt"))  # angles in rad
 
 
 def sign(x):

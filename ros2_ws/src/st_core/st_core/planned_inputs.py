@@ -19,18 +19,14 @@ from .timeseries import NANOSECOND, half_step_grid, interpolate
 from .types import ControlInput, InputSequence, VehicleState
 from .vehicle import VehicleParameters
 
-MAX_AGE = 0.5
-"""s, maximum age of a plan. Planners replan at 10 Hz or faster; an older plan means that the planner has stopped."""
+MAX_AGE = 0.5  # s; planners replan at 10 Hz or faster, so an older plan means that the planner has stopped
 MAX_SPACING = 0.5  # s, maximum time between points: half a period of a driver's fastest steering, 1 Hz
 MAX_ROAD_WHEEL_ANGLE = 0.8  # rad; passenger cars lock at 0.55 to 0.75 rad
 MAX_STEERING_RATE = 1.5  # rad/s at the road wheel: a steering wheel at 24 rad/s; steering robots reach about 20 rad/s
-MAX_ACCELERATION = 12.0
-"""m/s^2, longitudinal and lateral combined: a friction coefficient of 1.2, dry road and sports tyres."""
+MAX_ACCELERATION = 12.0  # m/s^2, longitudinal and lateral combined: friction coefficient 1.2, sports tyres
 ANGLE_TOLERANCE = 0.05  # rad between planned and measured road wheel angle at the start: 45 deg at the steering wheel
-ACCELERATION_TOLERANCE = 3.0
-"""m/s^2 between planned and measured acceleration at the start: braking takes 0.3 s to build up."""
-SLIP_FREE = "slip_free_angle"
-"""Signal name: road wheel angle with which a car without tyre slip follows a path, for models without tyres."""
+ACCELERATION_TOLERANCE = 3.0  # m/s^2 between plan and measurement at the start: braking takes 0.3 s to build up
+SLIP_FREE = "slip_free_angle"  # road wheel angle of a car without tyre slip on a path, for models without tyres
 SPEED_TOLERANCE = 2.0  # m/s between planned and measured speed at the start
 
 

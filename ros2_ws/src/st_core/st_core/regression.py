@@ -22,8 +22,7 @@ import numpy as np
 MIN_RUNS = 8  # minimum number of runs for whole runs to be used as blocks
 BLOCK_LENGTH = 10.0  # length of a block if there are fewer runs [s]
 WEIGHT_INCREMENT = 1e-4  # step of the weight of a block, for difference quotients of an estimator
-SIGMA_PER_MAD = 1.4826
-"""Ratio of the standard deviation to the median absolute deviation (MAD) of a normal distribution."""
+SIGMA_PER_MAD = 1.4826  # standard deviation / median absolute deviation (MAD) of a normal distribution
 
 
 def symmetric_interval(value: float, standard_uncertainty: float,

@@ -23,10 +23,8 @@ from .errors import StCoreError
 from .types import wrap_angle
 
 NANOSECOND = 1.0e-9
-# Samples at most this much older than the newest are sorted in; older samples are late and refused [ns].
-REORDER_WINDOW_NS = 500_000_000
-# After this many consecutive late samples the clock counts as set back, and the series restarts with them.
-JUMP_SAMPLES = 5
+REORDER_WINDOW_NS = 500_000_000  # samples older than the newest by more are late and refused
+JUMP_SAMPLES = 5  # after this many consecutive late samples the clock counts as set back
 MAXIMUM_SAMPLES = 200_000
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numba.core.errors import NumbaError
 from numba.core.registry import cpu_target
 
-# Kernels not used for this time are deleted [s]; each edit of an equation creates a new one.
+# s; older unused kernels are deleted, since each edit of an equation creates a new one.
 KERNEL_LIFETIME = 30 * 86400.0
 
 

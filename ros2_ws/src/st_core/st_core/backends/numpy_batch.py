@@ -9,8 +9,7 @@ from ..models import Model
 from ..types import STATE_NAMES
 
 LANES = 1
-# Columns per call: enough to make the overhead of a call small, few enough for the second-level cache.
-BLOCK = 4096
+BLOCK = 4096  # columns per call: a small overhead per call, and they fit in the second-level cache
 
 
 def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.ndarray, step: float,

@@ -19,8 +19,7 @@ from ..timeseries import NANOSECOND
 CONDITIONS = ("speed", "lateral_acceleration", "forward_acceleration", "steering_activity")
 UNITS = {"speed": "m/s", "lateral_acceleration": "m/s^2", "forward_acceleration": "m/s^2", "steering_activity": "rad/s"}
 ACTIVITY_SPAN = 1.0  # s; about the duration of a steering correction; the live predictor stores two seconds
-ACTIVITY_STEP = 0.05
-"""s. With a resolution of 0.1 deg at the steering wheel and a ratio of 16, rates have a resolution of 0.002 rad/s."""
+ACTIVITY_STEP = 0.05  # s; 0.1 deg at the steering wheel with a ratio of 16 resolves rates of 0.002 rad/s
 _INSTANTS_NS = np.round(np.arange(-ACTIVITY_SPAN, 0.5 * ACTIVITY_STEP, ACTIVITY_STEP) / NANOSECOND).astype(np.int64)
 
 

@@ -151,8 +151,7 @@ class AdaptiveBands:
             self.counts[pair] = n + 1, {level: counts.get(level, 0) + is_inside for level, is_inside in inside.items()}
 
 
-ALTERNATIVE_RATIO = 5.0 / 9.0
-"""Ratio q / p: 50 % coverage of a 90 % band. Coverage above 73 %, within the variation between runs, reduces S."""
+ALTERNATIVE_RATIO = 5.0 / 9.0  # q / p: 50 % coverage of a 90 % band; coverage above 73 % reduces S
 HORIZONS = 7200.0  # minimum mean number of horizons to a false warning: ten hours with horizons of 5 s
 END_SHARE = 0.5  # fraction of the limit; a warning ends when S falls below it
 

@@ -15,8 +15,7 @@ from ..vehicle import VehicleParameters
 from .conditions import conditions_at
 from .scale import evenly_spaced
 
-STARTS_PER_RUN = 1000
-"""More predictions would overlap more, add little information, and need 1.2 kB each per model and mode."""
+STARTS_PER_RUN = 1000  # more predictions overlap more and need 1.2 kB each per model and mode
 
 ModelMode = tuple[str, str]  # (model, mode); errors in hindsight are due to the model, in a forecast also to the driver
 

@@ -30,8 +30,7 @@ FLOOR_SHARE = 0.2  # ratio of the floor's part proportional to time to the RMS e
 ERROR_RESOLUTION = np.array([1.0e-3, 1.0e-3, 1.0e-4])  # m, m, rad; smaller errors are replaced by this resolution
 RIDGE = 1.0e-2
 MAX_STEPS, MAX_HALVINGS = 100, 20
-TOLERANCE = 1.0e-3
-"""Largest derivative at convergence, equal to the relative error of the mean squares; far below their uncertainty."""
+TOLERANCE = 1.0e-3  # largest derivative at convergence: relative error of the mean squares, below their uncertainty
 FIT_STARTS = 100  # largest number of starts of a run in the fit; neighbouring starts are redundant
 SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)  # m/s^2 of lateral acceleration; quadratic terms cannot fit tyre saturation
 

@@ -25,8 +25,7 @@ from .regression import Estimate, Regression, is_relevant, with_systematic
 WINDOW = 1.0  # s
 MIN_WINDOWS = 10
 ITERATIONS = 3
-# Largest fraction of the position lag left after correction of a lagging yaw, and of a (rarer) leading yaw.
-MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25
+MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25  # of the position lag, if a lagging or (rarer) leading yaw is corrected
 MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations above which the one with the smaller loss is preferred
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign: RTK noise is 1 cm
 MAX_SIGN_MISFIT_RATIO = 1.2  # largest ratio of the misfits with opposite sign and with another cause, if both fit

@@ -35,8 +35,7 @@ BUFFER, SPACING_NS = 400.0, 19_000_000  # s of driving stored; ns between stored
 FIT_INTERVAL = 15.0  # s of usable driving
 MIN_SPEED = 2.0  # m/s; slower samples are not stored
 MAX_GAP = 0.1  # s; longer intervals between samples do not count as driving time
-SYSTEMATIC = (math.radians(0.05), 0.005, 0.03)
-"""Largest errors on the simulated Leaf in bends and slaloms: offset [rad], ratio (relative), scale (relative)."""
+SYSTEMATIC = (math.radians(0.05), 0.005, 0.03)  # largest errors on the simulated Leaf, ratio and scale relative
 UNKNOWN_DEVIATIONS = (math.radians(30.0), 0.2, 0.5)  # standard deviations without a fit, units as SYSTEMATIC
 MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # largest deviations of estimated values, units as SYSTEMATIC
 MAX_OFFSET = math.radians(45.0)
