@@ -19,7 +19,7 @@ from .vehicle import VehicleParameters
 
 MAXIMUM_GAP = 0.25  # longest gap across which a signal shifted in time is interpolated [s]
 
-MAX_VALUES = {"scale": 1e12, "add": 1e12, "earlier": 60.0, "ahead": 100.0}  # largest magnitudes
+MAX_VALUES = {"scale": 1e12, "add": 1e12, "earlier": 60.0, "ahead": 100.0}  # largest magnitude of each field
 
 STEERING = ("road_wheel_angle", "steering")
 _COMPONENTS = {"position": ("x", "y"), "velocity": ("velocity_x", "velocity_y")}

@@ -23,7 +23,7 @@ from .errors import StCoreError
 from .types import wrap_angle
 
 NANOSECOND = 1.0e-9
-REORDER_WINDOW_NS = 500_000_000  # samples older than the newest by more are late and refused
+REORDER_WINDOW_NS = 500_000_000  # samples older than the newest by more than this are refused as late
 JUMP_SAMPLES = 5  # after this many consecutive late samples the clock counts as set back
 MAXIMUM_SAMPLES = 200_000
 

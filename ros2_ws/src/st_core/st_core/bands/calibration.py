@@ -79,7 +79,7 @@ def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> 
 
 
 LEVELS = (0.5, 0.9)
-RELIABILITY = tuple(round(0.05 * k, 2) for k in range(1, 20))  # levels of `Band.ratios` and of reliability
+RELIABILITY = tuple(round(0.05 * k, 2) for k in range(1, 20))  # levels of `Band.ratios` and of the reliability diagram
 FOLDS = 5  # largest number of groups of runs in cross-fitting
 MIN_RUNS = 3  # the calibration domain of a scored run requires two other runs
 

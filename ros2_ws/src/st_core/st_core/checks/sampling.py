@@ -12,7 +12,7 @@ from .motion import MAX_GAP, Motion, spans, stretches
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
 STEERING = ("road_wheel_angle", "steering_wheel_angle")
-STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # affected, by signal
+STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # channels that wrong stamps affect
 MIN_HELD_SHARE = 0.7  # minimum fraction of a held channel's samples that lie in runs of the usual length
 MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, and by 0.5 m on average
 NOTE_SHARE = 0.01  # largest fraction of faulty rows that is reported as a note only
