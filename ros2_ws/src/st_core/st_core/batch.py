@@ -32,16 +32,13 @@ Signals = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class LogPrediction:
-    """Predictions of one model from n starts, at k points of the horizon.
-
-    states: (n, k, 6) at the CG, columns as STATE_NAMES; NaN from an unknown input on, and for an unknown start state.
-    """
+    """Predictions of one model from n starts, at k points of the horizon; NaN from an unknown input or start on."""
 
     model: Model
     vehicle: VehicleParameters
     starts_ns: np.ndarray
     time: np.ndarray  # (k,) after the start [s]
-    states: np.ndarray
+    states: np.ndarray  # (n, k, 6) at the CG, columns as STATE_NAMES
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +119,11 @@ class LogBatch:
         for name in model.signals:
             if name not in self.extra_signals:
                 raise ConfigurationError(f"model {model.name} needs the signal {name}, which was not given")
-        count = self._count_substeps(model, vehicle)
+        count = self._substeps
+        if count == "auto":
+            count = stability.substeps_needed(model, vehicle, self._speeds, self.step)
+        else:
+            stability.warn_if_too_long(model, vehicle, self._speeds, self.step / count)
         car, p = model.effective_vehicle(vehicle), model.parameters(vehicle)
         recording = self.recording(model)
         separate = not isinstance(self._inputs, str) or (self._inputs == "held" and has_steering_memory(model))
@@ -141,12 +142,6 @@ class LogBatch:
         half = np.round(self.points * (self.step / NANOSECOND)).astype(np.int64)
         measured = self.signals.ins_at(self.starts_ns[:, None] + half, "x", "y", "yaw")
         return reading_errors(prediction.model, prediction.vehicle, prediction.states, *measured)
-
-    def _count_substeps(self, model: Model, vehicle: VehicleParameters) -> int:
-        if self._substeps == "auto":
-            return stability.substeps_needed(model, vehicle, self._speeds, self.step)
-        stability.warn_if_too_long(model, vehicle, self._speeds, self.step / self._substeps)
-        return self._substeps
 
     def _blocks(self, count: int, separate: bool) -> Iterable[Block]:
         """Blocks of all starts; cached if there is only one."""

@@ -222,16 +222,13 @@ class Statistic:
 
 @dataclass
 class ErrorStatistics:
-    """Statistics of the scores of one model and mode; incomplete scores are only counted.
-
-    longitudinal, lateral [m], yaw [rad]: statistics of the means over each horizon, as in the paper's table.
-    """
+    """Statistics of one model and mode, of the mean errors over each horizon; incomplete scores are only counted."""
 
     n_starts: int = 0
     n_incomplete: int = 0
-    longitudinal: Statistic = field(default_factory=Statistic)
-    lateral: Statistic = field(default_factory=Statistic)
-    yaw: Statistic = field(default_factory=Statistic)
+    longitudinal: Statistic = field(default_factory=Statistic)  # m
+    lateral: Statistic = field(default_factory=Statistic)  # m
+    yaw: Statistic = field(default_factory=Statistic)  # rad
 
     def add(self, score: Score) -> None:
         if not score.complete:

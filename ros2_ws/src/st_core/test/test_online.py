@@ -22,7 +22,7 @@ def track(car, rows, tracker=None):
         tracker.add_steering(time, row[7])
         tracker.add_ins(InsSample(time, *row[1:7]))
         if tracker.due:
-            tracker.store_fit(fit_recent(*tracker.snapshot()))
+            tracker.fit = fit_recent(*tracker.snapshot())
     return tracker
 
 

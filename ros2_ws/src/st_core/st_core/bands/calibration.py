@@ -86,14 +86,11 @@ MIN_RUNS = 3  # the calibration domain of a scored run requires two other runs
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """The band of one model and mode: half-widths are factor times scale.
-
-    ratios: (3, len(RELIABILITY)) quantiles of |error| / scale at a single point, by axis, for the CRPS.
-    """
+    """The band of one model and mode: half-widths are factor times scale."""
 
     scale: Scale
     factors: dict[float, float]  # by level, not decreasing [1]
-    ratios: np.ndarray
+    ratios: np.ndarray  # (3, len(RELIABILITY)) quantiles of |error| / scale at a single point, for the CRPS
 
     def half_widths(self, conditions: np.ndarray, level: float) -> np.ndarray:
         """Half-widths (n, points, 3) along, across [m] and in yaw [rad], without the start, under conditions (n, 4)."""

@@ -26,15 +26,11 @@ class NotFiniteError(StCoreError):
 
 @dataclass(frozen=True, eq=False)
 class ErrorSamples:
-    """Samples of one run.
-
-    errors: (n, points - 1, 3) by (model, mode), float32, in the predicted frame (see `to_predicted_frame`), without the
-    start, where they are 0.
-    """
+    """Samples of one run, without the start, where errors are 0."""
 
     name: str
     conditions: np.ndarray  # (n, 4) as `conditions.CONDITIONS`
-    errors: dict[ModelMode, np.ndarray]
+    errors: dict[ModelMode, np.ndarray]  # (n, points - 1, 3), float32, see `to_predicted_frame`
 
 
 def to_predicted_frame(errors: np.ndarray) -> np.ndarray:

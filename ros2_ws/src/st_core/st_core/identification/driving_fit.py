@@ -150,13 +150,6 @@ class DrivingFit:
         """Number of predictions used."""
         return sum(used for used, _ in self.windows.values())
 
-    def change_with(self, name: str) -> dict[str, float]:
-        """Change of each other value [SI] per unit change of `name`, with all others refitted."""
-        inverse = np.linalg.inv(self.hessian)
-        covariance = self.slopes @ inverse @ self.slopes.T
-        k = self.names.index(name)
-        return {other: float(covariance[i, k] / covariance[k, k]) for i, other in enumerate(self.names) if i != k}
-
 
 def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Sequence[str],
                 base: str | Model = "nonlinear", settings: DrivingFitSettings = DrivingFitSettings()) -> DrivingFit:

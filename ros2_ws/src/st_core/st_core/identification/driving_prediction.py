@@ -156,20 +156,23 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     # Uncertainty of the dead time, propagated to the inertia; see the module.
     sampling = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
     dead_time = sampling / np.sqrt(12.0 * sum(used > 0 for used, _ in fit.windows.values()))
-    timing = {DELAY: dead_time, "yaw_inertia": abs(fit.change_with(DELAY)["yaw_inertia"]) * dead_time}
+    covariance = fit.slopes @ np.linalg.inv(fit.hessian) @ fit.slopes.T
+    inertia, delay = (fit.names.index(name) for name in ("yaw_inertia", DELAY))
+    change = abs(float(covariance[inertia, delay] / covariance[delay, delay]))  # with all other parameters refitted
+    timing = {DELAY: dead_time, "yaw_inertia": change * dead_time}
     method = f"multi-step prediction of transients, {describe_model(base)}"
     result = make_identification("yaw-inertia", vehicle, fit, method, INERTIA_NAMES[:4], covered, timing)
-    inertia = result["yaw_inertia"]
+    found = result["yaw_inertia"]
     warnings = [*notices, *result.warnings]
-    implausible = [text for text in objections(replace(vehicle, yaw_inertia=max(inertia.value, 10.0)))
+    implausible = [text for text in objections(replace(vehicle, yaw_inertia=max(found.value, 10.0)))
                    if text.startswith("yaw_inertia")]
     if implausible:
         text = f"{implausible[0]}: the transients are too weak, or steering or tyre dynamics are mistaken for inertia."
         warnings.append(text)
-        inertia = replace(inertia, status="unidentifiable", verdict=f"{text} {inertia.verdict}")
-    conflict = describe_contradiction(inertia, vehicle.yaw_inertia, 0.1 * vehicle.yaw_inertia,
+        found = replace(found, status="unidentifiable", verdict=f"{text} {found.verdict}")
+    conflict = describe_contradiction(found, vehicle.yaw_inertia, 0.1 * vehicle.yaw_inertia,
                                       "the vehicle file (as +/- 10 %)")
-    return replace(result, estimates=(inertia, *result.estimates[1:]),
+    return replace(result, estimates=(found, *result.estimates[1:]),
                    warnings=(*warnings, conflict) if conflict else tuple(warnings))
 
 

@@ -114,7 +114,7 @@ def _failed_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
 
 
 class OnlineIdentifier:
-    """Estimates from samples in order of time. The fit between `snapshot` and `store_fit` may run in another thread."""
+    """Estimates from samples in order of time. `fit`, the result of a `snapshot`, may come from another thread."""
 
     def __init__(self, vehicle: VehicleParameters):
         self.reset(vehicle)
@@ -127,7 +127,7 @@ class OnlineIdentifier:
         self._ins: deque[InsSample] = deque(maxlen=capacity)
         self._steering: deque[tuple[int, float]] = deque(maxlen=capacity)
         self._newest_ns, self._fitted_at = 0, 0.0
-        self._fit = _failed_fit(vehicle, "no fit yet")
+        self.fit = _failed_fit(vehicle, "no fit yet")
 
     def add_ins(self, sample: InsSample) -> bool:
         """Add a sample at the INS point; False if it is not finite or not newer. A step back by over 1 s resets all."""
@@ -168,17 +168,13 @@ class OnlineIdentifier:
         return DriveLog("recent driving", times, x, y, np.unwrap(yaw), velocity_x, velocity_y, yaw_rate,
                         steering_times, self.vehicle.road_wheel_angle(angle), angle), self.vehicle
 
-    def store_fit(self, fit: OnlineFit) -> None:
-        """Store the result of a fit to a snapshot."""
-        self._fit = fit
-
     def estimates(self) -> tuple[OnlineEstimate, ...]:
         """Current estimate of each parameter, or the reason why it is not estimated."""
         missing, implausible = self._missing_driving(), self._implausible_values()
         estimates = []
         for k, name in enumerate(NAMES):
-            value, deviation = self._fit.values[k], self._fit.deviations[k]
-            reason = missing[name] or self._fit.problem
+            value, deviation = self.fit.values[k], self.fit.deviations[k]
+            reason = missing[name] or self.fit.problem
             if not reason and not deviation / (value if k else 1.0) <= MAX_DEVIATIONS[k]:
                 reason = "its uncertainty is still too large"
             status: OnlineStatus = "unestimated" if reason else "estimated"
@@ -222,7 +218,7 @@ class OnlineIdentifier:
 
     def _implausible_values(self) -> Mapping[str, str]:
         """Reasons why values are implausible, by parameter."""
-        fit, (offset, ratio, scale) = self._fit, self._fit.values
+        fit, (offset, ratio, scale) = self.fit, self.fit.values
         if fit.unexplained > MAX_UNEXPLAINED:
             return dict.fromkeys(NAMES, f"the residual is {100 * fit.unexplained:.0f} % of the yaw rate: "
                                         "road, load or a sensor differs from the assumptions of the model")

@@ -60,7 +60,7 @@ class IdentifierNode(Node):
     def _fit_in_background(self) -> None:
         """Run one fit at a time in a separate thread, so that the node can receive samples in the meantime."""
         if self._fit is not None and self._fit.done():
-            self._core.store_fit(self._fit.result())
+            self._core.fit = self._fit.result()
             self._fit = None
             self._log_changes()
         if self._fit is None and self._core.due:
