@@ -101,12 +101,19 @@ def _align_with_overlap(fine: Sequence[Pair], pairs: dict[float, list[Pair]], us
         alone = fit([pair], solution.offset, middle, solution.drift, free_drift=False)
         singles.append(SignalLag(pair.name, alone.offset - solution.offset, alone.offset_deviation, residual,
                                  correlation))
+    excess = 0.0  # disagreement of the signals in excess of their uncertainties
+    if len(singles) > 1:
+        weights = np.array([s.deviation**-2 for s in singles])
+        variance = float((weights * np.array([s.difference for s in singles]) ** 2).sum() / weights.sum())
+        excess = max(variance - float(len(singles) / weights.sum()), 0.0)
+    latency = max(s.latency_uncertainty for s in usable)
+    offset_deviation = float(np.sqrt(solution.offset_deviation**2 + excess + latency**2 + STAMP_RESOLUTION**2 / 12))
     # The rounding error of the stamps changes slowly, so it does not average out.
     drift_deviation = float(np.hypot(solution.drift_deviation, STAMP_RESOLUTION / max(high - low, 1.0))) * 1e6
     result = Alignment(
         o0 + round(middle * 1e9), r0 - o0 + round(solution.offset * 1e9), solution.drift * 1e6,
-        _offset_deviation(solution, singles, usable), drift_deviation, "shared signals", Verdict.GOOD, tuple(reasons),
-        tuple(singles), (first + between_origins, r_first), (second + between_origins, r_second), max(high - low, 0.0))
+        offset_deviation, drift_deviation, "shared signals", Verdict.GOOD, tuple(reasons), tuple(singles),
+        (first + between_origins, r_first), (second + between_origins, r_second), max(high - low, 0.0))
     return _with_verdict(result, solution, fine, o0)
 
 
@@ -145,17 +152,6 @@ def _resampled_pairs(signals: Sequence[SharedSignal]) -> dict[float, list[Pair]]
         if all(side.known.any() for pair in row for side in (pair.reference, pair.other)):
             rows.append(row)
     return {cutoff: [row[k] for row in rows] for k, cutoff in enumerate(CUTOFFS)}
-
-
-def _offset_deviation(solution: Fit, singles: Sequence[SignalLag], signals: Sequence[SharedSignal]) -> float:
-    """Standard deviation [s] of the fit, excess disagreement of the signals, latency and resolution, in quadrature."""
-    excess = 0.0
-    if len(singles) > 1:
-        weights = np.array([s.deviation**-2 for s in singles])
-        variance = float((weights * np.array([s.difference for s in singles]) ** 2).sum() / weights.sum())
-        excess = max(variance - float(len(singles) / weights.sum()), 0.0)
-    latency = max(s.latency_uncertainty for s in signals)
-    return float(np.sqrt(solution.offset_deviation**2 + excess + latency**2 + STAMP_RESOLUTION**2 / 12))
 
 
 def _with_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: int) -> Alignment:

@@ -17,8 +17,7 @@ import numpy as np
 
 UNDERSTEER = 0.004  # understeer gradient K assumed for an unknown car [rad s^2/m]
 
-Shape = Callable[[np.ndarray], np.ndarray]
-"""Lateral acceleration divided by its target, -1 to 1, at times [s] within one period."""
+Shape = Callable[[np.ndarray], np.ndarray]  # lateral acceleration / its target, -1 to 1, at times [s] in a period
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ OTHER_COLOUR = "#d55e00"  # any other model
 LABEL_AT = {"kinematic": 5.0, "linear": 4.3, "nonlinear": 3.6, "augmented": 2.9}
 OTHER_LABEL_AT = 2.2
 
-# Settings of matplotlib (rcParams) for all figures.
-RC: dict[Any, Any] = {
+RC: dict[Any, Any] = {  # settings of matplotlib (rcParams) for all figures
     "figure.dpi": 100,
     "savefig.dpi": 160,
     "font.size": 9,

@@ -124,8 +124,7 @@ class Skip:
     reason: str
 
 
-# Predicts the trajectory from a state and inputs, for one model, car and horizon.
-Runner = Callable[[VehicleState, ControlInput | InputSequence], Trajectory]
+Runner = Callable[[VehicleState, ControlInput | InputSequence], Trajectory]  # one model, car, horizon
 
 
 class Predictor:

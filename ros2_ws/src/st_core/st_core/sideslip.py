@@ -25,8 +25,7 @@ RATE_WIDTH_NS = 200_000_000  # averaging time of the yaw rate [ns], which is noi
 MAX_DERIVATIVE_ERROR = 1e-6  # rad/s; a gyroscope differs by more because of its noise
 MAX_COURSE_ERROR = 0.0015
 """rad, RMS of the part of (direction of the displacement - yaw) that depends on the yaw rate; a larger value means that
-yaw is a heading. Genesis drives with the heading of the INS have 0.003 (INS above the rear axle) to 0.03, courses of a
-GNSS receiver up to 0.0004."""
+yaw is a heading. Genesis drives with the heading of the INS have 0.003 to 0.03, GNSS courses up to 0.0004."""
 
 
 def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:

@@ -11,9 +11,7 @@ from .ops import absolute, atan, maximum, minimum, sign, sin
 
 GRAVITY = 9.81  # m/s^2, as in the paper
 
-# A jump of the measured speed can imply a lifted axle, far outside the range of the model. Because the load is a
-# divisor, a lower limit keeps the force finite and close to zero.
-MINIMUM_LOAD = 1.0  # N, of one tyre
+MINIMUM_LOAD = 1.0  # N, of one tyre; the load is a divisor, and a jump of the speed can imply a lifted axle
 
 
 class MagicFormula(NamedTuple):

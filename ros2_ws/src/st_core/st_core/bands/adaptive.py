@@ -23,9 +23,7 @@ import numpy as np
 from ..timeseries import NANOSECOND
 from .calibration import LEVELS, Band
 
-GAIN, START_GAIN, SETTLING = 0.1, 0.3, 30.0
-"""1/s, 1/s, s. Errors outside a 90 % band for 5 s widen it by 57 %. This is fast enough for a run of two minutes. The
-band is 5 % wider than with the best constant factor (docs/manual/bands.md)."""
+GAIN, START_GAIN, SETTLING = 0.1, 0.3, 30.0  # 1/s, 1/s, s; the band is 5 % wider than with the best constant factor
 MIN_FACTOR, MAX_FACTOR = 0.05, 100.0  # they correspond to sensor noise and to the size of a road
 DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}  # median and 90 % quantile of the largest of 300 correlated normal errors
 SCALE_FORGETTING = 120.0  # s; two minutes contain most manoeuvres of a driver on a road

@@ -39,9 +39,7 @@ MIN_SPEED, MAX_RADIUS, MAX_ACCELERATION = 3.0, 300.0, 4.0  # m/s, m, m/s^2
 MAX_SLIP = np.deg2rad(2.0)
 MIN_AXLE_SAMPLES = 500  # minimum number of samples in a regression
 SLIP_BIN_COUNT = 12
-MAX_RANGE_RATIO = 0.8
-"""Largest ratio of the mean slip angles in the lower and the full range. Above it, extrapolation to zero slip would
-multiply the difference of the two slopes by more than 5."""
+MAX_RANGE_RATIO = 0.8  # of mean slip angles, lower / full range; above it, extrapolation multiplies errors by over 5
 MAX_RELATIVE_UNCERTAINTY = 0.1  # ratio of standard uncertainty to stiffness above which the stiffness is doubtful
 SLIP_QUANTILE = 0.995  # quantile of |slip angle| that counts as the largest slip angle of the drives
 

@@ -41,9 +41,7 @@ MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
 """Largest number of fits, each with the error scale of the previous one; relative change of the scale if converged."""
 BOUND_TOLERANCE = 1e-3  # distance within which a value is at its bound, as a fraction of the range of both bounds
 MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
-MIN_CURVATURE_RATIO = 0.2
-"""Lower limit of the ratio of the second derivative of the loss to its Gauss-Newton approximation; the ratio is 0.7 for
-the assumed distribution of errors."""
+MIN_CURVATURE_RATIO = 0.2  # of the loss to its Gauss-Newton approximation; 0.7 for the assumed distribution of errors
 
 Values = Mapping[str, float]
 
