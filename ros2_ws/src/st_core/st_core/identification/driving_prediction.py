@@ -57,8 +57,8 @@ INERTIA_NAMES = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE)
 YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, left +
 TRANSIENT_SETTINGS = DrivingFitSettings(interval=0.3)
 SINGLE_TRACK_ERROR = 0.8**2
-"""Relative standard uncertainty of a stiffness due to the single-track assumption, divided by (L / R)^2: on the simulated
-Leaf without noise, the rear stiffness is too small by 4.6 m^2 / R^2, which is 1.1 % at R = 20 m and 0.1 % at 60 m."""
+"""Relative standard uncertainty of a stiffness due to the single-track assumption, divided by (L / R)^2. On the Leaf
+simulated without noise, the rear stiffness is too small by 4.6 m^2 / R^2, 1.1 % at R = 20 m and 0.1 % at 60 m."""
 
 
 def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
