@@ -27,7 +27,7 @@ PLOT_SPAN = 40.0  # s
 AHEAD, BEHIND, SIDEWAYS = 44.0, 16.0, 34.0  # m shown around the car, heading up; 44 m are 5 s at 30 km/h
 AROUND, GRID = 50.0, 20.0  # m shown around the car on the map, and between the lines of its grid
 PLOTS = {
-    "lateral": "lateral error over the last 5 s, m (+ predicted left)",
+    "lateral": "lateral error over the last horizon, m (+ predicted left)",
     "longitudinal": "longitudinal error, m (+ predicted ahead)",
     "steering": "road wheel angle, deg (left +)",
     "speed": "speed, m/s",

@@ -43,7 +43,7 @@ def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Con
         summary = summarise(results, {**about, "exit_statuses": outcome.statuses})
         write_summary(folder / "summary.json", summary)
         draw_paths(results, f"{about['what']}: {make_headline(summary)}", folder / "paths.png")
-    console.print(make_error_table(summary, f"{about['what']}: error over each 5 s horizon, at the INS point"))
+    console.print(make_error_table(summary, f"{about['what']}: mean error over each horizon, at the INS point"))
     for line in format_band_lines(results.bands):
         console.print(line, highlight=False, soft_wrap=True)
     ticks = summary["ticks"]
@@ -114,7 +114,7 @@ def _draw_map(axes: Axes, results: Results) -> None:
         axes.plot(x, y, "o", ms=4, color="k", zorder=4)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="east, m", ylabel="north, m")
-    axes.set_title(f"Measured track and 5 s predictions from {len(starts)} starts", fontsize=9)
+    axes.set_title(f"Measured track and predictions from {len(starts)} starts", fontsize=9)
     handles = [Line2D([], [], color=MEASURED_COLOUR, lw=3, alpha=0.45, label="measured")]
     handles += [Line2D([], [], color=MODEL_COLOUR[m], ls=MODEL_LINE[m], label=m) for m in results.models()]
     handles += [Line2D([], [], color="k", marker="o", ms=4, ls="", label="start")]

@@ -25,7 +25,7 @@ def evaluate(
     acceleration: shared.Filtering = "causal",
     inputs: shared.Inputs = "interpolate",
     table: Literal["means", "samples"] = typer.Option(
-        "means", help="Statistics of the mean error over each horizon, as in the paper, or of all samples of it."),
+        "means", help="Error statistics: of the means over each horizon, as in the paper, or of all samples."),
     horizon: shared.Horizon = 5.0,
     step: shared.Step = 0.05,
     interval: float = typer.Option(0.1, help="Time between starts, s."),
