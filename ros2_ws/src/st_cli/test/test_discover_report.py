@@ -133,6 +133,7 @@ def test_kept_effects_are_listed_with_all_alternatives(logs):
 
 @pytest.mark.parametrize(("outcome", "message"), [
     ("none", "no significant model error"), ("not_testable", "too little excitation"),
+    ("ambiguous", "no effect is certain enough to be named"),
     ("unknown", "a significant error that no effect of the library explains")])
 def test_without_a_name(logs, outcome, message):
     assert message in report_text.title(discovery(logs, (), 1.72, outcome=outcome))
@@ -233,6 +234,11 @@ def test_a_combination_that_differs_from_the_file_is_reported_when_no_effect_of_
     delay = Combination("total delay of the steering", "s", -0.0619, (-0.07, -0.05), 0.0, ("steering_delay",))
     late = replace(found, combinations=(delay,))
     assert "total delay of the steering -0.062 s (-0.070 to -0.050)" in report_text.title(late)
+    either = replace(delay, effects=("steering_delay", "tyre_relaxation"))
+    assert "(-0.070 to -0.050) or tyre relaxation" in report_text.title(replace(found, combinations=(either,)))
+    small = replace(understeer, file=-0.0001)
+    assert "stability factor K 0.003 s²/m² (0.0025 to 0.004; vehicle file -0.0001)" in report_text.title(
+        replace(found, combinations=(small,)))
     assert not any("weigh the car" in line for line in report_text.recommend(late, None))
     same = replace(found, combinations=(replace(stiffness, interval=(30.0, 44.0)),))
     named = replace(found, combinations=(replace(stiffness, effects=(found.effects[0].name,)),))

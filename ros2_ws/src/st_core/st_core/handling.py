@@ -63,6 +63,7 @@ def _stiffness_per_load(axle: str, car: VehicleParameters) -> float:
 
 
 _INERTIA, _TYPICAL = "NHTSA inertia measurements, SAE 1999-01-1336", "typical vehicle parameters, SAE 840561"
+MAX_UNDERSTEER = 8.0  # deg/g
 PLAUSIBLE = (
     Range("cg_to_front_axle", "fraction of the weight on the front axle", "1", 0.35, 0.68,
           lambda car: car.cg_to_rear_axle / car.wheelbase, _INERTIA),
@@ -70,8 +71,8 @@ PLAUSIBLE = (
           lambda car: car.yaw_inertia / (car.mass * car.cg_to_front_axle * car.cg_to_rear_axle), _INERTIA),
     Range("cg_height", "ratio of CG height to wheelbase", "1", 0.1, 0.33, lambda car: car.cg_height / car.wheelbase,
           f"{_INERTIA}; racing cars from 0.1"),
-    Range("cornering_stiffness_front, cornering_stiffness_rear", "understeer gradient", "deg/g", -1.0, 8.0,
-          lambda car: float(np.rad2deg(stability_factor(car) * car.wheelbase * GRAVITY)), _TYPICAL),
+    Range("cornering_stiffness_front, cornering_stiffness_rear", "understeer gradient", "deg/g", -1.0,
+          MAX_UNDERSTEER, lambda car: float(np.rad2deg(stability_factor(car) * car.wheelbase * GRAVITY)), _TYPICAL),
     Range("steering_ratio", "steering ratio", "1", 9.0, 26.0, lambda car: car.steering_ratio,
           "steering systems of passenger cars 11 to 22, vans to 25"),
     *(Range(f"cornering_stiffness_{axle}", f"ratio of cornering stiffness to load of the {axle} axle", "1/rad", 4.0,

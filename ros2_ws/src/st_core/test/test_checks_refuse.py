@@ -59,6 +59,9 @@ def test_understeer_of_a_fast_car_is_no_unit(leaf):
     fast = drive(soft, 24.0, weave(0.03), 40.0)
     assert 24.0**2 * stability_factor(soft) > 0.8
     assert errors(fast, soft) == {}
+    guessed = replace(soft, cornering_stiffness_front=120e3, cornering_stiffness_rear=90e3)
+    assert stability_factor(guessed) < 0.0
+    assert errors(fast, guessed) == {}
     finding = errors(replace(fast, road_wheel_angle=fast.steering_wheel_angle), soft)["steering_scale"]
     assert "the angle of the steering wheel" in finding.text
     scale = finding.advice.entry["correct"]["road_wheel_angle"]["scale"]

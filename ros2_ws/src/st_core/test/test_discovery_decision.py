@@ -246,6 +246,11 @@ def test_another_name_is_told_with_the_one_whose_place_it_takes():
      {"noise_ratio": 9.0}),  # a gap is there, whatever else is not seen
     (replace(NOTHING, noise_ratio=2.5), "unknown", {"noise_ratio": 2.5, "max_noise_ratio": 2.0}),
     (NOTHING, "none", {"noise_ratio": 1.0, "max_noise_ratio": 2.0}),
+    (replace(NOTHING, effects=3, base_noise_ratio=15.0, detectable_share=0.7), "ambiguous",
+     {"effects": 3, "base_noise_ratio": 15.0, "max_noise_ratio": 2.0}),
+    (replace(NOTHING, effects=3, base_noise_ratio=15.0, noise_ratio=2.5), "unknown", {"noise_ratio": 2.5}),
+    (replace(NOTHING, effects=3, base_noise_ratio=1.9), "none", {}),
+    (replace(NOTHING, base_noise_ratio=15.0), "none", {}),  # nothing reduces it significantly
 ])
 def test_outcome(answer, outcome, figures):
     said, why = decide(answer, LIMITS)

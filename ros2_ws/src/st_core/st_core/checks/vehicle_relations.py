@@ -13,10 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..handling import linear_system, rear_slip_coefficient, stability_factor
-from ..vehicle import VehicleParameters
+from ..handling import MAX_UNDERSTEER, linear_system, rear_slip_coefficient, stability_factor
+from ..tyres import GRAVITY
+from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .agreement import ZERO, Agreement, compare_series
-from .finding import HORIZON, LIMITS, Advice, Comparison, Finding, Severity
+from .finding import HORIZON, LIMITS, SYSTEMATIC, Advice, Comparison, Finding, Severity
 from .inertial import CheckResult, format_alternative_lags, format_magnitude
 from .motion import MOVING, Motion, has_varying_speed, windows
 from .position import lateral_sign_finding
@@ -44,11 +45,12 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     response = response_time(vehicle, speed)
     found = compare_series(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, expected_lag=-response)
     gain = _estimate_steering_gain(motion, derived)
-    # The vehicle file's understeer K increases the steering of this drive by the mean of 1 + K v^2, weighted with the
-    # square of the angle; the factor is 1 for a car that oversteers.
-    weight, understeer = np.square(np.nan_to_num(derived)), 1.0
-    if weight.any():
-        understeer += max(stability_factor(vehicle), 0.0) * float(np.average(motion.velocity_x**2, weights=weight))
+    # Understeer K increases the steering of this drive by the mean of 1 + K v^2, weighted with the square of the angle:
+    # for K of the vehicle file (the factor is 1 for a car that oversteers), and for the largest K of road cars.
+    weight, expected = np.square(np.nan_to_num(derived)), max(stability_factor(vehicle), 0.0)
+    square = float(np.average(motion.velocity_x**2, weights=weight)) if weight.any() else 0.0
+    largest = max(expected, MAX_UNDERSTEER / DEGREE / (vehicle.wheelbase * GRAVITY))
+    understeer = 1.0 + expected * square, 1.0 + largest * square
     if found is None or abs(found.correlation) < LIMITS.correlation:
         if found is not None and min(found.spread, float(np.std(found.measured))) > MIN_UNRELATED_SPREAD:
             text = (f"the steering does not follow the car's motion (correlation {found.correlation:.2f}): is it "
@@ -63,7 +65,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
                              or abs(float(found.derived.mean())) > found.spread):
         found = replace(found, scale=gain, bias=ZERO)
     gain = with_systematic("steering_scale", found.scale)
-    late = with_systematic("steering_lag", found.lag.shifted(response))
+    late = with_systematic("steering_lag", found.lag.shifted(response).widened(_response_uncertainty(vehicle, speed)))
     findings = [_unit_finding(gain, understeer, vehicle, wheel_measured),
                 _offset_finding(found, speed, vehicle, wheel_measured)]
     estimates = {"steering_scale": gain, "steering_sign": gain}
@@ -102,6 +104,19 @@ def response_time(vehicle: VehicleParameters, speed: float) -> float:
     return float(np.linalg.solve(a, once).ravel()[1] / -once.ravel()[1])
 
 
+def _response_uncertainty(vehicle: VehicleParameters, speed: float) -> float:
+    """Half-width of the 95 % interval of `response_time` [s] from the uncertainty of both axle stiffnesses, as far as it
+    exceeds the systematic uncertainty of a steering lag: only for a fast car that hardly understeers."""
+    def time(key: str, sign: float) -> float:
+        value, limits = getattr(vehicle, key), VEHICLE_QUANTITIES[key]
+        changed = value * float(np.exp(sign * (vehicle.uncertainty(key) or 0.0) / value))
+        return response_time(replace(vehicle, **{key: min(max(changed, limits.minimum), limits.maximum)}), speed)
+
+    keys = "cornering_stiffness_front", "cornering_stiffness_rear"
+    half = np.hypot(*(time(key, 1.0) - time(key, -1.0) for key in keys))
+    return float(np.sqrt(max(half**2 - SYSTEMATIC["steering_lag"] ** 2, 0.0)))
+
+
 def _compute_lateral_shift(error: float, speed: float, vehicle: VehicleParameters) -> float:
     """Lateral shift [m] of the predicted position due to a constant error [rad] of the road wheel angle."""
     a, b = linear_system(max(speed, MOVING), vehicle)
@@ -109,21 +124,22 @@ def _compute_lateral_shift(error: float, speed: float, vehicle: VehicleParameter
     return abs(0.5 * speed * yaw_gain * error) * HORIZON**2
 
 
-def _unit_finding(gain: Estimate, understeer: float, vehicle: VehicleParameters,
+def _unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle: VehicleParameters,
                   wheel_measured: bool) -> Finding | None:
     """Finding of a steering gain that only a wrong unit or sign explains; None for a plausible gain.
 
-    understeer: expected gain; since the stiffnesses of a vehicle file may be rough, a gain of 1 is plausible as well.
+    understeer: expected and largest plausible gain; since the stiffnesses of a vehicle file may be rough, a gain of 1
+    is plausible as well.
     """
-    value, limit = gain.value, LIMITS.steering_unit
-    if abs(value) < MIN_GAIN or (gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * understeer):
+    (expected, largest), value, limit = understeer, gain.value, LIMITS.steering_unit
+    if abs(value) < MIN_GAIN or (gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * largest):
         return None
     ratio = f"steering ratio {vehicle.steering_ratio:g} of the vehicle file"
     reasons = {DEGREE: "is it in degrees", vehicle.steering_ratio: f"is it the angle of the steering wheel ({ratio})",
                DEGREE * vehicle.steering_ratio: f"is it the angle of the steering wheel in degrees ({ratio})",
                1.0 / DEGREE: "was it converted to rad twice",
                1.0 / vehicle.steering_ratio: "was it divided by the steering ratio twice", 1.0: ""}
-    size = abs(value) / understeer
+    size = abs(value) / expected
     factor = min(reasons, key=lambda f: abs(np.log(size / f)))
     exact = factor if 1.0 / limit < size / factor < limit else size
     opposite = "does it have the opposite sign (left is positive)" if value < 0.0 else ""

@@ -56,7 +56,8 @@ class SearchResult:
     """Input of `decide`. noise_ratio [1]: ratio of residual to noise. detectable_share [1]: fraction of the library's
     effects that are detectable in these drives at a size of one parameter scale. varying_effects: number of effects
     that vary between parts of the drives. combinations: names of the parameter combinations that differ from the
-    vehicle file, but that no named effect changes."""
+    vehicle file, but that no named effect changes. effects: number of effects in the model. base_noise_ratio [1]: ratio
+    of the error without them to noise."""
 
     named: Sequence[Evidence]
     rivals: Mapping[str, Sequence[Rival]]
@@ -65,6 +66,8 @@ class SearchResult:
     detectable_share: float
     varying_effects: int = 0
     combinations: Sequence[str] = ()
+    effects: int = 0
+    base_noise_ratio: float = 1.0
 
 
 def judge(e: Evidence, limits: Limits) -> Reason:
@@ -207,12 +210,12 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
         return Reason(MINOR, e.name, {"gain": e.gain, "noise_ratio": e.noise_ratio,
                                       "max_noise_ratio": limits.max_noise_ratio,
                                       "unexplained_share": limits.unexplained_share},
-                      f"it is significant, but reduces the errors by only {e.share:.1%}, to {e.noise_ratio:.1f} times "
-                      f"the noise; {limits.unexplained_share:.0%} is required, as it may imitate an unmodelled effect: "
-                      "it stays in the model, but is not named")
+                      f"it is significant, but reduces the errors by only {e.share:.1%}, and one channel's error "
+                      f"remains {e.noise_ratio:.1f} times the noise; {limits.unexplained_share:.0%} is required, as it "
+                      "may imitate an unmodelled effect: it stays in the model, but is not named")
     if not checks.excludes_null and not by_sensors:
-        return Reason(MINOR, e.name, {"gain": e.gain}, "it reduces the errors, but other sets of effects that fit "
-                      "nearly as well do not need it: it stays in the model, but is not named")
+        return Reason(MINOR, e.name, {"gain": e.gain}, "it reduces the errors, but the interval of its value contains "
+                      "the value without influence: it stays in the model, but is not named")
     if is_relevant(e, limits):
         return Reason(NAMED, e.name, _relevance_figures(e, limits), _describe_effect_size(e, limits))
     return Reason(MINOR, e.name, _relevance_figures(e, limits),
@@ -250,12 +253,15 @@ def judge_alternative(rival: Rival, limits: Limits) -> Reason:
     unexplained = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.unexplained_share
     gain = f"in place of {rival.replaces.replace('_', ' ')} it achieves {rival.share:.0%} of its error reduction"
     no_worse = f"p = {rival.p_no_worse:.2g} for the hypothesis that it is as good"
-    if rival.share < limits.min_rival_gain or (rival.p_no_worse < limits.undecided_p and not unexplained):
+    worse = rival.p_no_worse < limits.undecided_p
+    if rival.share < limits.min_rival_gain or (worse and not unexplained):
         return Reason("explains less", rival.name, figures, f"{gain}; {no_worse}")
     if rival.shared:
         gain = f"together with {rival.replaces.replace('_', ' ')} it gains no more than that effect alone"
     elif verdict.rule not in (ACCEPTED, IRRELEVANT):
         return verdict
+    if worse:
+        no_worse += f", but unmodelled effects may cause the difference of {rival.deficit:.1%} of the residual"
     return Reason("alternative", rival.name, figures, f"{gain}; {no_worse}")
 
 
@@ -286,9 +292,13 @@ def decide(a: SearchResult, limits: Limits) -> tuple[Outcome, Reason]:
         return because("unknown", "errors are significant, but no effect of the library explains them within its "
                        "bounds")
     if a.noise_ratio > limits.max_noise_ratio:
-        return because("unknown", f"the position error is {a.noise_ratio:.1f} times the noise, and no effect of the "
-                       "library reduces it significantly", noise_ratio=a.noise_ratio,
+        return because("unknown", f"the position error is {a.noise_ratio:.1f} times the noise, and no further effect of "
+                       "the library reduces it significantly", noise_ratio=a.noise_ratio,
                        max_noise_ratio=limits.max_noise_ratio)
+    if a.effects and a.base_noise_ratio > limits.max_noise_ratio:
+        return because("ambiguous", f"the model reduces the position error from {a.base_noise_ratio:.1f} to "
+                       f"{a.noise_ratio:.1f} times the noise, but none of its effects is certain enough to be named",
+                       effects=a.effects, base_noise_ratio=a.base_noise_ratio, max_noise_ratio=limits.max_noise_ratio)
     if a.detectable_share < limits.detection_power:
         return because("not_testable", f"only {a.detectable_share:.0%} of the library's effects would be detectable "
                        "in these drives at their typical size", detectable_share=a.detectable_share,

@@ -134,8 +134,9 @@ class _Analysis:
         drives = self._simulate_catalogue(found, effects)
         untestable = self._find_untestable(found, power, judged, drives)
         position = named_errors.get("position_5s")
-        residual = 1.0 if position is None else position.augmented / max(floor.get("position_5s", 0.0), 1e-9)
-        outcome, why = self._decide_outcome(found, judged, untestable, residual, len(varied))
+        noise = max(floor.get("position_5s", 0.0), 1e-9)
+        noise_ratios = (1.0, 1.0) if position is None else (position.base / noise, position.augmented / noise)
+        outcome, why = self._decide_outcome(found, judged, untestable, noise_ratios, len(varied))
         statements = self._locate_errors(base, floor) if settings.where else ()
         return result.Discovery(
             outcome=outcome, effects=effects, minor=judged.minor,
@@ -145,7 +146,7 @@ class _Analysis:
             candidates=self._list_candidates(found, judged.verdicts), where=statements, not_testable=untestable,
             next_manoeuvre=next_manoeuvre(problem, found.fit, effects, drives, design_effect) if drives else None,
             separability=separability(problem, found.fit, effects, design_effect), certificate=power,
-            signature=self._describe_residual(residual, statements), runs=self._list_runs(),
+            signature=self._describe_residual(noise_ratios[1], statements), runs=self._list_runs(),
             start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
             model=space.at(fit.vector) if fit.names else None, warnings=tuple(self.warnings),
             named=space.at(problem.vector_without(found.fit, *(e.name for e in judged.contradicted)))
@@ -178,17 +179,21 @@ class _Analysis:
         verdicts = self._name_effects(found, effects, axles, leave_one_out)
         named, minor, contradicted = (tuple(e for e in effects if verdicts[e.name].rule in rules) for rules in (
             (decision.NAMED,), (decision.MINOR,), (decision.FORCES, decision.IMPLAUSIBLE)))
+        # What may replace an effect may also explain the combinations that this effect changes.
+        combinations = tuple(replace(c, effects=tuple(dict.fromkeys((*c.effects, *(
+            other for e in effects if e.name in c.effects for other in e.alternatives))))) for c in combinations)
         return _JudgedEffects(named, minor, contradicted, verdicts, leave_one_out, curves, combinations)
 
     def _decide_outcome(self, found: Found, judged: _JudgedEffects, untestable: Sequence[result.NotTestable],
-                        residual: float, varying_effects: int) -> tuple[result.Outcome, result.Reason]:
-        """Outcome and reason. residual [1]: ratio of position error to noise."""
+                        noise_ratios: tuple[float, float], varying_effects: int) -> tuple[result.Outcome, result.Reason]:
+        """Outcome and reason. noise_ratios [1]: ratio of position error to noise without and with the effects."""
         hypotheses = self.space.hypotheses
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         refused = [evidence for evidence, *_ in found.refused.values()]
         return decision.decide(decision.SearchResult(
-            [found.evidence[e.name] for e in judged.named], found.rivals, refused, residual, detectable,
-            varying_effects, [c.name for c in result.known_together(judged.combinations, judged.named)]), self.limits)
+            [found.evidence[e.name] for e in judged.named], found.rivals, refused, noise_ratios[1], detectable,
+            varying_effects, [c.name for c in result.known_together(judged.combinations, judged.named)],
+            len(found.fit.names), noise_ratios[0]), self.limits)
 
     def _add_corrections(self, found: Found, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:
         """(problem, fit) with effective corrections in addition to the effects found, without the priors of the vehicle

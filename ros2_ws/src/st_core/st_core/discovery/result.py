@@ -102,7 +102,8 @@ class Assumed:
 @dataclass(frozen=True)
 class Combination:
     """A combination of vehicle parameters that determines predictions: value, 95 % interval and value of the vehicle
-    file [unit]. effects: names of the effects that change it; the drives alone do not separate them."""
+    file [unit]. effects: names of the effects that change it, and of alternatives to those of the model; the drives
+    alone do not separate them."""
 
     name: str
     unit: str
@@ -362,7 +363,7 @@ def known_together(combinations: Sequence[Combination], named: Sequence[FoundEff
     names = {name for e in named for name in (e.name, *e.alternatives)}
     found = [c for c in combinations if c.differs and not names.intersection(c.effects)]
     delay = [c for c in found if c.is_time]
-    others = [c for c in found if c.file > 0.0]
+    others = [c for c in found if not c.is_time]
     return (*([c for c in others if "stiffness" in c.name] or others[:1]), *delay)
 
 

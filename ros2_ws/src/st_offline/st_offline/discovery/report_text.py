@@ -89,7 +89,8 @@ def title(found: Discovery) -> str:
         varying = [f"an effect that resembles {to_words(b.resembles)} ({format_metres(b.position_5s_reduction)}) but "
                    f"varies with {b.varies_with}" for b in found.varying]
         return f"{_describe_errors(found)}: {'; '.join((*unexplained, *varying, 'no effect is named'))}"
-    return f"{_describe_errors(found)}: no significant model error"
+    nothing = "no effect is certain enough to be named" if found.outcome == "ambiguous" else "no significant model error"
+    return f"{_describe_errors(found)}: {nothing}"
 
 
 def _describe_errors(found: Discovery) -> str:
@@ -201,10 +202,15 @@ def describe_residual(found: Discovery) -> str:
 
 
 def format_combination(combination: result.Combination) -> str:
-    """Name and value of a combination with 95 % interval: a delay in s, others relative to the vehicle file."""
+    """Name and value of a combination with 95 % interval: a delay in s, a stability factor, which may be 0 or negative,
+    next to that of the vehicle file, others relative to it."""
     low, high = combination.interval
+    if combination.unit == "s^2/m^2":
+        return (f"{combination.name} {combination.value:.2g} s²/m² ({low:.2g} to {high:.2g}; vehicle file "
+                f"{combination.file:.2g})")
     if combination.is_time:
-        return f"{combination.name} {combination.value:.3f} s ({low:.3f} to {high:.3f})"
+        others = [to_words(n) for n in combination.effects if combination.name not in get_effect(n).combinations]
+        return " or ".join((f"{combination.name} {combination.value:.3f} s ({low:.3f} to {high:.3f})", *others))
     ratio, low, high = (value / combination.file for value in (combination.value, low, high))
     return f"{combination.name} {ratio:.2f} ({low:.2f} to {high:.2f}) times the vehicle file value"
 
