@@ -105,8 +105,8 @@ def response_time(vehicle: VehicleParameters, speed: float) -> float:
 
 
 def _response_uncertainty(vehicle: VehicleParameters, speed: float) -> float:
-    """Half-width of the 95 % interval of `response_time` [s] from the uncertainty of both axle stiffnesses, as far as it
-    exceeds the systematic uncertainty of a steering lag: only for a fast car that hardly understeers."""
+    """Half-width of the 95 % interval of `response_time` [s] from the uncertainty of both axle stiffnesses, beyond the
+    systematic uncertainty of a steering lag; above 0 for a fast car that hardly understeers."""
     def time(key: str, sign: float) -> float:
         value, limits = getattr(vehicle, key), VEHICLE_QUANTITIES[key]
         changed = value * float(np.exp(sign * (vehicle.uncertainty(key) or 0.0) / value))

@@ -292,8 +292,8 @@ def decide(a: SearchResult, limits: Limits) -> tuple[Outcome, Reason]:
         return because("unknown", "errors are significant, but no effect of the library explains them within its "
                        "bounds")
     if a.noise_ratio > limits.max_noise_ratio:
-        return because("unknown", f"the position error is {a.noise_ratio:.1f} times the noise, and no further effect of "
-                       "the library reduces it significantly", noise_ratio=a.noise_ratio,
+        return because("unknown", f"the position error is {a.noise_ratio:.1f} times the noise, and no further effect "
+                       "of the library reduces it significantly", noise_ratio=a.noise_ratio,
                        max_noise_ratio=limits.max_noise_ratio)
     if a.effects and a.base_noise_ratio > limits.max_noise_ratio:
         return because("ambiguous", f"the model reduces the position error from {a.base_noise_ratio:.1f} to "

@@ -185,7 +185,8 @@ class _Analysis:
         return _JudgedEffects(named, minor, contradicted, verdicts, leave_one_out, curves, combinations)
 
     def _decide_outcome(self, found: Found, judged: _JudgedEffects, untestable: Sequence[result.NotTestable],
-                        noise_ratios: tuple[float, float], varying_effects: int) -> tuple[result.Outcome, result.Reason]:
+                        noise_ratios: tuple[float, float], varying_effects: int,
+                        ) -> tuple[result.Outcome, result.Reason]:
         """Outcome and reason. noise_ratios [1]: ratio of position error to noise without and with the effects."""
         hypotheses = self.space.hypotheses
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)

@@ -89,8 +89,9 @@ def title(found: Discovery) -> str:
         varying = [f"an effect that resembles {to_words(b.resembles)} ({format_metres(b.position_5s_reduction)}) but "
                    f"varies with {b.varies_with}" for b in found.varying]
         return f"{_describe_errors(found)}: {'; '.join((*unexplained, *varying, 'no effect is named'))}"
-    nothing = "no effect is certain enough to be named" if found.outcome == "ambiguous" else "no significant model error"
-    return f"{_describe_errors(found)}: {nothing}"
+    if found.outcome == "ambiguous":
+        return f"{_describe_errors(found)}: no effect is certain enough to be named"
+    return f"{_describe_errors(found)}: no significant model error"
 
 
 def _describe_errors(found: Discovery) -> str:
