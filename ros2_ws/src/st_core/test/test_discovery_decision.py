@@ -31,7 +31,7 @@ from st_core.discovery.decision import (
     varies_relevantly,
     varying_partition,
 )
-from st_core.discovery.discover import with_sensor_interval
+from st_core.discovery.discover import include_effects, with_sensor_interval
 from st_core.discovery.evidence import AgainstFile, Agreement, Evidence
 from st_core.discovery.result import Combination, FittedParameter, FoundEffect, known_together
 from st_core.errors import ConfigurationError
@@ -110,6 +110,17 @@ def test_a_total_delay_is_reported_with_the_stiffness_unless_a_part_of_it_is_nam
     assert known_together((stiffness, gain, delay), ()) == (stiffness, delay)
     assert known_together((gain, replace(delay, interval=(-0.15, 0.03))), ()) == (gain,)
     assert known_together((delay,), (named,)) == ()
+
+
+def test_a_delay_from_one_effect_is_as_uncertain_as_this_effect_and_has_its_alternatives():
+    delay = Combination("total delay of the steering", "s", 0.02, (0.01, 0.06), 0.0, ("steering_delay", "steering_lag"))
+    wide = {"time": FittedParameter(0.02, "s", (-0.07, 0.05), 0.0)}
+    one = FoundEffect("steering_delay", "physics", wide, ("steering_lag", "tyre_relaxation"), 0.0, {})
+    found = include_effects(delay, (one,))
+    assert found.interval == (-0.07, 0.06) and not found.differs
+    assert found.effects == ("steering_delay", "steering_lag", "tyre_relaxation")
+    other = replace(one, name="steering_lag", alternatives=())  # what one loses, the other gains: the sum is certain
+    assert include_effects(delay, (one, other)).interval == delay.interval
 
 
 def test_rules_are_asked_in_their_order():

@@ -107,13 +107,14 @@ def response_time(vehicle: VehicleParameters, speed: float) -> float:
 def _response_uncertainty(vehicle: VehicleParameters, speed: float) -> float:
     """Half-width of the 95 % interval of `response_time` [s] from the uncertainty of both axle stiffnesses, beyond the
     systematic uncertainty of a steering lag; above 0 for a fast car that hardly understeers."""
-    def time(key: str, sign: float) -> float:
+    def change(key: str) -> float:
         value, limits = getattr(vehicle, key), VEHICLE_QUANTITIES[key]
-        changed = value * float(np.exp(sign * (vehicle.uncertainty(key) or 0.0) / value))
-        return response_time(replace(vehicle, **{key: min(max(changed, limits.minimum), limits.maximum)}), speed)
+        factor = float(np.exp((vehicle.uncertainty(key) or 0.0) / value))
+        low, high = (response_time(replace(vehicle, **{key: min(max(end, limits.minimum), limits.maximum)}), speed)
+                     for end in (value / factor, value * factor))
+        return high - low
 
-    keys = "cornering_stiffness_front", "cornering_stiffness_rear"
-    half = np.hypot(*(time(key, 1.0) - time(key, -1.0) for key in keys))
+    half = np.hypot(change("cornering_stiffness_front"), change("cornering_stiffness_rear"))
     return float(np.sqrt(max(half**2 - SYSTEMATIC["steering_lag"] ** 2, 0.0)))
 
 

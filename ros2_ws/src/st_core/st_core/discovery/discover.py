@@ -179,10 +179,8 @@ class _Analysis:
         verdicts = self._name_effects(found, effects, axles, leave_one_out)
         named, minor, contradicted = (tuple(e for e in effects if verdicts[e.name].rule in rules) for rules in (
             (decision.NAMED,), (decision.MINOR,), (decision.FORCES, decision.IMPLAUSIBLE)))
-        # What may replace an effect may also explain the combinations that this effect changes.
-        combinations = tuple(replace(c, effects=tuple(dict.fromkeys((*c.effects, *(
-            other for e in effects if e.name in c.effects for other in e.alternatives))))) for c in combinations)
-        return _JudgedEffects(named, minor, contradicted, verdicts, leave_one_out, curves, combinations)
+        return _JudgedEffects(named, minor, contradicted, verdicts, leave_one_out, curves,
+                              tuple(include_effects(c, effects) for c in combinations))
 
     def _decide_outcome(self, found: Found, judged: _JudgedEffects, untestable: Sequence[result.NotTestable],
                         noise_ratios: tuple[float, float], varying_effects: int,
@@ -485,6 +483,18 @@ class _Analysis:
 def _local_estimates(evidence: Evidence) -> dict[str, tuple[result.LocalEstimate, ...]]:
     return {partition: tuple(result.LocalEstimate(part, *estimate) for part, estimate in a.ratios.items())
             for partition, a in evidence.agreement.items()}
+
+
+def include_effects(c: result.Combination, effects: Sequence[result.FoundEffect]) -> result.Combination:
+    """The combination with the alternatives to the effects of the model that change it. A delay from a single effect is
+    as uncertain as the value of this effect."""
+    own = [e for e in effects if e.name in c.effects]
+    low, high = c.interval
+    if c.is_time and len(own) == 1:
+        for p in own[0].parameters.values():
+            low, high = min(low, p.interval[0]), max(high, p.interval[1])
+    names = dict.fromkeys((*c.effects, *(other for e in own for other in e.alternatives)))
+    return replace(c, interval=(low, high), effects=tuple(names))
 
 
 def find_parameter_across_bound(effect: result.FoundEffect) -> str:
