@@ -133,9 +133,7 @@ class _Analysis:
         effects, design_effect = judged.named, found.scores.design_effect
         drives = self._simulate_catalogue(found, effects)
         untestable = self._find_untestable(found, power, judged, drives)
-        position = named_errors.get("position_5s")
-        noise = max(floor.get("position_5s", 0.0), 1e-9)
-        noise_ratios = (1.0, 1.0) if position is None else (position.base / noise, position.augmented / noise)
+        noise_ratios = _noise_ratios(named_errors.get("position_5s"), floor)
         outcome, why = self._decide_outcome(found, judged, untestable, noise_ratios, len(varied))
         statements = self._locate_errors(base, floor) if settings.where else ()
         return result.Discovery(
@@ -483,6 +481,13 @@ class _Analysis:
 def _local_estimates(evidence: Evidence) -> dict[str, tuple[result.LocalEstimate, ...]]:
     return {partition: tuple(result.LocalEstimate(part, *estimate) for part, estimate in a.ratios.items())
             for partition, a in evidence.agreement.items()}
+
+
+def _noise_ratios(position: result.ChannelError | None, floor: Mapping[str, float]) -> tuple[float, float]:
+    """Ratios of the position error after 5 s to the error due to noise [1], of the base and of the augmented model; 1
+    if position is not a channel."""
+    noise = max(floor.get("position_5s", 0.0), 1e-9)
+    return (1.0, 1.0) if position is None else (position.base / noise, position.augmented / noise)
 
 
 def include_effects(c: result.Combination, effects: Sequence[result.FoundEffect]) -> result.Combination:
