@@ -36,7 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     planner = subprocess.Popen([str(ROOT / "st"), "shell", "--", "python", "examples/mpc/plan_node.py"], cwd=ROOT,
                                stdout=subprocess.PIPE, text=True, env={**os.environ, **domain})
     try:
-        st("demo", "--scenario", "S6", "--duration", 30, "--output", base / "run", **domain)
+        st("demo", "--scenario", "S6", "--duration", 24, "--output", base / "run", **domain)
     finally:
         planner.send_signal(signal.SIGINT)
         said, _ = planner.communicate(timeout=30)

@@ -84,23 +84,17 @@ def in_process(*arguments: object) -> subprocess.CompletedProcess:
 
 
 @pytest.fixture(scope="module")
-def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def foreign(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same drive as another recorder has it: odometry in a frame `odom`, the angle as a bare Float64, a text."""
     from rosbags.highlevel import AnyReader
     from rosbags.rosbag2 import StoragePlugin, Writer
     from st_recordings.runs.bag import definitions_folder
     from st_recordings.runs.cdr import load_typestore
-    from st_sim.run import main
 
     base, store = tmp_path_factory.mktemp("foreign"), load_typestore(definitions_folder())
-    vehicle = ROOT / "config/vehicle/leaf.yaml"
-    assert main(["--scenario", "S6", "--vehicle", str(vehicle), "--duration", str(SECONDS), "--to-files",
-                 str(base / "S6")]) == 0
-    done = in_process("import", base / "S6", "--output", base / "bag")
-    assert done.returncode == 0, done.stdout + done.stderr
     odometry, number, text = "nav_msgs/msg/Odometry", "std_msgs/msg/Float64", "std_msgs/msg/String"
     types = {"/localization": odometry, "/steer": number, "/chatter": text}
-    with (AnyReader([base / "bag"], default_typestore=store) as reader,
+    with (AnyReader([recording], default_typestore=store) as reader,
           Writer(base / "foreign", version=9, storage_plugin=StoragePlugin.MCAP) as writer):
         made = {topic: writer.add_connection(topic, name, typestore=store) for topic, name in types.items()}
         wanted = [c for c in reader.connections if c.topic in ("/ins/odometry", "/vehicle/steering")]

@@ -184,7 +184,10 @@ def test_workers_find_the_same_and_survive_a_bad_run(folder, tmp_path):
                 assert found["lateral"] == pytest.approx(modes[mode]["lateral"], abs=1e-9)
 
 
-def test_an_unreachable_scheduler_is_reported_in_one_line(folder, tmp_path):
+def test_an_unreachable_scheduler_is_reported_in_one_line(folder, tmp_path, monkeypatch):
+    import distributed
+
     base, _ = folder
+    monkeypatch.setattr(distributed, "Client", lambda at, timeout, whole=distributed.Client: whole(at, timeout="1s"))
     result = evaluate(base / "data" / "weave.csv", "--output", tmp_path / "o", "--scheduler", "tcp://127.0.0.1:9")
     assert result.exit_code == 2 and "no Dask scheduler at tcp://127.0.0.1:9" in result.output

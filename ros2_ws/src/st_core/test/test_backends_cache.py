@@ -67,11 +67,22 @@ class Install:
         return {path: path.read_bytes() for path in self.package.parent.rglob("*.nb[ci]")}
 
 
-@pytest.fixture
-def install(tmp_path, leaf):
-    copy = Install(tmp_path)
+def make_install(folder, leaf):
+    copy = Install(folder)
     copy.car.write_text(leaf.to_yaml())
     return copy
+
+
+@pytest.fixture
+def install(tmp_path, leaf):
+    return make_install(tmp_path, leaf)
+
+
+@pytest.fixture(scope="module")
+def banked(tmp_path_factory, leaf):
+    """(install, result) of the linear model on a banked road, its kernel in the cache."""
+    copy = make_install(tmp_path_factory.mktemp("banked"), leaf)
+    return copy, copy.run("linear", "road_bank")[1]
 
 
 def test_a_second_process_finds_the_kernel(install):
@@ -104,13 +115,12 @@ def test_other_models_and_values_have_kernels_of_their_own(install):
     ("composition.py", "velocity_y + a_y", "velocity_y - a_y"),
     ("backends/numba_ops.py", "S2, S3 = -0.16666666666666666, ", "S2, S3 = -0.15, "),
 ])
-def test_editing_any_equation_or_effect_makes_it_anew(install, file, old, new):
-    model = ("linear", "road_bank")
-    _, before, _ = install.run(*model)
+def test_editing_any_equation_or_effect_makes_it_anew(banked, file, old, new):
+    (install, before), model = banked, ("linear", "road_bank")
     install.edit(file, old, new)
     found, after, _ = install.run(*model)
-    assert not found and after != before
     install.edit(file, new, old)
+    assert not found and after != before
     assert install.run(*model)[:2] == (True, before)
 
 

@@ -71,12 +71,15 @@ def test_every_name_and_unit_of_a_channel(tmp_path: Path, channel: str) -> None:
     names = {**PLAIN, **{c: c for c in (*columns_of_wheels(channel), channel)}}
     names = {c: n for c, n in names.items() if c == channel or (c, channel) not in REPLACED}
     kind = COLUMNS[channel].kind
+    style = 0
     for name in COLUMNS[channel].names:
         written = {**names, channel: name}
         check(read_csv(write(tmp_path / "d.csv", written), LEAF), channel)
         for unit, (_, others) in UNITS[kind].items():
-            for text in (f"{name}_{unit}", f"{name.upper()} [{others[0] if others else unit}]", f" {name} ({unit}) "):
-                check(read_csv(write(tmp_path / "d.csv", {**written, channel: text}, {channel: unit}), LEAF), channel)
+            texts = f"{name}_{unit}", f"{name.upper()} [{others[0] if others else unit}]", f" {name} ({unit}) "
+            # Each name and unit in one of the three ways, in turn.
+            text, style = texts[style % 3], style + 1
+            check(read_csv(write(tmp_path / "d.csv", {**written, channel: text}, {channel: unit}), LEAF), channel)
     for unit in UNITS[kind]:
         file = write(tmp_path / "d.csv", {**names, channel: "nameless"}, {channel: unit})
         check(read_csv(file, LEAF, Layout({channel: "nameless"}, {channel: unit})), channel)

@@ -13,14 +13,19 @@ import pytest
 from discovery_drives import recorded
 from raw_drives import LEAF
 from st_cli.cli import app
+from st_core.discovery import DiscoverySettings, discover
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
+from st_offline.discovery.discover_command import sensor_estimates
+from st_offline.discovery.drives import read_drives
+from st_recordings.runs import ReadSettings, find_runs
 from support import ROOT, shared
 from typer.testing import CliRunner
 
 pytestmark = pytest.mark.slow
 GENESIS = ROOT / "config" / "vehicle" / "hyundai_genesis.yaml"
 RUNS = ("cpg_lap_medium", "cpg_lap_slow", "cpg_low_speed_a", "rfs_turn_a")
+SETTINGS = DiscoverySettings(where=False, windows=160)
 SCALED, OFFSET = 0.9, 0.02  # of the steering; rad at the road wheels
 Row = dict[str, str]
 
@@ -41,11 +46,13 @@ def written(folder: Path, edit: Callable[[Row, float], None]) -> list[Path]:
     return files
 
 
-def discovered(files: list[Path], vehicle: Path, folder: Path) -> dict[str, Any]:
-    words = ["discover", *files, "--vehicle", vehicle, "--output", folder, "--no-report", "--fresh"]
-    result = CliRunner().invoke(app, [str(w) for w in words], env={"COLUMNS": "200"})
-    assert result.exit_code == 0, result.output
-    return json.loads((folder / "discovery.json").read_text())
+def discovered(files: list[Path]) -> dict[str, Any]:
+    """The content of discovery.json, with fewer predictions than the command makes."""
+    car = VehicleParameters.from_yaml(GENESIS.read_text(), str(GENESIS))
+    drives = read_drives(find_runs(files), car, ReadSettings(), 1, lambda: None)
+    assert not [d.problem for d in drives if d.problem]
+    return discover([d.log for d in drives if d.log is not None], car, settings=SETTINGS,
+                    sensor_estimates=sensor_estimates(drives)).document()
 
 
 def stated(content: dict[str, Any], effect: str, parameter: str) -> dict[str, Any]:
@@ -55,15 +62,14 @@ def stated(content: dict[str, Any], effect: str, parameter: str) -> dict[str, An
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    folder = tmp_path_factory.mktemp("plain")
-    return discovered(written(folder, lambda row, share: None), GENESIS, folder / "out")
+    return discovered(written(tmp_path_factory.mktemp("plain"), lambda row, share: None))
 
 
 def test_steering_that_was_scaled_moves_the_ratio_by_just_that(plain, tmp_path):
     def scaled(row: Row, share: float) -> None:
         row["delta"] = str(SCALED * float(row["delta"]))
 
-    content = discovered(written(tmp_path, scaled), GENESIS, tmp_path / "out")
+    content = discovered(written(tmp_path, scaled))
     before, after = (stated(c, "steering_ratio", "factor") for c in (plain, content))
     low, high = after["interval"]
     assert low <= SCALED * before["value"] <= high < before["value"]
@@ -82,7 +88,7 @@ def test_offset_that_begins_in_the_middle_is_told_and_not_named(plain, tmp_path)
     def begun(row: Row, share: float) -> None:
         row["delta"] = str(float(row["delta"]) + OFFSET * (share > 0.5))
 
-    content = discovered(written(tmp_path, begun), GENESIS, tmp_path / "out")
+    content = discovered(written(tmp_path, begun))
     assert "steering_offset" not in {e["name"] for e in content["effects"]}
     (varying,) = [b for b in content["varying"] if b["resembles"] == "steering_offset"]
     shares = {value["where"]: value["ratio"] for value in varying["values"]}
@@ -95,9 +101,13 @@ def test_offset_that_begins_in_the_middle_is_told_and_not_named(plain, tmp_path)
 def test_base_model_itself_lacks_nothing(tmp_path):
     car = VehicleParameters.from_yaml(LEAF.read_text())
     files = [as_csv(log, tmp_path / f"{log.name.replace(' ', '_')}.csv") for log in recorded(car, {}, 3)]
-    content = discovered(files, LEAF, tmp_path / "out")
+    out = tmp_path / "out"
+    words = ["discover", *files, "--vehicle", LEAF, "--output", out, "--no-report", "--fresh"]
+    result = CliRunner().invoke(app, [str(w) for w in words], env={"COLUMNS": "200"})
+    assert result.exit_code == 0, result.output
+    content = json.loads((out / "discovery.json").read_text())
     assert content["outcome"] in ("none", "not_testable") and not content["effects"] and not content["varying"]
-    assert not (tmp_path / "out" / "model.yaml").exists() and not (tmp_path / "out" / "vehicle.yaml").exists()
+    assert not (out / "model.yaml").exists() and not (out / "vehicle.yaml").exists()
 
 
 def as_csv(log: DriveLog, file: Path) -> Path:
