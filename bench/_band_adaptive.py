@@ -29,7 +29,7 @@ class Drive:
     errors: Mapping[ModelMode, np.ndarray]
 
 
-def read_drive(log: DriveLog, vehicle: VehicleParameters, model: str, settings: EvaluationSettings) -> Drive:
+def evaluate_drive(log: DriveLog, vehicle: VehicleParameters, model: str, settings: EvaluationSettings) -> Drive:
     signals = settings.signals(log)
     starts, _ = usable_starts(signals, vehicle, regular_starts(log, INTERVAL), settings.prediction.minimum_speed)
     times, errors = [], {}

@@ -90,7 +90,7 @@ def measure_changes() -> list[Row]:
 def _measure_style(number: int, style: str) -> list[Row]:
     sys.path.insert(0, str(project_root()))
     from bench.discovery import cars, programmes
-    from bench.discovery.plants import Order, driven, vehicle_of
+    from bench.discovery.plants import Order, record_run, vehicle_of
 
     healthy = cars.healthy_car(cars.LEAF, (SEED,)).settings
     file = vehicle_of(cars.LEAF, healthy)
@@ -100,8 +100,9 @@ def _measure_style(number: int, style: str) -> list[Row]:
         """count: number of manoeuvres. after: settings of the car from the middle of the drive on."""
         parts = tuple(kinds[k % len(kinds)] for k in range(count))
         changed: dict[str, Any] = {} if after is None else {"before": healthy, "from_": 0.5}
-        return driven(cars.LEAF, file, Order(f"{kind} {which}", (SEED, number, kind, which), after or healthy, parts,
-                                             **changed))
+        return record_run(cars.LEAF, file,
+                          Order(f"{kind} {which}", (SEED, number, kind, which), after or healthy, parts,
+                                                 **changed))
 
     models = [get_model(model) for model in MODELS]
     runs = [error_samples(models, file, SETTINGS.signals(log), SETTINGS)

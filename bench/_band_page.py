@@ -8,7 +8,7 @@ from _pages import format_records, format_table, read_part, replace_part
 from st_recordings.paths import project_root
 
 PAGE = project_root() / "docs" / "measurements" / "bands.md"
-NAME, SUMMARY = "table of held-out runs", "held against the aims"
+ROWS_PART, AIMS_PART = "table of held-out runs", "held against the aims"
 AIMS = {"90 % covers": (86.0, 94.0), "50 % covers": (45.0, 55.0), "worst cell of 200 starts": (80.0, 100.0)}
 """%."""
 RATIO = 1.15
@@ -17,54 +17,55 @@ MODELS = ("kinematic", "linear", "nonlinear")
 BAND, CALIBRATED = "conformal", "scaled to its level"
 
 
-def write(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE) -> None:
+def write_rows(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE) -> None:
     """Replace the rows with the same titles and keep all others."""
-    kept = {cells[0]: cells for cells in map(_cells, read_part(page, NAME).splitlines()[2:])}
+    kept = {cells[0]: cells for cells in map(_split_row, read_part(page, ROWS_PART).splitlines()[2:])}
     kept |= {title: [title, *row.values()] for title, row in rows.items()}
     columns = ["held out", *next(iter(rows.values()))]
-    replace_part(page, NAME, format_table(columns, kept.values()))
-    replace_part(page, SUMMARY, format_records(summary([dict(zip(columns, cells, strict=True))
-                                                        for cells in kept.values()])))
+    replace_part(page, ROWS_PART, format_table(columns, kept.values()))
+    replace_part(page, AIMS_PART, format_records(summarise_groups([dict(zip(columns, cells, strict=True))
+                                                                   for cells in kept.values()])))
 
 
-def summary(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
+def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
     """Range over all models for each held-out group and mode, in bold if outside the aim."""
     groups: dict[str, dict[str, list[Mapping[str, str]]]] = {}
     for row in (one for one in rows if one["interval score"] != "-"):
-        title, mode, way = _parts(row["held out"])
+        title, mode, way = _split_title(row["held out"])
         name = ", ".join(word for word in title.split(", ") if word not in MODELS)
         groups.setdefault(f"{name}: {mode}", {}).setdefault(way, []).append(row)
     found = []
     for name, ways in groups.items():
         entry = {"held out": name}
         for column, (low, high) in AIMS.items():
-            shares = [_first(row[column]) for row in ways[BAND] if _first(row[column]) is not None]
-            text = _span(shares, "{:.0f}", " %")
+            shares = [_leading_percent(row[column]) for row in ways[BAND] if _leading_percent(row[column]) is not None]
+            text = _format_range(shares, "{:.0f}", " %")
             entry[column] = f"**{text}**" if shares and not low <= min(shares) <= max(shares) <= high else text
         calibrated = {way: of for way, of in ways.items() if way.endswith(CALIBRATED)}
         others = {way: of for way, of in ways.items() if way not in calibrated and way != BAND}
-        entry["score over the best at its level"] = _ratio(ways[BAND], calibrated)
-        entry["score over the best uncalibrated"] = _ratio(ways[BAND], others)
-        entry["which covers"] = _span([_first(row["90 % covers"]) for row in _best(others)], "{:.0f}", " %")
+        entry["score over the best at its level"] = _format_ratios(ways[BAND], calibrated)
+        entry["score over the best uncalibrated"] = _format_ratios(ways[BAND], others)
+        entry["which covers"] = _format_range([_leading_percent(row["90 % covers"]) for row in _best_rows(others)],
+                                              "{:.0f}", " %")
         found.append(entry)
     return found
 
 
-def _ratio(band: Sequence[Mapping[str, str]], others: Mapping[str, Sequence[Mapping[str, str]]]) -> str:
+def _format_ratios(band: Sequence[Mapping[str, str]], others: Mapping[str, Sequence[Mapping[str, str]]]) -> str:
     """Range over the models of the larger ratio of both axes."""
-    ratios = [max(mine / best for mine, best in zip(_scores(row), _scores(other), strict=True))
-              for row, other in zip(band, _best(others), strict=False)]
-    text = _span(ratios, "{:.2f}", "")
+    ratios = [max(mine / best for mine, best in zip(_interval_scores(row), _interval_scores(other), strict=True))
+              for row, other in zip(band, _best_rows(others), strict=False)]
+    text = _format_range(ratios, "{:.2f}", "")
     return f"**{text}**" if ratios and max(ratios) > RATIO else text
 
 
-def _best(others: Mapping[str, Sequence[Mapping[str, str]]]) -> list[Mapping[str, str]]:
+def _best_rows(others: Mapping[str, Sequence[Mapping[str, str]]]) -> list[Mapping[str, str]]:
     """For each model, the row of the method with the smallest product of both scores."""
-    return [min(rows, key=lambda row: _scores(row)[0] * _scores(row)[1])
+    return [min(rows, key=lambda row: _interval_scores(row)[0] * _interval_scores(row)[1])
             for rows in zip(*others.values(), strict=True)] if others else []
 
 
-def _parts(title: str) -> tuple[str, str, str]:
+def _split_title(title: str) -> tuple[str, str, str]:
     """(held-out group, mode, method) of a title."""
     for mode in ("hindsight", "forecast"):
         before, found, way = title.partition(f", {mode}, ")
@@ -73,24 +74,24 @@ def _parts(title: str) -> tuple[str, str, str]:
     raise ValueError(f"{title}: no mode")
 
 
-def _scores(row: Mapping[str, str]) -> tuple[float, float]:
+def _interval_scores(row: Mapping[str, str]) -> tuple[float, float]:
     along, across = row["interval score"].split(" | ")
     return float(along), float(across)
 
 
-def _first(cell: str) -> float | None:
+def _leading_percent(cell: str) -> float | None:
     """Share at the beginning of a cell [%]."""
     number, found, _ = cell.partition("%")
     return float(number) if found else None
 
 
-def _span(values: Sequence[float | None], form: str, unit: str) -> str:
+def _format_range(values: Sequence[float | None], form: str, unit: str) -> str:
     known = [form.format(value) for value in sorted(v for v in values if v is not None)]
     if not known:
         return "-"
     return f"{known[0]}{unit}" if known[0] == known[-1] else f"{known[0]} to {known[-1]}{unit}"
 
 
-def _cells(row: str) -> list[str]:
+def _split_row(row: str) -> list[str]:
     cells = row.replace("\\|", "\0").strip("|").split("|")
     return [cell.strip().replace("\0", "|") for cell in cells]

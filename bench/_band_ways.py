@@ -12,12 +12,12 @@ LEVELS = (0.5, 0.9)
 SEED = 21
 
 ModelMode = tuple[str, str]
-Way = Callable[[Band, Sequence[ErrorSamples], ModelMode], Band]
+Method = Callable[[Band, Sequence[ErrorSamples], ModelMode], Band]
 """Computes a band from the calibrated band, whose scale the alternatives share, and from the calibration runs."""
 
 
-def normal(band: Band, runs: Sequence[ErrorSamples], question: ModelMode, by_condition: bool = True,
-           heavy: bool = False) -> Band:
+def parametric_band(band: Band, runs: Sequence[ErrorSamples], question: ModelMode, by_condition: bool = True,
+                    heavy: bool = False) -> Band:
     """Band of a normal or Student t process: quantiles of its largest point and axis, from random draws.
 
     The covariance is estimated from the scaled errors of all runs together; nothing is held out or calibrated. The
@@ -61,16 +61,16 @@ def _average_scale(scale: Scale, runs: Sequence[ErrorSamples], question: ModelMo
     return Scale(coefficients, scale.floor, time, scale.knots)
 
 
-def _normal_everywhere(band: Band, runs: Sequence[ErrorSamples], question: ModelMode) -> Band:
-    return normal(band, runs, question, by_condition=False)
+def _unconditional_band(band: Band, runs: Sequence[ErrorSamples], question: ModelMode) -> Band:
+    return parametric_band(band, runs, question, by_condition=False)
 
 
-WAYS: dict[str, Way] = {
+METHODS: dict[str, Method] = {
     "conformal": lambda band, runs, question: band,
-    "normal by condition": normal,
-    "Student t by condition": lambda band, runs, question: normal(band, runs, question, heavy=True),
-    "normal, same everywhere": _normal_everywhere,
+    "normal by condition": parametric_band,
+    "Student t by condition": lambda band, runs, question: parametric_band(band, runs, question, heavy=True),
+    "normal, same everywhere": _unconditional_band,
     "by condition, scaled to its level": scale_to_level,
     "same everywhere, scaled to its level": lambda band, runs, question: scale_to_level(
-        _normal_everywhere(band, runs, question), runs, question),
+        _unconditional_band(band, runs, question), runs, question),
 }

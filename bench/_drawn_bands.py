@@ -1,4 +1,4 @@
-"""Bands from random errors, for the Leaf and every condition, to measure the cost of bands."""
+"""Bands calibrated with random errors for all conditions, to measure the cost of bands."""
 
 import numpy as np
 from st_core.bands import Bands, CalibrationDomain, ErrorSamples, calibrate
@@ -10,17 +10,17 @@ MODELS = ("kinematic", "linear", "nonlinear")
 SETTINGS = EvaluationSettings()
 TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
 RUNS, STARTS = 12, 4000
-MOST = (26.0, 8.0, 6.0, 1.0)
-"""Of the random conditions [m/s, m/s^2, m/s^2, rad/s]."""
+LARGEST_CONDITIONS = (26.0, 8.0, 6.0, 1.0)  # speed, accelerations, steering activity [m/s, m/s^2, m/s^2, rad/s]
 
 
-def drawn_bands(vehicle: VehicleParameters) -> Bands:
+def random_bands(vehicle: VehicleParameters) -> Bands:
     question = "drawn", "hindsight"
     runs = []
     for number in range(RUNS):
         draw = np.random.default_rng([21, number])
         errors = (0.1 * draw.standard_normal((STARTS, 1, 3)) * TIME[:, None]).astype(np.float32)
-        runs.append(ErrorSamples(f"run {number}", draw.uniform(0.0, MOST, (STARTS, 4)), {question: errors}))
+        runs.append(ErrorSamples(f"run {number}", draw.uniform(0.0, LARGEST_CONDITIONS, (STARTS, 4)),
+                                 {question: errors}))
     band, settings = calibrate(runs, question, TIME), SETTINGS.as_dict()
     domain = CalibrationDomain.of([run.conditions for run in runs])
     return Bands(vehicle.name, vehicle.hash, settings, {"drawn": "0" * 64}, RUNS, domain,

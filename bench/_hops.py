@@ -1,7 +1,7 @@
-"""Latency of a prediction from both sockets to a subscriber, divided at every available stamp.
+"""Divides the latency of a prediction, from the sockets of INS and CAN to a subscriber, at every available stamp.
 
-"Received" is the middleware's stamp in the listener, a process on the same machine; messages reach the predictor at
-about the same time.
+A message counts as received at the stamp of the middleware in the listener, a process on the same machine; messages
+reach the predictor at about the same time.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Begin and end of each hop, by its name.
+# Name of each hop -> its first and last instant.
 HOPS = {
     "INS: kernel -> odometry written": ("packet", "odometry_written"),
     "INS: odometry written -> received": ("odometry_written", "odometry_received"),
@@ -21,14 +21,13 @@ HOPS = {
     "last prediction written -> received": ("written", "received"),
     "all: both in the kernel -> last prediction received": ("known", "received"),
 }
-# A new subscription receives the first messages late, all at once.
-SETTLE_NS = 1_000_000_000
+SETTLING_TIME_NS = 1_000_000_000  # a new subscription receives its first messages late and all at once
 COMPUTE = "of which in the models"
 
 
 @dataclass(frozen=True)
 class Stream:
-    """Samples of one input, in order. stamp: of the measurement; kernel, written, received: later stamps; all in ns."""
+    """Samples of one input in order. stamp: measurement time; kernel, written, received: later stamps; all [ns]."""
 
     stamp: np.ndarray
     kernel: np.ndarray
@@ -36,14 +35,14 @@ class Stream:
     received: np.ndarray
 
     def first_from(self, start: int) -> int | None:
-        """Row of the first sample measured at `start` or later; None at the end and before the listener has settled."""
+        """Row of the first sample measured at `start` or later; None after the last and within SETTLING_TIME_NS."""
         row = int(np.searchsorted(self.stamp, start))
-        return row if row < len(self.stamp) and start >= self.stamp[0] + SETTLE_NS else None
+        return row if row < len(self.stamp) and start >= self.stamp[0] + SETTLING_TIME_NS else None
 
 
 @dataclass(frozen=True)
 class Issued:
-    """One prediction: issued, written, received, and the processor time of its model; all in ns."""
+    """A prediction: when it was issued, written and received, and the processor time of its model; all [ns]."""
 
     issued: int
     written: int
@@ -51,10 +50,10 @@ class Issued:
     compute: int
 
 
-def marks(start: int, odometry: Stream, steering: Stream, made: Sequence[Issued]) -> dict[str, int] | None:
-    """Instants of a tick and compute time of its models [ns]; None if one of its samples was not received.
+def collect_instants(start: int, odometry: Stream, steering: Stream, made: Sequence[Issued]) -> dict[str, int] | None:
+    """Instants of a tick and processor time of its models [ns]; None if one of its samples was not received.
 
-    start: instant of its state, the newest at which both inputs were known.
+    start: time of the predicted state, the newest at which both inputs were known.
     """
     ins, angle = odometry.first_from(start), steering.first_from(start)
     if ins is None or angle is None:
@@ -71,8 +70,8 @@ def marks(start: int, odometry: Stream, steering: Stream, made: Sequence[Issued]
                     "complete": max(found["odometry_received"], found["steering_received"])}
 
 
-def hops(ticks: Sequence[Mapping[str, int]]) -> dict[str, dict[str, float]]:
-    """Median, 99 % quantile and maximum [ms] by name of the hop, in the order of the path."""
+def hop_durations(ticks: Sequence[Mapping[str, int]]) -> dict[str, dict[str, float]]:
+    """Name of each hop, in the order of the path -> median, 99 % quantile and maximum of its duration [ms]."""
     rows: dict[str, dict[str, float]] = {}
     for name, (begin, end) in HOPS.items():
         rows[name] = percentiles([(tick[end] - tick[begin]) * 1e-6 for tick in ticks])

@@ -8,7 +8,7 @@ import numpy as np
 from _cars import LEAF_FILE, leaf
 from discovery.compiled import Recording, drive
 from discovery.programmes import DT, Builder
-from discovery.sensing import log_of
+from discovery.sensing import make_log
 from st_core.identification.result import Estimate
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters, quantity
@@ -26,7 +26,7 @@ def with_stiffness(car: VehicleParameters, front: float, rear: float) -> Vehicle
     return replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear).with_derived_scales()
 
 
-def identified(car: VehicleParameters, estimates: Iterable[Estimate]) -> VehicleParameters:
+def apply_estimates(car: VehicleParameters, estimates: Iterable[Estimate]) -> VehicleParameters:
     """The car with those estimates that are in a vehicle file; lambda_ky follows."""
     return car.with_values({e.parameter: e.value for e in estimates if quantity(e.parameter)}).with_derived_scales()
 
@@ -92,12 +92,12 @@ def record(runs: Runs, plant: str, seed: int, effects: Sequence[str] = (), secon
     """Logs of the runs, with steering tremor and sensor noise from the seed."""
     settings = resolve(plant, ("driver_tremor=0", *sensors, *effects))
     car, vehicle = read_car(LEAF_FILE), leaf()
-    return [log_of(name, _driven(run, number, plant, seed, seconds), car, vehicle, settings,
-                   1000 * seed + number) for number, run in enumerate(runs) for name in run[:1]]
+    return [make_log(name, _drive_run(run, number, plant, seed, seconds), car, vehicle, settings,
+                     1000 * seed + number) for number, run in enumerate(runs) for name in run[:1]]
 
 
 @lru_cache(maxsize=60)
-def _driven(run: Run, number: int, plant: str, driver: int, seconds: float) -> Recording:
+def _drive_run(run: Run, number: int, plant: str, driver: int, seconds: float) -> Recording:
     _, speed, manoeuvre = run
     car = read_car(LEAF_FILE)
     road = Builder(car, np.random.default_rng([driver, number]), speed)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from _cars import LEAF_FILE, leaf
-from _identification import identified, with_stiffness
+from _identification import apply_estimates, with_stiffness
 from st_core.batch import LogBatch
 from st_core.identification.cornering_stiffness import identify_stiffness
 from st_core.identification.driving_prediction import fit_stiffness
@@ -27,12 +27,12 @@ RESOLUTION = np.deg2rad(0.1)
 MODELS = ("kinematic", "linear", "nonlinear")
 
 
-def chain() -> dict:
+def run_procedure() -> dict:
     """RMS over the starts of the horizon-mean errors [m] for each scenario and vehicle file."""
     car = leaf()
     unknown = with_stiffness(replace(car, steering_wheel_offset=0.0), 0.8 * car.cornering_stiffness_front,
                              0.8 * car.cornering_stiffness_rear)
-    logs = [recorded(name, seconds, car) for name, seconds in SECONDS.items()]
+    logs = [record_scenario(name, seconds, car) for name, seconds in SECONDS.items()]
     offset = identify_steering_offset(logs, unknown)
     offset_known = replace(unknown, steering_wheel_offset=offset["steering_wheel_offset"].value)
     paper = identify_stiffness(logs, offset_known)
@@ -40,11 +40,12 @@ def chain() -> dict:
     files = {"not identified": unknown, "offset identified": offset_known,
              "stiffness by the paper's regression": _with(offset_known, paper),
              "stiffness by prediction": _with(offset_known, better), "the paper's table": car}
-    found = {"offset, deg": _text(offset, np.rad2deg(1.0)), "paper": _text(paper), "prediction": _text(better)}
-    return {"found": found, "errors": {name: errors(logs, file) for name, file in files.items()}}
+    found = {"offset, deg": _format_estimates(offset, np.rad2deg(1.0)), "paper": _format_estimates(paper),
+             "prediction": _format_estimates(better)}
+    return {"found": found, "errors": {name: prediction_errors(logs, file) for name, file in files.items()}}
 
 
-def recorded(scenario: str, seconds: float, vehicle: VehicleParameters) -> DriveLog:
+def record_scenario(scenario: str, seconds: float, vehicle: VehicleParameters) -> DriveLog:
     """A scenario as the sensors of the realistic virtual Leaf record it; the steering angle in steps of its CAN bus."""
     settings, car = resolve("realistic"), read_car(LEAF_FILE)
     simulated = SimulatedCar(car, settings, load(scenario), seed=1)
@@ -62,7 +63,7 @@ def recorded(scenario: str, seconds: float, vehicle: VehicleParameters) -> Drive
     return DriveLog(scenario, time_ns, *columns, time_ns, vehicle.road_wheel_angle(steering_wheel), steering_wheel)
 
 
-def errors(logs: list, car: VehicleParameters) -> dict:
+def prediction_errors(logs: list, car: VehicleParameters) -> dict:
     """RMS of the horizon means in hindsight, longitudinal / lateral [m], by model and scenario, as in `st evaluate`."""
     table: dict[str, dict[str, str]] = {model: {} for model in MODELS}
     total: dict[str, list] = {model: [] for model in MODELS}
@@ -83,8 +84,8 @@ def _rms(values: np.ndarray) -> str:
 
 
 def _with(car: VehicleParameters, found: Identification) -> VehicleParameters:
-    return identified(car, found.estimates)
+    return apply_estimates(car, found.estimates)
 
 
-def _text(found: Identification, factor: float = 1.0) -> dict:
+def _format_estimates(found: Identification, factor: float = 1.0) -> dict:
     return {e.parameter: f"{e.value * factor:.5g} +/- {e.standard_uncertainty * factor:.2g}" for e in found.estimates}

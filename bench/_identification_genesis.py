@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from _cars import NINE_DRIVES
 from _cars import genesis as genesis_vehicle
-from _identification import identified
-from _mounting import turned
+from _identification import apply_estimates
+from _mounting import rotate_ins
 from st_core.augmented import augment
 from st_core.batch import LogBatch
 from st_core.identification.cornering_stiffness import identify_stiffness
@@ -22,19 +22,20 @@ from st_core.regression import make_blocks
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import find_runs, read
 
-LEARNT = ("cpg_lap_slow", "cpg_lap_fast", "cpg_lap_medium", "cpg_low_speed_a")
+TRAINING_DRIVES = ("cpg_lap_slow", "cpg_lap_fast", "cpg_lap_medium", "cpg_low_speed_a")
 STEERING = ("steering_ratio", "steering_wheel_offset")
 SECONDS = 5
 
 
-def genesis() -> dict:
+def identify_genesis() -> dict:
     """Estimates from the drives in LEARNT, and errors with them on all drives."""
     car = genesis_vehicle()
     logs = {source.name: read(source, car).log for source in find_runs([NINE_DRIVES])}
     # The recordings contain the road wheel angle, hand wheel / 15.87; converted back, so that the ratio can be changed.
     logs = {name: replace(log, steering_wheel_angle=car.steering_wheel_angle(log.road_wheel_angle))
             for name, log in logs.items()}
-    learnt, others = [logs[n] for n in LEARNT], [log for name, log in logs.items() if name not in LEARNT]
+    learnt, others = [logs[n] for n in TRAINING_DRIVES], [log for name,
+                                                          log in logs.items() if name not in TRAINING_DRIVES]
     everything = fit_stiffness(learnt, car, "linear", also=(*STEERING, "cg_to_ins_x", MISALIGNMENT))
     steered = fit_stiffness(learnt, car, "linear", also=(*STEERING, MISALIGNMENT))
     ins = identify_ins_mounting(learnt, car)
@@ -42,35 +43,36 @@ def genesis() -> dict:
              "paper, published steering": identify_stiffness(learnt, car),
              "paper, steering and INS as identified": identify_stiffness(
                  [correct_mounting(log, everything[MISALIGNMENT].value) for log in learnt],
-                 taken(car, everything, (*STEERING, "cg_to_ins_x")))}
-    result = {"learnt from": ", ".join(LEARNT), "estimates": {name: _rows(one) for name, one in found.items()}}
-    result["by drive"] = {name: _alone(log, car) for name, log in logs.items()}
-    result["yaw inertia"] = _estimates(lambda: identify_yaw_inertia(learnt, car))
-    result["offset on straights"] = _estimates(lambda: identify_steering_offset(learnt, car))
+                 with_estimates(car, everything, (*STEERING, "cg_to_ins_x")))}
+    result = {"learnt from": ", ".join(TRAINING_DRIVES),
+              "estimates": {name: _format_estimates(one) for name, one in found.items()}}
+    result["by drive"] = {name: _identify_single(log, car) for name, log in logs.items()}
+    result["yaw inertia"] = _describe_estimates(lambda: identify_yaw_inertia(learnt, car))
+    result["offset on straights"] = _describe_estimates(lambda: identify_steering_offset(learnt, car))
     steps = {
         "published": (car, 0.0),
-        "steering ratio, offset": (taken(car, steered, STEERING), 0.0),
-        "and misalignment": (taken(car, steered, STEERING), steered[MISALIGNMENT].value),
-        "and stiffnesses": (taken(car, steered), steered[MISALIGNMENT].value),
-        "and lever arm": (taken(car, everything), everything[MISALIGNMENT].value),
+        "steering ratio, offset": (with_estimates(car, steered, STEERING), 0.0),
+        "and misalignment": (with_estimates(car, steered, STEERING), steered[MISALIGNMENT].value),
+        "and stiffnesses": (with_estimates(car, steered), steered[MISALIGNMENT].value),
+        "and lever arm": (with_estimates(car, everything), everything[MISALIGNMENT].value),
     }
     for what, chosen in (("judged on the others", others), ("on the drives learnt from", learnt)):
-        result[what] = {name: judged(chosen, *step) for name, step in steps.items()}
+        result[what] = {name: position_errors(chosen, *step) for name, step in steps.items()}
     return result
 
 
-def taken(car: VehicleParameters, found: Identification, names=None) -> VehicleParameters:
+def with_estimates(car: VehicleParameters, found: Identification, names=None) -> VehicleParameters:
     """The car with the estimates of these parameters; None: with all estimates."""
     chosen = [e for e in found.estimates if names is None or e.parameter in names]
-    return identified(car, chosen)
+    return apply_estimates(car, chosen)
 
 
 def correct_mounting(log: DriveLog, angle: float) -> DriveLog:
     """The drive with the rotation of the INS by `angle` [rad] removed, without accelerations."""
-    return replace(turned(log, -angle), acceleration_x=None, acceleration_y=None)
+    return replace(rotate_ins(log, -angle), acceleration_x=None, acceleration_y=None)
 
 
-def judged(logs: list[DriveLog], car: VehicleParameters, misalignment: float) -> dict:
+def position_errors(logs: list[DriveLog], car: VehicleParameters, misalignment: float) -> dict:
     """Root mean square of the position error 5 s after the start [m], hindsight, with its 95 % interval."""
     result = {}
     for base in ("kinematic", "linear"):
@@ -101,22 +103,22 @@ def _rms(values, run_of, time) -> str:
     return f"{np.sqrt(np.mean(values**2)):.2f} ({low:.2f} to {high:.2f})"
 
 
-def _rows(found: Identification) -> dict:
+def _format_estimates(found: Identification) -> dict:
     return {e.parameter: f"{e.value:.5g} +/- {e.standard_uncertainty:.2g}, {e.interval95[0]:.5g} to "
                          f"{e.interval95[1]:.5g} {e.unit}, {e.status}" for e in found.estimates}
 
 
-def _alone(log: DriveLog, car: VehicleParameters) -> dict | str:
+def _identify_single(log: DriveLog, car: VehicleParameters) -> dict | str:
     try:
-        return _rows(fit_stiffness([log], car, "linear", also=(*STEERING, MISALIGNMENT)))
+        return _format_estimates(fit_stiffness([log], car, "linear", also=(*STEERING, MISALIGNMENT)))
     except IdentificationError as error:
         return str(error)
 
 
-def _estimates(call) -> dict | str:
+def _describe_estimates(call) -> dict | str:
     """Estimates with warnings, or the reason why there are none."""
     try:
         found = call()
-        return {**_rows(found), "warnings": " ".join(found.warnings)}
+        return {**_format_estimates(found), "warnings": " ".join(found.warnings)}
     except IdentificationError as error:
         return str(error)

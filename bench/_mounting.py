@@ -1,4 +1,4 @@
-"""Recordings as of an INS with another mounting than in the vehicle file."""
+"""Changes recordings as if the INS were mounted differently from the vehicle file."""
 
 from dataclasses import replace
 
@@ -6,8 +6,8 @@ import numpy as np
 from st_core.log import DriveLog
 
 
-def turned(log: DriveLog, angle: float) -> DriveLog:
-    """As of a rotated INS: its heading and body axes are `angle` [rad] too far left."""
+def rotate_ins(log: DriveLog, angle: float) -> DriveLog:
+    """The log of an INS that is rotated to the left by `angle` [rad]."""
     c, s = np.cos(angle), np.sin(angle)
     accelerations = {}
     if log.acceleration_x is not None and log.acceleration_y is not None:
@@ -17,8 +17,8 @@ def turned(log: DriveLog, angle: float) -> DriveLog:
                    velocity_y=c * log.velocity_y - s * log.velocity_x, **accelerations)
 
 
-def moved(log: DriveLog, x: float) -> DriveLog:
-    """As of an INS x [m] further forward; the yaw acceleration is the slope of a smoothed yaw rate."""
+def move_ins(log: DriveLog, x: float) -> DriveLog:
+    """The log of an INS that is `x` [m] further forward; the yaw acceleration is that of a smoothed yaw rate."""
     accelerations = {}
     if log.acceleration_x is not None:
         accelerations["acceleration_x"] = log.acceleration_x - x * log.yaw_rate**2

@@ -1,4 +1,4 @@
-"""Implementations compared in bench/batch.py: C++ built here, numba scalar, CasADi, commonroad."""
+"""Other implementations of a prediction, for comparison in batch.py: C++, scalar numba, CasADi, commonroad."""
 
 import ctypes
 import subprocess
@@ -12,13 +12,13 @@ SOURCE = Path(__file__).parent / "limit" / "limit.cpp"
 STEPS, STEP = 100, 0.05
 
 
-def leaves(p) -> list[float]:
-    return [x for value in p for x in leaves(value)] if isinstance(p, tuple) else [float(p)]
+def flatten(p) -> list[float]:
+    return [x for value in p for x in flatten(value)] if isinstance(p, tuple) else [float(p)]
 
 
-def limit(folder: Path, name: str, p, start, w, offsets) -> dict[str, Callable[[], np.ndarray]]:
-    """The C++ kernel of a model for 8, 16, 24 or 32 predictions at a time; each call returns the end states."""
-    numbers, out = np.array(leaves(p)), np.empty_like(start)
+def compile_limit(folder: Path, name: str, p, start, w, offsets) -> dict[str, Callable[[], np.ndarray]]:
+    """Compiles the C++ kernel of a model for 8 to 32 predictions at a time; each call returns the end states."""
+    numbers, out = np.array(flatten(p)), np.empty_like(start)
     calls = {}
     for vectors in (1, 2, 3, 4):
         library = folder / f"limit{vectors}.so"
@@ -39,8 +39,8 @@ def _pointer(array: np.ndarray) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
-def numba_scalar(model, p, start, w, offsets) -> Callable[[], np.ndarray]:
-    """The kernel of the model compiled for one prediction at a time."""
+def compile_numba_scalar(model, p, start, w, offsets) -> Callable[[], np.ndarray]:
+    """Compiles the kernel of a model for one prediction at a time."""
     import numba
     from st_core.backends import numba_lanes as lanes
 
@@ -55,14 +55,14 @@ def numba_scalar(model, p, start, w, offsets) -> Callable[[], np.ndarray]:
     out = np.empty(start.size)
 
     def call():
-        kernel(np.array(leaves(p)), start.ravel(), start.shape[1], w.ravel(), w.shape[1], offsets, STEP,
+        kernel(np.array(flatten(p)), start.ravel(), start.shape[1], w.ravel(), w.shape[1], offsets, STEP,
                np.array([STEPS]), out)
         return out.reshape(start.shape)
     return call
 
 
 def casadi_calls(folder: Path, name: str, car, count: int) -> dict[str, Callable[[], object]]:
-    """A hundred steps, inputs held within each, mapped over `count` predictions: virtual machine and generated C."""
+    """CasADi predictions of 100 steps with constant inputs for `count` starts: interpreted, and as generated C."""
     import casadi
     from st_core.backends.casadi_backend import build
 
@@ -81,7 +81,7 @@ def casadi_calls(folder: Path, name: str, car, count: int) -> dict[str, Callable
 
 
 def commonroad_calls() -> dict[str, Callable[[], object]]:
-    """One prediction of 5 s with the peer's own equations: ST (linear tyre) and STD (Magic Formula, wheel speeds)."""
+    """Predictions of 5 s with two models of commonroad: ST (linear tyres) and STD (Magic Formula, wheel speeds)."""
     from scipy.integrate import odeint
     from vehiclemodels.init_st import init_st
     from vehiclemodels.init_std import init_std

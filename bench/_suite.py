@@ -1,4 +1,4 @@
-"""The live suite under measurement: all nodes and the virtual Leaf at full rates, on a domain of its own."""
+"""Runs the live suite for a measurement: all nodes and the virtual Leaf, in a separate ROS domain."""
 
 import os
 import sys
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from _cars import LEAF_FILE, leaf
-from _drawn_bands import drawn_bands
+from _drawn_bands import random_bands
 from st_live.configuration import VirtualCar, add_files, live_parameters
 from st_live.node import Monitor
 from st_live.session import NODES
@@ -16,12 +16,12 @@ from st_live.suite import Suite, claim_domain
 
 
 @contextmanager
-def running_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full") -> Iterator[Suite]:
-    """Nodes up and data flowing; everything ended and deleted afterwards.
+def run_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full") -> Iterator[Suite]:
+    """Context with the running suite; all processes end and all files are deleted on exit.
 
-    ST_BENCH_REALTIME=1: bridges and predictor with real-time scheduling. ST_BENCH_WITHOUT: nodes left out, as
-    recorder,evaluator. ST_BENCH_BUSY: number of background programs that never sleep. ST_BENCH_BANDS=1: bands around
-    every prediction.
+    ST_BENCH_REALTIME=1: real-time scheduling of bridges and predictor. ST_BENCH_WITHOUT: names of nodes that are not
+    started, such as recorder,evaluator. ST_BENCH_BUSY: number of background programs that never sleep.
+    ST_BENCH_BANDS=1: bands for every prediction.
     """
     left_out = os.environ.get("ST_BENCH_WITHOUT", "").split(",")
     nodes = [node for node in NODES if node[1] not in left_out]
@@ -33,7 +33,7 @@ def running_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full")
         parameters = live_parameters(folder, car.vehicle, car.bridge_parameters())
         if os.environ.get("ST_BENCH_BANDS") == "1":
             file = folder / "bands.yaml"
-            file.write_text(drawn_bands(leaf()).to_yaml(), encoding="utf-8")
+            file.write_text(random_bands(leaf()).to_yaml(), encoding="utf-8")
             parameters = add_files(parameters, file, None)
         with Suite(folder, parameters, domain, "ST_BENCH_REALTIME" in os.environ) as suite:
             for package, executable in nodes:
@@ -41,7 +41,7 @@ def running_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full")
             with Monitor(domain) as monitor:
                 missing = monitor.wait_for_nodes({executable for _, executable in nodes}, 30)
             if missing or suite.denied:
-                raise RuntimeError(f"nodes not up: {missing}; without real-time scheduling: {suite.denied}")
+                raise RuntimeError(f"nodes that did not start: {missing}; real-time scheduling denied: {suite.denied}")
             for number in range(int(os.environ.get("ST_BENCH_BUSY", "0"))):
                 suite.start(f"busy_{number}", [sys.executable, "-c", "while True: pass"])
             car.start(suite)

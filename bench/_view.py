@@ -1,4 +1,4 @@
-"""The passenger's page attached to the running suite, with one client that reads it, running or stopped."""
+"""Attaches the passenger's page to the running suite, with one client that reads it."""
 
 import os
 import signal
@@ -15,12 +15,12 @@ from rich.console import Console
 from st_live.page import LiveView
 from st_live.suite import Suite
 
-SETTLE = 3.0  # s from its start until it receives every topic
+START_TIME = 3.0  # s from the start of the page until it receives every topic
 
 
 @contextmanager
-def view(suite: Suite, hangs: bool) -> Iterator[None]:
-    """hangs: its process is stopped (SIGSTOP) after it has subscribed."""
+def attach_view(suite: Suite, hangs: bool) -> Iterator[None]:
+    """Context with an attached page. hangs: the process of the page is stopped (SIGSTOP) after it has subscribed."""
     page = LiveView(page=True)
     folder = Path(suite.folder, f"view-{time.monotonic_ns()}")
     predictor = {"vehicle_file": str(LEAF_FILE), "map_frame": "map"}
@@ -28,7 +28,7 @@ def view(suite: Suite, hangs: bool) -> Iterator[None]:
     (process,) = (p for p in psutil.Process().children(recursive=True) if "st_live.nodes.passenger" in p.cmdline())
     threading.Thread(target=_read, args=(page.url,), daemon=True).start()
     try:
-        time.sleep(SETTLE)
+        time.sleep(START_TIME)
         if hangs:
             process.send_signal(signal.SIGSTOP)
         yield

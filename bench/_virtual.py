@@ -1,4 +1,4 @@
-"""Writes recordings of the virtual Leaf with its own command, and reads the drives in them."""
+"""Writes recordings of the virtual Leaf with the command virtual_leaf, and reads the drives in them."""
 
 import contextlib
 import io
@@ -26,5 +26,5 @@ def write_scenarios(folder: Path, seed: int = 1) -> Path:
 
 
 def read_runs(path: Path, vehicle: VehicleParameters) -> dict:
-    """{name: DriveLog} of all runs below a folder."""
+    """Name -> log of each run in a folder."""
     return {source.name: read(source, vehicle).log for source in find_runs([path])}

@@ -1,4 +1,4 @@
-"""Table and figure of `st evaluate --advise` on the real drives of the Genesis, for docs/measurements/mpc.md."""
+"""Cost and accuracy of models and steps (`st evaluate --advise`) on real drives, for docs/measurements/mpc.md."""
 
 from collections.abc import Mapping
 

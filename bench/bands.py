@@ -10,11 +10,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from _band_adaptive import Drive, Score, join_drives, read_drive
+from _band_adaptive import Drive, Score, evaluate_drive, join_drives
 from _band_changes import measure_changes
 from _band_corrected import correct_files
-from _band_page import PAGE, write
-from _band_ways import LEVELS, SEED, WAYS
+from _band_page import PAGE, write_rows
+from _band_ways import LEVELS, METHODS, SEED
 from _cars import MORE_DRIVES, NINE_DRIVES
 from _cars import genesis as genesis_vehicle
 from _pages import format_records, replace_part
@@ -56,20 +56,20 @@ CALIBRATED = ("conformal",)
 
 def run() -> dict:
     """Rows of all parts, or of the part chosen by ST_BANDS."""
-    parts = {"genesis": genesis, "virtual": virtual, "manoeuvres": by_manoeuvre, "corrected": corrected,
-             "changes": changed_mid_drive, "adaptive": adaptive}
+    parts = {"genesis": score_genesis, "virtual": score_virtual, "manoeuvres": score_manoeuvres,
+             "corrected": score_corrected, "changes": score_changes, "adaptive": score_adaptive}
     chosen = os.environ.get("ST_BANDS")
     found: dict[str, Row] = {}
     for name, part in parts.items():
         if chosen in (None, name):
             rows = part()
             if name not in ("changes", "adaptive") and rows:
-                write(rows)
+                write_rows(rows)
             found |= rows
     return found
 
 
-def changed_mid_drive() -> dict[str, Row]:
+def score_changes() -> dict[str, Row]:
     """Delays of the coverage warning; the page gets all rows except forecasts without a warning."""
     rows = measure_changes()
     shown = [row for row in rows if row["question"] == "hindsight" or row["median delay"] != "none"]
@@ -77,22 +77,22 @@ def changed_mid_drive() -> dict[str, Row]:
     return {", ".join(list(row.values())[:4]): row for row in rows}
 
 
-def adaptive() -> dict[str, Row]:
+def score_adaptive() -> dict[str, Row]:
     """Adaptive bands of the linear model on sessions of the virtual car by manoeuvre, and on drives of the Genesis by
     day, by site, with the INS at the rear axle, and without calibrated bands to start from."""
-    here = world()
+    here = make_world()
     kinds = {kind: tuple(f"{kind} {k}" for k in range(DRIVES_PER_SESSION)) for kind in MANOEUVRES}
     logs = {names[k]: here.drive(kind, k, here.healthy, kind) for kind, names in kinds.items()
             for k in range(DRIVES_PER_SESSION)}
-    runs = {name: samples(log, here.file, ("linear",)) for name, log in logs.items()}
-    drives = {name: read_drive(log, here.file, "linear", SETTINGS) for name, log in logs.items()}
+    runs = {name: collect_samples(log, here.file, ("linear",)) for name, log in logs.items()}
+    drives = {name: evaluate_drive(log, here.file, "linear", SETTINGS) for name, log in logs.items()}
     sessions = {kind: [join_drives(kind, [drives[name] for name in names])] for kind, names in kinds.items()}
     sets = [("virtual, by manoeuvre", runs, kinds, sessions)]
     real = _genesis_logs()
     if real is not None:
         car, logs = real
-        runs = {name: samples(log, car, ("linear",)) for name, log in logs.items()}
-        drives = {name: read_drive(log, car, "linear", SETTINGS) for name, log in logs.items()}
+        runs = {name: collect_samples(log, car, ("linear",)) for name, log in logs.items()}
+        drives = {name: evaluate_drive(log, car, "linear", SETTINGS) for name, log in logs.items()}
         others = {name: one for name, one in runs.items() if name not in REAR_AXLE_RUNS}
         for title, groups, known in (("Genesis, by day", DAYS, others), ("Genesis, by site", SITES, others),
                                      ("Genesis, INS at the rear axle", {"rear": REAR_AXLE_RUNS}, others)):
@@ -121,7 +121,7 @@ def _adaptive_rows(title: str, runs: Runs, groups: Mapping[str, Sequence[str]],
     return rows
 
 
-def genesis() -> dict[str, Row]:
+def score_genesis() -> dict[str, Row]:
     """Bands of the Genesis by run, by day and by site; empty without the shared drives."""
     runs = _genesis_runs()
     if runs is None:
@@ -129,14 +129,15 @@ def genesis() -> dict[str, Row]:
     apart = {name: runs.pop(name) for name in REAR_AXLE_RUNS}
     found = {}
     for model in MODELS:
-        found |= held_out(f"Genesis, {model}, by run", runs, {name: (name,) for name in runs}, model, tuple(WAYS))
-        found |= held_out(f"Genesis, {model}, by day", runs, DAYS, model)
-        found |= held_out(f"Genesis, {model}, by site", runs, SITES, model)
-    replace_part(PAGE, "days that count as one", format_records(days_as_one(runs)))
-    return found | transferred("Genesis, linear, on runs with the INS point at the rear axle", runs, apart, "linear")
+        found |= score_held_out(f"Genesis, {model}, by run", runs, {name: (name,) for name in runs}, model,
+                                tuple(METHODS))
+        found |= score_held_out(f"Genesis, {model}, by day", runs, DAYS, model)
+        found |= score_held_out(f"Genesis, {model}, by site", runs, SITES, model)
+    replace_part(PAGE, "days that count as one", format_records(score_days(runs)))
+    return found | score_transfer("Genesis, linear, on runs with the INS point at the rear axle", runs, apart, "linear")
 
 
-def days_as_one(runs: Runs) -> list[Row]:
+def score_days(runs: Runs) -> list[Row]:
     """Coverage of each day by bands of the other days, with the runs of a day joined to one."""
     rows = []
     days = {day: join_runs([runs[name] for name in names]) for day, names in DAYS.items()}
@@ -158,40 +159,40 @@ def days_as_one(runs: Runs) -> list[Row]:
     return rows
 
 
-def virtual() -> dict[str, Row]:
+def score_virtual() -> dict[str, Row]:
     """Bands of the virtual car by seed, and bands of the car of the vehicle file on a car that deviates from it."""
-    here = world()
+    here = make_world()
     mixed, other = here.samples("seed", SEEDS, here.healthy), here.samples("off", SEEDS, here.off)
-    return held_out("virtual, nonlinear, by seed", mixed, _folds(mixed), "nonlinear", tuple(WAYS)) \
-        | held_out("virtual, parameters off, by seed", other, _folds(other), "nonlinear", tuple(WAYS)) \
-        | transferred("virtual, bands of the healthy car on the one that is off", mixed, other, "nonlinear")
+    return score_held_out("virtual, nonlinear, by seed", mixed, _folds(mixed), "nonlinear", tuple(METHODS)) \
+        | score_held_out("virtual, parameters off, by seed", other, _folds(other), "nonlinear", tuple(METHODS)) \
+        | score_transfer("virtual, bands of the healthy car on the one that is off", mixed, other, "nonlinear")
 
 
-def by_manoeuvre() -> dict[str, Row]:
+def score_manoeuvres() -> dict[str, Row]:
     """Each manoeuvre tested with bands of all the others."""
-    here = world()
+    here = make_world()
     kinds = {kind: here.samples(kind, DRIVES_PER_MANOEUVRE, here.healthy, kind) for kind in MANOEUVRES}
-    return held_out("virtual, nonlinear, by manoeuvre", {k: v for one in kinds.values() for k, v in one.items()},
-                    {kind: tuple(one) for kind, one in kinds.items()}, "nonlinear")
+    return score_held_out("virtual, nonlinear, by manoeuvre", {k: v for one in kinds.values() for k, v in one.items()},
+                          {kind: tuple(one) for kind, one in kinds.items()}, "nonlinear")
 
 
-def corrected() -> dict[str, Row]:
+def score_corrected() -> dict[str, Row]:
     """The car that deviates from its file, after and before the correction by `st discover` on other drives."""
-    here = world()
+    here = make_world()
     drives = [here.drive("to mend", k, here.off) for k in range(CORRECTION_DRIVES)]
     car, model, intervals = correct_files(drives, here.file)
     logs = [here.drive("off", k, here.off).with_steering(car) for k in range(SEEDS)]
-    after = {log.name: samples(log, car, (model,)) for log in logs}
+    after = {log.name: collect_samples(log, car, (model,)) for log in logs}
     _write_shares([sum_shares([model], car, SETTINGS.signals(log), SETTINGS, {model.name: intervals}) for log in logs])
     before = here.samples("off", SEEDS, here.off)
     healthy = here.samples("seed", SEEDS, here.healthy)
     name = model.name
-    found = held_out("virtual, corrected by st discover, by seed", after, _folds(after), name, tuple(WAYS))
+    found = score_held_out("virtual, corrected by st discover, by seed", after, _folds(after), name, tuple(METHODS))
     renamed = {key: ErrorSamples(one.name, one.conditions, {("nonlinear", mode): one.errors[name, mode]
                                                             for mode in MODES}) for key, one in after.items()}
     return found \
-        | transferred("virtual, bands of the healthy car on the corrected one", healthy, renamed, "nonlinear") \
-        | transferred("virtual, bands of the uncorrected car on the corrected one", before, renamed, "nonlinear")
+        | score_transfer("virtual, bands of the healthy car on the corrected one", healthy, renamed, "nonlinear") \
+        | score_transfer("virtual, bands of the uncorrected car on the corrected one", before, renamed, "nonlinear")
 
 
 def _write_shares(runs: Sequence[dict]) -> None:
@@ -216,17 +217,18 @@ class World:
     def drive(self, name: str, number: int, settings: Mapping[str, float], kind: str | None = None) -> DriveLog:
         """One drive. kind: name of a manoeuvre in bench.discovery.programmes, driven three times; None: mixed."""
         from bench.discovery import cars, programmes
-        from bench.discovery.plants import Order, driven
+        from bench.discovery.plants import Order, record_run
 
         parts = None if kind is None else (getattr(programmes, kind),) * 3
-        return driven(cars.LEAF, self.file, Order(f"{name} {number}", (SEED, *name.encode(), number), settings, parts))
+        return record_run(cars.LEAF, self.file,
+                          Order(f"{name} {number}", (SEED, *name.encode(), number), settings, parts))
 
     def samples(self, name: str, count: int, settings: Mapping[str, float], kind: str | None = None) -> Runs:
-        return {f"{name} {k}": samples(self.drive(name, k, settings, kind), self.file, ("nonlinear",))
+        return {f"{name} {k}": collect_samples(self.drive(name, k, settings, kind), self.file, ("nonlinear",))
                 for k in range(count)}
 
 
-def world() -> World:
+def make_world() -> World:
     sys.path.insert(0, str(project_root()))
     from bench.discovery import cars
     from bench.discovery.plants import vehicle_of
@@ -237,11 +239,12 @@ def world() -> World:
     return World(vehicle_of(cars.LEAF, car), car, car | off)
 
 
-def samples(log: DriveLog, vehicle: VehicleParameters, models: Sequence[str | Model]) -> ErrorSamples:
+def collect_samples(log: DriveLog, vehicle: VehicleParameters, models: Sequence[str | Model]) -> ErrorSamples:
     return error_samples([get_model(model) for model in models], vehicle, SETTINGS.signals(log), SETTINGS)
 
 
-def held_out(title: str, runs: Runs, groups: Mapping, model: str, ways: Sequence[str] = CALIBRATED) -> dict[str, Row]:
+def score_held_out(title: str, runs: Runs, groups: Mapping, model: str, ways: Sequence[str] = CALIBRATED) -> dict[str,
+                                                                                                                  Row]:
     """Each group of runs tested with bands of all other groups; one row for each mode and method."""
     found = {}
     for mode in MODES:
@@ -255,27 +258,28 @@ def held_out(title: str, runs: Runs, groups: Mapping, model: str, ways: Sequence
                 refused.append(f"{group}: {error}")
                 continue
             for way in ways:
-                entries[way] += tested(WAYS[way](band, known, (model, mode)), known, [runs[key] for key in names],
-                                       (model, mode))
+                entries[way] += sum_scores(METHODS[way](band, known, (model, mode)), known,
+                                           [runs[key] for key in names], (model, mode))
         for way, sums in entries.items():
-            found[f"{title}, {mode}, {way}"] = row(sums, refused)
+            found[f"{title}, {mode}, {way}"] = format_cells(sums, refused)
             print(title, mode, way, found[f"{title}, {mode}, {way}"], flush=True)
     return found
 
 
-def transferred(title: str, runs: Runs, others: Runs, model: str) -> dict[str, Row]:
+def score_transfer(title: str, runs: Runs, others: Runs, model: str) -> dict[str, Row]:
     """Bands of `runs` tested on `others`, from another car or mounting; their coverage is not guaranteed."""
     found = {}
     for mode in MODES:
         known = list(runs.values())
         band = calibrate(known, (model, mode), TIME, LEVELS)
-        found[f"{title}, {mode}, conformal"] = row(tested(band, known, list(others.values()), (model, mode)), [])
+        found[f"{title}, {mode}, conformal"] = format_cells(sum_scores(band, known, list(others.values()),
+                                                                       (model, mode)), [])
         print(title, mode, found[f"{title}, {mode}, conformal"], flush=True)
     return found
 
 
-def tested(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSamples],
-           question: tuple[str, str]) -> list[dict]:
+def sum_scores(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSamples],
+               question: tuple[str, str]) -> list[dict]:
     """Sums for `summarise_bands`, for each new run."""
     domain, entries = CalibrationDomain.of([one.conditions for one in known]), []
     for one in new:
@@ -285,7 +289,7 @@ def tested(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSamples
     return entries
 
 
-def row(runs: Sequence[dict], refused: Sequence[str]) -> Row:
+def format_cells(runs: Sequence[dict], refused: Sequence[str]) -> Row:
     """Cells of one row. refused: groups for which no band could be calibrated, with the reason."""
     of_all = summarise_bands({"models": {"m": {"q": pool_sums(runs)}}})["models"]["m"]["q"] if runs else None
     if of_all is None or not of_all["starts"]:
@@ -312,7 +316,7 @@ def _folds(runs: Runs) -> dict[int, list[str]]:
 def _genesis_runs() -> dict[str, ErrorSamples] | None:
     """All drives except the one with a wrong projection."""
     found = _genesis_logs()
-    return found and {name: samples(log, found[0], MODELS) for name, log in found[1].items()}
+    return found and {name: collect_samples(log, found[0], MODELS) for name, log in found[1].items()}
 
 
 def _genesis_logs() -> tuple[VehicleParameters, dict[str, DriveLog]] | None:

@@ -1,6 +1,6 @@
-"""Measures the cost of bands for docs/measurements/bands.md: duration of a tick and live latency with and without them.
+"""Cost of bands: duration of a tick and live latency with and without them, for docs/measurements/bands.md.
 
-ST_BENCH_TURNS, ST_BENCH_SECONDS change the live runs. Needs an idle machine.
+ST_BENCH_TURNS and ST_BENCH_SECONDS set the number and the duration of the live runs. It needs an idle machine.
 """
 
 import os
@@ -14,7 +14,7 @@ TURNS, SECONDS = 2, 25
 
 
 def run() -> dict:
-    """Rows without and with bands."""
+    """Durations and latencies without and with bands."""
     turns = int(os.environ.get("ST_BENCH_TURNS", str(TURNS)))
     os.environ.setdefault("ST_BENCH_SECONDS", str(SECONDS))
     ticks, received = tick.run(), {"0": [], "1": []}
@@ -28,10 +28,10 @@ def run() -> dict:
     return {row["bands"]: row for row in rows}
 
 
-def _row(name: str, half: float, most: float, found: list[dict]) -> dict[str, str]:
-    """Row of a table; one number for each live run."""
+def _row(name: str, median: float, quantile_99: float, found: list[dict]) -> dict[str, str]:
+    """A row of the table; latencies and loads have one number for each live run."""
     latencies = [one["samples_to_third_prediction_published_ms"] for one in found]
-    return {"bands": name, "tick p50 | p99, ms": f"{half:.2f} | {most:.2f}",
+    return {"bands": name, "tick p50 | p99, ms": f"{median:.2f} | {quantile_99:.2f}",
             "latency p50, ms": ", ".join(f"{one['p50']:.1f}" for one in latencies),
             "latency p99, ms": ", ".join(f"{one['p99']:.1f}" for one in latencies),
             **{f"{node}, % of a core": ", ".join(f"{one['cpu_percent'][node]:.1f}" for one in found)

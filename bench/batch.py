@@ -1,6 +1,7 @@
-"""Predictions per CPU second: lanes, numpy, floats, numba scalar, C++ SIMD, CasADi, commonroad, in turns on one core.
+"""Predictions per second of processor time: lanes, numpy, floats, numba scalar, C++ SIMD, CasADi, commonroad.
 
-5 s with RK4 in 50 ms steps, a start every 100 ms of a ten-minute drive. The limit is the fastest of the C++ variants.
+Each prediction covers 5 s with RK4 steps of 50 ms; one starts every 100 ms of a ten-minute drive. The implementations
+alternate on one core. The limit is the fastest of the C++ variants.
 """
 
 import tempfile
@@ -9,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 from _cars import leaf
-from _drive import MODELS, POINTS, drive, in_turns, pinned, starts
-from _peers import STEP, STEPS, casadi_calls, commonroad_calls, limit, numba_scalar
+from _drive import MODELS, POINTS, measure_alternately, pin_to_core, start_times, weaving_drive
+from _peers import STEP, STEPS, casadi_calls, commonroad_calls, compile_limit, compile_numba_scalar
 from st_core.backends import numba_lanes, numpy_batch
 from st_core.batch import LogBatch
 from st_core.log_signals import LogSignals
@@ -20,19 +21,19 @@ from st_core.start_grid import plan_blocks
 from st_core.types import InputSequence, VehicleState
 
 LAST = np.array([STEPS])
-COUNT = 5760  # a whole number of groups for all: 48 lanes, 32, 24
+COUNT = 5760  # predictions; a multiple of 48, 32 and 24 lanes
 
 
 def run() -> dict:
-    """Rates, shares of the limit, agreement of the end states with the limit, and a whole log from DriveLog on."""
-    car, log = leaf(), drive(600.0)
-    with pinned(), tempfile.TemporaryDirectory(prefix="st-bench-") as folder:
+    """Rates, their ratios to the limit, largest difference of the end states, and processor time of a whole log [s]."""
+    car, log = leaf(), weaving_drive(600.0)
+    with pin_to_core(), tempfile.TemporaryDirectory(prefix="st-bench-") as folder:
         results = {name: _model(name, car, log, Path(folder)) for name in MODELS}
-        seconds = in_turns(commonroad_calls(), repetitions=2, least=0.0)
+        seconds = measure_alternately(commonroad_calls(), repetitions=2, min_time=0.0)
         results["commonroad_per_s"] = {k: 1.0 / s for k, s in seconds.items()}
 
         def everything():
-            batch = LogBatch(log, starts(log), points=POINTS)
+            batch = LogBatch(log, start_times(log), points=POINTS)
             return [batch.predict(name, car) for name in MODELS]
 
         everything()
@@ -47,11 +48,11 @@ def run() -> dict:
 def _model(name: str, car, log, folder: Path) -> dict:
     model = KNOWN[name]
     p, signals = model.parameters(car), LogSignals(log, 0.1, 5.0)
-    times = starts(log)[:COUNT]
+    times = start_times(log)[:COUNT]
     block, = plan_blocks(times, 25_000_000 * np.arange(2 * STEPS + 1), numba_lanes.LANES)
     angle = signals.road_wheel_angle_at(block.times_ns)
     acceleration, = signals.ins_at(block.times_ns, "velocity_x_dot")
-    # Beyond both ends of the drive the inputs are held, so that no kernel receives NaN.
+    # The inputs are constant before and after the drive, so that no kernel receives NaN.
     angle, acceleration = (np.interp(block.times_ns, block.times_ns[np.isfinite(a)], a[np.isfinite(a)])
                            for a in (angle, acceleration))
     w = block.tabulate(model.inputs(angle, acceleration, p))
@@ -62,19 +63,19 @@ def _model(name: str, car, log, folder: Path) -> dict:
     def floats():
         return [predict(name, car, VehicleState(*start[:, i]), seq) for i, seq in zip((0, 1000), one, strict=True)]
 
-    cpp = limit(folder, name, p, start, w, block.offsets)
+    cpp = compile_limit(folder, name, p, start, w, block.offsets)
     reference = next(iter(cpp.values()))().copy()
     calls = {
         **cpp,
         "lanes": lambda: numba_lanes.advance(model, p, start, w, block.offsets, STEP, LAST)[0],
         "numpy batch": lambda: numpy_batch.advance(model, p, start, w, block.offsets, STEP, LAST)[0],
-        "numba scalar": numba_scalar(model, p, few, w, block.offsets), "floats": floats,
+        "numba scalar": compile_numba_scalar(model, p, few, w, block.offsets), "floats": floats,
         **casadi_calls(folder, name, car, 50),
     }
     counts = {key: start.shape[1] for key in (*cpp, "lanes", "numpy batch")}
     counts |= {"numba scalar": 240, "floats": 2, "casadi map": 50, "casadi generated C": 50}
     apart = float(np.abs(calls["lanes"]() - reference).max())
-    rates = {key: counts[key] / seconds for key, seconds in in_turns(calls).items()}
+    rates = {key: counts[key] / seconds for key, seconds in measure_alternately(calls).items()}
     best = max(rates[key] for key in cpp)
     return {"per_s": rates, "of_limit": {key: rate / best for key, rate in rates.items() if key not in cpp},
             "lanes_over_numba_scalar": rates["lanes"] / rates["numba scalar"], "lanes_minus_limit": apart}

@@ -41,34 +41,34 @@ def run(folder: Path | None = None) -> dict:
     if folder is None:
         with tempfile.TemporaryDirectory(prefix="st-closed-loop-") as name:
             return run(Path(name))
-    return {"effects": of_effects(folder), "law": of_a_law(folder / "law")}
+    return {"effects": run_effects(folder), "law": run_relation(folder / "law")}
 
 
-def of_effects(folder: Path) -> dict:
+def run_effects(folder: Path) -> dict:
     """Effects found, and lateral RMSE [m] over 5 s by model before and after. Writes its part of the page."""
-    vehicle = _wrong_file(folder)
-    car = ("--plant-vehicle", LEAF_FILE, *_hidden(HIDDEN))
-    found = _found(folder, DRIVES, SECONDS, vehicle, car)
+    vehicle = _write_wrong_file(folder)
+    car = ("--plant-vehicle", LEAF_FILE, *_effect_options(HIDDEN))
+    found = _discover(folder, DRIVES, SECONDS, vehicle, car)
     corrected, model = folder / "found" / "vehicle.yaml", folder / "found" / "model.yaml"
     unseen = ("--scenario", UNSEEN, "--duration", UNSEEN_SECONDS, *car, "--seed", 100)
     _drive(folder / "before", *unseen, "--vehicle", vehicle)
     _drive(folder / "after", *unseen, "--vehicle", corrected if corrected.exists() else vehicle, "--model", model)
-    before, after = compared(scored(folder / "before"), scored(folder / "after"))
+    before, after = compare_drives(read_scored(folder / "before"), read_scored(folder / "after"))
     result = {"found": [_statement(e) for e in found["effects"]], "kept": [_statement(e) for e in found["minor"]],
               "corrected": corrected.exists(), "position_5s": _position_errors(found), "before": before, "after": after}
     _draw(IMAGES / "closed_loop.png", {name: (before["lateral"].get(name), now) for name, now in
                                        after["lateral"].items()}, ("file and model as they were",
                                                                    "corrected by st discover"))
-    _write(effects=_page(result))
+    _write(effects=_effects_page(result))
     return result
 
 
-def of_a_law(folder: Path) -> dict:
+def run_relation(folder: Path) -> dict:
     """The proposed law, and lateral RMSE [m] over 5 s: given: nonlinear model with the given vehicle file; library:
     with the effects of the library; proposed: with the law. Writes its part of the page."""
     folder.mkdir(exist_ok=True)
-    vehicle, car = LEAF_FILE, _hidden(LAW)
-    found = _found(folder, LAW_DRIVES, LAW_SECONDS, vehicle, car, "--propose")
+    vehicle, car = LEAF_FILE, _effect_options(LAW)
+    found = _discover(folder, LAW_DRIVES, LAW_SECONDS, vehicle, car, "--propose")
     written = {name: folder / "found" / name for name in ("vehicle.yaml", "model.yaml", "proposed.yaml", "effects")}
     unseen = ("--scenario", LAW_UNSEEN, "--duration", LAW_UNSEEN_SECONDS, *car, "--seed", 100)
     # A model file is valid for one vehicle file: model.yaml for the corrected one, proposed.yaml for the given one.
@@ -78,7 +78,7 @@ def of_a_law(folder: Path) -> dict:
     if written["proposed.yaml"].exists():
         drives.append(_drive(folder / "after", *unseen, "--vehicle", vehicle, "--model", written["proposed.yaml"],
                               "--effects", written["effects"]))
-    library, *proposed = compared(*map(scored, drives))
+    library, *proposed = compare_drives(*map(read_scored, drives))
     result = {"stated": [e["name"] for e in found["effects"]], "kept": [e["name"] for e in found["minor"]],
               "law": found["relation"]["proposal"], "why": found["relation"]["why"],
               "position_5s": _position_errors(found),
@@ -93,8 +93,8 @@ def of_a_law(folder: Path) -> dict:
     return result
 
 
-def _found(folder: Path, drives: Sequence[str], seconds: float, vehicle: Path, car: Sequence[object],
-           *options: str) -> dict:
+def _discover(folder: Path, drives: Sequence[str], seconds: float, vehicle: Path, car: Sequence[object],
+              *options: str) -> dict:
     """Record the drives live and run `st discover` on them; returns the content of discovery.json."""
     for number, name in enumerate(drives):
         road = config(f"manoeuvres/{name}") if name.endswith(".yaml") else name
@@ -124,7 +124,7 @@ def _drive(folder: Path, *options: object) -> Path:
     return folder
 
 
-def scored(folder: Path) -> Scored:
+def read_scored(folder: Path) -> Scored:
     scores = {model: one for (model, mode), one in read_results(folder).scores.items() if mode == "hindsight"}
     starts = np.array(sorted(set.intersection(*(set(s.start_ns[s.complete].tolist()) for s in scores.values()))), int)
     with (folder / "truth" / "truth.mcap").open("rb") as file:
@@ -135,7 +135,7 @@ def scored(folder: Path) -> Scored:
                   {model: one.lateral[np.isin(one.start_ns, starts)] for model, one in scores.items()})
 
 
-def compared(*drives: Scored) -> list[dict]:
+def compare_drives(*drives: Scored) -> list[dict]:
     """Number of starts and lateral RMSE [m] by model of each repetition of a drive, over the starts common to all.
 
     A start is common if each of the others has one within half a period. On a busy computer measurements may be
@@ -150,7 +150,7 @@ def compared(*drives: Scored) -> list[dict]:
             for drive, row in zip(drives, rows, strict=True)]
 
 
-def _hidden(effects: Mapping[str, float]) -> list[str]:
+def _effect_options(effects: Mapping[str, float]) -> list[str]:
     return [part for name, value in effects.items() for part in ("--effect", f"{name}={value}")]
 
 
@@ -158,7 +158,7 @@ def _position_errors(found: dict) -> list[float]:
     return [found["errors"]["position_5s"][k] for k in ("base", "augmented")]
 
 
-def _wrong_file(folder: Path) -> Path:
+def _write_wrong_file(folder: Path) -> Path:
     text = LEAF_FILE.read_text()
     if RATIO not in text:
         raise RuntimeError(f"{LEAF_FILE} does not have the steering ratio that this benchmark expects")
@@ -210,7 +210,7 @@ def _write(effects: str = "", law: str = "") -> None:
     PAGE.write_text((effects or old.rstrip("\n") + "\n") + "\n" + (law or LAW_BEGINS + rest))
 
 
-def _page(result: dict) -> str:
+def _effects_page(result: dict) -> str:
     def row(effect: dict) -> str:
         values = ", ".join(f"{name} {value:.4g} [{low:.4g}, {high:.4g}] {unit}"
                            for name, (value, low, high, unit) in effect["values"].items())
@@ -280,4 +280,4 @@ if __name__ == "__main__":
         given.folder.mkdir(parents=True, exist_ok=True)
     if given.law and not given.folder:
         parser.error("--law needs a --folder")
-    print(json.dumps(of_a_law(given.folder) if given.law else run(given.folder), indent=1))
+    print(json.dumps(run_relation(given.folder) if given.law else run(given.folder), indent=1))

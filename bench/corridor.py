@@ -1,6 +1,7 @@
-"""Gates passed by a controller, its constraint unchanged and tightened by the band: 50 cars; docs/measurements/mpc.md.
+"""Gates that a controller passes with 50 cars, with constraints as given and tightened by a band.
 
-Fifteen minutes of processor time; ST_CORRIDOR_SEEDS changes the number of cars.
+Writes its table to docs/measurements/mpc.md. It takes fifteen minutes of processor time; ST_CORRIDOR_SEEDS changes the
+number of cars.
 """
 
 import os
@@ -14,7 +15,7 @@ PAGE = project_root() / "docs" / "measurements" / "mpc.md"
 
 
 def run() -> dict:
-    """By constraint; see examples/mpc/corridor.py."""
+    """Violations, errors and cost for each variant of the constraint; see examples/mpc/corridor.py."""
     sys.path.insert(0, str(project_root() / "examples" / "mpc"))
     from corridor import compare
 

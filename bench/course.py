@@ -1,4 +1,4 @@
-"""A remembered course and adaptive bands, live: the virtual Leaf on S6, then again with the first drive as course."""
+"""Live predictions with a recorded course: the virtual Leaf drives S6 twice; the first drive is the course."""
 
 import json
 import subprocess
@@ -12,27 +12,27 @@ from st_recordings.paths import project_root
 from st_recordings.recorded_results import read_scores
 
 MODELS = ("kinematic", "linear", "nonlinear")
-SECONDS, LATER = 60.0, 420.0  # of the first and the second drive
+FIRST_DURATION, SECOND_DURATION = 60.0, 420.0  # s of the two drives
 PAGE = project_root() / "docs" / "measurements" / "live_results.md"
 
 
 def run() -> dict:
-    """Rows by model, also written into the page of the live results."""
+    """Errors and coverage by model, which are also written to the page of the live results."""
     with tempfile.TemporaryDirectory(prefix="st-bench-course-") as name:
         folder = Path(name)
         course = folder / "course.yaml"
-        _st("demo", "--duration", SECONDS, "--output", folder / "first")
+        _st("demo", "--duration", FIRST_DURATION, "--output", folder / "first")
         _st("course", "build", folder / "first" / "bag", "-o", course)
-        _st("demo", "--duration", LATER, "--seed", 5, "--course", course, "--output", folder / "second")
-        rows = measured(folder / "second")
+        _st("demo", "--duration", SECOND_DURATION, "--seed", 5, "--course", course, "--output", folder / "second")
+        rows = measure_course(folder / "second")
     cells = [{"model": model} | {key: f"{value:.2f}" if isinstance(value, float) else str(value)
                                  for key, value in row.items()} for model, row in rows.items()]
     replace_part(PAGE, "course", format_records(cells))
     return {"rows": rows}
 
 
-def measured(run: Path) -> dict[str, dict]:
-    """Mean distance at the end of the horizon [m] over the starts with a course, and coverage of whole paths."""
+def measure_course(run: Path) -> dict[str, dict]:
+    """Mean position error at the end of the horizon [m] over the starts with a course, and coverage of whole paths."""
     scores = read_scores([run / "errors"])
     summary = json.loads((run / "summary.json").read_text())["models"]
     rows = {}

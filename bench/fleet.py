@@ -1,4 +1,4 @@
-"""A fleet of logs through `st evaluate`: 40 of ten minutes, one of them cut off, on one worker and on two (Dask)."""
+"""Evaluates 40 logs of ten minutes, one of them truncated, with one worker and with two (Dask)."""
 
 import json
 import os
@@ -15,11 +15,11 @@ from st_recordings.paths import project_root
 from st_sim.run import main as virtual_leaf
 
 LOGS, SECONDS, DRIVES = 40, 600.0, ("S1", "S6", "S7", "step")
-LOOK_EVERY = 0.5  # s
+SAMPLE_PERIOD = 0.5  # s
 
 
 def run() -> dict:
-    """Wall time [s], memory of the largest worker [MB], and the speed-up; reports without figure files."""
+    """Wall time [s], memory of the largest worker [MB], and speed-up; the reports have no figure files."""
     with tempfile.TemporaryDirectory(prefix="st-fleet-") as name:
         folder = Path(name)
         logs = _write_logs(folder)
@@ -61,11 +61,11 @@ def _evaluate(logs: Path, output: Path, workers: int) -> dict:
                     largest = max(largest, process.memory_info().rss / 1e6)
                 except psutil.Error:
                     continue
-            time.sleep(LOOK_EVERY)
+            time.sleep(SAMPLE_PERIOD)
         text = st.stdout.read()
     wall = time.perf_counter() - began
     if st.returncode != 1:
-        raise RuntimeError(f"exit status {st.returncode}, 1 expected for one bad log: {text[-500:]}")
+        raise RuntimeError(f"st evaluate: exit status {st.returncode}, expected 1 for one bad log: {text[-500:]}")
     content = json.loads((output / "evaluation.json").read_text())
     rounded = re.sub(r"(\d\.\d{9})\d+", r"\1", json.dumps(content["runs"], sort_keys=True))
     return {"wall": wall, "largest process MB": largest, "evaluated": len(content["runs"]),

@@ -29,7 +29,7 @@ MOST_BULK = 12_000_000
 BLOCK = 2000  # packets through one pipeline, for long-lived state; its seed reproduces a finding
 
 
-def changed(rng: random.Random, packet: bytes) -> bytes:
+def mutate(rng: random.Random, packet: bytes) -> bytes:
     """The packet with a few changed bytes, in three of four cases with correct checksums."""
     data = bytearray(packet)
     for _ in range(1 + rng.getrandbits(2)):
@@ -39,9 +39,9 @@ def changed(rng: random.Random, packet: bytes) -> bytes:
     return with_checksums(bytes(data)) if rng.random() < 0.75 else bytes(data)
 
 
-def ncom_block(seed: int) -> list[bytes]:
+def make_ncom_block(seed: int) -> list[bytes]:
     rng, base = random.Random(seed), packets()
-    return [changed(rng, rng.choice(base)) for _ in range(BLOCK)]
+    return [mutate(rng, rng.choice(base)) for _ in range(BLOCK)]
 
 
 def fuzz_packets(seed: int, seconds: float) -> dict:
@@ -53,7 +53,7 @@ def fuzz_packets(seed: int, seconds: float) -> dict:
         rng, pipeline = random.Random(block_seed), Pipeline()
         try:
             for k in range(BLOCK):
-                pipeline.feed(changed(rng, rng.choice(base)), 10**18 + k * 4_000_000)
+                pipeline.feed(mutate(rng, rng.choice(base)), 10**18 + k * 4_000_000)
             pipeline.finish()
         except Exception as error:
             found.setdefault(f"{type(error).__name__}: {error}"[:60], block_seed)
@@ -64,7 +64,7 @@ def fuzz_packets(seed: int, seconds: float) -> dict:
     return result | {"findings": len(found), **{f"finding {what}": f"seed {at}" for what, at in found.items()}}
 
 
-def bulk_block(seed: int, base: np.ndarray) -> bytes:
+def make_bulk_block(seed: int, base: np.ndarray) -> bytes:
     """Packets with 1 to 3 bytes changed; three of four get right checksums, a few bytes are cut out anywhere."""
     rng = np.random.default_rng(seed)
     data = base[rng.integers(len(base), size=BLOCK)]
@@ -87,7 +87,7 @@ def fuzz_bulk(seed: int, seconds: float) -> dict:
     started, blocks, accepted, found = processor_seconds(), 0, 0, {}
     while processor_seconds() - started < seconds and blocks * BLOCK < MOST_BULK:
         block_seed = seed * 10**9 + blocks
-        data, parser = bulk_block(block_seed, base), NcomParser()
+        data, parser = make_bulk_block(block_seed, base), NcomParser()
         try:
             received = parser.feed(data, 10**18)
             counters = parser.counters

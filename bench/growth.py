@@ -1,10 +1,10 @@
-"""Cost against length of the log and against the horizon, for each model: linear or not, with a plot."""
+"""Processor time of each model over the length of the log and over the horizon, with a plot."""
 
 from pathlib import Path
 
 import numpy as np
 from _cars import leaf
-from _drive import MODELS, POINTS, drive, in_turns, pinned, starts
+from _drive import MODELS, POINTS, measure_alternately, pin_to_core, start_times, weaving_drive
 from st_core.batch import LogBatch
 from st_recordings.paths import project_root
 
@@ -13,23 +13,24 @@ HORIZONS = (1.0, 2.0, 3.0, 5.0, 7.0, 10.0)
 
 
 def run() -> dict:
-    """CPU ms by minutes of log and by horizon [s] on ten minutes; plot: docs/images/performance_growth.png."""
+    """Processor time [ms] by length of the log [min] and by horizon [s]; draws docs/images/performance_growth.png."""
     car = leaf()
-    logs = {minutes: drive(60.0 * minutes) for minutes in MINUTES}
+    logs = {minutes: weaving_drive(60.0 * minutes) for minutes in MINUTES}
     by_length, by_horizon = {}, {}
-    with pinned():
+    with pin_to_core():
         for model in MODELS:
-            batches = {str(m): LogBatch(log, starts(log), points=POINTS) for m, log in logs.items()}
+            batches = {str(m): LogBatch(log, start_times(log), points=POINTS) for m, log in logs.items()}
             by_length[model] = _measure(batches, model, car)
             log = logs[10.0]
-            batches = {str(h): LogBatch(log, starts(log, 10.0), h, points=(h,)) for h in HORIZONS}
+            batches = {str(h): LogBatch(log, start_times(log, 10.0), h, points=(h,)) for h in HORIZONS}
             by_horizon[model] = _measure(batches, model, car)
     _plot(by_length, by_horizon, project_root() / "docs" / "images" / "performance_growth.png")
     return {"ms_by_minutes": by_length, "ms_by_horizon": by_horizon}
 
 
 def _measure(batches, model, car) -> dict:
-    seconds = in_turns({name: lambda b=b: b.predict(model, car) for name, b in batches.items()}, repetitions=3)
+    seconds = measure_alternately({name: lambda b=b: b.predict(model, car) for name, b in batches.items()},
+                                  repetitions=3)
     return {name: value * 1e3 for name, value in seconds.items()}
 
 

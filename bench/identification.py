@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from _cars import leaf
 from _identification import LEVER_ERROR, MISALIGNMENT, TIGHT_BENDS, record, record_all, with_stiffness
-from _identification_chain import chain
-from _identification_genesis import genesis
+from _identification_chain import run_procedure
+from _identification_genesis import identify_genesis
 from st_core.augmented import augment
 from st_core.identification.cornering_stiffness import AXLES, identify_stiffness
 from st_core.identification.driving_prediction import (
@@ -31,20 +31,20 @@ KNOWN = {"steered_drive_force": {"share": 1.0}}  # front-wheel drive, and nothin
 
 def run() -> dict:
     """Run all parts, which takes about ten minutes."""
-    return {"seeds": seeds(), "noise-free": noise_free(), "realistic car": realistic(), "speed": speed(),
-            "genesis": genesis(), "chain": chain()}
+    return {"seeds": score_seeds(), "noise-free": score_noise_free(), "realistic car": score_realistic(),
+            "speed": measure_speed(), "genesis": identify_genesis(), "chain": run_procedure()}
 
 
-def wrong(car: VehicleParameters) -> VehicleParameters:
+def make_wrong_file(car: VehicleParameters) -> VehicleParameters:
     """Initial vehicle file of every identification, with wrong values."""
     other = replace(car, steering_wheel_offset=0.0, yaw_inertia=0.8 * car.yaw_inertia, cg_to_ins_x=-0.3)
     return with_stiffness(other, 0.8 * car.cornering_stiffness_front, 1.25 * car.cornering_stiffness_rear)
 
 
-def one_seed(seed: int, car: VehicleParameters) -> dict[str, tuple[Identification, dict[str, float]]]:
+def identify_seed(seed: int, car: VehicleParameters) -> dict[str, tuple[Identification, dict[str, float]]]:
     """Result and true values by method, for one noise seed of all drives."""
     logs = record_all("ideal", seed)
-    start = wrong(car)
+    start = make_wrong_file(car)
     offset = identify_steering_offset(logs["straight"], start)
     # The estimated offset is used in the next steps, as for a real car.
     start = replace(start, steering_wheel_offset=offset["steering_wheel_offset"].value)
@@ -79,12 +79,12 @@ def curve_slopes(found: Identification, car: VehicleParameters) -> dict[str, flo
     return result
 
 
-def seeds(numbers: Iterable[int] = SEEDS) -> dict:
+def score_seeds(numbers: Iterable[int] = SEEDS) -> dict:
     """Coverage of the 95 % interval over the seeds, errors, and mean stated uncertainty."""
     car = leaf()
     found: dict[tuple[str, str], list] = {}
     for seed in numbers:
-        for method, (outcome, truth) in one_seed(seed, car).items():
+        for method, (outcome, truth) in identify_seed(seed, car).items():
             for name, value in truth.items():
                 found.setdefault((method, name), []).append((outcome[name], value))
     return {f"{method}: {name}": _summary(rows) for (method, name), rows in found.items()}
@@ -103,7 +103,7 @@ def _summary(rows: list) -> dict:
             f"spread, {unit}": float(errors.std() * factor), f"stated, {unit}": float(stated * factor)}
 
 
-def noise_free() -> dict:
+def score_noise_free() -> dict:
     """Error of each stiffness [%] due to the single-track model, from the double-track plant without noise."""
     car = leaf()
     return {"radii 40 to 100 m": _stiffness_errors(record_all("ideal", 0, SILENT)["bends"], car, car),
@@ -122,7 +122,7 @@ def _stiffness_errors(logs: list, start: VehicleParameters, car: VehicleParamete
             for name, found in ((name, method()) for name, method in methods.items())}
 
 
-def realistic() -> dict:
+def score_realistic() -> dict:
     """The same on the realistic car, against the small-slip stiffness of its tyres at static load [%], and inertia."""
     car = leaf()
     logs = record_all("realistic", 0)
@@ -143,11 +143,11 @@ def _row(estimate) -> str:
     return f"{estimate.value:.5g} +/- {estimate.standard_uncertainty:.2g} {estimate.unit} ({estimate.status})"
 
 
-def speed() -> dict:
+def measure_speed() -> dict:
     """CPU seconds, warm: stiffness from 10 runs of 60 s."""
     car = leaf()
     logs = record_all("ideal", 1)["bends"]
-    start = replace(wrong(car), steering_wheel_offset=car.steering_wheel_offset, cg_to_ins_x=car.cg_to_ins_x)
+    start = replace(make_wrong_file(car), steering_wheel_offset=car.steering_wheel_offset, cg_to_ins_x=car.cg_to_ins_x)
     result = {}
     for name, call in (("regression (paper)", lambda: identify_stiffness(logs, start)),
                        ("prediction", lambda: fit_stiffness(logs, start))):

@@ -7,9 +7,9 @@ from contextlib import ExitStack
 import numpy as np
 import psutil
 import rclpy
-from _hops import Issued, Stream, hops, marks, percentiles
-from _suite import running_suite
-from _view import view
+from _hops import Issued, Stream, collect_instants, hop_durations, percentiles
+from _suite import run_suite
+from _view import attach_view
 from nav_msgs.msg import Odometry
 from oxts_bridge.file_decoder import decode_file
 from rclpy.node import Node
@@ -19,14 +19,14 @@ from st_msgs.msg import Ncom, Prediction, Steering
 from st_ros.polling import PolledSubscription, to_nanoseconds
 
 MODELS = ("kinematic", "linear", "nonlinear")
-PERIOD = 0.05  # s; until then, messages wait in the middleware with their time of arrival
+PERIOD = 0.05  # s between two calls of `take`; meanwhile messages wait in the middleware with their time of arrival
 
 
 class Listener(Node):
     """Records when the samples of each start reached the host, and when its last prediction was published.
 
-    Receive times are the kernel's. The steering latency of the virtual car is zero, so that the stamp of its angle is
-    the receive time of its frame.
+    Samples are received when the kernel stamps them. The steering latency of the virtual car is zero, so that the stamp
+    of an angle is the time at which its frame was received.
     """
 
     def __init__(self) -> None:
@@ -60,53 +60,54 @@ class Listener(Node):
 
 
 def run() -> dict:
-    """Latency [ms]: both samples of a start at the host -> last of three predictions published, and -> received; and
-    the duration of each hop (_hops.py).
+    """Latency [ms] from the arrival of both samples of a start until the last of three predictions is published and
+    received, and duration of each hop (_hops.py).
 
-    cpu_percent: of a core, per process. ST_BENCH_SECONDS, ST_BENCH_NCOM_RATE [Hz] change the run, see also _suite.py.
-    ST_BENCH_VIEW: runs or hangs, a view attached.
+    cpu_percent: load of each process, in per cent of a core. ST_BENCH_SECONDS and ST_BENCH_NCOM_RATE [Hz] change the
+    run, as do the variables of _suite.py. ST_BENCH_VIEW=runs or hangs attaches a view.
     """
     seconds, attached = float(os.environ.get("ST_BENCH_SECONDS", "60")), os.environ.get("ST_BENCH_VIEW", "")
     rate = int(os.environ.get("ST_BENCH_NCOM_RATE", "250"))
     with ExitStack() as stack:
-        suite = stack.enter_context(running_suite(seconds + (30 if attached else 10), rate))
+        suite = stack.enter_context(run_suite(seconds + (30 if attached else 10), rate))
         if attached:
-            stack.enter_context(view(suite, {"runs": False, "hangs": True}[attached]))
+            stack.enter_context(attach_view(suite, {"runs": False, "hangs": True}[attached]))
         rclpy.init()
         node = Listener()
         pids = {child.name: child.process.pid for child in suite.children}
-        before, begin = {name: cpu_seconds(pid) for name, pid in pids.items()}, time.monotonic()
+        before, begin = {name: processor_time(pid) for name, pid in pids.items()}, time.monotonic()
         while time.monotonic() < begin + seconds:
             node.take()
             time.sleep(PERIOD)
         took = time.monotonic() - begin
-        used = {name: 100.0 * (cpu_seconds(pid) - before[name]) / took for name, pid in pids.items()}
+        used = {name: 100.0 * (processor_time(pid) - before[name]) / took for name, pid in pids.items()}
         node.destroy_node()
         rclpy.try_shutdown()
     return _evaluate(node) | {"cpu_percent": {name: round(percent, 1) for name, percent in used.items()}}
 
 
-def cpu_seconds(pid: int) -> float:
-    """User and system time of a process so far."""
+def processor_time(pid: int) -> float:
+    """User and system time of a process until now [s]."""
     times = psutil.Process(pid).cpu_times()
     return times.user + times.system
 
 
-def hops_of(node: Listener) -> dict[str, dict[str, float]]:
-    """Durations of the hops [ms] in ticks of which all samples and predictions were received."""
+def measure_hops(node: Listener) -> dict[str, dict[str, float]]:
+    """Durations of the hops [ms] in the ticks for which all samples and predictions were received."""
     packets = decode_file(b"".join(raw for _, raw in node.packets))
     kernel = dict(zip(packets.utc_ns.tolist(), (stamp for stamp, _ in node.packets), strict=True))
     ins = Stream(*np.array([(stamp, kernel[stamp], *later) for stamp, *later in sorted(node.odometry)
                             if stamp in kernel]).T)
-    # Latency zero: the stamp is that of the kernel.
+    # The latency is zero, so that the stamp of a sample is that of the kernel.
     steering = Stream(*np.array([(stamp, stamp, *later) for stamp, *later in sorted(node.angles)]).T)
-    found = [marks(start, ins, steering, made) for start, made in node.made.items() if len(made) == len(MODELS)]
-    return hops([tick for tick in found if tick is not None])
+    found = [collect_instants(start, ins, steering, made) for start,
+             made in node.made.items() if len(made) == len(MODELS)]
+    return hop_durations([tick for tick in found if tick is not None])
 
 
-def latencies(node: Listener) -> tuple[list[float], list[float]]:
-    """Latencies [ms] of ticks with three predictions: both samples at the host -> last one published, -> last received.
-    """
+def measure_latencies(node: Listener) -> tuple[list[float], list[float]]:
+    """Latencies [ms] of ticks with three predictions, from the arrival of both samples until the last prediction is
+    published, and until it is received."""
     packets = decode_file(b"".join(raw for _, raw in node.packets))
     kernel = np.array([stamp for stamp, _ in node.packets])
     of_start: dict[int, list[tuple[int, int]]] = {}
@@ -114,11 +115,11 @@ def latencies(node: Listener) -> tuple[list[float], list[float]]:
         of_start.setdefault(start, []).append((issued, received))
     to_published, to_received = [], []
     for start, three in of_start.items():
-        # A start is the newest instant at which both are known: the first packet measured then or later, found by the
-        # stamp it carries, and the first steering angle of then or later.
+        # A start is the newest instant at which both inputs are known: from the first packet and the first steering
+        # angle that were measured at that instant or later.
         packet = int(np.searchsorted(packets.utc_ns, start))
         angle = int(np.searchsorted(node.steering, start))
-        # Row 0 is the first that was received, not necessarily the first that was sent.
+        # Row 0 is the first sample that was received, but earlier ones may have been sent.
         if len(three) == len(MODELS) and 0 < packet < len(kernel) and 0 < angle < len(node.steering):
             known = max(kernel[packet], node.steering[angle])
             to_published.append((max(issued for issued, _ in three) - known) * 1e-6)
@@ -127,7 +128,7 @@ def latencies(node: Listener) -> tuple[list[float], list[float]]:
 
 
 def _evaluate(node: Listener) -> dict:
-    to_published, to_received = latencies(node)
+    to_published, to_received = measure_latencies(node)
     gaps = np.diff([stamp for stamp, _ in node.packets]) * 1e-6
     return {
         "packets_received": len(node.packets),
@@ -135,7 +136,7 @@ def _evaluate(node: Listener) -> dict:
         "samples_to_third_prediction_published_ms": percentiles(to_published),
         "samples_to_third_prediction_received_ms": percentiles(to_received),
         "between_packets_ms": percentiles(gaps),
-        "hops_ms": hops_of(node),
+        "hops_ms": measure_hops(node),
     }
 
 

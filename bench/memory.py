@@ -1,19 +1,19 @@
-"""Resident memory and CPU share of every process of the suite over ten minutes at 250 Hz NCOM and full CAN rate.
+"""Memory and processor load of every process of the suite over ten minutes at 250 Hz NCOM and full CAN rate.
 
-ST_BENCH_MINUTES sets another length; `memory_mb_1_min` is taken at one minute, `memory_mb_end` at the end.
+ST_BENCH_MINUTES sets another duration. Memory is resident memory, after one minute and at the end.
 """
 
 import os
 import time
 
 import psutil
-from _suite import running_suite
+from _suite import run_suite
 
 
 def run() -> dict:
     minutes = float(os.environ.get("ST_BENCH_MINUTES", "10"))
     result: dict = {"minutes": minutes}
-    with running_suite(minutes * 60 + 20) as suite:
+    with run_suite(minutes * 60 + 20) as suite:
         processes = {child.name: psutil.Process(child.process.pid) for child in suite.children}
         time.sleep(60)
         first = {name: p.memory_info().rss / 2**20 for name, p in processes.items()}

@@ -1,5 +1,7 @@
-"""Tracking error of a controller by model and horizon: examples/mpc/nmpc.py, table and figures of
-docs/measurements/mpc.md. A minute of processor time."""
+"""Tracking error of a model predictive controller by model and horizon, from examples/mpc/nmpc.py.
+
+Writes the table and the figures of docs/measurements/mpc.md; it takes a minute of processor time.
+"""
 
 import json
 import os
@@ -18,7 +20,7 @@ EXAMPLE = project_root() / "examples" / "mpc"
 
 
 def run() -> dict:
-    """Distance from the road and processor time by road and horizon, real-time iteration."""
+    """Distance from the road [m] and processor time [ms] of the real-time iteration, by road and horizon."""
     with tempfile.TemporaryDirectory(prefix="st-bench-") as name:
         folder = Path(name) / "out"
         subprocess.run([sys.executable, EXAMPLE / "nmpc.py", "--output", folder], check=True,
@@ -26,15 +28,15 @@ def run() -> dict:
         drives = json.loads((folder / "drives.json").read_text(encoding="utf-8"))["drives"]
         for figure in ("trade_off", "paths"):
             shutil.copyfile(folder / f"{figure}.png", project_root() / "docs" / "images" / f"mpc_{figure}.png")
-    rows = by_horizon([one for one in drives if one["solver"] == "rti"])
+    rows = tabulate([one for one in drives if one["solver"] == "rti"])
     times = [one["cpu_median"] for one in drives if one["solver"] == "ipopt" and one["horizon"] == 2.0]
     replace_part(PAGE, "models in a controller", f"{format_records(rows)}\n\n"
                  f"Full solution by IPOPT, at 2 s: {min(times):.1f} to {max(times):.1f} ms.")
     return {"models": {f"{row['road']}, {row['horizon, s']} s": row for row in rows}}
 
 
-def by_horizon(drives: Sequence[Mapping]) -> list[dict[str, str]]:
-    """A row for each road and horizon, two columns a model."""
+def tabulate(drives: Sequence[Mapping]) -> list[dict[str, str]]:
+    """A row for each road and horizon, with two columns for each model."""
     rows: dict[tuple[str, float], dict[str, str]] = {}
     for one in drives:
         row = rows.setdefault((one["road"], one["horizon"]), {

@@ -1,7 +1,7 @@
-"""An hour of 250 Hz NCOM and full CAN traffic: imported, evaluated from the bag, and from the raw files; share of each.
+"""Time to import an hour of 250 Hz NCOM and full CAN traffic, and to evaluate it from the bag and from the raw files.
 
-The logs are made by the virtual Leaf first, which takes several minutes; ST_BENCH_MINUTES sets another length, and
-ST_BENCH_LOGS keeps them in a folder for the next time.
+The virtual Leaf first writes the logs, which takes several minutes. ST_BENCH_MINUTES sets another duration;
+ST_BENCH_LOGS names a folder in which the logs are kept for the next run.
 """
 
 import json
@@ -21,7 +21,7 @@ from _cars import LEAF_FILE, leaf
 
 
 def run() -> dict:
-    """Import, `st evaluate` of the imported bag, and of the raw files; each in a process of its own, for its memory."""
+    """Time and memory of `st import`, and of `st evaluate` for bag and raw files, each in a separate process."""
     kept = os.environ.get("ST_BENCH_LOGS")
     with nullcontext(kept) if kept else tempfile.TemporaryDirectory(prefix="st-bench-") as name:
         logs = Path(name) / "logs"
@@ -30,20 +30,20 @@ def run() -> dict:
         with tempfile.TemporaryDirectory(prefix="st-bench-") as output:
             bag = Path(output) / "bag"
             return {
-                "import": _apart("import", logs, bag),
-                "evaluate_imported": _apart("evaluate", bag, Path(output) / "from_bag"),
-                "raw_to_report": _apart("evaluate", logs, Path(output) / "from_raw"),
+                "import": _run_separately("import", logs, bag),
+                "evaluate_imported": _run_separately("evaluate", bag, Path(output) / "from_bag"),
+                "raw_to_report": _run_separately("evaluate", logs, Path(output) / "from_raw"),
             }
 
 
-def _apart(what: str, source: Path, output: Path) -> dict:
+def _run_separately(what: str, source: Path, output: Path) -> dict:
     done = subprocess.run([sys.executable, __file__, what, str(source), str(output)], check=True, capture_output=True,
                           text=True)
     return json.loads(done.stdout.splitlines()[-1])
 
 
 def _drive(folder: Path, seconds: float) -> None:
-    """Files of a drive; the clock of the logger is off by 1.7 s and 20 ppm fast."""
+    """Writes the files of a drive; the clock of the logger has an offset of 1.7 s and is 20 ppm fast."""
     from st_sim.run import main
 
     main([
@@ -54,7 +54,7 @@ def _drive(folder: Path, seconds: float) -> None:
 
 
 def _timed(parts: dict[str, tuple[Any, str]]) -> dict[str, float]:
-    """Measures the time in each function [s]. parts: name -> (module, function)."""
+    """Adds up the time spent in functions: name -> [s], updated by each call. parts: name -> (module, function)."""
     seconds = dict.fromkeys(parts, 0.0)
 
     def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -78,8 +78,8 @@ def _reading() -> dict[str, tuple[Any, str]]:
 
 
 def _spent(seconds: dict[str, float], wall: float) -> dict[str, float]:
-    """Wall time and its parts, processor time of this process and what it started [s], peak memory of the largest."""
-    # Resource usage of this process would include that of the one that started it.
+    """Wall time and its parts, processor time of this process and its children [s], and their largest peak memory."""
+    # The peak memory in the resource usage of this process would include that of its parent.
     own = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
     peak = max(int(own[1]), resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
     parts = {f"{name}_s": value for name, value in seconds.items() if value}
@@ -103,7 +103,7 @@ def measure_import(logs: Path, output: Path) -> dict:
 
 
 def measure_evaluate(source: Path, output: Path) -> dict:
-    """Run the command as a user does, in this process."""
+    """Runs the command as a user does, but in this process."""
     import psutil
     from st_cli import cli
     from st_offline.evaluation import evaluation_command, work

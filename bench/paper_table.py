@@ -1,4 +1,4 @@
-"""The paper's error table compared with that of the virtual Leaf: S1 to S7, three models, hindsight."""
+"""Compares the error table of the paper with that of the virtual Leaf: S1 to S7, three models, hindsight."""
 
 import tempfile
 from pathlib import Path
@@ -9,7 +9,7 @@ from st_core.log_evaluation import evaluate_log
 
 MODELS = ("kinematic", "linear", "nonlinear")
 AXES = ("longitudinal", "lateral")
-# mean | max | RMSE [m] of the paper's Table 2: longitudinal, lateral of each model.
+# Table 2 of the paper: for each model (mean, max, RMSE) [m] of the longitudinal and of the lateral error.
 PAPER = {
     "S1": (((0.10, 0.19, 0.12), (-0.09, 0.49, 0.33)), ((0.02, 0.07, 0.04), (-0.06, 0.26, 0.13)),
            ((0.01, 0.07, 0.04), (-0.06, 0.26, 0.13))),
@@ -29,7 +29,7 @@ PAPER = {
 
 
 def run() -> dict:
-    """{scenario: {model axis: "value (paper's)"}}, mean | max | RMSE in m, and the RMSE ratio kinematic / linear."""
+    """Scenario -> {model axis: "mean | max | RMSE [m] (those of the paper)"}, and RMSE ratio kinematic / linear."""
     rows: dict = {}
     with tempfile.TemporaryDirectory(prefix="st-paper-") as folder:
         drives = read_runs(write_scenarios(Path(folder)), leaf())

@@ -1,4 +1,4 @@
-"""Effect of each choice that the paper leaves open on its table, for the virtual Leaf and the real Genesis drives."""
+"""Effect of each choice that the paper leaves open on the errors of the virtual Leaf and of the Genesis drives."""
 
 import tempfile
 from dataclasses import replace
@@ -24,7 +24,7 @@ CHOICES = {
 
 
 def run() -> dict:
-    """RMSE [m] of all starts of a data set together, longitudinal and lateral, in hindsight."""
+    """Longitudinal and lateral RMSE [m] in hindsight over all starts of a data set."""
     found = {}
     with tempfile.TemporaryDirectory(prefix="st-protocol-") as folder:
         found["virtual Leaf"] = _table(read_runs(write_scenarios(Path(folder)), leaf()), leaf())
@@ -47,7 +47,7 @@ def _table(drives: dict, vehicle: VehicleParameters) -> dict:
 
 
 def _largest_change(evaluations: list[LogEvaluation], reference: list[LogEvaluation], over: str) -> str:
-    """Of an RMSE in the table of runs, and where."""
+    """Largest change of the RMSE of a run, and its run, model and axis."""
     changes = []
     for now, before in zip(evaluations, reference, strict=True):
         for model in MODELS:

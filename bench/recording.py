@@ -1,7 +1,7 @@
-"""Measures the cost of syncing a recording to the disk twice a second, alternately with and without.
+"""Cost of synchronising a recording with the disk twice a second: alternating recordings with and without it.
 
-Messages of the sizes and rates of a drive with raw CAN frames. ST_BENCH_FOLDER: where to write, default the current
-folder; ST_BENCH_SECONDS: of each of the four turns.
+The messages have the sizes and rates of a drive with raw CAN frames. ST_BENCH_FOLDER: folder for the recordings,
+default the current one. ST_BENCH_SECONDS: duration of each of the four recordings.
 """
 
 import os
@@ -15,13 +15,13 @@ from st_recordings.mcap import BagWriter
 
 # (rate [Hz], size [byte]): packets, odometry, imu, steering, wheel speeds, raw frames, predictions, paths.
 TOPICS = ((250, 100), (250, 740), (250, 340), (100, 60), (50, 80), (10, 12_000), (30, 7_500), (30, 9_000))
-WORK_PERIOD = 0.05  # s; the recorder's
+WORK_PERIOD = 0.05  # s, as in the recorder
 TURNS = ("without", "with") * 2
 DEFINITION = ("uint8[] data", "RIHS01_" + "0" * 64)
 
 
-def turn(folder: Path, seconds: float, synced: bool) -> dict:
-    """Write one bag; returns processor load, data rate, losses and the durations of the writer's work."""
+def write_bag(folder: Path, seconds: float, synced: bool) -> dict:
+    """Writes a bag; returns processor load, data rate, lost messages, and the durations of each call of the writer."""
     pool = _pool()
     bag = BagWriter(folder, {"recording": {"recorder": "bench"}}, synced=synced)
     topics = [bag.add_topic(f"/{k}", "bench_msgs/msg/Bytes", (), *DEFINITION) for k in range(len(TOPICS))]
@@ -45,7 +45,7 @@ def turn(folder: Path, seconds: float, synced: bool) -> dict:
 
 
 def _pool() -> bytes:
-    """Numbers that share half of their bytes, like those of signals; all messages differ."""
+    """Random content in which every other byte is zero, because signals too can be compressed; all messages differ."""
     random = np.random.default_rng(0)
     return (random.integers(0, 256, (2**21, 2)) * (0, 1)).astype(np.uint8).tobytes()
 
@@ -56,13 +56,13 @@ def run() -> dict:
     turns: dict[str, list[dict]] = {name: [] for name in TURNS}
     try:
         for number, name in enumerate(TURNS):
-            turns[name].append(turn(base / f"bag_{number}", seconds, name == "with"))
-        return {"file_system": _file_system(base)} | {name: _together(results) for name, results in turns.items()}
+            turns[name].append(write_bag(base / f"bag_{number}", seconds, name == "with"))
+        return {"file_system": _file_system(base)} | {name: _average(results) for name, results in turns.items()}
     finally:
         shutil.rmtree(base)
 
 
-def _together(results: list[dict]) -> dict:
+def _average(results: list[dict]) -> dict:
     busy = np.concatenate([result.pop("busy_ms") for result in results])
     means = {key: float(np.mean([result[key] for result in results])) for key in results[0]}
     if "slowest_sync_ms" in means:

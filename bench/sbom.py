@@ -1,4 +1,4 @@
-"""Licences of everything that is installed; ST_SBOM=FILE.json also writes a CycloneDX bill of materials."""
+"""Licences of all installed packages; ST_SBOM=FILE.json also writes a CycloneDX bill of materials."""
 
 import importlib.metadata
 import json
@@ -8,22 +8,22 @@ from pathlib import Path
 
 def run() -> dict:
     packages = {d.metadata["Name"]: d for d in importlib.metadata.distributions() if d.metadata["Name"]}
-    found = {name: {"version": d.version, "licence": licence(d.metadata)} for name, d in sorted(packages.items())}
+    found = {name: {"version": d.version, "licence": find_licence(d.metadata)} for name, d in sorted(packages.items())}
     if os.environ.get("ST_SBOM"):
-        Path(os.environ["ST_SBOM"]).write_text(json.dumps(bill(found), indent=2) + "\n")
+        Path(os.environ["ST_SBOM"]).write_text(json.dumps(make_bill(found), indent=2) + "\n")
     unknown = sorted(name for name, about in found.items() if not about["licence"])
     table = {f"{name} {about['version']}": about["licence"] or "not stated" for name, about in found.items()}
     return {**table, "packages": len(found), "without a stated licence": ", ".join(unknown) or "none"}
 
 
-def licence(metadata: importlib.metadata.PackageMetadata) -> str:
-    """SPDX expression, else the classifiers, else the first line of the text."""
+def find_licence(metadata: importlib.metadata.PackageMetadata) -> str:
+    """Licence of a package: SPDX expression, or else its classifiers, or else the first line of the licence text."""
     classifiers = [c.rpartition(" :: ")[2] for c in metadata.get_all("Classifier", []) if c.startswith("License ::")]
     text = (metadata.get("License") or "").strip().splitlines()
     return metadata.get("License-Expression") or ", ".join(classifiers) or (text[0][:60] if text else "")
 
 
-def bill(found: dict[str, dict[str, str]]) -> dict:
+def make_bill(found: dict[str, dict[str, str]]) -> dict:
     components = [
         {"type": "library", "name": name, "version": about["version"],
          "purl": f"pkg:pypi/{name.lower()}@{about['version']}",

@@ -50,7 +50,7 @@ class Samples:
     known: set[str] = field(default_factory=set)
 
 
-def sample(rig: Rig, samples: Samples, began: float) -> None:
+def take_sample(rig: Rig, samples: Samples, began: float) -> None:
     samples.minutes.append((time.monotonic() - began) / 60)
     mapped: set[str] = set()
     running_now = {}
@@ -73,13 +73,13 @@ def sample(rig: Rig, samples: Samples, began: float) -> None:
     samples.busy.append(os.getloadavg()[0])
 
 
-def choose(rng: random.Random) -> Fault:
+def choose_fault(rng: random.Random) -> Fault:
     kind = rng.choices(list(ODDS), list(ODDS.values()))[0]
     wire = [f for f in (*INS, *CAN) if f.seconds <= MOST_FAULT]
     return rng.choice({"kill": KILLED, "hang": HANGING, "wire": wire}[kind])
 
 
-def drive(rig: Rig, minutes: float, seed: int) -> tuple[Samples, Counter, list[tuple[float, float]]]:
+def run_with_faults(rig: Rig, minutes: float, seed: int) -> tuple[Samples, Counter, list[tuple[float, float]]]:
     """Run the suite with faults; returns samples, count of each fault, and begin and end of each fault [minutes]."""
     rng, samples, faults, when = random.Random(seed), Samples(), Counter(), []
     began = time.monotonic()
@@ -89,13 +89,13 @@ def drive(rig: Rig, minutes: float, seed: int) -> tuple[Samples, Counter, list[t
         rig.run(0.5)
         if now >= due:
             due = now + SAMPLE_PERIOD
-            sample(rig, samples, began)
+            take_sample(rig, samples, began)
         if undo and now >= until:
             with contextlib.suppress(ProcessLookupError):
                 undo()
             undo, next_fault = None, now + rng.uniform(*CALM)
         elif not undo and now >= next_fault and now < end - MOST_FAULT - CALM_AT_THE_END:
-            fault = choose(rng)
+            fault = choose_fault(rng)
             try:
                 undo, until = fault.put(rig), now + fault.seconds
                 faults[fault.name] += 1
@@ -105,7 +105,7 @@ def drive(rig: Rig, minutes: float, seed: int) -> tuple[Samples, Counter, list[t
     return samples, faults, when
 
 
-def recorded(folder: Path) -> dict[str, np.ndarray]:
+def read_recordings(folder: Path) -> dict[str, np.ndarray]:
     """Start and age of the predictions, stamps of the NCOM packets and number of CAN frames in all bags."""
     starts, ages, packets, frames = [], [], [], 0
     for bag in sorted(folder.glob("bag*")):
@@ -122,7 +122,8 @@ def recorded(folder: Path) -> dict[str, np.ndarray]:
     return {"start_ns": np.array(starts), "age_ms": np.array(ages), "packet_ns": np.array(packets), "frames": frames}
 
 
-def unexplained(sent_ns: np.ndarray, recorded_ns: np.ndarray, began_ns: int, when: list, minutes: float) -> int:
+def count_unexplained_losses(sent_ns: np.ndarray, recorded_ns: np.ndarray, began_ns: int, when: list,
+                             minutes: float) -> int:
     """How many fewer were recorded than sent while no fault was in, nor shortly before, summed over each such stretch:
     a packet or two may fall on the other side of its edge."""
     edges = began_ns + np.arange(0, int(60 * minutes) + 1) * 10**9
@@ -134,7 +135,7 @@ def unexplained(sent_ns: np.ndarray, recorded_ns: np.ndarray, began_ns: int, whe
     return int(sum(lost for s in stretches if (lost := s.sum()) > 2))
 
 
-def slope(minutes: list[float], values: list[float]) -> float:
+def growth_per_hour(minutes: list[float], values: list[float]) -> float:
     """Growth in MB or handles per hour in the longest life of a node between kills, without its first minute."""
     t, v = np.array(minutes), np.array(values)
     cuts = np.flatnonzero(np.isnan(v) | (np.diff(v, prepend=v[0]) < -0.3 * np.nanmax(v)))
@@ -185,14 +186,14 @@ def run() -> dict:
         with running(folder, 250, full_bus=True) as rig:
             began_ns = time.time_ns()
             ticks = rig.monitor.state.ticks
-            samples, faults, when = drive(rig, minutes, seed)
+            samples, faults, when = run_with_faults(rig, minutes, seed)
             ill, restarts = rig.ill(), rig.supervisor.restarts
             rig.car.ins.change = rig.car.can.change = lambda data: ()  # what was sent is all there by the end
             rig.run(2.0)
             sent, frames_sent = np.array(rig.car.ins.sent_ns), len(rig.car.can.sent_ns)
             ticks = rig.monitor.state.ticks or ticks
         statuses = rig.statuses
-        found = recorded(folder)
+        found = read_recordings(folder)
         size = sum(f.stat().st_size for f in folder.rglob("*.mcap"))
     draw(samples, found, when, began_ns)
     ages = found["age_ms"]
@@ -201,14 +202,15 @@ def run() -> dict:
         "minutes": samples.minutes[-1], "faults": sum(faults.values()), "kinds": len(faults), "restarts": restarts,
         "statuses at the end": {k: v for k, v in statuses.items() if v}, "not well at the end": ill,
         "ncom sent": len(sent), "ncom recorded": len(found["packet_ns"]),
-        "ncom lost with no fault in": unexplained(sent, found["packet_ns"], began_ns, when, samples.minutes[-1]),
+        "ncom lost with no fault in": count_unexplained_losses(sent, found["packet_ns"], began_ns, when,
+                                                               samples.minutes[-1]),
         "longest silence in the recording, s": float(np.diff(np.sort(found["packet_ns"])).max(initial=0)) * 1e-9,
         "can sent": frames_sent, "can recorded": int(found["frames"]),
         "predictions": len(ages), "predictions due": round(samples.minutes[-1] * 600),
         "age ms, first half": dict(zip(("p50", "p99"), np.percentile(ages[:half], (50, 99)).tolist(), strict=True)),
         "age ms, second half": dict(zip(("p50", "p99"), np.percentile(ages[half:], (50, 99)).tolist(), strict=True)),
-        "memory MB per hour": {name: slope(samples.minutes, v) for name, v in samples.memory.items()},
-        "handles per hour": {name: slope(samples.minutes, v) for name, v in samples.handles.items()},
+        "memory MB per hour": {name: growth_per_hour(samples.minutes, v) for name, v in samples.memory.items()},
+        "handles per hour": {name: growth_per_hour(samples.minutes, v) for name, v in samples.handles.items()},
         "segments left behind": samples.left[-1], "sender behind, worst s": max(samples.behind),
         "load of the machine, mean": float(np.mean(samples.busy)), "recorded MB": size / 1e6,
     }

@@ -1,4 +1,4 @@
-"""From a fresh interpreter to the first predictions: live on floats, a batch with kernels cold and cached."""
+"""Time from a new interpreter to the first predictions: live with floats; a batch with kernels new and cached."""
 
 import os
 import subprocess
@@ -34,7 +34,7 @@ print(time.process_time())
 
 
 def run() -> dict:
-    """CPU seconds of the whole process, interpreter and numpy included."""
+    """Processor time [s] of the whole process, including the start of Python and the import of numpy."""
     here, car = os.path.dirname(os.path.abspath(__file__)), str(LEAF_FILE)
     with tempfile.TemporaryDirectory(prefix="st-bench-") as cache:
         environment = {**os.environ, "NUMBA_CACHE_DIR": cache}

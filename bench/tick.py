@@ -1,11 +1,10 @@
-"""One predictor tick: the start state and the three models' 5 s trajectories on Python floats, without and with bands.
-"""
+"""Duration of a predictor tick: start state and 5 s predictions of three models with floats, without and with bands."""
 
 import time
 
 import numpy as np
 from _cars import leaf
-from _drawn_bands import drawn_bands
+from _drawn_bands import random_bands
 from st_core.bands import LiveBands, conditions_now
 from st_core.prediction import PredictionSettings, Predictor, Skip
 from st_core.types import InsSample
@@ -17,11 +16,12 @@ LAST_NS = 1_990_000_000
 
 
 def run() -> dict:
-    """Processor time per tick [ms], at 10 m/s in a gentle turn; with bands: half-widths of both questions and levels,
-    and their part of the messages. The two take turns, tick by tick.
+    """Processor time per tick [ms] at 10 m/s in a gentle turn, alternating between ticks without and with bands.
+
+    With bands, a tick includes the half-widths of both modes and levels, and the band fields of the messages.
     """
     vehicle = leaf()
-    predictor, live = Predictor(vehicle, MODELS, PredictionSettings()), LiveBands(drawn_bands(vehicle), MODELS)
+    predictor, live = Predictor(vehicle, MODELS, PredictionSettings()), LiveBands(random_bands(vehicle), MODELS)
     messages = BandMessages(live.stated)
     for k in range(200):
         time_ns = k * 10_000_000

@@ -1,4 +1,4 @@
-"""Ticks and latency of the predictor without a view, with a view, and with one that hangs (SIGSTOP), alternately."""
+"""Ticks and latency of the predictor without a view, with a view, and with a stopped view (SIGSTOP), alternately."""
 
 import contextlib
 import os
@@ -6,31 +6,32 @@ import time
 
 import numpy as np
 import rclpy
-from _suite import running_suite
-from _view import view
-from latency import PERIOD, Listener, latencies
+from _suite import run_suite
+from _view import attach_view
+from latency import PERIOD, Listener, measure_latencies
 
 PHASES = ("no view", "view", "view that hangs")
 REPETITIONS = 3
-SETTLE = 3.0  # s after a change, not counted
-SHARE = 0.2  # of the ticks of a phase that must have been received
+SETTLING_TIME = 3.0  # s after a change, which are not measured
+MIN_TICK_SHARE = 0.2  # fraction of the ticks of a phase that must be received
 
 
 def run() -> dict:
-    """Intervals between ticks and latency [ms] by phase, of ST_BENCH_SECONDS each, without a browser."""
+    """Intervals between ticks and latency [ms] for each phase of ST_BENCH_SECONDS, without a browser."""
     seconds = float(os.environ.get("ST_BENCH_SECONDS", "60"))
     received: dict[str, list[Listener]] = {phase: [] for phase in PHASES}
-    duration = REPETITIONS * len(PHASES) * (seconds / REPETITIONS + SETTLE + 25.0) + 20.0
-    with running_suite(duration, ncom_rate=100, can_rate="realistic") as suite:
+    duration = REPETITIONS * len(PHASES) * (seconds / REPETITIONS + SETTLING_TIME + 25.0) + 20.0
+    with run_suite(duration, ncom_rate=100, can_rate="realistic") as suite:
         rclpy.init()
         for _ in range(REPETITIONS):
             for phase in PHASES:
-                attached = contextlib.nullcontext() if phase == "no view" else view(suite, phase == "view that hangs")
+                attached = contextlib.nullcontext() if phase == "no view" else attach_view(suite,
+                                                                                           phase == "view that hangs")
                 with attached:
-                    time.sleep(SETTLE)
+                    time.sleep(SETTLING_TIME)
                     received[phase].append(_listen(seconds / REPETITIONS))
         rclpy.try_shutdown()
-    return {phase: _numbers(listeners, seconds) for phase, listeners in received.items()}
+    return {phase: _summarise(listeners, seconds) for phase, listeners in received.items()}
 
 
 def _listen(seconds: float) -> Listener:
@@ -43,14 +44,14 @@ def _listen(seconds: float) -> Listener:
     return node
 
 
-def _numbers(listeners: list[Listener], seconds: float) -> dict:
+def _summarise(listeners: list[Listener], seconds: float) -> dict:
     intervals, repetitions = [], []
     for node in listeners:
         last = sorted({start: issued for start, issued, _ in node.predictions}.values())
         intervals += list(np.diff(last) * 1e-6)
-        repetitions.append(latencies(node)[0])
+        repetitions.append(measure_latencies(node)[0])
     pooled = np.concatenate(repetitions)
-    if len(pooled) < SHARE * 10.0 * seconds:
+    if len(pooled) < MIN_TICK_SHARE * 10.0 * seconds:
         raise RuntimeError(f"only {len(pooled)} ticks received in {seconds:.0f} s: the machine is too busy")
     return {
         "ticks": len(pooled),

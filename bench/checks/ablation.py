@@ -11,8 +11,8 @@ from .._pages import format_table
 from . import drives
 from .corruptions import KINDS
 from .recording import Recording
-from .run import over
-from .score import Drive, as_recorded, checked, score
+from .run import map_parallel
+from .score import Drive, check_as_recorded, run_check, score_case
 from .virtual import virtual_drive
 
 DRIVES = ("virtual_S6",)
@@ -27,7 +27,7 @@ def main(jobs: int) -> str:
     settings: list[Setting] = [("unchanged", 1.0)]
     settings += [(field.name, factor) for field in fields(LIMITS) for factor in (0.5, 2.0)]
     found: dict[Setting, str] = {}
-    for setting, words in zip(settings, over(_scored, settings, jobs), strict=True):
+    for setting, words in zip(settings, map_parallel(_score_setting, settings, jobs), strict=True):
         found[setting] = words
         print(*setting, words, flush=True)
     rows = [("unchanged", "", found["unchanged", 1.0], "")]
@@ -36,17 +36,17 @@ def main(jobs: int) -> str:
     return format_table(("limit", "value", "at half", "at twice"), rows)
 
 
-def _scored(setting: Setting) -> str:
+def _score_setting(setting: Setting) -> str:
     """Right cases of the smaller sizes; healthy drives with an error or a warning; further errors of a faulty drive."""
     name, factor = setting
     before = None if factor == 1.0 else getattr(LIMITS, name)
-    as_recorded.cache_clear()
+    check_as_recorded.cache_clear()
     try:
         if before is not None:
             object.__setattr__(LIMITS, name, factor * before)  # a frozen dataclass
-        records = [record for drive in map(Drive, _loaded()) for kind in KINDS.values()
-                   if (record := score(drive, kind, kind.sizes[0])) is not None]
-        alarms = sum(any(one.severity is not Severity.NOTE for one in checked(_healthy(scenario)).findings)
+        records = [record for drive in map(Drive, _load_drives()) for kind in KINDS.values()
+                   if (record := score_case(drive, kind, kind.sizes[0])) is not None]
+        alarms = sum(any(one.severity is not Severity.NOTE for one in run_check(_healthy_drive(scenario)).findings)
                      for scenario in SCENARIOS)
     finally:
         if before is not None:
@@ -57,10 +57,10 @@ def _scored(setting: Setting) -> str:
 
 
 @lru_cache
-def _healthy(scenario: str) -> Recording:
+def _healthy_drive(scenario: str) -> Recording:
     return virtual_drive(scenario, SEED, SECONDS)
 
 
-def _loaded() -> list[Recording]:
-    there = drives.names("development")
+def _load_drives() -> list[Recording]:
+    there = drives.list_drives("development")
     return [drives.load(name, "development") for name in DRIVES if name in there]

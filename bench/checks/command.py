@@ -10,8 +10,8 @@ from st_recordings.paths import project_root, source_version
 
 from . import ablation, drives, healthy, real, speed, tables
 from .corruptions import KINDS
-from .run import matrix
-from .score import Drive, Record, as_recorded, checked, short
+from .run import run_matrix
+from .score import Drive, Record, check_as_recorded, format_finding, run_check
 
 RESULTS = Path(__file__).with_name("results.json")
 PAGE = Path("docs") / "manual" / "checks.md"
@@ -35,52 +35,52 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--real", action="store_true", help="findings of every recorded drive instead")
     chosen = parser.parse_args(arguments)
     if chosen.list:
-        return _list()
+        return _print_kinds()
     if chosen.healthy:
         text, status = healthy.main(chosen.healthy, chosen.seconds, chosen.jobs)
-        return _page("healthy drives", text, chosen.write, status)
+        return _write_page("healthy drives", text, chosen.write, status)
     if chosen.speed:
-        return _page("time", speed.main(), chosen.write)
+        return _write_page("time", speed.main(), chosen.write)
     if chosen.ablation:
         print(ablation.main(chosen.jobs))
         return 0
     if chosen.real:
-        return _page("real drives", real.main(), chosen.write)
-    return _matrix(parser, chosen)
+        return _write_page("real drives", real.main(), chosen.write)
+    return _run_matrix(parser, chosen)
 
 
-def _matrix(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
+def _run_matrix(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
     set_ = "sealed" if chosen.sealed else "development"
-    there, kinds = drives.names(set_), chosen.kind or list(KINDS)
+    there, kinds = drives.list_drives(set_), chosen.kind or list(KINDS)
     if unknown := [name for name in chosen.drive or () if name not in there]:
         parser.error(f"--drive {unknown[0]}: the {set_} set has {', '.join(there)}")
     if chosen.kind and chosen.drive and len(chosen.drive) == 1:
-        return _in_full(set_, chosen.drive[0], kinds)
+        return _print_in_full(set_, chosen.drive[0], kinds)
     records: list[Record] = []
     begin = time.monotonic()
-    for part in matrix(set_, chosen.drive or there, kinds, chosen.jobs):
+    for part in run_matrix(set_, chosen.drive or there, kinds, chosen.jobs):
         for record in part:
             if not record["right"]:
-                print("wrong: " + tables.failure(record), flush=True)
+                print("wrong: " + tables.describe_failure(record), flush=True)
         records += part
     version = {"set": set_, "version": source_version(), "date": time.strftime("%Y-%m-%d", time.gmtime())}
-    document = {**version, **tables.scores(records)}
+    document = {**version, **tables.summarise(records)}
     print(f"\n{tables.as_text(document)}\n{len(records)} cases in {time.monotonic() - begin:.0f} s")
     if chosen.write:
-        _write(document, records)
+        _write_results(document, records)
     return 0
 
 
-def _write(document: Record, records: Sequence[Record]) -> None:
+def _write_results(document: Record, records: Sequence[Record]) -> None:
     """Each set has its own place in results.json; the page shows both."""
     results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
-    results[document["set"]] = {**document, "wrong": [tables.failure(r) for r in records if not r["right"]]}
+    results[document["set"]] = {**document, "wrong": [tables.describe_failure(r) for r in records if not r["right"]]}
     RESULTS.write_text(json.dumps(results, indent=1) + "\n")
-    _page("corruption matrix", "\n\n".join(
+    _write_page("corruption matrix", "\n\n".join(
         tables.as_markdown(results[name]) for name in ("development", "sealed") if name in results), True)
 
 
-def _page(mark: str, text: str, write: bool, status: int = 0) -> int:
+def _write_page(mark: str, text: str, write: bool, status: int = 0) -> int:
     """Put a text into the page."""
     if write:
         when = f"Version {source_version()}, {time.strftime('%Y-%m-%d', time.gmtime())}."
@@ -88,7 +88,7 @@ def _page(mark: str, text: str, write: bool, status: int = 0) -> int:
     return status
 
 
-def _in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
+def _print_in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
     drive = Drive(drives.load(name, set_))
     for kind in map(KINDS.__getitem__, kinds):
         for size in kind.sizes:
@@ -98,17 +98,18 @@ def _in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
                 continue
             corrupted, truth = kind.edit(clean, size.value)
             print(f"== {kind.name} {size.label}: {kind.how} {truth:.5g}; expected {' or '.join(kind.findings)}")
-            for title, result in (("as recorded", as_recorded(clean)), ("corrupted", checked(corrupted))):
+            for title, result in (("as recorded", check_as_recorded(clean)), ("corrupted", run_check(corrupted))):
                 print(f"-- {title}")
                 for finding in result.findings:
                     advice = finding.advice.line if finding.advice else "-"
-                    print(f"{short(finding)}\n    {finding.text}\n    where {finding.where}; correction: {advice}")
+                    print(f"{format_finding(finding)}\n    {finding.text}\n    where {finding.where}; "
+                          f"correction: {advice}")
     return 0
 
 
-def _list() -> int:
+def _print_kinds() -> int:
     for kind in KINDS.values():
         sizes = " / ".join(size.label for size in kind.sizes)
         print(f"{kind.name:32} {sizes:28} {kind.how:6} {' or '.join(kind.findings)}")
-    print(f"{len(KINDS)} kinds; drives: {', '.join(drives.names('development'))}")
+    print(f"{len(KINDS)} kinds; drives: {', '.join(drives.list_drives('development'))}")
     return 0

@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 
 from st_core.log import DriveLog
 
-from .._mounting import moved, turned
+from .._mounting import move_ins, rotate_ins
 from . import faults as f
 from . import visible as v
 from .recording import (
     Recording,
-    late,
-    late_series,
+    delay_channels,
+    delay_series,
     with_good_quality,
     with_ins_speed,
     with_stamps,
@@ -59,55 +59,55 @@ class Kind:
     either_side: bool = False
 
 
-def times(*channels: str) -> Edit:
+def scale(*channels: str) -> Edit:
     return lambda r, k: (r.with_log(**{c: x * k for c in channels if (x := getattr(r.log, c)) is not None}), k)
 
 
-def plus(*channels: str) -> Edit:
+def shift(*channels: str) -> Edit:
     return lambda r, d: (r.with_log(**{c: x + d for c in channels if (x := getattr(r.log, c)) is not None}), d)
 
 
 def delay(*channels: str) -> Edit:
-    return lambda r, s: (late(r, s, *channels), s)
+    return lambda r, s: (delay_channels(r, s, *channels), s)
 
 
-def of_log(change: Callable[[DriveLog, float], DriveLog]) -> Edit:
+def edit_log(change: Callable[[DriveLog, float], DriveLog]) -> Edit:
     return lambda r, size: (replace(r, log=change(r.log, size)), size)
 
 
-def reverse(change: Edit) -> Edit:
+def negate(change: Edit) -> Edit:
     """Put in the other way round: the car's point lies behind, the true value is negative."""
     return lambda r, size: change(r, -size)
 
 
-def road_wheel(change: Edit) -> Edit:
+def road_wheel_only(change: Edit) -> Edit:
     """A recording with the angle of the road wheels only."""
     return lambda r, size: change(r.with_log(steering_wheel_angle=None), size)
 
 
-def hand_wheel(r: Recording, unit: float) -> tuple[Recording, float]:
-    return times("road_wheel_angle")(r.with_log(steering_wheel_angle=None), r.vehicle.steering_ratio * unit)
+def hand_wheel_as_road_wheel(r: Recording, unit: float) -> tuple[Recording, float]:
+    return scale("road_wheel_angle")(r.with_log(steering_wheel_angle=None), r.vehicle.steering_ratio * unit)
 
 
-def wheel_speed(r: Recording, k: float) -> tuple[Recording, float]:
+def scale_wheel_speed(r: Recording, k: float) -> tuple[Recording, float]:
     series = r.auxiliary.wheel_speed
     return r.with_auxiliary(wheel_speed=replace(series, values=series.values * k)), k
 
 
-def wheel_speed_late(r: Recording, seconds: float) -> tuple[Recording, float]:
-    return r.with_auxiliary(wheel_speed=late_series(r.auxiliary.wheel_speed, seconds)), seconds
+def delay_wheel_speed(r: Recording, seconds: float) -> tuple[Recording, float]:
+    return r.with_auxiliary(wheel_speed=delay_series(r.auxiliary.wheel_speed, seconds)), seconds
 
 
-def ins_speed(r: Recording, k: float) -> tuple[Recording, float]:
+def scale_ins_speed(r: Recording, k: float) -> tuple[Recording, float]:
     series = r.auxiliary.ins_speed
     return r.with_auxiliary(ins_speed=replace(series, values=series.values * k)), k
 
 
-def two(first: float, second: float, unit: str = "") -> tuple[Size, Size]:
+def two_sizes(first: float, second: float, unit: str = "") -> tuple[Size, Size]:
     return tuple(Size(f"{value:g}{unit and ' ' + unit}", value) for value in (first, second))
 
 
-def units(first: tuple[str, float], second: tuple[str, float]) -> tuple[Size, Size]:
+def unit_sizes(first: tuple[str, float], second: tuple[str, float]) -> tuple[Size, Size]:
     return tuple(Size(label, value, fixed=True) for label, value in (first, second))
 
 
@@ -122,114 +122,118 @@ GROSS = 0.25
 """Tolerance of what is measured against the car: its own ratio, offset and understeer are in it."""
 
 TIME = (
-    Kind("stamps in other units", ("time_unit",), "is", f.other_time_unit, units(("ms", 1e3), ("us", 1e6)), v.moves,
-         tolerance=SHARE),
-    Kind("gaps", ("time_gaps",), "is", f.three_gaps, two(1.0, 2.0, "s, three"), v.moves, tolerance=SHARE),
-    Kind("long gap", ("time_gaps",), "is", f.one_gap, two(5.0, 10.0, "s, one"), v.moves, tolerance=SHARE),
-    Kind("stamps twice", ("time_duplicates",), "is", f.stamps_twice, two(0.05, 0.2, "of the rows"), v.moves,
+    Kind("stamps in other units", ("time_unit",), "is", f.change_time_unit, unit_sizes(("ms", 1e3), ("us", 1e6)),
+         v.moves, tolerance=SHARE),
+    Kind("gaps", ("time_gaps",), "is", f.remove_three_spans, two_sizes(1.0, 2.0, "s, three"), v.moves, tolerance=SHARE),
+    Kind("long gap", ("time_gaps",), "is", f.remove_one_span, two_sizes(5.0, 10.0, "s, one"), v.moves, tolerance=SHARE),
+    Kind("stamps twice", ("time_duplicates",), "is", f.repeat_stamps, two_sizes(0.05, 0.2, "of the rows"), v.moves,
          tolerance=SHARE, before=with_stamps),
-    Kind("stamps out of order", ("time_order",), "is", f.stamps_swapped, two(0.05, 0.2, "of the rows"), v.moves,
+    Kind("stamps out of order", ("time_order",), "is", f.swap_stamps, two_sizes(0.05, 0.2, "of the rows"), v.moves,
          tolerance=SHARE, before=with_stamps),
-    Kind("stamps jitter", ("time_jitter",), "is", f.jitter, two(0.006, 0.015, "s"), v.moves, tolerance=0.15),
-    Kind("rows missing", ("values_missing",), "is", f.rows_missing, two(0.05, 0.2, "of the rows"), v.moves,
+    Kind("stamps jitter", ("time_jitter",), "is", f.add_jitter, two_sizes(0.006, 0.015, "s"), v.moves, tolerance=0.15),
+    Kind("rows missing", ("values_missing",), "is", f.drop_rows, two_sizes(0.05, 0.2, "of the rows"), v.moves,
          tolerance=SHARE),
 )
 POSITIONS = (
-    Kind("x scaled", ("x_scale",), "times", times("x"), two(0.964, 1.05), v.moves_in_x_and_y),
-    Kind("y scaled", ("y_scale",), "times", times("y"), two(0.964, 1.05), v.moves_in_x_and_y),
-    Kind("positions in other units", ("position_scale",), "times", times(*POSITION),
-         units(("feet", FOOT), ("mm", 1e3)), v.moves),
-    Kind("axes exchanged", ("position_axes",), "named", f.exchanged, units(("y, x", 1.0), ("-y, -x", -1.0)),
+    Kind("x scaled", ("x_scale",), "times", scale("x"), two_sizes(0.964, 1.05), v.moves_in_x_and_y),
+    Kind("y scaled", ("y_scale",), "times", scale("y"), two_sizes(0.964, 1.05), v.moves_in_x_and_y),
+    Kind("positions in other units", ("position_scale",), "times", scale(*POSITION),
+         unit_sizes(("feet", FOOT), ("mm", 1e3)), v.moves),
+    Kind("axes exchanged", ("position_axes",), "named", f.exchange_axes, unit_sizes(("y, x", 1.0), ("-y, -x", -1.0)),
          v.moves_in_x_and_y),
-    Kind("axis mirrored", ("position_axes",), "named", f.mirrored, units(("x", 0.0), ("y", 1.0)), v.moves_in_x_and_y),
-    Kind("positions late", ("position_lag",), "plus", delay(*POSITION), two(0.05, 0.2, "s"), v.turns_and_accelerates),
-    Kind("positions stale", ("position_stale",), "is", f.stale_positions, two(0.1, 0.3, "of the rows"), v.moves,
-         tolerance=SHARE, also=("samples_repeated",)),
-    Kind("positions jump every second", ("position_jumps",), "is", f.jumps_every_second, two(0.3, 1.0, "m"), v.moves,
-         tolerance=SHARE),
-    Kind("positions jump once", ("position_jumps",), "is", f.jumps_once, two(0.5, 6.0, "m"), v.moves),
-    Kind("reference point of positions", ("position_reference",), "plus", of_log(f.position_ahead),
-         two(0.7, 1.5, "m"), v.bends_at_several_speeds),
-    Kind("positions rounded", ("resolution_coarse",), "is", f.rounded(*POSITION), two(0.25, 1.0, "m"), v.moves,
-         channel="x", tolerance=SHARE, also=("samples_repeated",)),
+    Kind("axis mirrored", ("position_axes",), "named", f.mirror_axis, unit_sizes(("x", 0.0), ("y", 1.0)),
+         v.moves_in_x_and_y),
+    Kind("positions late", ("position_lag",), "plus", delay(*POSITION), two_sizes(0.05, 0.2, "s"),
+         v.turns_and_accelerates),
+    Kind("positions stale", ("position_stale",), "is", f.make_positions_stale, two_sizes(0.1, 0.3, "of the rows"),
+         v.moves, tolerance=SHARE, also=("samples_repeated",)),
+    Kind("positions jump every second", ("position_jumps",), "is", f.jump_every_second, two_sizes(0.3, 1.0, "m"),
+         v.moves, tolerance=SHARE),
+    Kind("positions jump once", ("position_jumps",), "is", f.jump_once, two_sizes(0.5, 6.0, "m"), v.moves),
+    Kind("reference point of positions", ("position_reference",), "plus", edit_log(f.move_positions_ahead),
+         two_sizes(0.7, 1.5, "m"), v.bends_at_several_speeds),
+    Kind("positions rounded", ("resolution_coarse",), "is", f.round_channels(*POSITION), two_sizes(0.25, 1.0, "m"),
+         v.moves, channel="x", tolerance=SHARE, also=("samples_repeated",)),
 )
 YAW = (
-    Kind("yaw in other units", ("yaw_scale",), "times", times("yaw"), units(("deg", DEG), ("gon", GON)), v.turns),
-    Kind("yaw in degrees, wrapped", ("yaw_scale",), "times", f.wrapped_degrees, whole_and_half(DEG), v.turns),
-    Kind("compass heading", ("yaw_convention",), "named", f.compass, whole_and_half(1.0), v.turns),
-    Kind("yaw offset", ("yaw_offset",), "plus", plus("yaw"), two(0.02, 0.06, "rad"), v.bends,
+    Kind("yaw in other units", ("yaw_scale",), "times", scale("yaw"), unit_sizes(("deg", DEG), ("gon", GON)), v.turns),
+    Kind("yaw in degrees, wrapped", ("yaw_scale",), "times", f.to_wrapped_degrees, whole_and_half(DEG), v.turns),
+    Kind("compass heading", ("yaw_convention",), "named", f.to_compass, whole_and_half(1.0), v.turns),
+    Kind("yaw offset", ("yaw_offset",), "plus", shift("yaw"), two_sizes(0.02, 0.06, "rad"), v.bends,
          either_side=True),
-    Kind("yaw late", ("yaw_lag",), "plus", delay("yaw"), two(0.1, 0.3, "s"), v.turns),
-    Kind("yaw rounded", ("resolution_coarse",), "is", f.rounded("yaw"),
+    Kind("yaw late", ("yaw_lag",), "plus", delay("yaw"), two_sizes(0.1, 0.3, "s"), v.turns),
+    Kind("yaw rounded", ("resolution_coarse",), "is", f.round_channels("yaw"),
          (Size("1 deg", 1 / DEG), Size("2 deg", 2 / DEG)), v.turns, channel="yaw", tolerance=SHARE,
          also=("samples_repeated",)),
-    Kind("yaw rate in other units", ("yaw_rate_scale",), "times", times("yaw_rate"),
-         units(("deg/s", DEG), ("mrad/s", 1e3)), v.turns),
-    Kind("yaw rate sign", ("yaw_rate_scale",), "times", times("yaw_rate"), whole_and_half(-1.0), v.turns),
-    Kind("yaw rate scaled", ("yaw_rate_scale",), "times", times("yaw_rate"), two(1.05, 1.15), v.turns),
-    Kind("yaw rate bias", ("yaw_rate_bias",), "plus", plus("yaw_rate"), two(0.01, 0.03, "rad/s"), v.moves,
+    Kind("yaw rate in other units", ("yaw_rate_scale",), "times", scale("yaw_rate"),
+         unit_sizes(("deg/s", DEG), ("mrad/s", 1e3)), v.turns),
+    Kind("yaw rate sign", ("yaw_rate_scale",), "times", scale("yaw_rate"), whole_and_half(-1.0), v.turns),
+    Kind("yaw rate scaled", ("yaw_rate_scale",), "times", scale("yaw_rate"), two_sizes(1.05, 1.15), v.turns),
+    Kind("yaw rate bias", ("yaw_rate_bias",), "plus", shift("yaw_rate"), two_sizes(0.01, 0.03, "rad/s"), v.moves,
          either_side=True),
-    Kind("yaw rate late", ("yaw_rate_lag",), "plus", delay("yaw_rate"), two(0.1, 0.3, "s"), v.turns),
-    Kind("yaw rate held", ("samples_repeated",), "is", f.with_systematic("yaw_rate"), two(5.0, 2.0, "Hz"), v.turns,
+    Kind("yaw rate late", ("yaw_rate_lag",), "plus", delay("yaw_rate"), two_sizes(0.1, 0.3, "s"), v.turns),
+    Kind("yaw rate held", ("samples_repeated",), "is", f.hold("yaw_rate"), two_sizes(5.0, 2.0, "Hz"), v.turns,
          channel="yaw_rate", tolerance=SHARE, also=("yaw_rate_lag", "resolution_coarse")),
-    Kind("yaw rate frozen", ("channel_frozen",), "is", f.frozen("yaw_rate"), two(10.0, 30.0, "s"),
+    Kind("yaw rate frozen", ("channel_frozen",), "is", f.freeze("yaw_rate"), two_sizes(10.0, 30.0, "s"),
          v.long_enough("yaw_rate"), channel="yaw_rate", tolerance=SHARE, also=("samples_repeated",)),
 )
 VELOCITIES = (
-    Kind("velocity_x in other units", ("velocity_x_scale",), "times", times("velocity_x"),
-         units(("km/h", KMH), ("mph", MPH)), v.slides_and_bends),
-    Kind("velocities in other units", ("velocity_scale",), "times", times(*VELOCITY),
-         units(("km/h", KMH), ("mph", MPH)), v.slides_and_bends),
+    Kind("velocity_x in other units", ("velocity_x_scale",), "times", scale("velocity_x"),
+         unit_sizes(("km/h", KMH), ("mph", MPH)), v.slides_and_bends),
+    Kind("velocities in other units", ("velocity_scale",), "times", scale(*VELOCITY),
+         unit_sizes(("km/h", KMH), ("mph", MPH)), v.slides_and_bends),
     # How much of v_y is wrong as well is not to be seen of a few per cent.
-    Kind("velocity_x scaled", ("velocity_x_scale", "velocity_scale"), "times", times("velocity_x"), two(1.03, 1.10),
-         v.moves),
-    Kind("velocity_y sign", ("velocity_y_scale",), "times", times("velocity_y"), whole_and_half(-1.0),
+    Kind("velocity_x scaled", ("velocity_x_scale", "velocity_scale"), "times", scale("velocity_x"),
+         two_sizes(1.03, 1.10), v.moves),
+    Kind("velocity_y sign", ("velocity_y_scale",), "times", scale("velocity_y"), whole_and_half(-1.0),
          v.slides_and_bends),
-    Kind("velocities late", ("velocity_lag",), "plus", delay(*VELOCITY), two(0.15, 0.4, "s"), v.turns_and_accelerates),
-    Kind("velocity at standstill", ("standstill_motion",), "is", f.creeping, two(0.1, 0.3, "m/s"), v.stops,
+    Kind("velocities late", ("velocity_lag",), "plus", delay(*VELOCITY), two_sizes(0.15, 0.4, "s"),
+         v.turns_and_accelerates),
+    Kind("velocity at standstill", ("standstill_motion",), "is", f.creep, two_sizes(0.1, 0.3, "m/s"), v.stops,
          tolerance=SHARE),
 )
 ACCELERATIONS = (
-    Kind("a_y in other units", ("acceleration_y_scale",), "times", times("acceleration_y"),
-         units(("g", 1 / G), ("ft/s^2", FOOT)), v.corners),
-    Kind("a_y sign", ("acceleration_y_scale",), "times", times("acceleration_y"), whole_and_half(-1.0), v.corners),
-    Kind("a_y bias", ("acceleration_y_bias",), "plus", plus("acceleration_y"), two(0.4, 1.0, "m/s^2"), v.has_a_y,
+    Kind("a_y in other units", ("acceleration_y_scale",), "times", scale("acceleration_y"),
+         unit_sizes(("g", 1 / G), ("ft/s^2", FOOT)), v.corners),
+    Kind("a_y sign", ("acceleration_y_scale",), "times", scale("acceleration_y"), whole_and_half(-1.0), v.corners),
+    Kind("a_y bias", ("acceleration_y_bias",), "plus", shift("acceleration_y"), two_sizes(0.4, 1.0, "m/s^2"), v.has_a_y,
          either_side=True),
-    Kind("a_y late", ("acceleration_y_lag",), "plus", delay("acceleration_y"), two(0.2, 0.4, "s"),
+    Kind("a_y late", ("acceleration_y_lag",), "plus", delay("acceleration_y"), two_sizes(0.2, 0.4, "s"),
          v.corners_fast),
-    Kind("a_x in other units", ("acceleration_x_scale",), "times", times("acceleration_x"),
-         units(("g", 1 / G), ("ft/s^2", FOOT)), v.accelerates),
-    Kind("a_x sign", ("acceleration_x_scale",), "times", times("acceleration_x"), whole_and_half(-1.0), v.accelerates),
-    Kind("a_x bias", ("acceleration_x_bias",), "plus", plus("acceleration_x"), two(0.3, 0.8, "m/s^2"), v.has_a_x,
+    Kind("a_x in other units", ("acceleration_x_scale",), "times", scale("acceleration_x"),
+         unit_sizes(("g", 1 / G), ("ft/s^2", FOOT)), v.accelerates),
+    Kind("a_x sign", ("acceleration_x_scale",), "times", scale("acceleration_x"), whole_and_half(-1.0), v.accelerates),
+    Kind("a_x bias", ("acceleration_x_bias",), "plus", shift("acceleration_x"), two_sizes(0.3, 0.8, "m/s^2"), v.has_a_x,
          either_side=True),
-    Kind("a_x late", ("acceleration_x_lag",), "plus", delay("acceleration_x"), two(0.15, 0.4, "s"), v.accelerates),
+    Kind("a_x late", ("acceleration_x_lag",), "plus", delay("acceleration_x"), two_sizes(0.15, 0.4, "s"),
+         v.accelerates),
 )
 STEERING = (
-    Kind("steering in other units", ("steering_scale",), "times", road_wheel(times("road_wheel_angle")),
-         units(("deg", DEG), ("mrad", 1e3)), v.steers, tolerance=GROSS),
-    Kind("hand wheel for road wheels", ("steering_scale",), "times", hand_wheel, units(("rad", 1.0), ("deg", DEG)),
-         v.steers, tolerance=GROSS),
-    Kind("steering sign", ("steering_sign",), "is", times(*WHEEL), whole_and_half(-1.0), v.steers, tolerance=GROSS),
-    Kind("steering late", ("steering_lag",), "plus", delay(*WHEEL), two(0.3, 0.6, "s"), v.steers_and_bends),
-    Kind("steering offset", ("steering_offset",), "plus", road_wheel(plus("road_wheel_angle")),
-         two(0.03, 0.08, "rad"), v.steers_and_bends, either_side=True),
-    Kind("steering frozen", ("channel_frozen",), "is", f.frozen(*WHEEL), two(10.0, 30.0, "s"),
+    Kind("steering in other units", ("steering_scale",), "times", road_wheel_only(scale("road_wheel_angle")),
+         unit_sizes(("deg", DEG), ("mrad", 1e3)), v.steers, tolerance=GROSS),
+    Kind("hand wheel for road wheels", ("steering_scale",), "times", hand_wheel_as_road_wheel,
+         unit_sizes(("rad", 1.0), ("deg", DEG)), v.steers, tolerance=GROSS),
+    Kind("steering sign", ("steering_sign",), "is", scale(*WHEEL), whole_and_half(-1.0), v.steers, tolerance=GROSS),
+    Kind("steering late", ("steering_lag",), "plus", delay(*WHEEL), two_sizes(0.3, 0.6, "s"), v.steers_and_bends),
+    Kind("steering offset", ("steering_offset",), "plus", road_wheel_only(shift("road_wheel_angle")),
+         two_sizes(0.03, 0.08, "rad"), v.steers_and_bends, either_side=True),
+    Kind("steering frozen", ("channel_frozen",), "is", f.freeze(*WHEEL), two_sizes(10.0, 30.0, "s"),
          v.long_enough("road_wheel_angle"), channel="road_wheel_angle", tolerance=SHARE, also=("samples_repeated",)),
 )
 INS = (
-    Kind("measuring point moved back", ("measuring_point",), "plus", reverse(of_log(moved)), two(0.8, 1.5, "m"),
-         v.bends_slowly),
-    Kind("INS askew", ("heading_misaligned",), "plus", of_log(turned), two(0.02, 0.05, "rad"),
+    Kind("measuring point moved back", ("measuring_point",), "plus", negate(edit_log(move_ins)),
+         two_sizes(0.8, 1.5, "m"), v.bends_slowly),
+    Kind("INS askew", ("heading_misaligned",), "plus", edit_log(rotate_ins), two_sizes(0.02, 0.05, "rad"),
          v.bends_and_straights, either_side=True),
-    Kind("without RTK", ("ins_mode",), "is", f.without_rtk, two(0.2, 0.6, "of the time"), v.moves, tolerance=SHARE,
+    Kind("without RTK", ("ins_mode",), "is", f.lose_rtk, two_sizes(0.2, 0.6, "of the time"), v.moves, tolerance=SHARE,
          before=with_good_quality),
-    Kind("poor accuracy", ("ins_accuracy",), "is", f.poor_accuracy, two(0.5, 2.0, "m"), v.moves, tolerance=SHARE,
-         before=with_good_quality),
-    Kind("wheel speed scaled", ("wheel_speed_scale",), "times", wheel_speed, two(1.05, 1.15), v.moves,
+    Kind("poor accuracy", ("ins_accuracy",), "is", f.worsen_accuracy, two_sizes(0.5, 2.0, "m"), v.moves,
+         tolerance=SHARE, before=with_good_quality),
+    Kind("wheel speed scaled", ("wheel_speed_scale",), "times", scale_wheel_speed, two_sizes(1.05, 1.15), v.moves,
          before=with_wheel_speed),
-    Kind("wheel speed late", ("wheel_speed_lag",), "plus", wheel_speed_late, two(0.3, 0.6, "s"), v.accelerates,
+    Kind("wheel speed late", ("wheel_speed_lag",), "plus", delay_wheel_speed, two_sizes(0.3, 0.6, "s"), v.accelerates,
          before=with_wheel_speed),
-    Kind("other INS output scaled", ("ins_speed_scale",), "times", ins_speed, two(1.05, 1.15), v.moves,
+    Kind("other INS output scaled", ("ins_speed_scale",), "times", scale_ins_speed, two_sizes(1.05, 1.15), v.moves,
          before=with_ins_speed),
 )
 KINDS = {kind.name: kind for kind in (*TIME, *POSITIONS, *YAW, *VELOCITIES, *ACCELERATIONS, *STEERING, *INS)}

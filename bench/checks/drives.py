@@ -26,7 +26,7 @@ SECONDS = 120.0
 """of a virtual drive."""
 
 
-def names(set_: str) -> tuple[str, ...]:
+def list_drives(set_: str) -> tuple[str, ...]:
     """Real drives first; those that are not there are left out."""
     virtual = tuple(drive_name(scenario) for scenario, _ in VIRTUAL[set_])
     return tuple(name for name in REAL[set_] if _file(name).exists()) + virtual
@@ -44,12 +44,12 @@ def real_drive(file: Path) -> Recording:
     return Recording(read_csv(file).log, genesis(), True)
 
 
-def real_files() -> list[Path]:
+def list_real_files() -> list[Path]:
     """Every drive of the shared folders."""
     return sorted(DATA.glob("*/*.csv"))
 
 
 def _file(name: str) -> Path:
     # A drive that is in no folder gets a path in the first one; the reader reports it as missing.
-    found = [file for file in real_files() if file.stem == name]
+    found = [file for file in list_real_files() if file.stem == name]
     return found[0] if found else NINE_DRIVES / f"{name}.csv"

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from st_core.log import DriveLog
 
-from .recording import RTK_INTEGER, STEERING, TIMED, Recording, kept
+from .recording import RTK_INTEGER, STEERING, TIMED, Recording, select_rows
 
 DIFFERENTIAL = 4
 """NCOM position mode without RTK."""
@@ -19,7 +19,7 @@ def _generator(recording: Recording) -> np.random.Generator:
     return np.random.default_rng(len(recording.log.x))
 
 
-def other_time_unit(r: Recording, factor: float) -> Edited:
+def change_time_unit(r: Recording, factor: float) -> Edited:
     """Stamps count `factor` times too fast, from the first measurement on."""
     start = r.log.start_ns
 
@@ -31,25 +31,25 @@ def other_time_unit(r: Recording, factor: float) -> Edited:
     return r.with_log(**log).with_auxiliary(**series), factor
 
 
-def three_gaps(r: Recording, seconds: float) -> Edited:
-    return _without(r, [(share * r.log.duration, seconds) for share in (0.25, 0.5, 0.75)])
+def remove_three_spans(r: Recording, seconds: float) -> Edited:
+    return _remove_spans(r, [(share * r.log.duration, seconds) for share in (0.25, 0.5, 0.75)])
 
 
-def one_gap(r: Recording, seconds: float) -> Edited:
-    return _without(r, [(0.45 * r.log.duration, seconds)])
+def remove_one_span(r: Recording, seconds: float) -> Edited:
+    return _remove_spans(r, [(0.45 * r.log.duration, seconds)])
 
 
-def _without(r: Recording, gaps: list[tuple[float, float]]) -> Edited:
+def _remove_spans(r: Recording, gaps: list[tuple[float, float]]) -> Edited:
     """Nothing recorded for (start, length) [s]. True value: what the INS's gaps last together, s."""
     def there(time_ns: np.ndarray) -> np.ndarray:
         time = (time_ns - r.log.ins_time_ns[0]) * 1e-9
         return ~np.any([(time > start) & (time < start + length) for start, length in gaps], axis=0)
-    corrupted = kept(r, there(r.log.ins_time_ns), there(r.log.steering_time_ns))
+    corrupted = select_rows(r, there(r.log.ins_time_ns), there(r.log.steering_time_ns))
     steps = np.diff(corrupted.time)
     return corrupted, float(steps[steps > 0.25].sum())
 
 
-def stamps_twice(r: Recording, share: float) -> Edited:
+def repeat_stamps(r: Recording, share: float) -> Edited:
     """That share of all recorded rows repeats the previous row; a reader leaves them out."""
     generator = _generator(r)
 
@@ -60,7 +60,7 @@ def stamps_twice(r: Recording, share: float) -> Edited:
     return r.with_auxiliary(stamps={name: doubled(time) for name, time in r.auxiliary.stamps.items()}), share
 
 
-def stamps_swapped(r: Recording, share: float) -> Edited:
+def swap_stamps(r: Recording, share: float) -> Edited:
     """Rows recorded before the one measured before them; a reader leaves them out."""
     generator, stamps, rising = _generator(r), {}, {}
     for name, in_order in r.auxiliary.stamps.items():
@@ -71,10 +71,10 @@ def stamps_swapped(r: Recording, share: float) -> Edited:
         rising[name] = np.ones(len(time), bool)
         # The later stamp comes first and stays; the log itself is in the order of time.
         rising[name][rows] = False
-    return kept(r, rising["INS"], rising["steering"]).with_auxiliary(stamps=stamps), share
+    return select_rows(r, rising["INS"], rising["steering"]).with_auxiliary(stamps=stamps), share
 
 
-def jitter(r: Recording, size: float) -> Edited:
+def add_jitter(r: Recording, size: float) -> Edited:
     """Stamps of the arrival, `size` [s] of white delay; rows stay in order. True value: std of what it adds to the
     intervals."""
     time = r.log.ins_time_ns
@@ -87,38 +87,38 @@ def jitter(r: Recording, size: float) -> Edited:
     return r.with_log(**fields), float(np.std(np.diff(late) - np.diff(time))) * 1e-9
 
 
-def rows_missing(r: Recording, share: float) -> Edited:
+def drop_rows(r: Recording, share: float) -> Edited:
     """Rows in which the yaw rate held no number; they were left out of the INS's rows."""
     there = _generator(r).random(len(r.log.x)) >= share
-    corrupted = kept(r, there, np.ones(len(r.log.steering_time_ns), bool))
+    corrupted = select_rows(r, there, np.ones(len(r.log.steering_time_ns), bool))
     missing = int((~there).sum())
     return corrupted.with_auxiliary(missing={"yaw_rate": missing}), missing / len(there)
 
 
-def exchanged(r: Recording, sign: float) -> Edited:
+def exchange_axes(r: Recording, sign: float) -> Edited:
     return r.with_log(x=sign * r.log.y, y=sign * r.log.x), sign
 
 
-def mirrored(r: Recording, axis: float) -> Edited:
+def mirror_axis(r: Recording, axis: float) -> Edited:
     name = "y" if axis else "x"
     return r.with_log(**{name: -getattr(r.log, name)}), -1.0
 
 
-def compass(r: Recording, factor: float) -> Edited:
+def to_compass(r: Recording, factor: float) -> Edited:
     return r.with_log(yaw=np.pi / 2 - r.log.yaw), factor
 
 
-def wrapped_degrees(r: Recording, factor: float) -> Edited:
+def to_wrapped_degrees(r: Recording, factor: float) -> Edited:
     """-180 to 180 deg in the file, unwrapped by a reader that takes it for rad."""
     wrapped = (r.log.yaw * factor + 180.0) % 360.0 - 180.0
     return r.with_log(yaw=np.unwrap(wrapped)), factor
 
 
-def position_ahead(log: DriveLog, distance: float) -> DriveLog:
+def move_positions_ahead(log: DriveLog, distance: float) -> DriveLog:
     return replace(log, x=log.x + distance * np.cos(log.yaw), y=log.y + distance * np.sin(log.yaw))
 
 
-def stale_positions(r: Recording, share: float) -> Edited:
+def make_positions_stale(r: Recording, share: float) -> Edited:
     old = _generator(r).random(len(r.log.x)) < share
     old[0] = False
     rows = np.arange(len(old)) - old
@@ -126,27 +126,27 @@ def stale_positions(r: Recording, share: float) -> Edited:
     return r.with_log(x=r.log.x[rows], y=r.log.y[rows]), float(np.mean(old[1:] & ~old[:-1]))
 
 
-def jumps_every_second(r: Recording, size: float) -> Edited:
+def jump_every_second(r: Recording, size: float) -> Edited:
     """To the side and, a second later, back."""
     second = np.floor(r.time)
-    return _shifted(r, size * (second % 2)), float(np.count_nonzero(np.diff(second % 2)))
+    return _shift_positions(r, size * (second % 2)), float(np.count_nonzero(np.diff(second % 2)))
 
 
-def jumps_once(r: Recording, size: float) -> Edited:
+def jump_once(r: Recording, size: float) -> Edited:
     """A new fix in the middle of the moving rows, which stays."""
     moving = np.flatnonzero(np.abs(r.log.velocity_x) > MOVING)
-    return _shifted(r, size * (np.arange(len(r.log.x)) >= moving[len(moving) // 2])), 1.0
+    return _shift_positions(r, size * (np.arange(len(r.log.x)) >= moving[len(moving) // 2])), 1.0
 
 
-def _shifted(r: Recording, offset: np.ndarray) -> Recording:
+def _shift_positions(r: Recording, offset: np.ndarray) -> Recording:
     return r.with_log(x=r.log.x + 0.6 * offset, y=r.log.y + 0.8 * offset)
 
 
-def rounded(*channels: str) -> Callable[[Recording, float], Edited]:
+def round_channels(*channels: str) -> Callable[[Recording, float], Edited]:
     return lambda r, step: (r.with_log(**{c: np.round(getattr(r.log, c) / step) * step for c in channels}), step)
 
 
-def with_systematic(channel: str) -> Callable[[Recording, float], Edited]:
+def hold(channel: str) -> Callable[[Recording, float], Edited]:
     def edit(r: Recording, rate: float) -> Edited:
         new = np.diff(np.floor(r.time * rate), prepend=-1.0) > 0
         rows = np.maximum.accumulate(np.where(new, np.arange(len(new)), 0))
@@ -154,10 +154,10 @@ def with_systematic(channel: str) -> Callable[[Recording, float], Edited]:
     return edit
 
 
-def frozen(*channels: str) -> Callable[[Recording, float], Edited]:
+def freeze(*channels: str) -> Callable[[Recording, float], Edited]:
     """The first of them moves most in that stretch. True value: how long it is constant, s."""
     def edit(r: Recording, seconds: float) -> Edited:
-        start = liveliest(r, channels[0], seconds)
+        start = find_liveliest(r, channels[0], seconds)
         if start is None:
             raise ValueError(f"{r.name}: no {seconds:g} s in which the car moves")
         fields = {}
@@ -166,11 +166,11 @@ def frozen(*channels: str) -> Callable[[Recording, float], Edited]:
                 rows = _window(r, channel, start, seconds)
                 fields[channel] = values.copy()
                 fields[channel][rows] = values[rows.start]
-        return r.with_log(**fields), _standing_still(r, channels[0], fields[channels[0]], start)
+        return r.with_log(**fields), _constant_duration(r, channels[0], fields[channels[0]], start)
     return edit
 
 
-def _standing_still(r: Recording, channel: str, values: np.ndarray, start: float) -> float:
+def _constant_duration(r: Recording, channel: str, values: np.ndarray, start: float) -> float:
     """For how long it has the value it has at start [s]: what is rounded may have had it a little before."""
     time = r.log.steering_time_ns if channel in STEERING else r.log.ins_time_ns
     row = _window(r, channel, start, 1.0).start
@@ -181,7 +181,7 @@ def _standing_still(r: Recording, channel: str, values: np.ndarray, start: float
     return float(time[last] - time[first]) * 1e-9
 
 
-def liveliest(r: Recording, channel: str, seconds: float) -> float | None:
+def find_liveliest(r: Recording, channel: str, seconds: float) -> float | None:
     """Start [s] of the stretch in which the channel moves most while the car does not stop."""
     speed, best = np.abs(r.log.velocity_x), None
     for start in np.arange(1.0, r.log.duration - seconds - 1.0):
@@ -199,16 +199,16 @@ def _window(r: Recording, channel: str, start: float, seconds: float) -> slice:
     return slice(*np.searchsorted(time, ends).tolist())
 
 
-def standing(r: Recording) -> np.ndarray:
+def is_standing(r: Recording) -> np.ndarray:
     return np.abs(r.log.velocity_x) < 0.05
 
 
-def creeping(r: Recording, speed: float) -> Edited:
+def creep(r: Recording, speed: float) -> Edited:
     """A forward speed that does not go to zero."""
-    return r.with_log(velocity_x=np.where(standing(r), speed, r.log.velocity_x)), speed
+    return r.with_log(velocity_x=np.where(is_standing(r), speed, r.log.velocity_x)), speed
 
 
-def without_rtk(r: Recording, share: float) -> Edited:
+def lose_rtk(r: Recording, share: float) -> Edited:
     quality = r.auxiliary.quality
     time = np.linspace(0.0, 1.0, len(quality.time_ns))
     lost = np.abs(time - 0.5) < share / 2
@@ -216,7 +216,7 @@ def without_rtk(r: Recording, share: float) -> Edited:
     return r.with_auxiliary(quality=replace(quality, position_mode=modes)), float(lost.mean())
 
 
-def poor_accuracy(r: Recording, accuracy: float) -> Edited:
+def worsen_accuracy(r: Recording, accuracy: float) -> Edited:
     quality = r.auxiliary.quality
     quality = replace(quality, position_accuracy=np.full(len(quality.time_ns), accuracy))
     return r.with_auxiliary(quality=quality), accuracy

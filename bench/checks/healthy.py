@@ -7,8 +7,8 @@ from st_core.checks import Severity
 from st_sim.scenarios import SCENARIOS
 
 from ..discovery.score import wilson
-from .run import over
-from .score import checked, short
+from .run import map_parallel
+from .score import format_finding, run_check
 from .virtual import virtual_drive
 
 FIRST_SEED = 1000
@@ -23,7 +23,7 @@ def main(seeds: int, seconds: float, jobs: int) -> tuple[str, int]:
     tasks = [(scenario, range(FIRST_SEED + first, FIRST_SEED + min(first + BATCH, seeds)), seconds)
              for scenario in SCENARIOS for first in range(0, seeds, BATCH)]
     begin, counts, names = time.monotonic(), Counter(), Counter()
-    for part in over(_findings, tasks, jobs):
+    for part in map_parallel(_check_batch, tasks, jobs):
         for scenario, seed, findings in part:
             counts["drives"] += 1
             worst = {severity for severity, _ in findings}
@@ -41,11 +41,11 @@ def main(seeds: int, seconds: float, jobs: int) -> tuple[str, int]:
     return text, int(bool(counts["error"]))
 
 
-def _findings(task: tuple[str, range, float]) -> list[Findings]:
+def _check_batch(task: tuple[str, range, float]) -> list[Findings]:
     scenario, seeds, seconds = task
     found = []
     for seed in seeds:
-        result = checked(virtual_drive(scenario, seed, seconds))
-        found.append((scenario, seed, [(f.severity, short(f)) for f in result.findings
+        result = run_check(virtual_drive(scenario, seed, seconds))
+        found.append((scenario, seed, [(f.severity, format_finding(f)) for f in result.findings
                                        if f.severity is not Severity.NOTE]))
     return found

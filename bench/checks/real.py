@@ -5,7 +5,7 @@ from st_core.checks import Finding, Severity, compare_runs
 from .._cars import NINE_DRIVES
 from .._pages import format_table
 from . import drives
-from .score import checked, short
+from .score import format_finding, run_check
 
 SETS = {"hyundai_genesis_oxts": "The nine drives", "hyundai_genesis_more": "Drives with faults of known cause"}
 
@@ -14,13 +14,13 @@ def main() -> str:
     """Prints every finding; the page's text: errors and warnings of each drive, and what several have in common."""
     parts = []
     for folder, title in SETS.items():
-        files = [file for file in drives.real_files() if file.parent.name == folder]
-        results = {file.stem: checked(drives.real_drive(file)) for file in files}
+        files = [file for file in drives.list_real_files() if file.parent.name == folder]
+        results = {file.stem: run_check(drives.real_drive(file)) for file in files}
         for name, one in results.items():
             print(f"{folder}/{name}")
             for finding in one.findings:
-                print(f"    {short(finding)}\n        {finding.text}")
-        rows = [(name, "; ".join(_value(f) for f in one.findings if f.severity is not Severity.NOTE) or "-",
+                print(f"    {format_finding(finding)}\n        {finding.text}")
+        rows = [(name, "; ".join(_format_value(f) for f in one.findings if f.severity is not Severity.NOTE) or "-",
                  str(len(one.of(Severity.NOTE)))) for name, one in results.items()]
         parts.append(f"{title} (`{folder}`):\n\n" + format_table(("drive", "errors and warnings", "notes"), rows))
         common = [one for one in compare_runs(list(results.values())) if one.consistent]
@@ -32,5 +32,5 @@ def main() -> str:
     return "\n\n".join(parts)
 
 
-def _value(one: Finding) -> str:
+def _format_value(one: Finding) -> str:
     return f"`{one.name}`" + ("" if one.value is None else f" {one.value:.3g}")

@@ -58,14 +58,14 @@ def _rows(part: Series | InsQuality, kept: np.ndarray) -> Series | InsQuality:
     return replace(part, **{name: getattr(part, name)[kept] for name in part.__dataclass_fields__})
 
 
-def half(recording: Recording) -> Recording:
+def middle_half(recording: Recording) -> Recording:
     """The middle half."""
     start, end = int(recording.log.ins_time_ns[0]), int(recording.log.ins_time_ns[-1])
     quarter = (end - start) // 4
     return recording.between(start + quarter, end - quarter)
 
 
-def kept(recording: Recording, ins: np.ndarray, steering: np.ndarray) -> Recording:
+def select_rows(recording: Recording, ins: np.ndarray, steering: np.ndarray) -> Recording:
     """Only the rows of the log marked True."""
     log = recording.log
     fields = {name: value[steering if "steering" in name or "wheel" in name else ins]
@@ -73,22 +73,22 @@ def kept(recording: Recording, ins: np.ndarray, steering: np.ndarray) -> Recordi
     return replace(recording, log=replace(log, **fields))
 
 
-def late(recording: Recording, seconds: float, *channels: str) -> Recording:
+def delay_channels(recording: Recording, seconds: float, *channels: str) -> Recording:
     """Each channel delayed by `seconds`; the ends, where its value is unknown, are cut off."""
     log, fields = recording.log, {}
     for channel in channels:
         if (values := getattr(log, channel)) is not None:
             time = log.steering_time_ns if channel in STEERING else log.ins_time_ns
-            fields[channel] = _at(time, values, seconds)
+            fields[channel] = _delay(time, values, seconds)
     cut = round(abs(seconds) * 1e9)
     return recording.with_log(**fields).between(log.start_ns + cut, log.end_ns - cut)
 
 
-def late_series(series: Series, seconds: float) -> Series:
-    return replace(series, values=_at(series.time_ns, series.values, seconds))
+def delay_series(series: Series, seconds: float) -> Series:
+    return replace(series, values=_delay(series.time_ns, series.values, seconds))
 
 
-def _at(time_ns: np.ndarray, values: np.ndarray, seconds: float) -> np.ndarray:
+def _delay(time_ns: np.ndarray, values: np.ndarray, seconds: float) -> np.ndarray:
     time = (time_ns - time_ns[0]) * 1e-9
     return np.interp(time - seconds, time, values)
 
@@ -103,14 +103,14 @@ def with_good_quality(recording: Recording) -> Recording:
 
 def with_wheel_speed(recording: Recording) -> Recording:
     """A wheel speed that is right: the INS's forward speed and a little noise, at every second row."""
-    return recording.with_auxiliary(wheel_speed=_speed(recording, WHEEL_NOISE))
+    return recording.with_auxiliary(wheel_speed=_noisy_speed(recording, WHEEL_NOISE))
 
 
 def with_ins_speed(recording: Recording) -> Recording:
-    return recording.with_auxiliary(ins_speed=_speed(recording, 0.002))
+    return recording.with_auxiliary(ins_speed=_noisy_speed(recording, 0.002))
 
 
-def _speed(recording: Recording, noise: float) -> Series:
+def _noisy_speed(recording: Recording, noise: float) -> Series:
     speed = recording.log.velocity_x[::2]
     return Series(recording.log.ins_time_ns[::2], speed + noise * np.random.default_rng(5).standard_normal(len(speed)))
 

@@ -8,19 +8,19 @@ import numpy as np
 
 from . import drives
 from .corruptions import KINDS, Kind, Size
-from .score import Drive, Record, drawn, score
+from .score import Drive, Record, scale_size, score_case
 
 SMALLEST, LARGEST = 0.7, 1.5
 """Sizes of the sealed set, in sizes of development."""
 
 
-def matrix(set_: str, names: Sequence[str], kinds: Sequence[str], jobs: int) -> Iterator[list[Record]]:
+def run_matrix(set_: str, names: Sequence[str], kinds: Sequence[str], jobs: int) -> Iterator[list[Record]]:
     """Records of one drive after the other, as they are done."""
     tasks = [(set_, name, tuple(kinds)) for name in names]
-    yield from over(of_drive, tasks, jobs)
+    yield from map_parallel(score_drive, tasks, jobs)
 
 
-def over(function, tasks: Iterable[tuple], jobs: int) -> Iterator:
+def map_parallel(function, tasks: Iterable[tuple], jobs: int) -> Iterator:
     if jobs == 1:
         yield from map(function, tasks)
         return
@@ -28,15 +28,15 @@ def over(function, tasks: Iterable[tuple], jobs: int) -> Iterator:
         yield from pool.map(function, tasks)
 
 
-def of_drive(task: tuple[str, str, tuple[str, ...]]) -> list[Record]:
+def score_drive(task: tuple[str, str, tuple[str, ...]]) -> list[Record]:
     set_, name, kinds = task
     drive = Drive(drives.load(name, set_))
-    return [record for kind in map(KINDS.__getitem__, kinds) for size in sizes(kind, name, set_)
-            if (record := score(drive, kind, size)) is not None]
+    return [record for kind in map(KINDS.__getitem__, kinds) for size in choose_sizes(kind, name, set_)
+            if (record := score_case(drive, kind, size)) is not None]
 
 
-def sizes(kind: Kind, drive: str, set_: str) -> list[Size]:
+def choose_sizes(kind: Kind, drive: str, set_: str) -> list[Size]:
     if set_ == "development":
         return list(kind.sizes)
     generator = np.random.default_rng(zlib.crc32(f"{set_} {drive} {kind.name}".encode()))
-    return [drawn(size, kind.how, float(generator.uniform(SMALLEST, LARGEST))) for size in kind.sizes]
+    return [scale_size(size, kind.how, float(generator.uniform(SMALLEST, LARGEST))) for size in kind.sizes]

@@ -12,28 +12,28 @@ from typing import Any
 from st_core.checks import Checked, Finding, Severity, check
 
 from .corruptions import Kind, Size
-from .recording import Recording, half
+from .recording import Recording, middle_half
 
 COUNT_TOLERANCE = 1e-6
 Record = dict[str, Any]
 
 
-def checked(recording: Recording) -> Checked:
+def run_check(recording: Recording) -> Checked:
     return check(recording.log, recording.vehicle, recording.auxiliary)
 
 
-def answer(recording: Recording) -> tuple[Checked, str]:
+def try_check(recording: Recording) -> tuple[Checked, str]:
     """A check that raises is a wrong answer of the product, not the end of the matrix: what it raised is the second."""
     try:
-        return checked(recording), ""
+        return run_check(recording), ""
     except Exception as error:
         return Checked((), {}, ()), f"{type(error).__name__}: {error}"[:200]
 
 
 @cache
-def as_recorded(recording: Recording) -> Checked:
+def check_as_recorded(recording: Recording) -> Checked:
     """Of a drive nothing was put into; one object is checked once."""
-    return checked(recording)
+    return run_check(recording)
 
 
 class Drive:
@@ -46,21 +46,21 @@ class Drive:
     def clean(self, kind: Kind, size: Size) -> Recording:
         key = size.part, kind.before
         if key not in self._made:
-            part = half(self.recording) if size.part else self.recording
+            part = middle_half(self.recording) if size.part else self.recording
             self._made[key] = kind.before(part) if kind.before else part
         return self._made[key]
 
 
-def score(drive: Drive, kind: Kind, size: Size) -> Record | None:
+def score_case(drive: Drive, kind: Kind, size: Size) -> Record | None:
     """None where the drive cannot show it."""
     clean = drive.clean(kind, size)
     if not kind.shows(clean, size.value):
         return None
-    value = size.value * side(kind, clean)
+    value = size.value * choose_side(kind, clean)
     corrupted, change = kind.edit(clean, value)
-    result, raised = answer(corrupted)
-    before = as_recorded(clean)
-    finding = of_kind(result, kind)
+    result, raised = try_check(corrupted)
+    before = check_as_recorded(clean)
+    finding = find_finding(result, kind)
     truth, source = true_value(kind, size, clean, change)
     inside = finding is not None and is_inside(kind, finding, truth)
     named = finding is not None
@@ -69,12 +69,13 @@ def score(drive: Drive, kind: Kind, size: Size) -> Record | None:
         "drive": clean.name, "real": clean.real, "kind": kind.name, "size": size.label, "edit": value, "truth": truth,
         "truth_from": source, "named": named, "inside": inside, "right": named and inside,
         "as_note": named and finding.severity is Severity.NOTE,
-        "reported": raised or (None if finding is None else short(finding)),
-        "new": {severity.value: [short(f) for f in collateral if f.severity is severity] for severity in Severity},
+        "reported": raised or (None if finding is None else format_finding(finding)),
+        "new": {severity.value: [format_finding(f) for f in collateral if f.severity is severity]
+                for severity in Severity},
     }
 
 
-def of_kind(result: Checked, kind: Kind) -> Finding | None:
+def find_finding(result: Checked, kind: Kind) -> Finding | None:
     """The gravest finding with a right name, about the right channel."""
     for finding in result.findings:
         if finding.name in kind.findings and (kind.channel is None or kind.channel in finding.channels):
@@ -90,22 +91,22 @@ def true_value(kind: Kind, size: Size, clean: Recording, change: float) -> tuple
         return change, "edit"
     if not clean.real:
         known = [clean.own[name] for name in kind.findings if name in clean.own]
-        return combined(kind.how, known[0], change) if known else change, "edit"
-    own = estimated(kind, clean)
-    return (change, "edit") if own is None else (combined(kind.how, own, change), "drive")
+        return combine(kind.how, known[0], change) if known else change, "edit"
+    own = estimate_as_recorded(kind, clean)
+    return (change, "edit") if own is None else (combine(kind.how, own, change), "drive")
 
 
-def estimated(kind: Kind, clean: Recording) -> float | None:
+def estimate_as_recorded(kind: Kind, clean: Recording) -> float | None:
     """Of a drive as recorded."""
-    found = as_recorded(clean).estimates
+    found = check_as_recorded(clean).estimates
     return next((found[name][0] for name in kind.findings if name in found), None)
 
 
-def side(kind: Kind, clean: Recording) -> int:
-    return -1 if kind.either_side and clean.real and (estimated(kind, clean) or 0.0) < 0 else 1
+def choose_side(kind: Kind, clean: Recording) -> int:
+    return -1 if kind.either_side and clean.real and (estimate_as_recorded(kind, clean) or 0.0) < 0 else 1
 
 
-def combined(how: str, own: float, change: float) -> float:
+def combine(how: str, own: float, change: float) -> float:
     return own * change if how == "times" else own + change
 
 
@@ -126,7 +127,7 @@ def new_findings(result: Checked, before: Checked, kind: Kind) -> list[Finding]:
     return [finding for finding in result.findings if finding.name not in known]
 
 
-def short(finding: Finding) -> str:
+def format_finding(finding: Finding) -> str:
     """name 1.23 (1.20 to 1.26) unit of channels"""
     value = "" if finding.value is None else f" {finding.value:.4g}"
     if finding.interval is not None:
@@ -135,7 +136,7 @@ def short(finding: Finding) -> str:
     return f"{finding.severity.value} {finding.name}{value}{unit} [{', '.join(finding.channels)}]"
 
 
-def drawn(size: Size, how: str, share: float) -> Size:
+def scale_size(size: Size, how: str, share: float) -> Size:
     """The same fault, `share` times as large; a factor is as large as its distance from 1."""
     if size.fixed:
         return size

@@ -3,7 +3,7 @@
 import time
 
 from .._pages import format_table
-from .score import checked
+from .score import run_check
 from .virtual import virtual_drive
 
 MINUTES = (1, 10, 30)
@@ -17,13 +17,13 @@ def main() -> str:
     rows = []
     for minutes in MINUTES:
         recording = longest.between(start, start + round(minutes * 60e9))
-        seconds = min(_timed(recording) for _ in range(REPEATS))
+        seconds = min(_measure(recording) for _ in range(REPEATS))
         rows.append((str(minutes), str(len(recording.log.x)), f"{seconds:.2f}", f"{seconds / minutes:.3f}"))
         print(*rows[-1], flush=True)
     return format_table(("minutes at 100 Hz", "samples", "s of processor time", "s per minute"), rows)
 
 
-def _timed(recording) -> float:
+def _measure(recording) -> float:
     begin = time.process_time()
-    checked(recording)
+    run_check(recording)
     return time.process_time() - begin

@@ -10,7 +10,7 @@ from .score import Record
 END = "<!-- end -->"
 
 
-def row(records: Sequence[Record], **first: object) -> Record:
+def count_row(records: Sequence[Record], **first: object) -> Record:
     counts = {key: sum(r[key] for r in records) for key in ("named", "as_note", "inside", "right")}
     errors = sum(bool(r["new"]["error"]) for r in records)
     warnings = sum(bool(r["new"]["warning"]) for r in records)
@@ -19,17 +19,17 @@ def row(records: Sequence[Record], **first: object) -> Record:
             "new_warnings": warnings}
 
 
-def scores(records: Sequence[Record]) -> Record:
+def summarise(records: Sequence[Record]) -> Record:
     """Per kind in the order of the matrix, per drive, and in all."""
     def by(key: str) -> list[Record]:
         values = dict.fromkeys(r[key] for r in records)
-        return [row([r for r in records if r[key] == value], **{key: value}) for value in values]
-    groups = [row([r for r in records if r["real"] is real], which="real" if real else "virtual")
+        return [count_row([r for r in records if r[key] == value], **{key: value}) for value in values]
+    groups = [count_row([r for r in records if r["real"] is real], which="real" if real else "virtual")
               for real in (True, False) if any(r["real"] is real for r in records)]
-    return {"kinds": by("kind"), "drives": by("drive"), "total": [*groups, row(records, which="all")]}
+    return {"kinds": by("kind"), "drives": by("drive"), "total": [*groups, count_row(records, which="all")]}
 
 
-def share(r: Record) -> str:
+def format_share(r: Record) -> str:
     low, high = r["interval"]
     percent = 100 * r["right"] / r["cases"] if r["cases"] else 0.0
     return f"{percent:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
@@ -37,7 +37,7 @@ def share(r: Record) -> str:
 
 def as_markdown(document: Record) -> str:
     """Totals, and the kinds in which not every case is right."""
-    total = [(r["which"], str(r["cases"]), share(r)) for r in document["total"]]
+    total = [(r["which"], str(r["cases"]), format_share(r)) for r in document["total"]]
     missed = [(r["kind"], str(r["cases"]), str(r["right"])) for r in document["kinds"] if r["right"] < r["cases"]]
     count = len(document["kinds"])
     where = (f"Set {document['set']}, version {document['version']}, {document['date']}: {count} kinds, "
@@ -51,11 +51,11 @@ def as_text(document: Record) -> str:
         return [f"{r[key]:32} {r['cases']:4} cases  named {r['named']:4} ({r['as_note']} as a note)  inside "
                 f"{r['inside']:4}  right {r['right']:4}  new errors in {r['new_errors']}, warnings in "
                 f"{r['new_warnings']}" for r in rows]
-    total = [f"{r['which']}: {share(r)} of {r['cases']} right" for r in document["total"]]
+    total = [f"{r['which']}: {format_share(r)} of {r['cases']} right" for r in document["total"]]
     return "\n".join([*lines(document["kinds"], "kind"), "", *lines(document["drives"], "drive"), "", *total])
 
 
-def failure(r: Record) -> str:
+def describe_failure(r: Record) -> str:
     others = "; ".join((*r["new"]["error"], *r["new"]["warning"])) or "nothing"
     truth = "" if r["truth"] is None else f", true {r['truth']:.4g} (from {r['truth_from']})"
     return f"{r['drive']}: {r['kind']} {r['size']}{truth}: reported {r['reported'] or 'not its name'}; others {others}"

@@ -50,13 +50,13 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
         if now % WHEEL_SCHEDULE[0] == WHEEL_SCHEDULE[1]:
             # The rear wheels: they do not travel further than the car in a turn.
             wheels.append((now / 1000, sum(read_wheel_speeds(source.truth(), settings)[0][2:]) / 2))
-    log = _log(drive_name(scenario), readings, np.array(steering), vehicle)
+    log = _make_log(drive_name(scenario), readings, np.array(steering), vehicle)
     times, speeds = np.array(wheels).T
-    auxiliary = AuxiliaryData(wheel_speed=Series(_ns(times), _rounded(speeds, "wheel")))
-    return with_good_quality(Recording(log, vehicle, False, auxiliary, _own(settings, readings, exact)))
+    auxiliary = AuxiliaryData(wheel_speed=Series(_to_nanoseconds(times), _round(speeds, "wheel")))
+    return with_good_quality(Recording(log, vehicle, False, auxiliary, _true_deviations(settings, readings, exact)))
 
 
-def _own(settings: Settings, readings: list[InsReading], exact: list[InsReading]) -> dict[str, float]:
+def _true_deviations(settings: Settings, readings: list[InsReading], exact: list[InsReading]) -> dict[str, float]:
     """What is true of right sensors: noise wanders, and its mean over the drive is a bias.
 
     The body leans outwards and lifts its nose: accelerometers measure that part of gravity as well, and the yaw rate
@@ -80,24 +80,25 @@ def _own(settings: Settings, readings: list[InsReading], exact: list[InsReading]
     }
 
 
-def _log(name: str, readings: list, steering: np.ndarray, vehicle: VehicleParameters) -> DriveLog:
+def _make_log(name: str, readings: list, steering: np.ndarray, vehicle: VehicleParameters) -> DriveLog:
     def column(field: str) -> np.ndarray:
         return np.array([getattr(reading, field) for reading in readings], float)
-    yaw, pitch, roll = (_rounded(column(field), "angle") for field in ("yaw", "pitch", "roll"))
+    yaw, pitch, roll = (_round(column(field), "angle") for field in ("yaw", "pitch", "roll"))
     cosine, sine = np.cos(column("yaw")), np.sin(column("yaw"))
     forward, left = column("velocity_x"), column("velocity_y")
     level = np.stack([cosine * forward - sine * left, sine * forward + cosine * left, column("velocity_z")])
-    velocity = rotate_to_body(_rounded(level, "velocity"), yaw, -pitch, roll)
-    angle = _rounded(steering[:, 1], "steering")
-    force = _rounded(column("specific_force"), "force")
-    return DriveLog(name, _ns(column("stamp")), column("x"), column("y"), np.unwrap(yaw), velocity[0], velocity[1],
-                    _rounded(column("rates")[:, 2], "rate"), _ns(steering[:, 0]), vehicle.road_wheel_angle(angle),
-                    angle, force[:, 0], force[:, 1])
+    velocity = rotate_to_body(_round(level, "velocity"), yaw, -pitch, roll)
+    angle = _round(steering[:, 1], "steering")
+    force = _round(column("specific_force"), "force")
+    return DriveLog(name, _to_nanoseconds(column("stamp")), column("x"), column("y"), np.unwrap(yaw), velocity[0],
+                    velocity[1],
+                    _round(column("rates")[:, 2], "rate"), _to_nanoseconds(steering[:, 0]),
+                    vehicle.road_wheel_angle(angle), angle, force[:, 0], force[:, 1])
 
 
-def _rounded(values: np.ndarray, kind: str) -> np.ndarray:
+def _round(values: np.ndarray, kind: str) -> np.ndarray:
     return np.round(values / ROUNDING[kind]) * ROUNDING[kind]
 
 
-def _ns(seconds: np.ndarray) -> np.ndarray:
+def _to_nanoseconds(seconds: np.ndarray) -> np.ndarray:
     return START_NS + np.round(seconds * 1e9).astype(np.int64)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .faults import liveliest, standing
+from .faults import find_liveliest, is_standing
 from .recording import Recording
 
 Shows = Callable[[Recording, float], bool]
@@ -103,12 +103,12 @@ def steers_and_bends(r: Recording, size: float = 0.0) -> bool:
 
 
 def stops(r: Recording, size: float = 0.0) -> bool:
-    return float(np.mean(standing(r))) * r.log.duration > STANDING
+    return float(np.mean(is_standing(r))) * r.log.duration > STANDING
 
 
 def long_enough(channel: str) -> Shows:
     """Has a stretch of that length in which the car moves, and much more than that."""
-    return lambda r, seconds: r.log.duration > 2 * seconds and liveliest(r, channel, seconds) is not None
+    return lambda r, seconds: r.log.duration > 2 * seconds and find_liveliest(r, channel, seconds) is not None
 
 
 def _curvature(r: Recording) -> np.ndarray:

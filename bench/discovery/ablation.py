@@ -14,7 +14,7 @@ Record = dict[str, Any]
 FACTORS = (0.5, 2.0)
 
 
-def variants() -> list[tuple[str, float, Limits]]:
+def list_variants() -> list[tuple[str, float, Limits]]:
     """(field, factor, limits), the limits as they are first, under no name."""
     usual = Limits()
     rows: list[tuple[str, float, Limits]] = [("", 1.0, usual)]
@@ -26,9 +26,9 @@ def variants() -> list[tuple[str, float, Limits]]:
     return rows
 
 
-def run(cases: Sequence, out: Path, until: float | None, report: Callable[[Record], None]) -> None:
+def run_variants(cases: Sequence, out: Path, until: float | None, report: Callable[[Record], None]) -> None:
     """All cases with each variant; a file of JSON lines each, next to `out`, its records marked with the limit."""
-    for name, factor, limits in variants():
+    for name, factor, limits in list_variants():
         file = out.with_name(f"{out.stem}_{name or 'usual'}_{factor:g}.jsonl")
         records = run_all(cases, file, until, report, limits, whole=False)
         file.write_text("".join(json.dumps({**r, "limit": [name, factor]}) + "\n" for r in records))

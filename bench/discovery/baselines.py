@@ -13,7 +13,7 @@ from st_core.vehicle import VehicleParameters
 
 from .cases import Case
 from .drives import Drives, settings_of
-from .oracle import Judge, Oracle, Point, everything
+from .oracle import Judge, Oracle, Point, null_model
 from .regression import Regression
 
 TYRES = ("front_stiffness", "rear_stiffness", "friction")
@@ -25,21 +25,21 @@ EVERY, HORIZON, POINT = 1.0, 3.0, 0.1
 """s between the starts of the predictions, their length, and between the yaw rates compared."""
 
 
-def compared(case: Case, drives: Drives) -> dict[str, Any]:
+def compare_methods(case: Case, drives: Drives) -> dict[str, Any]:
     """Held-out 5 s position [m] after each method, and what the regression makes of the residuals."""
     settings = settings_of(case)
     judge = Judge(drives.held_out, drives.vehicle, settings)
     tyres = Oracle(drives.suspect, drives.vehicle, TYRES, {}, settings).best
-    learnt = Point(everything().with_values(paramsd(drives.suspect, drives.vehicle)), tyres.gain)
+    learnt = Point(null_model().with_values(fit_paramsd(drives.suspect, drives.vehicle)), tyres.gain)
     result: dict[str, Any] = {"tyres": round(judge.position(tyres), 4), "paramsd": round(judge.position(learnt), 4)}
     if case.with_vy:
-        regression = Regression(drives.suspect, drives.vehicle, everything())
+        regression = Regression(drives.suspect, drives.vehicle, null_model())
         before, after = regression.residual_over_noise(drives.held_out)
         result["regression"] = {"names": list(regression.names), "before": round(before, 4), "after": round(after, 4)}
     return result
 
 
-def paramsd(runs: Sequence[DriveLog], vehicle: VehicleParameters) -> dict[str, dict[str, float]]:
+def fit_paramsd(runs: Sequence[DriveLog], vehicle: VehicleParameters) -> dict[str, dict[str, float]]:
     """Steering ratio, stiffness of both axles and steering offset from the linear single-track car's yaw rate.
 
         minimise sum of (r measured - r of the linear model with measured steering and speed)^2
@@ -50,16 +50,16 @@ def paramsd(runs: Sequence[DriveLog], vehicle: VehicleParameters) -> dict[str, d
     batches = [_batch(run) for run in runs]
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        model = _linear().with_values(_values(x))
+        model = _linear().with_values(_as_values(x))
         rows = [measured - batch.predict(model, vehicle).states[:, :, 5] for batch, measured in batches]
         return np.clip(np.nan_to_num(np.concatenate(rows).ravel(), nan=1.0), -1.0, 1.0)
 
     low, high = zip(RATIO, STIFFNESS, OFFSET, strict=True)
     found = least_squares(residuals, [1.0, 1.0, 0.0], bounds=(low, high), x_scale=LEARNT_UNITS, diff_step=1e-3)
-    return _values(found.x)
+    return _as_values(found.x)
 
 
-def _values(x: np.ndarray) -> dict[str, dict[str, float]]:
+def _as_values(x: np.ndarray) -> dict[str, dict[str, float]]:
     return {name: {p: float(v)} for (name, p), v in zip(LEARNT.items(), x, strict=True)}
 
 

@@ -45,15 +45,15 @@ def healthy_car(plant: str, number: tuple[int, ...], **others: float) -> Healthy
     values |= others
     # Tremor is part of the programmes here.
     values["driver_tremor"] = 0.0
-    return HealthyCar(plant, number, {n: _within(n, float(v)) for n, v in values.items()})
+    return HealthyCar(plant, number, {n: _clip(n, float(v)) for n, v in values.items()})
 
 
-def has(plant: str, setting: str) -> bool:
+def has_setting(plant: str, setting: str) -> bool:
     """Whether a plant has that switch."""
     return setting in (SETTINGS if plant == LEAF else multibody_car.KNOWN_HERE)
 
 
-def _within(name: str, value: float) -> float:
+def _clip(name: str, value: float) -> float:
     limits = SETTINGS.get(name)
     return value if limits is None or name in ("roll_gradient", "pitch_gradient") else min(
         max(value, limits.low), limits.high)

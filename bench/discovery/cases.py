@@ -12,7 +12,7 @@ from st_core.effects import EFFECTS, applicable
 from st_sim.settings import Settings
 
 from . import programmes as m
-from .cars import LEAF, PLANTS, HealthyCar, has, healthy_car
+from .cars import LEAF, PLANTS, HealthyCar, has_setting, healthy_car
 from .effects import BY_NAME, FOREIGN, KNOWN, PHYSICS, PLACES, SENSORS, Hidden, is_similar
 
 SEALED = "single track, discovery, sealed set 11"
@@ -76,7 +76,8 @@ def seed_of(set_: str, *what: object) -> int:
 
 def cases_of(set_: str, block: str, count: int | None = None) -> list[Case]:
     """The first `count` cases of a block, A to E, independent of `count`."""
-    make = {"A": _one, "B": _several, "C": _nothing, "D": _referenced, "E": _varying}[block]
+    make = {"A": _single_effect, "B": _several_errors, "C": _no_error, "D": _with_reference,
+            "E": _varying_effect}[block]
     return [make(set_, i) for i in range(COUNTS[block] if count is None else count)]
 
 
@@ -84,47 +85,47 @@ def _draw(set_: str, block: str, index: int) -> np.random.Generator:
     return np.random.default_rng(seed_of(set_, block, index, "what"))
 
 
-def _plant(index: int) -> str:
+def _choose_plant(index: int) -> str:
     """A third of the cases is on the multi-body cars in turn."""
     return PLANTS[1 + index // 3 % (len(PLANTS) - 1)] if index % 3 == 2 else LEAF
 
 
-def _usable(plant: str) -> list[Hidden]:
-    return [h for h in KNOWN if has(plant, h.setting) and h.library in EFFECTS]
+def _list_usable(plant: str) -> list[Hidden]:
+    return [h for h in KNOWN if has_setting(plant, h.setting) and h.library in EFFECTS]
 
 
-def _dealt(set_: str, block: str, plant: str, number: int) -> Hidden:
+def _draw_from_deck(set_: str, block: str, plant: str, number: int) -> Hidden:
     """The number-th card of decks that hold each effect once: every effect comes equally often."""
-    cards = _usable(plant)
+    cards = _list_usable(plant)
     deck = np.random.default_rng(seed_of(set_, block, plant == LEAF, "deck", number // len(cards)))
     return cards[deck.permutation(len(cards))[number % len(cards)]]
 
 
-def _changed(settings: Settings, chosen: Iterable[tuple[Hidden, float, int]]) -> Settings:
+def _apply(settings: Settings, chosen: Iterable[tuple[Hidden, float, int]]) -> Settings:
     for hidden, scale, sign in chosen:
         settings = hidden.applied(settings, scale, sign)
     return settings
 
 
-def _words(chosen: Iterable[tuple[Hidden, float, int]]) -> str:
+def _describe(chosen: Iterable[tuple[Hidden, float, int]]) -> str:
     return " + ".join(f"{h.setting} x{sign * scale:g}" for h, scale, sign in chosen)
 
 
-def _one(set_: str, index: int) -> Case:
+def _single_effect(set_: str, index: int) -> Case:
     """A: one effect, no reference, the vehicle file otherwise the car's own."""
-    draw, plant = _draw(set_, "A", index), _plant(index)
+    draw, plant = _draw(set_, "A", index), _choose_plant(index)
     number = index // 3 if index % 3 == 2 else index - index // 3
-    hidden = _dealt(set_, "A", plant, number)
+    hidden = _draw_from_deck(set_, "A", plant, number)
     room = hidden.with_ or {}
     car = healthy_car(plant, (seed_of(set_, "A", index, "car"),), **(room if plant == LEAF else {}))
     chosen = [(hidden, float(draw.choice(SCALES, p=ODDS)), int(draw.choice(hidden.signs)))]
-    return Case(set_, "A", index, "one", car, _changed(car.settings, chosen), car.settings, (hidden.library,),
-                _words(chosen), (chosen[0][1],), with_vy=index % 5 != 4)
+    return Case(set_, "A", index, "one", car, _apply(car.settings, chosen), car.settings, (hidden.library,),
+                _describe(chosen), (chosen[0][1],), with_vy=index % 5 != 4)
 
 
-def _several(set_: str, index: int) -> Case:
+def _several_errors(set_: str, index: int) -> Case:
     """B: three to five wrong parameters, none to two errors of sensors and of physics in addition, no reference."""
-    draw, plant = _draw(set_, "B", index), _plant(index)
+    draw, plant = _draw(set_, "B", index), _choose_plant(index)
     car = healthy_car(plant, (seed_of(set_, "B", index, "car"),))
     file, driven, hidden, words = dict(car.settings), car.settings, [], []
     many, chosen = int(draw.integers(3, 6)), []
@@ -142,23 +143,23 @@ def _several(set_: str, index: int) -> Case:
         hidden += ["front_stiffness", "rear_stiffness"] if name == "both stiffnesses" else [name]
         words.append(f"{name} of the file {change:+.3g}" if setting != "ins_misalignment" else f"{name} {change:+.3g}")
     for names in (SENSORS, PHYSICS):
-        usable = [n for n in names if has(plant, BY_NAME[n].setting) and n not in hidden]
+        usable = [n for n in names if has_setting(plant, BY_NAME[n].setting) and n not in hidden]
         more = [BY_NAME[str(n)] for n in draw.choice(usable, int(draw.integers(0, 3)), replace=False)]
         added = [(h, float(draw.choice([1.0, 0.5])), int(draw.choice(h.signs))) for h in more]
-        driven = _changed(driven, added)
+        driven = _apply(driven, added)
         hidden += [h.library for h in more]
-        words += [_words([a]) for a in added]
+        words += [_describe([a]) for a in added]
     return Case(set_, "B", index, "several", car, driven, file, tuple(hidden), " + ".join(words))
 
 
-def _nothing(set_: str, index: int) -> Case:
+def _no_error(set_: str, index: int) -> Case:
     """C: in turn the base model itself as the car, and a file identified on other drives of the car."""
-    car = healthy_car(_plant(index), (seed_of(set_, "C", index, "car"),))
+    car = healthy_car(_choose_plant(index), (seed_of(set_, "C", index, "car"),))
     kind = "base" if index % 2 == 0 else "identified"
     return Case(set_, "C", index, kind, car, car.settings, car.settings if kind == "base" else None)
 
 
-def _referenced(set_: str, index: int) -> Case:
+def _with_reference(set_: str, index: int) -> Case:
     """D: the nominal vehicle file and healthy drives. Three of five cases hide one effect, the others nothing."""
     draw = _draw(set_, "D", index)
     group = index // PER_CAR
@@ -168,14 +169,14 @@ def _referenced(set_: str, index: int) -> Case:
     car = healthy_car(LEAF, (seed_of(set_, "D", "car", group),), **room)
     nominal = healthy_car(LEAF, (0,)).settings | _file_of_leaf()
     if index % 5 < 3:
-        hidden = _dealt(set_, "D", LEAF, index)
+        hidden = _draw_from_deck(set_, "D", LEAF, index)
         if hidden.with_ and not room:
-            hidden = _dealt(set_, "D", LEAF, index + 1)
+            hidden = _draw_from_deck(set_, "D", LEAF, index + 1)
         if hidden.with_ and not room:
             hidden = BY_NAME["steering_ratio"]
         chosen = [(hidden, float(draw.choice(SCALES, p=ODDS)), int(draw.choice(hidden.signs)))]
-        return Case(set_, "D", index, "one", car, _changed(car.settings, chosen), nominal, (hidden.library,),
-                    _words(chosen), (chosen[0][1],), with_vy, True)
+        return Case(set_, "D", index, "one", car, _apply(car.settings, chosen), nominal, (hidden.library,),
+                    _describe(chosen), (chosen[0][1],), with_vy, True)
     shifted = index % 5 == 4
     parts, settings = None, car.settings
     if shifted:
@@ -193,7 +194,7 @@ def _file_of_leaf() -> Settings:
             "ins_lever_error": 0.0}
 
 
-def _varying(set_: str, index: int) -> Case:
+def _varying_effect(set_: str, index: int) -> Case:
     """E: varying between places, begun in the middle of every run, and unknown, in turn; no reference, the file of
     the car."""
     draw = _draw(set_, "E", index)
@@ -201,33 +202,33 @@ def _varying(set_: str, index: int) -> Case:
     kind = ("place", "time", "unknown")[index % 3]
     number = index // 3
     case = Case(set_, "E", index, kind, car, car.settings, car.settings)
-    return {"place": _at_places, "time": _begun, "unknown": _unknown}[kind](case, number, draw)
+    return {"place": _at_places, "time": _begins_midway, "unknown": _outside_library}[kind](case, number, draw)
 
 
-def _with(case: Case, what: Hidden, scale: float, draw: np.random.Generator, **others) -> Case:
+def _add_effect(case: Case, what: Hidden, scale: float, draw: np.random.Generator, **others) -> Case:
     chosen = [(what, scale, int(draw.choice(what.signs)))]
-    return replace(case, settings=_changed(case.settings, chosen), words=_words(chosen), scales=(scale,), **others)
+    return replace(case, settings=_apply(case.settings, chosen), words=_describe(chosen), scales=(scale,), **others)
 
 
 def _at_places(case: Case, number: int, draw: np.random.Generator) -> Case:
     hidden = PLACES[number % len(PLACES)]
     other = case.settings if hidden.setting == "hillside_slope" else None
-    return _with(case, hidden, float(draw.choice([1.0, 0.6])), draw, elsewhere=other)
+    return _add_effect(case, hidden, float(draw.choice([1.0, 0.6])), draw, elsewhere=other)
 
 
-def _begun(case: Case, number: int, draw: np.random.Generator) -> Case:
-    pool = [h for h in _usable(LEAF) if not h.with_ and h.setting not in ("mass_factor", "cg_shift",
-                                                                          "yaw_inertia_factor")]
+def _begins_midway(case: Case, number: int, draw: np.random.Generator) -> Case:
+    pool = [h for h in _list_usable(LEAF) if not h.with_ and h.setting not in ("mass_factor", "cg_shift",
+                                                                               "yaw_inertia_factor")]
     hidden = pool[draw.integers(len(pool))]
-    return _with(case, hidden, 1.0, draw, from_=float(draw.uniform(0.35, 0.55)), hidden=(hidden.library,))
+    return _add_effect(case, hidden, 1.0, draw, from_=float(draw.uniform(0.35, 0.55)), hidden=(hidden.library,))
 
 
-def _unknown(case: Case, number: int, draw: np.random.Generator) -> Case:
+def _outside_library(case: Case, number: int, draw: np.random.Generator) -> Case:
     """In turn a switch no effect equals, and an effect of the library that is left out, with all that is like it."""
     if number % 2 == 0:
-        return _with(case, FOREIGN[number // 2 % len(FOREIGN)], 1.0, draw)
-    pool = [h for h in _usable(LEAF) if not h.with_]
+        return _add_effect(case, FOREIGN[number // 2 % len(FOREIGN)], 1.0, draw)
+    pool = [h for h in _list_usable(LEAF) if not h.with_]
     hidden = pool[draw.integers(len(pool))]
     names = tuple(n for n in applicable("nonlinear") if not is_similar(n, hidden.library))
-    return _with(case, hidden, 1.0, draw, effects=names, hidden=(hidden.library,))
+    return _add_effect(case, hidden, 1.0, draw, effects=names, hidden=(hidden.library,))
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from . import ablation, score, tables
 from .cases import COUNTS
-from .run import Record, in_fair_order, read_all, run_all
+from .run import Record, interleave_cases, read_files, run_all
 
 FOLDER = Path(tempfile.gettempdir()) / "st_bench_discovery"
 
@@ -33,19 +33,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
                              "several is taken from the last")
     chosen = parser.parse_args(arguments)
     if chosen.tables:
-        records = read_all(chosen.tables)
+        records = read_files(chosen.tables)
         tables.write(records)
-        print(score.as_text(score.scores([r for r in records if "limit" not in r])))
+        print(score.as_text(score.score_rows([r for r in records if "limit" not in r])))
         return 0
     k, n = chosen.part
     out = chosen.out or FOLDER / f"{chosen.set}_{k + 1}_of_{n}.jsonl"
     until = None if chosen.until is None else time.time() + 60 * chosen.until
-    cases = list(in_fair_order(chosen.set, chosen.counts, chosen.part))
+    cases = list(interleave_cases(chosen.set, chosen.counts, chosen.part))
     if chosen.ablation:
-        ablation.run(cases, out, until, _print_record)
+        ablation.run_variants(cases, out, until, _print_record)
         return 0
     records = run_all(cases, out, until, _print_record, whole=not chosen.plain)
-    print(score.as_text(score.scores(records)))
+    print(score.as_text(score.score_rows(records)))
     print(f"{len(records)} of {len(cases)} cases, in {out}")
     return 0
 
@@ -65,7 +65,7 @@ def _part(text: str) -> tuple[int, int]:
 
 
 def _print_record(r: Record) -> None:
-    names = " + ".join("|".join(group) for group in score.groups(r)) or "-"
+    names = " + ".join("|".join(group) for group in score.list_statements(r)) or "-"
     varying = "".join(f" {name} varies with {partition}" for name, partition in r["varying"])
     position = r.get("position")
     errors = "" if not position else " 5 s " + ", ".join(f"{k} {v:.2f}" for k, v in position.items()) + " m;"

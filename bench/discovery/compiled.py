@@ -20,7 +20,7 @@ from st_sim.plant import STANDSTILL, STEP, Plant
 from st_sim.settings import Settings
 
 from .pushes import Car as Body
-from .pushes import Law, push
+from .pushes import Law, law_accelerations
 
 DECIDE = 5
 """Steps between two decisions of steering and pedals, and between two samples: 0.01 s."""
@@ -81,7 +81,7 @@ def drive(car: Car, settings: Settings, programme: Programme, seed: int,
     for _ in range(4):
         draw()
     out = np.empty((len(programme.steering_wheel), RECORDED + 3))
-    kernel = compiled(_loop)
+    kernel = compile_loop(_loop)
     first = 0
     for s, count in parts:
         steps = count * DECIDE
@@ -103,7 +103,7 @@ def drive(car: Car, settings: Settings, programme: Programme, seed: int,
 
 
 @cache
-def compiled(loop):
+def compile_loop(loop):
     """A loop over steps with everything it reaches as machine code, kept on disk."""
     for function in structure.reachable(loop)[:-1]:
         register_jitable(function)
@@ -112,7 +112,7 @@ def compiled(loop):
     return kernel
 
 
-def foot(pedal, speed, acceleration, motion, rear, wheelbase):
+def control_pedals(pedal, speed, acceleration, motion, rear, wheelbase):
     """The next longitudinal acceleration the pedals ask for [m/s^2].
 
     pedal: the last one. speed [m/s], acceleration [m/s^2]: targets. motion: v_x, v_y [m/s], yaw rate [rad/s],
@@ -130,9 +130,9 @@ def _tuple(s):
     return (s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8], s[9], s[10], s[11], s[12], s[13], s[14], s[15])
 
 
-def _pushed(rates, s, law, body, time, ax):
+def _add_law(rates, s, law, body, time, ax):
     """The rates of the state with a law that is not in the library."""
-    aside, turning = push(law, body, time, s[VX], s[YAW_RATE], ax, rates[VY], rates[YAW_RATE])
+    aside, turning = law_accelerations(law, body, time, s[VX], s[YAW_RATE], ax, rates[VY], rates[YAW_RATE])
     return (rates[0], rates[1], rates[2], rates[3], rates[4], rates[5] + aside, rates[6] + turning, rates[7], rates[8],
             rates[9], rates[10], rates[11], rates[12], rates[13], rates[14], rates[15])
 
@@ -150,7 +150,7 @@ def _loop(state, options, c, road, law, body, first, delayed, gusts, steering, y
     for k in range(len(steering)):
         rates, _ = derivative(_tuple(s), s[RACK], force, (friction, bank, grade, gust_x, wind + gust_y), c)
         if law[0]:
-            rates = _pushed(rates, s, law, body, (first + k) * DECIDE * STEP, pedal)
+            rates = _add_law(rates, s, law, body, (first + k) * DECIDE * STEP, pedal)
         for i in range(STATES):
             out[k, i] = s[i]
         out[k, STATES], out[k, STATES + 1], out[k, STATES + 2] = rates[VX], rates[VY], rates[YAW_RATE]
@@ -160,7 +160,7 @@ def _loop(state, options, c, road, law, body, first, delayed, gusts, steering, y
             left_over = s[YAW] - yaw[k]
         looked = gain[k]
         target = steering[k] + gain[k] * (yaw[k] + left_over - s[YAW]) * nominal_ratio
-        pedal = foot(pedal, speed[k], acceleration[k], (s[VX], s[VY], s[YAW_RATE], s[RACK]), rear, wheelbase)
+        pedal = control_pedals(pedal, speed[k], acceleration[k], (s[VX], s[VY], s[YAW_RATE], s[RACK]), rear, wheelbase)
         force = mass * pedal
         for step in range(DECIDE):
             angle += min(max(target - angle, -MAX_STEERING_WHEEL_RATE * STEP), MAX_STEERING_WHEEL_RATE * STEP)
@@ -183,13 +183,13 @@ def _loop(state, options, c, road, law, body, first, delayed, gusts, steering, y
                 s[RACK] = rack
             rates, _ = derivative(_tuple(s), rack, force, here, c)
             if law[0]:
-                rates = _pushed(rates, s, law, body, (first + k) * DECIDE * STEP, pedal)
+                rates = _add_law(rates, s, law, body, (first + k) * DECIDE * STEP, pedal)
             for i in range(STATES):
                 k1[i] = rates[i]
                 middle[i] = s[i] + STEP * rates[i]
             rates, _ = derivative(_tuple(middle), rack, force, here, c)
             if law[0]:
-                rates = _pushed(rates, middle, law, body, (first + k) * DECIDE * STEP, pedal)
+                rates = _add_law(rates, middle, law, body, (first + k) * DECIDE * STEP, pedal)
             for i in range(STATES):
                 s[i] += STEP / 2 * (k1[i] + rates[i])
             if s[VX] < STANDSTILL:

@@ -12,10 +12,10 @@ from st_sim.settings import Settings
 
 from .cars import HealthyCar
 from .cases import ELSEWHERE, Case
-from .effects import Values, null_of, true_values
+from .effects import Values, null_value, true_values
 from .oracle import Oracle
-from .plants import Order, driven, vehicle_of
-from .resimulated import resimulated
+from .plants import Order, record_run, vehicle_of
+from .resimulated import resimulate
 
 RUNS, HELD_OUT = 3, 2
 IDENTIFIED = ("front_stiffness", "rear_stiffness", "friction", "steering_ratio", "steering_offset")
@@ -49,11 +49,11 @@ def channels_of(case: Case) -> tuple[str, ...]:
 
 def drives_of(case: Case) -> Drives:
     """All drives of a case."""
-    vehicle, mistaken = _file(case)
+    vehicle, mistaken = _make_file(case)
     suspect = _suspect(case, vehicle)
     held_out = _held_out(case, vehicle, case.settings)
     if case.kind == "base":
-        suspect, held_out = ([_as_base(log, vehicle, (case.seed, i)) for i, log in enumerate(logs)]
+        suspect, held_out = ([_resimulate(log, vehicle, (case.seed, i)) for i, log in enumerate(logs)]
                              for logs in (suspect, held_out))
     if not case.with_vy:
         suspect = [without_vy(log) for log in suspect]
@@ -62,13 +62,13 @@ def drives_of(case: Case) -> Drives:
         reference = _reference(case.car, tuple(sorted(case.file.items())), case.with_vy)
     healthy_held_out = _held_out(case, vehicle, case.car.settings) if case.block in "DE" else []
     truth = true_values(case.settings, case.file or case.settings, vehicle) | mistaken
-    wrong = tuple(n for n, values in mistaken.items() for p, v in values.items() if abs(v - null_of(n, p)) > OFF[p])
+    wrong = tuple(n for n, values in mistaken.items() for p, v in values.items() if abs(v - null_value(n, p)) > OFF[p])
     return Drives(reference, tuple(suspect), tuple(held_out), tuple(healthy_held_out), vehicle, truth, wrong)
 
 
-def driven_more(case: Case, vehicle: VehicleParameters, orders: list[Order]) -> tuple[DriveLog, ...]:
+def record_more(case: Case, vehicle: VehicleParameters, orders: list[Order]) -> tuple[DriveLog, ...]:
     """More drives of the car of a case, seen by its sensors."""
-    logs = [driven(case.car.plant, vehicle, order) for order in orders]
+    logs = [record_run(case.car.plant, vehicle, order) for order in orders]
     return tuple(log if case.with_vy else without_vy(log) for log in logs)
 
 
@@ -77,13 +77,13 @@ def without_vy(log: DriveLog) -> DriveLog:
     return replace(log, velocity_y=np.zeros_like(log.velocity_y))
 
 
-def _file(case: Case) -> tuple[VehicleParameters, Values]:
+def _make_file(case: Case) -> tuple[VehicleParameters, Values]:
     """The vehicle file, assumed or identified on separate drives, and its errors: an axle identified without
     its compliance is softer than its tyres."""
     if case.file is not None:
         return vehicle_of(case.car.plant, case.file), {}
     start = vehicle_of(case.car.plant, case.car.settings)
-    logs = [driven(case.car.plant, start, Order(f"identified_{i + 1}", (case.seed, 400 + i), case.settings))
+    logs = [record_run(case.car.plant, start, Order(f"identified_{i + 1}", (case.seed, 400 + i), case.settings))
             for i in range(RUNS)]
     model = Oracle(logs, start, IDENTIFIED, {}, DiscoverySettings(where=False)).best.model
     ratio = start.steering_ratio * model.values["steering_ratio"]["factor"]
@@ -102,7 +102,7 @@ def _suspect(case: Case, vehicle: VehicleParameters) -> list[DriveLog]:
         orders.append(Order(
             f"suspect_{i + 1}", (case.seed, i), case.elsewhere if away else case.settings, case.parts, factors,
             case.car.settings if case.from_ else None, case.from_, ELSEWHERE if away else 0.0))
-    return [driven(case.car.plant, vehicle, order) for order in orders]
+    return [record_run(case.car.plant, vehicle, order) for order in orders]
 
 
 def _factors(draw: np.random.Generator) -> tuple[float, float]:
@@ -110,7 +110,7 @@ def _factors(draw: np.random.Generator) -> tuple[float, float]:
 
 
 def _held_out(case: Case, vehicle: VehicleParameters, settings: Settings) -> list[DriveLog]:
-    return [driven(case.car.plant, vehicle, Order(
+    return [record_run(case.car.plant, vehicle, Order(
         f"held_out_{i + 1}", (*case.car.number, 200 + i), settings, factors=((1.0, 0.9)[i], 1.0)))
             for i in range(HELD_OUT)]
 
@@ -118,10 +118,10 @@ def _held_out(case: Case, vehicle: VehicleParameters, settings: Settings) -> lis
 @lru_cache(maxsize=2)
 def _reference(car: HealthyCar, file: tuple, with_vy: bool) -> tuple[DriveLog, ...]:
     vehicle = vehicle_of(car.plant, dict(file))
-    logs = [driven(car.plant, vehicle, Order(f"reference_{i + 1}", (*car.number, 100 + i), car.settings))
+    logs = [record_run(car.plant, vehicle, Order(f"reference_{i + 1}", (*car.number, 100 + i), car.settings))
             for i in range(RUNS)]
     return tuple(log if with_vy else without_vy(log) for log in logs)
 
 
-def _as_base(log: DriveLog, vehicle: VehicleParameters, seed: tuple[int, ...]) -> DriveLog:
-    return resimulated(log, vehicle, int(np.random.default_rng([*seed, 7]).integers(2**31)))
+def _resimulate(log: DriveLog, vehicle: VehicleParameters, seed: tuple[int, ...]) -> DriveLog:
+    return resimulate(log, vehicle, int(np.random.default_rng([*seed, 7]).integers(2**31)))

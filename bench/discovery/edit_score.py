@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from .edits import EDITS
-from .effects import null_of
+from .effects import null_value
 
 Record = dict[str, Any]
 Stated = dict[tuple[str, str], tuple[float, float, float]]
@@ -24,9 +24,9 @@ class Edited:
     stated: tuple[float, float, float] | None
 
 
-def edited(plain: Record, r: Record) -> Edited:
+def compare_edit(plain: Record, r: Record) -> Edited:
     edit = EDITS[r["kind"]]
-    before, after = stated(plain), stated(r)
+    before, after = stated_values(plain), stated_values(r)
     key = edit.effect, edit.parameter
     start = before[key][0] if key in before else plain["on_top"][edit.effect][edit.parameter]
     expected = edit.expected(start, r["size"])
@@ -39,7 +39,7 @@ def edited(plain: Record, r: Record) -> Edited:
     return Edited(moved, tuple(sorted({effect for effect, _ in others})), expected, value)
 
 
-def stated(r: Record) -> Stated:
+def stated_values(r: Record) -> Stated:
     return {(e["name"], n): tuple(v) for e in r["effects"] for n, v in e["values"].items()}
 
 
@@ -57,4 +57,4 @@ def _same(key: tuple[str, str], before: Stated, after: Stated, plain: Record, r:
     if effect in alternatives(r if key in before else plain):
         return True
     _, low, high = before.get(key) or after[key]
-    return low <= null_of(*key) <= high
+    return low <= null_value(*key) <= high

@@ -15,7 +15,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.runs.csv import read_csv
 
 from .._cars import NINE_DRIVES, genesis
-from .._mounting import moved, turned
+from .._mounting import move_ins, rotate_ins
 from .cases import seed_of
 
 SMALLEST, LARGEST = 0.5, 1.5
@@ -44,31 +44,31 @@ class Edit:
         return value - size if self.turned else value + size
 
 
-def _steering(log: DriveLog, angle: np.ndarray) -> DriveLog:
+def _replace_steering(log: DriveLog, angle: np.ndarray) -> DriveLog:
     return replace(log, road_wheel_angle=angle, steering_wheel_angle=None)
 
 
-def _late(log: DriveLog, time: float) -> DriveLog:
+def _delay(log: DriveLog, time: float) -> DriveLog:
     return replace(log, steering_time_ns=log.steering_time_ns + round(time * 1e9))
 
 
-def _faster(log: DriveLog, change: float) -> DriveLog:
+def _scale_speed(log: DriveLog, change: float) -> DriveLog:
     return replace(log, velocity_x=log.velocity_x * (1.0 + change), velocity_y=log.velocity_y * (1.0 + change))
 
 
 EDITS: dict[str, Edit] = {
-    "steering scaled": Edit("steering_ratio", "factor", 0.10, lambda log, k: _steering(
+    "steering scaled": Edit("steering_ratio", "factor", 0.10, lambda log, k: _replace_steering(
         log, log.road_wheel_angle * (1.0 + k)), times=True),
-    "heading turned": Edit("heading_misalignment", "angle", 0.01, turned),
-    "steering late": Edit("steering_delay", "time", 0.05, _late, turned=True),
+    "heading turned": Edit("heading_misalignment", "angle", 0.01, rotate_ins),
+    "steering late": Edit("steering_delay", "time", 0.05, _delay, turned=True),
     "yaw rate scaled": Edit("yaw_rate_scale", "factor", 0.03, lambda log, k: replace(
         log, yaw_rate=log.yaw_rate * (1.0 + k)), times=True),
-    "point moved": Edit("sensor_lever_arm", "x", 1.0, moved),
+    "point moved": Edit("sensor_lever_arm", "x", 1.0, move_ins),
     "mass of the file": Edit("mass", "factor", 0.15, None, times=True, turned=True),
-    "steering offset": Edit("steering_offset", "angle", 0.006, lambda log, a: _steering(
+    "steering offset": Edit("steering_offset", "angle", 0.006, lambda log, a: _replace_steering(
         log, log.road_wheel_angle + a), turned=True),
     "yaw rate biased": Edit("yaw_rate_bias", "bias", 0.008, lambda log, b: replace(log, yaw_rate=log.yaw_rate + b)),
-    "speed scaled": Edit("speed_scale", "factor", 0.02, _faster, times=True),
+    "speed scaled": Edit("speed_scale", "factor", 0.02, _scale_speed, times=True),
     "a_y biased": Edit("lateral_acceleration_bias", "bias", 0.3, lambda log, b: replace(
         log, acceleration_y=log.acceleration_y + b)),
 }
@@ -98,7 +98,7 @@ def cases_of(set_: str, count: int) -> list[EditCase]:
 
 def drives_of(case: EditCase, folder: Path = NINE_DRIVES) -> tuple[list[DriveLog], VehicleParameters]:
     """Raises FileNotFoundError without the recordings."""
-    logs, vehicle = list(recorded(folder)), genesis()
+    logs, vehicle = list(recorded_drives(folder)), genesis()
     if not case.name:
         return logs, vehicle
     edit = EDITS[case.name]
@@ -108,7 +108,7 @@ def drives_of(case: EditCase, folder: Path = NINE_DRIVES) -> tuple[list[DriveLog
 
 
 @cache
-def recorded(folder: Path) -> tuple[DriveLog, ...]:
+def recorded_drives(folder: Path) -> tuple[DriveLog, ...]:
     """The drives as they are."""
     files = sorted(folder.glob("*.csv"))
     if not files:

@@ -157,7 +157,7 @@ def true_values(car: Settings, file: Settings, vehicle: VehicleParameters) -> Va
     return values
 
 
-def null_of(effect: str, parameter: str) -> float:
+def null_value(effect: str, parameter: str) -> float:
     return next(p.null for p in get_effect(effect).parameters if p.name == parameter)
 
 

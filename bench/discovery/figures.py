@@ -11,17 +11,17 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 from .effects import KNOWN
-from .judge import different
-from .score import matters
+from .judge import plant_differences
+from .score import relevant_effects
 
 OTHERS = ("several", "unknown", "none")
 
 
-def matrix(records: Sequence[dict[str, Any]]) -> tuple[list[str], list[str], np.ndarray]:
+def count_confusion(records: Sequence[dict[str, Any]]) -> tuple[list[str], list[str], np.ndarray]:
     """(hidden names, stated names, counts) of block A where the effect matters; the best name counts, the hidden one
     where it is among several."""
     truths = [h.library for h in KNOWN]
-    single = [r for r in records if r["block"] == "A" and matters(r)]
+    single = [r for r in records if r["block"] == "A" and relevant_effects(r)]
     stated = [_stated(r) for r in single]
     columns = truths + sorted(set(stated) - set(truths) - set(OTHERS)) + list(OTHERS)
     counts = np.zeros((len(truths), len(columns)), int)
@@ -39,11 +39,11 @@ def _stated(r: dict[str, Any]) -> str:
 
 def is_of_interest(r: dict[str, Any], name: str) -> bool:
     """True differences between plant and model do not count as confusion, unless they are hidden."""
-    return name in r["hidden"] or name not in different(r["plant"])
+    return name in r["hidden"] or name not in plant_differences(r["plant"])
 
 
-def confusion(records: Sequence[dict[str, Any]], file: Path) -> None:
-    truths, columns, counts = matrix(records)
+def draw_confusion(records: Sequence[dict[str, Any]], file: Path) -> None:
+    truths, columns, counts = count_confusion(records)
     figure, axes = plt.subplots(figsize=(11, 8.5), layout="constrained")
     share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
     image = axes.imshow(share, cmap="Blues", vmin=0, vmax=1, aspect="auto")

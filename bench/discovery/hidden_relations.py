@@ -24,7 +24,7 @@ AXLES = ("front axle", "rear axle", "both axles")
 Change = Callable[[DriveLog, VehicleParameters, float], DriveLog]
 
 
-def _kinked(log: DriveLog, vehicle: VehicleParameters, size: float) -> DriveLog:
+def _add_kink(log: DriveLog, vehicle: VehicleParameters, size: float) -> DriveLog:
     """Beyond 0.04 rad the wheels turn `size` more than the recorded angle."""
     true, edge = log.road_wheel_angle, 0.04
     beyond = np.maximum(np.abs(true) - edge, 0.0)
@@ -32,7 +32,7 @@ def _kinked(log: DriveLog, vehicle: VehicleParameters, size: float) -> DriveLog:
     return replace(log, road_wheel_angle=angle, steering_wheel_angle=vehicle.steering_wheel_angle(angle))
 
 
-def _later_when_fast(log: DriveLog, vehicle: VehicleParameters, size: float) -> DriveLog:
+def _add_growing_delay(log: DriveLog, vehicle: VehicleParameters, size: float) -> DriveLog:
     """The wheels follow the recorded angle by 0.06 s at 10 m/s, and `size` more for each m/s."""
     time = log.steering_time_ns * 1e-9
     speed = np.interp(log.steering_time_ns.astype(float), log.ins_time_ns.astype(float), log.velocity_x)
@@ -40,7 +40,7 @@ def _later_when_fast(log: DriveLog, vehicle: VehicleParameters, size: float) -> 
     return replace(log, road_wheel_angle=angle, steering_wheel_angle=vehicle.steering_wheel_angle(angle))
 
 
-def _feeling_gyroscope(log: DriveLog, vehicle: VehicleParameters, size: float) -> DriveLog:
+def _add_g_sensitivity(log: DriveLog, vehicle: VehicleParameters, size: float) -> DriveLog:
     return replace(log, yaw_rate=log.yaw_rate + size * log.acceleration_y)
 
 
@@ -75,7 +75,7 @@ LAWS = (
            elsewhere=Law(pushes.REAR_STEER, 0.0012)),
     Hidden("camber thrust", (*FRONT, *REAR, "side_force"), ("linear",), (*AXLES, "body"), {"camber_thrust": 1.0},
            elsewhere=Law(pushes.CAMBER, 0.06)),
-    Hidden("steering map with a kink", ("front_steer",), ("dead zone",), ("steering", "front axle"), change=_kinked,
+    Hidden("steering map with a kink", ("front_steer",), ("dead zone",), ("steering", "front axle"), change=_add_kink,
            size=0.25),
     Hidden("rear axle with another curve", REAR, ("cubic", "linear and cubic", "dead zone", "square"),
            ("rear axle", "both axles"), law=Law(pushes.REAR_CURVE, 0.3)),
@@ -87,9 +87,9 @@ LAWS = (
            law=Law(pushes.AIR_MOMENT, 0.0006)),
     Hidden("torque steer with a_x", ("yaw_moment",), STRAIGHT, ("body", "front axle"),
            law=Law(pushes.TORQUE_STEER, 0.05)),
-    Hidden("gyroscope with g-sensitivity", ("sensor_yaw_rate",), ("linear",), ("yaw rate",), change=_feeling_gyroscope,
+    Hidden("gyroscope with g-sensitivity", ("sensor_yaw_rate",), ("linear",), ("yaw rate",), change=_add_g_sensitivity,
            size=0.004),
-    Hidden("steering delay that grows with speed", ("front_steer",), STRAIGHT, ("steering",), change=_later_when_fast,
+    Hidden("steering delay that grows with speed", ("front_steer",), STRAIGHT, ("steering",), change=_add_growing_delay,
            size=0.012),
     Hidden("tyres that warm up", GRIP, ("saturating", "inverse", *STRAIGHT), AXLES, law=Law(pushes.WARM_UP, 0.25)),
 )

@@ -11,62 +11,62 @@ from .cars import LEAF
 from .cases import Case
 from .drives import Drives, settings_of
 from .effects import DIFFERENT, SCATTER, members
-from .oracle import Judge, Oracle, Point, everything
+from .oracle import Judge, Oracle, Point, null_model
 
 Record = dict[str, Any]
 DIGITS = 5
 
 
-def different(plant: str) -> dict[str, str]:
+def plant_differences(plant: str) -> dict[str, str]:
     """Effects that are there in the plant and not in the base model -> why."""
     return DIFFERENT["leaf" if plant == LEAF else "multibody"]
 
 
-def there(case: Case) -> set[str]:
+def true_effects(case: Case) -> set[str]:
     """Everything that is there: what is hidden, the scatter of the car, what is different in its plant."""
-    return {*case.hidden, *SCATTER, *(n for n in different(case.car.plant) if members(n) == (n,))}
+    return {*case.hidden, *SCATTER, *(n for n in plant_differences(case.car.plant) if members(n) == (n,))}
 
 
-def judged(case: Case, drives: Drives, found: Discovery) -> Record:
+def judge_answer(case: Case, drives: Drives, found: Discovery) -> Record:
     """position [m] and loss of base, found and oracle; worth: by hidden effect, loss without it over the oracle's;
     shares: by part (last, first) of the base's position error; fitted: values of the oracle."""
     settings = settings_of(case)
     judge = Judge(drives.held_out, drives.vehicle, settings)
-    base = Point(everything().with_values(found.base.values), found.acceleration_gain)
+    base = Point(null_model().with_values(found.base.values), found.acceleration_gain)
     answer = base if found.model is None else Point(found.model, found.acceleration_gain)
     if case.block == "E":
-        return _rounded(_visible(case, drives, judge, base, answer))
+        return _round(_judge_visibility(case, drives, judge, base, answer))
     if case.block == "D":
         healthy = Judge(drives.healthy_held_out, drives.vehicle, settings)
         judge.size = np.sqrt(np.nanmean(np.square(healthy.errors(base)), axis=0))
         start = {n: drives.truth[n] for n in case.hidden}
         oracle = Oracle(drives.suspect, drives.vehicle, case.hidden, start, settings, base)
         without = judge.square(oracle.without(case.hidden))
-        record = _compared(judge, base=base, found=answer, oracle=oracle.best)
-        return _rounded(record | {"detectability": 1.0 - judge.square(oracle.best) / without})
-    names = set() if case.kind == "base" else there(case)
+        record = _measure_points(judge, base=base, found=answer, oracle=oracle.best)
+        return _round(record | {"detectability": 1.0 - judge.square(oracle.best) / without})
+    names = set() if case.kind == "base" else true_effects(case)
     start = {n: drives.truth[n] for n in names if n in drives.truth}
     oracle = Oracle(drives.suspect, drives.vehicle, names, start, settings)
     judge.sized_by(oracle.best)
-    record = _compared(judge, base=oracle.base, found=answer, oracle=oracle.best)
+    record = _measure_points(judge, base=oracle.base, found=answer, oracle=oracle.best)
     least = judge.loss(oracle.best)
     record["worth"] = {n: judge.loss(oracle.without([n])) / least for n in case.hidden}
     record["shares"] = _shares(judge, oracle, names)
     record["fitted"] = {n: {p: v for p, v in oracle.best.model.values[n].items()} for n in case.hidden}
-    return _rounded(record)
+    return _round(record)
 
 
-def _compared(judge: Judge, **points: Point) -> Record:
+def _measure_points(judge: Judge, **points: Point) -> Record:
     return {"position": {k: judge.position(p) for k, p in points.items()},
             "loss": {k: judge.loss(p) for k, p in points.items()}}
 
 
-def _visible(case: Case, drives: Drives, judge: Judge, base: Point, answer: Point) -> Record:
+def _judge_visibility(case: Case, drives: Drives, judge: Judge, base: Point, answer: Point) -> Record:
     """Whether what is hidden shows on held-out drives: loss of the base over its loss on the healthy car's."""
     healthy = Judge(drives.healthy_held_out, drives.vehicle, settings_of(case))
     healthy.sized_by(base)
     judge.size = healthy.size
-    return _compared(judge, base=base, found=answer) | {"loss_ratio": judge.loss(base) / healthy.loss(base)}
+    return _measure_points(judge, base=base, found=answer) | {"loss_ratio": judge.loss(base) / healthy.loss(base)}
 
 
 def _shares(judge: Judge, oracle: Oracle, names: set[str]) -> Record:
@@ -81,9 +81,9 @@ def _shares(judge: Judge, oracle: Oracle, names: set[str]) -> Record:
     return shares
 
 
-def _rounded(value: Any) -> Any:
+def _round(value: Any) -> Any:
     if isinstance(value, dict):
-        return {k: _rounded(v) for k, v in value.items()}
+        return {k: _round(v) for k, v in value.items()}
     if isinstance(value, list):
-        return [_rounded(v) for v in value]
+        return [_round(v) for v in value]
     return round(value, DIGITS) if isinstance(value, float) else value

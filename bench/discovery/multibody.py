@@ -20,11 +20,28 @@ from st_sim.dynamics import A_X, A_Y, A_Y_RATE, STATES, VX, VY, WIND_ARM, YAW, Y
 from st_sim.environment import GUST_TIME, make_road, normal_stream, road_at
 from vehiclemodels.init_mb import init_mb
 
-from .compiled import MAX_STEERING_WHEEL_RATE, NO_LAW, RECORDED, Programme, Recording, Stopped, compiled, foot
-from .multibody_car import complete, cornering_stiffness, dynamics, nominal_car, parameters_of, rest_pitch, static_loads
-from .pushes import REAR_CURVE, Law, push
+from .compiled import (
+    MAX_STEERING_WHEEL_RATE,
+    NO_LAW,
+    RECORDED,
+    Programme,
+    Recording,
+    Stopped,
+    compile_loop,
+    control_pedals,
+)
+from .multibody_car import (
+    complete_settings,
+    cornering_stiffness,
+    dynamics,
+    nominal_car,
+    parameters_of,
+    rest_pitch,
+    static_loads,
+)
+from .pushes import REAR_CURVE, Law, law_accelerations
 from .pushes import Car as Body
-from .sensing import PERIOD, STEERING_PHASE, log_of
+from .sensing import PERIOD, STEERING_PHASE, make_log
 
 STEP = 0.001
 """s. Halving it moves a manoeuvre of 9 s by less than a millimetre; 5 ms would be out by 0.3 m, because the spin of a
@@ -79,11 +96,11 @@ def drive_multibody(car: str, settings: Mapping[str, float], programme: Programm
     parts = [(settings, 0, count)] if later is None else [(settings, 0, later[1]), (later[0], later[1], count)]
     draw = normal_stream(np.random.default_rng([seed, 1]))
     out = np.empty((count, RECORDED + 3))
-    state = _settled(car, settings, programme)
-    state[BODY_STATES + 4] = complete(settings)["gust_speed"] * draw()
-    state[BODY_STATES + 5] = complete(settings)["gust_speed"] * draw()
+    state = _settle(car, settings, programme)
+    state[BODY_STATES + 4] = complete_settings(settings)["gust_speed"] * draw()
+    state[BODY_STATES + 5] = complete_settings(settings)["gust_speed"] * draw()
     for chosen, first, end in parts:
-        _run(car, complete(chosen), state, programme, slice(first, end), draw, out, law)
+        _run(car, complete_settings(chosen), state, programme, slice(first, end), draw, out, law)
     return Recording(out[:, :RECORDED], out[:, RECORDED], out[:, RECORDED + 1], out[:, RECORDED + 2])
 
 
@@ -92,13 +109,13 @@ def log_multibody(name: str, car: str, settings: Mapping[str, float], programme:
                   law: Law = NO_LAW) -> DriveLog:
     """The same as a recorded drive. vehicle: what the reader of the files thinks the car is."""
     recording = drive_multibody(car, settings, programme, seed, later, law)
-    after = None if later is None else (complete(later[0]), later[1])
-    return log_of(name, recording, nominal_car(car), vehicle, complete(settings), seed, after)
+    after = None if later is None else (complete_settings(later[0]), later[1])
+    return make_log(name, recording, nominal_car(car), vehicle, complete_settings(settings), seed, after)
 
 
-def _settled(car: str, settings: Mapping[str, float], programme: Programme) -> np.ndarray:
+def _settle(car: str, settings: Mapping[str, float], programme: Programme) -> np.ndarray:
     """State of body, driver and wire when the springs have come to rest: at the origin, straight ahead."""
-    s = complete(settings)
+    s = complete_settings(settings)
     body = {name: s[name] for name in ("mass_factor", "cg_shift")}
     p = parameters_of(car, body)
     speed = float(programme.speed[0])
@@ -106,7 +123,7 @@ def _settled(car: str, settings: Mapping[str, float], programme: Programme) -> n
     state = np.array([*init_mb([0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0], p), *np.zeros(7), 1.0], float)
     still = np.zeros(round(SETTLING / PERIOD))
     straight = Programme(still, still, still, still + speed, still)
-    _run(car, complete(body), state, straight, slice(None), None, np.empty((len(still), RECORDED + 3)))
+    _run(car, complete_settings(body), state, straight, slice(None), None, np.empty((len(still), RECORDED + 3)))
     state[[0, 1, P_STEER, P_YAW_RATE, P_VY, P_VY_FRONT, P_VY_REAR]] = 0.0
     state[[P_VX, P_YAW]] = speed, programme.yaw[0]
     state[BODY_STATES:] = [0.0] * 7 + [1.0]
@@ -133,7 +150,7 @@ def _run(car: str, s: Mapping[str, float], state: np.ndarray, programme: Program
         to_rear=p.b, wheelbase=p.a + p.b, drag_area=s["drag_area"], still_air=not (s["wind_speed"] or gust),
         wind=s["wind_speed"], gust=gust)
     delayed = np.full(round(s["steering_delay"] / STEP), state[BODY_STATES])
-    if not compiled(_loop)(state, options, p, slippery, make_road(s), law, body, part.start or 0, delayed, gusts,
+    if not compile_loop(_loop)(state, options, p, slippery, make_road(s), law, body, part.start or 0, delayed, gusts,
                            *arrays, out[part]):
         raise Stopped
 
@@ -146,9 +163,9 @@ def _with_curve(p, law: Law):
     return p._replace(tire_rear=rear._replace(p_cy1=rear.p_cy1 * (1.0 - law.size), p_ey1=rear.p_ey1 - 4.0 * law.size))
 
 
-def _pushed(f, x, law, body, time, ax):
+def _add_law(f, x, law, body, time, ax):
     """The rates with a law that is not in the library; f is changed."""
-    aside, turning = push(law, body, time, x[P_VX], x[P_YAW_RATE], ax, f[P_VY], f[P_YAW_RATE])
+    aside, turning = law_accelerations(law, body, time, x[P_VX], x[P_YAW_RATE], ax, f[P_VY], f[P_YAW_RATE])
     f[P_VY] += aside
     f[P_VY_FRONT] += aside
     f[P_VY_REAR] += aside
@@ -182,7 +199,7 @@ def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, steerin
         f = rates(x, 0.0, pedal, (bank, grade, gust_x, o.wind + gust_y), tyres, o.drag_area, o.still_air)
         time = (first + k) * DECIDE * STEP
         if law[0]:
-            _pushed(f, x, law, body, time, pedal)
+            _add_law(f, x, law, body, time, pedal)
         row = out[k]
         row[:] = 0.0
         row[X], row[Y], row[Z], row[YAW] = x[0], x[1], -x[P_Z], x[P_YAW]
@@ -195,7 +212,7 @@ def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, steerin
         looked = gain[k]
         target = steering[k] + gain[k] * (yaw[k] + left_over - x[P_YAW]) * o.nominal
         motion = (x[P_VX], x[P_VY], x[P_YAW_RATE], x[P_STEER])
-        pedal = foot(pedal, speed[k], acceleration[k], motion, o.to_rear, o.wheelbase)
+        pedal = control_pedals(pedal, speed[k], acceleration[k], motion, o.to_rear, o.wheelbase)
         for step in range(DECIDE):
             angle += min(max(target - angle, -MAX_STEERING_WHEEL_RATE * STEP), MAX_STEERING_WHEEL_RATE * STEP)
             if step == SENSED:
@@ -218,12 +235,12 @@ def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, steerin
             turn = (rack + o.offset - x[P_STEER]) / STEP
             f = rates(x, turn, pedal, here, tyres, o.drag_area, o.still_air)
             if law[0]:
-                _pushed(f, x, law, body, time, pedal)
+                _add_law(f, x, law, body, time, pedal)
             for i in range(BODY_STATES):
                 middle[i] = x[i] + STEP / 2 * f[i]
             f = rates(middle, turn, pedal, here, tyres, o.drag_area, o.still_air)
             if law[0]:
-                _pushed(f, middle, law, body, time, pedal)
+                _add_law(f, middle, law, body, time, pedal)
             for i in range(BODY_STATES):
                 x[i] += STEP * f[i]
             if not (x[P_VX] > SLOWEST and abs(x[P_ROLL]) < STEEPEST):

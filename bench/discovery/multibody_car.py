@@ -73,7 +73,7 @@ HEALTHY: Mapping[str, float] = MappingProxyType({
 """Nothing hidden: the car of the package and ordinary noise."""
 
 
-def complete(settings: Mapping[str, float]) -> dict[str, float]:
+def complete_settings(settings: Mapping[str, float]) -> dict[str, float]:
     """All settings, the others as in HEALTHY. Raises ValueError for one this plant does not have."""
     strange = [name for name, value in settings.items() if name not in KNOWN_HERE and value != HEALTHY.get(name)]
     if strange:
@@ -136,7 +136,7 @@ _as_packaged = lru_cache(package.setup_vehicle_parameters)
 
 def parameters_of(car: str, settings: Mapping[str, float]) -> Numbers:
     """What the equations need, as a named tuple with `tire_front` and `tire_rear`."""
-    s = complete(settings)
+    s = complete_settings(settings)
     p = _as_packaged(CARS[car].number)
     mass, shift = s["mass_factor"], s["cg_shift"]
     front, rear = (
@@ -181,7 +181,7 @@ STRAIGHT = {"p_ky2": 20.0, "p_ky4": 2.5}
 
 
 @lru_cache(maxsize=64)
-def fitted_tyre(load: float, tyre: TyreNumbers) -> tuple[MagicFormula, float]:
+def fit_tyre(load: float, tyre: TyreNumbers) -> tuple[MagicFormula, float]:
     """The Magic Formula of the suite nearest to a tyre of the package (least squares over slip angles and loads), and
     the root mean square of what is left, over `p_dy1` times the static load [1]. load: static, of one tyre [N]."""
     slips, loads = np.meshgrid(np.linspace(-SLIP_RANGE, SLIP_RANGE, 81), load * np.linspace(*LOAD_RANGE, 7))
@@ -206,7 +206,7 @@ def vehicle_of(car: str, settings: Mapping[str, float] | None = None) -> Vehicle
     """The vehicle file of a car whose body, tyres, steering ratio and offset and INS point follow `settings` (None:
     nothing hidden). Lags, sensors and surroundings are not part of a vehicle file.
     """
-    s, choice = complete(settings or {}), CARS[car]
+    s, choice = complete_settings(settings or {}), CARS[car]
     p = parameters_of(car, s)
     load_front, load_rear = static_loads(p)
     ratio = choice.steering_ratio * s["steering_ratio_factor"]
@@ -217,7 +217,7 @@ def vehicle_of(car: str, settings: Mapping[str, float] | None = None) -> Vehicle
         cornering_stiffness_front=2 * cornering_stiffness(load_front, p.tire_front),
         cornering_stiffness_rear=2 * cornering_stiffness(load_rear, p.tire_rear),
         minimum_slip_speed=SLIP_SPEED, length=p.l, width=p.w,
-        tyre_front=fitted_tyre(load_front, p.tire_front)[0], tyre_rear=fitted_tyre(load_rear, p.tire_rear)[0])
+        tyre_front=fit_tyre(load_front, p.tire_front)[0], tyre_rear=fit_tyre(load_rear, p.tire_rear)[0])
     return vehicle.with_derived_scales()
 
 

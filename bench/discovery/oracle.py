@@ -34,7 +34,7 @@ Values = Mapping[str, Mapping[str, float]]
 
 
 @cache
-def everything() -> AugmentedModel:
+def null_model() -> AugmentedModel:
     """Every effect of the library at null: one set of compiled functions for all fits."""
     return set_effects_to_null(augment(BASE, [n for n in applicable(BASE) if not get_effect(n).signals]))
 
@@ -59,14 +59,14 @@ class Judge:
         return self._windows.errors(at.model, at.gain)
 
     def sized_by(self, at: Point) -> None:
-        self.size = sizes(self.errors(at))
+        self.size = error_sizes(self.errors(at))
 
     def loss(self, at: Point) -> float:
-        return float(np.mean(np.log1p(np.square(scaled(self.errors(at), self.size)) / TAIL)))
+        return float(np.mean(np.log1p(np.square(scale_errors(self.errors(at), self.size)) / TAIL)))
 
     def square(self, at: Point) -> float:
         """Mean square of the errors over their sizes: gross ones count in full, up to LARGEST."""
-        return float(np.mean(np.square(scaled(self.errors(at), self.size))))
+        return float(np.mean(np.square(scale_errors(self.errors(at), self.size))))
 
     def position(self, at: Point) -> float:
         """Mean position error after 5 s [m]; a prediction that diverged counts 100 m."""
@@ -74,11 +74,11 @@ class Judge:
         return float(np.mean(np.minimum(np.nan_to_num(np.hypot(*last.T), nan=100.0, posinf=100.0), 100.0)))
 
 
-def sizes(errors: np.ndarray) -> np.ndarray:
+def error_sizes(errors: np.ndarray) -> np.ndarray:
     return np.maximum(np.nanquantile(np.abs(errors), 0.683, axis=0), 1e-9)
 
 
-def scaled(errors: np.ndarray, size: np.ndarray) -> np.ndarray:
+def scale_errors(errors: np.ndarray, size: np.ndarray) -> np.ndarray:
     """One row; what diverged counts LARGEST."""
     z = errors / size
     return np.clip(np.where(np.isfinite(z), z, LARGEST), -LARGEST, LARGEST).ravel()
@@ -94,7 +94,7 @@ class Oracle:
     def __init__(self, drives: Sequence[DriveLog], vehicle: VehicleParameters, names: Collection[str], start: Values,
                  settings: DiscoverySettings, origin: Point | None = None):
         self._windows = Windows(drives, vehicle, settings)
-        origin = origin or Point(everything(), GAIN)
+        origin = origin or Point(null_model(), GAIN)
         self._model = origin.model
         self._free: list[tuple[str, Parameter]] = [(n, p) for n, p in self._model.free if n in names]
         self._null = np.array([self._model.values[n][p.name] for n, p in self._free] + [origin.gain])
@@ -148,7 +148,7 @@ class Oracle:
 
     def _z(self, x: np.ndarray) -> np.ndarray:
         at = self._at(x)
-        return scaled(self._windows.errors(at.model, at.gain), self._size)
+        return scale_errors(self._windows.errors(at.model, at.gain), self._size)
 
     def _cost(self, x: np.ndarray) -> float:
         return float(np.log1p(np.square(self._z(x)) / TAIL).sum())
@@ -158,7 +158,7 @@ class Oracle:
         free = np.arange(len(self._x))
         for _ in range(ITERATIONS):
             at = self._at(self._x)
-            self._size = sizes(self._windows.errors(at.model, at.gain))
+            self._size = error_sizes(self._windows.errors(at.model, at.gain))
             z = self._z(self._x)
             j = self._slopes = self._differences(z)
             weight = 1.0 / (1.0 + np.square(z) / TAIL)

@@ -18,7 +18,7 @@ from .multibody import log_multibody
 from .multibody_car import KNOWN_HERE, nominal_car
 from .multibody_car import vehicle_of as multibody_vehicle
 from .pushes import REAR_CURVE, Law
-from .sensing import log_of
+from .sensing import make_log
 
 NOMINAL: Car = read_car(LEAF_FILE)
 LEAF = leaf()
@@ -42,15 +42,15 @@ class Order:
     law: Law = NO_LAW
 
 
-def driven(plant: str, vehicle: VehicleParameters, order: Order) -> DriveLog:
+def record_run(plant: str, vehicle: VehicleParameters, order: Order) -> DriveLog:
     """One run, read with the vehicle file; where the car spins or stops, the next attempt. Raises Stopped."""
     for attempt in range(20):
         tried = (*order.seed, attempt)
         noise = int(np.random.default_rng(tried).integers(2**31))
         car = NOMINAL if plant == cars.LEAF else nominal_car(plant)
-        programme = m.mixed(car, tried, order.parts, *order.factors)
+        programme = m.make_programme(car, tried, order.parts, *order.factors)
         try:
-            log = _driven_once(plant, vehicle, order, programme, noise)
+            log = _record_once(plant, vehicle, order, programme, noise)
         except Stopped:
             continue
         if np.abs(log.velocity_y).max() < SLID_AWAY:
@@ -58,18 +58,18 @@ def driven(plant: str, vehicle: VehicleParameters, order: Order) -> DriveLog:
     raise Stopped(f"{order.name}: twenty attempts spun or stopped")
 
 
-def _driven_once(plant: str, vehicle: VehicleParameters, order: Order, programme: Programme, noise: int) -> DriveLog:
+def _record_once(plant: str, vehicle: VehicleParameters, order: Order, programme: Programme, noise: int) -> DriveLog:
     first, later = order.settings, None
     if order.before is not None:
         first, later = order.before, (order.settings, round(order.from_ * len(programme.steering_wheel)))
     if plant != cars.LEAF:
-        return log_multibody(order.name, plant, _known(first), programme, noise, vehicle,
-                             later and (_known(later[0]), later[1]), order.law)
-    recording = drive(_curved(order.law), first, programme, noise, later, order.law)
-    return log_of(order.name, recording, NOMINAL, vehicle, first, noise, later)
+        return log_multibody(order.name, plant, _select_known(first), programme, noise, vehicle,
+                             later and (_select_known(later[0]), later[1]), order.law)
+    recording = drive(_with_rear_curve(order.law), first, programme, noise, later, order.law)
+    return make_log(order.name, recording, NOMINAL, vehicle, first, noise, later)
 
 
-def _curved(law: Law) -> Car:
+def _with_rear_curve(law: Law) -> Car:
     """The virtual Leaf, with rear tyres of another shape if the law requires it, as stiff and as strong as they
     were."""
     if law.kind != REAR_CURVE:
@@ -79,14 +79,14 @@ def _curved(law: Law) -> Car:
                                               p_ey1=rear.p_ey1 - 4.0 * law.size))
 
 
-def _known(settings: Settings) -> Settings:
+def _select_known(settings: Settings) -> Settings:
     return {name: value for name, value in settings.items() if name in KNOWN_HERE}
 
 
 def vehicle_of(plant: str, settings: Settings) -> VehicleParameters:
     """The vehicle file of exactly that car: what a file can hold is as the settings make it."""
     if plant != cars.LEAF:
-        return multibody_vehicle(plant, _known(settings))
+        return multibody_vehicle(plant, _select_known(settings))
     s = settings
     ratio = LEAF.steering_ratio * s["steering_ratio_factor"]
     tyres = {f"tyre_{axle}": getattr(LEAF, f"tyre_{axle}")._replace(

@@ -159,14 +159,14 @@ def _whole(b: Builder, lateral: float, manoeuvre: Manoeuvre) -> None:
     b.drive(manoeuvre, manoeuvre.duration)
 
 
-def suggested(name: str) -> Part:
+def suggested_part(name: str) -> Part:
     """A drive of the catalogue as suggested. Raises StopIteration for an unknown name."""
     one = next(m for m in CATALOGUE if m.name == name)
     return Part(partial(_whole, manoeuvre=one), (one.speed, one.speed), (one.lateral, one.lateral))
 
 
-def mixed(car: Car, seed: tuple[int, ...], parts: tuple[Part, ...] | None = None, speed_factor: float = 1.0,
-          lateral_factor: float = 1.0) -> Programme:
+def make_programme(car: Car, seed: tuple[int, ...], parts: tuple[Part, ...] | None = None, speed_factor: float = 1.0,
+                   lateral_factor: float = 1.0) -> Programme:
     """A run of about half a minute: the parts in random order and size. None: FULL and one of EXTRA."""
     generator = np.random.default_rng(seed)
     if parts is None:

@@ -30,7 +30,7 @@ class Car(NamedTuple):
     rear: float
 
 
-def push(law, car, time, vx, r, ax, vy_dot, r_dot):
+def law_accelerations(law, car, time, vx, r, ax, vy_dot, r_dot):
     """(m/s^2 to the left, rad/s^2 to the left) a law adds to the rates there are. time: into the run [s]."""
     kind, size = law
     to_front, to_rear, square, rear = car

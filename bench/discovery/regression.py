@@ -34,7 +34,7 @@ NAMED_BY = {
 }
 
 
-def sparse(library: np.ndarray, target: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
+def fit_sparse(library: np.ndarray, target: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
     """Coefficients of STLSQ: least squares, drop the terms below the threshold, again, until nothing drops.
 
     library: (n, terms), target: (n,), both standardised by the caller.
@@ -62,7 +62,7 @@ class Regression:
         self._mean, self._size = library.mean(axis=0), library.std(axis=0) + 1e-12
         self._size[0], self._mean[0] = 1.0, 0.0
         self._target_size = target.std(axis=0)
-        self.coefficients = np.stack([sparse(self._standard(library), target[:, i] / self._target_size[i])
+        self.coefficients = np.stack([fit_sparse(self._standard(library), target[:, i] / self._target_size[i])
                                       for i in range(len(EQUATIONS))])
 
     @property
@@ -92,10 +92,10 @@ class Regression:
         time = log.ins_time_ns
         signals = {}
         for name in ("velocity_x", "velocity_y", "yaw_rate"):
-            signals[name], signals[f"{name}_dot"] = _smooth(time, getattr(log, name))
+            signals[name], signals[f"{name}_dot"] = _filter(time, getattr(log, name))
         angle = np.interp(time, log.steering_time_ns, log.road_wheel_angle)
-        angle, angle_rate = _smooth(time, angle)
-        a_y, _ = _smooth(time, log.acceleration_y)
+        angle, angle_rate = _filter(time, angle)
+        a_y, _ = _filter(time, log.acceleration_y)
         vx, r = signals["velocity_x"], signals["yaw_rate"]
         vy, vy_dot = (signals["velocity_y"] - r * car.cg_to_ins_x,
                       signals["velocity_y_dot"] - signals["yaw_rate_dot"] * car.cg_to_ins_x)
@@ -113,6 +113,6 @@ class Regression:
         return library[inside], target[inside]
 
 
-def _smooth(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _filter(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Filtered signal and its derivative, without delay."""
     return filtered_derivative(time, values, 5.0, 0.1, "zero_phase")

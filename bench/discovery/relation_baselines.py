@@ -29,15 +29,15 @@ Push = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarr
 """(states (6, n), road wheel angle, forward acceleration) -> (v_y, yaw) accelerations added [m/s^2, rad/s^2]."""
 
 
-def compared(drives: Sequence[DriveLog], held_out: Sequence[DriveLog], vehicle: VehicleParameters,
-             answer: AugmentedModel, settings: DiscoverySettings) -> dict[str, Any]:
+def compare_methods(drives: Sequence[DriveLog], held_out: Sequence[DriveLog], vehicle: VehicleParameters,
+                    answer: AugmentedModel, settings: DiscoverySettings) -> dict[str, Any]:
     """Held-out 5 s position [m] by method, simulated alike; what each names."""
     windows = Windows(held_out, vehicle, settings)
     regression = Regression(drives, vehicle, answer)
-    process, inputs = _process(regression, drives, vehicle, answer)
-    return {"plain": _position(windows, vehicle, answer, lambda s, angle, a_x: (0.0, 0.0)),
-            "regression": _position(windows, vehicle, answer, _sparse(regression, vehicle, answer)),
-            "process": _position(windows, vehicle, answer, process),
+    process, inputs = _fit_process(regression, drives, vehicle, answer)
+    return {"plain": _position_error(windows, vehicle, answer, lambda s, angle, a_x: (0.0, 0.0)),
+            "regression": _position_error(windows, vehicle, answer, _regression_push(regression, vehicle, answer)),
+            "process": _position_error(windows, vehicle, answer, process),
             "regression_names": list(regression.names), "process_names": inputs}
 
 
@@ -49,7 +49,7 @@ def _features(states: np.ndarray, angle: np.ndarray, a_x: np.ndarray, car: Vehic
                      r, a_x], axis=1)
 
 
-def _sparse(regression: Regression, vehicle: VehicleParameters, answer: AugmentedModel) -> Push:
+def _regression_push(regression: Regression, vehicle: VehicleParameters, answer: AugmentedModel) -> Push:
     car = answer.effective_vehicle(vehicle)
     coefficients = regression.coefficients * regression._target_size[:, None] / regression._size
     constant = -coefficients @ regression._mean
@@ -65,8 +65,8 @@ def _sparse(regression: Regression, vehicle: VehicleParameters, answer: Augmente
     return push
 
 
-def _process(regression: Regression, drives: Sequence[DriveLog], vehicle: VehicleParameters,
-             answer: AugmentedModel) -> tuple[Push, list[str]]:
+def _fit_process(regression: Regression, drives: Sequence[DriveLog], vehicle: VehicleParameters,
+                 answer: AugmentedModel) -> tuple[Push, list[str]]:
     """Two Gaussian processes, and the input each of their length scales finds shortest, in deviations of that input."""
     car = answer.effective_vehicle(vehicle)
     library, target = regression._rows(drives)
@@ -96,7 +96,7 @@ def _process(regression: Regression, drives: Sequence[DriveLog], vehicle: Vehicl
     return push, named
 
 
-def _position(windows: Windows, vehicle: VehicleParameters, answer: AugmentedModel, push: Push) -> float:
+def _position_error(windows: Windows, vehicle: VehicleParameters, answer: AugmentedModel, push: Push) -> float:
     """Mean position error after HORIZON [m] of the model with accelerations added: RK4, those held over each step."""
     signals = windows._batch.recording(answer).signals
     car, p = answer.effective_vehicle(vehicle), answer.parameters(vehicle)
@@ -109,14 +109,14 @@ def _position(windows: Windows, vehicle: VehicleParameters, answer: AugmentedMod
     with np.errstate(all="ignore"):
         for k in range(0, 2 * steps, 2):
             aside, turning = push(np.stack(state[:6]), angle[:, k], a_x[:, k])
-            state = _stepped(answer, state, rows[k:k + 3], p, aside, turning)
+            state = _integrate_step(answer, state, rows[k:k + 3], p, aside, turning)
         x, y = cg_to_ins_position(state[0], state[1], state[4], car.cg_to_ins_x, car.cg_to_ins_y)
         there_x, there_y = windows.measured_at(times[:, -1], "x", "y")
         off = np.hypot(x - there_x, y - there_y)
     return float(np.mean(np.minimum(np.nan_to_num(off, nan=FURTHEST, posinf=FURTHEST), FURTHEST)))
 
 
-def _stepped(model: AugmentedModel, state: tuple, w: Sequence[tuple], p, aside, turning) -> tuple:
+def _integrate_step(model: AugmentedModel, state: tuple, w: Sequence[tuple], p, aside, turning) -> tuple:
     def rates(s, row):
         f = model.rhs(s, row, p)
         return (*f[:3], f[3] + aside, f[4], f[5] + turning, *f[6:])

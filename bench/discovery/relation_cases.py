@@ -9,12 +9,12 @@ from st_core.effects import applicable
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 
-from .cars import LEAF, PLANTS, HealthyCar, has, healthy_car
+from .cars import LEAF, PLANTS, HealthyCar, has_setting, healthy_car
 from .cases import seed_of
 from .effects import is_similar
 from .hidden_relations import LAWS, REMOVED, Hidden
-from .plants import Order, driven, vehicle_of
-from .resimulated import resimulated
+from .plants import Order, record_run, vehicle_of
+from .resimulated import resimulate
 
 EACH, NOTHING = 5, 60
 COUNTS = {"L": EACH * len(LAWS), "M": EACH * len(REMOVED), "N": NOTHING}
@@ -61,17 +61,17 @@ class LawDrives:
 
 def cases_of(set_: str, block: str) -> list[LawCase]:
     """All cases of a block: the laws in turn, so that the first ones hold each once."""
-    return [_case(set_, block, i) for i in range(COUNTS[block])]
+    return [_make_case(set_, block, i) for i in range(COUNTS[block])]
 
 
-def _case(set_: str, block: str, index: int) -> LawCase:
+def _make_case(set_: str, block: str, index: int) -> LawCase:
     draw = np.random.default_rng(seed_of(set_, block, index, "law"))
     pool = {"L": LAWS, "M": REMOVED}.get(block)
     hidden = pool[index % len(pool)] if pool else None
     round_ = index // len(pool) if pool else index
     # Half of the cases on the multi-body cars, in turn, where the plant has the switch.
     plant = PLANTS[1 + round_ % (len(PLANTS) - 1)] if (round_ + index) % 2 else LEAF
-    if hidden and not all(has(plant, name) for name in hidden.settings_in(plant)):
+    if hidden and not all(has_setting(plant, name) for name in hidden.settings_in(plant)):
         plant = LEAF
     car = healthy_car(plant, (seed_of(set_, block, index, "car"),))
     return LawCase(set_, block, index, hidden, car, float(draw.choice([1.0, 0.7])), block == "N" and index % 2 == 1)
@@ -85,10 +85,10 @@ def drives_of(case: LawCase) -> LawDrives:
     vehicle = vehicle_of(car.plant, {**car.settings, **file_values})
 
     def drive(with_law: bool, first: int, count: int) -> list[DriveLog]:
-        return [_one(case, own if hidden is None else vehicle, with_law, first + i) for i in range(count)]
+        return [_record_case_run(case, own if hidden is None else vehicle, with_law, first + i) for i in range(count)]
 
     if hidden is None:
-        logs = [resimulated(log, own, int(np.random.default_rng([case.seed, k, 7]).integers(2**31)))
+        logs = [resimulate(log, own, int(np.random.default_rng([case.seed, k, 7]).integers(2**31)))
                 for k, log in enumerate((*drive(False, 0, RUNS), *drive(False, 200, HELD_OUT)))]
         logs = [log.with_steering(vehicle) for log in logs]
         return LawDrives(logs[:RUNS], logs[RUNS:], [], [], vehicle)
@@ -96,13 +96,13 @@ def drives_of(case: LawCase) -> LawDrives:
                      drive(False, 200, HELD_OUT), vehicle)
 
 
-def _one(case: LawCase, vehicle: VehicleParameters, with_law: bool, number: int) -> DriveLog:
+def _record_case_run(case: LawCase, vehicle: VehicleParameters, with_law: bool, number: int) -> DriveLog:
     plant, hidden, settings = case.car.plant, case.hidden, dict(case.car.settings)
     order = Order(f"run_{number + 1}", (case.seed, number), settings)
     if not with_law:
-        return driven(plant, vehicle, order)
+        return record_run(plant, vehicle, order)
     for name, more in hidden.settings_in(plant).items():
         settings[name] += case.scale * more
     law = hidden.law_in(plant)
-    log = driven(plant, vehicle, replace(order, settings=settings, law=law._replace(size=case.scale * law.size)))
+    log = record_run(plant, vehicle, replace(order, settings=settings, law=law._replace(size=case.scale * law.size)))
     return hidden.change(log, vehicle, case.scale * hidden.size) if hidden.change else log

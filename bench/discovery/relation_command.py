@@ -12,7 +12,7 @@ from . import relation_score, relation_tables
 from .compiled import Stopped
 from .relation_cases import COUNTS, LawCase, cases_of
 from .relation_run import Record, run_case
-from .run import key_of, read, read_all
+from .run import key_of, read_files, read_records
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -29,16 +29,16 @@ def main(arguments: Sequence[str]) -> int:
                         help="run nothing: write the scores into docs/measurements/proposals.md from these files")
     chosen = parser.parse_args(arguments)
     if chosen.tables:
-        relation_tables.write(read_all(chosen.tables))
+        relation_tables.write(read_files(chosen.tables))
         return 0
     until = None if chosen.until is None else time.time() + 60 * chosen.until
-    records = _run(in_turn(chosen.set)[chosen.skip:], chosen.out, until, not chosen.plain)
-    for name, measured, *_ in relation_score.scores(records):
+    records = _run(interleave_cases(chosen.set)[chosen.skip:], chosen.out, until, not chosen.plain)
+    for name, measured, *_ in relation_score.score_rows(records):
         print(f"{name}: {measured}")
     return 0
 
 
-def in_turn(set_: str) -> list[LawCase]:
+def interleave_cases(set_: str) -> list[LawCase]:
     """Cases in an order in which all blocks advance at the same rate."""
     cases = [((k + 0.5) / count, block, case) for block, count in COUNTS.items()
              for k, case in enumerate(cases_of(set_, block))]
@@ -46,7 +46,7 @@ def in_turn(set_: str) -> list[LawCase]:
 
 
 def _run(cases: Sequence[LawCase], file: Path, until: float | None, whole: bool) -> list[Record]:
-    done, records = read(file), []
+    done, records = read_records(file), []
     for case in cases:
         key = key_of(case)
         if key not in done:

@@ -14,7 +14,7 @@ from st_core.vehicle import VehicleParameters
 
 from . import relation_baselines
 from .effects import SCATTER, members
-from .judge import different
+from .judge import plant_differences
 from .oracle import Oracle
 from .relation_cases import LawCase, drives_of
 
@@ -44,11 +44,12 @@ def run_case(case: LawCase, whole: bool = True) -> Record:
     record = {"hidden": case.hidden.name if case.hidden else "nothing", "plant": case.car.plant, "scale": case.scale,
               "wrong": case.wrong, "seconds": [middle - begin, end - middle],
               "driven": float(sum(log.duration for log in drives.suspect)), **_answer_record(found, search),
-              "position": {"base": position(judge, found.base), "found": position(judge, answer),
-                           "proposed": position(judge, after)}}
+              "position": {"base": position_error(judge, found.base), "found": position_error(judge, answer),
+                           "proposed": position_error(judge, after)}}
     if whole and case.hidden:
-        record["position"]["oracle"] = _oracle(case, drives.healthy, drives.healthy_held_out, vehicle)
-        record["baselines"] = relation_baselines.compared(drives.suspect, drives.held_out, vehicle, answer, settings)
+        record["position"]["oracle"] = _oracle_error(case, drives.healthy, drives.healthy_held_out, vehicle)
+        record["baselines"] = relation_baselines.compare_methods(drives.suspect, drives.held_out, vehicle, answer,
+                                                                 settings)
     return record
 
 
@@ -60,18 +61,19 @@ def proposed_model(search: RelationSearch) -> AugmentedModel | None:
     return augment(one.model, {one.candidate.effect: heights | one.candidate.constants})
 
 
-def position(windows: RunWindows, model: AugmentedModel) -> float:
+def position_error(windows: RunWindows, model: AugmentedModel) -> float:
     """Mean position error after 5 s [m]."""
     last = windows.errors(model)[:, -1, windows.columns.index("position_lateral"):][:, :2]
     return float(np.mean(np.minimum(np.nan_to_num(np.hypot(*last.T), nan=FURTHEST, posinf=FURTHEST), FURTHEST)))
 
 
-def _oracle(case: LawCase, healthy: list[DriveLog], held_out: list[DriveLog], vehicle: VehicleParameters) -> float:
+def _oracle_error(case: LawCase, healthy: list[DriveLog], held_out: list[DriveLog],
+                  vehicle: VehicleParameters) -> float:
     """Residual error without the law: effects that are in the plant, fitted to the same programmes of the healthy car,
     on the same held-out programmes."""
-    names = {*SCATTER, *(n for n in different(case.car.plant) if members(n) == (n,))} - set(ORACLE_LEFT_OUT)
+    names = {*SCATTER, *(n for n in plant_differences(case.car.plant) if members(n) == (n,))} - set(ORACLE_LEFT_OUT)
     best = Oracle(healthy, vehicle, names, {}, case.settings).best
-    return position(RunWindows(held_out, vehicle, case.settings), best.model)
+    return position_error(RunWindows(held_out, vehicle, case.settings), best.model)
 
 
 def _answer_record(found: Discovery, search: RelationSearch) -> Record:

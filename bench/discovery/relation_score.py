@@ -10,7 +10,7 @@ from st_core.relations.candidates import ALL_TERMS
 from .cars import LEAF
 from .effects import SCATTER
 from .hidden_relations import BY_NAME, Hidden
-from .judge import different
+from .judge import plant_differences
 from .score import wilson
 
 Record = dict[str, Any]
@@ -26,61 +26,61 @@ def hidden_of(r: Record) -> Hidden:
     return BY_NAME[r["hidden"]]
 
 
-def leaves(r: Record) -> float:
+def unexplained_error(r: Record) -> float:
     """What the library leaves beyond the oracle [m]."""
     return r["position"]["found"] - r["position"]["oracle"]
 
 
-def closable(r: Record) -> bool:
+def is_closable(r: Record) -> bool:
     least, share = CLOSABLE
-    return leaves(r) > max(least, share * r["position"]["found"])
+    return unexplained_error(r) > max(least, share * r["position"]["found"])
 
 
-def noticed(r: Record) -> bool:
+def is_noticed(r: Record) -> bool:
     """Whether the answer reports an effect that no known one explains; only then a law is searched for."""
     return r["searched"]
 
 
-def proposed_or_unknown(r: Record) -> bool:
+def is_proposed_or_unknown(r: Record) -> bool:
     """Whether the answer has a law, or names nothing."""
     return r["law"] is not None or r["outcome"] == "unknown"
 
 
-def place_right(r: Record) -> bool:
+def is_place_right(r: Record) -> bool:
     return r["law"]["place"] in hidden_of(r).places
 
 
-def slot_right(r: Record) -> bool:
+def is_slot_right(r: Record) -> bool:
     """Whether the place of the law, or of one of its alternatives, is right."""
-    return bool(set(places(r)) & set(hidden_of(r).places))
+    return bool(set(list_places(r)) & set(hidden_of(r).places))
 
 
-def closed(r: Record, after: float | None = None) -> float:
+def closed_share(r: Record, after: float | None = None) -> float:
     """Share of the error left by the library that the proposal removes; 0 without one."""
-    return (r["position"]["found"] - (r["position"]["proposed"] if after is None else after)) / leaves(r)
+    return (r["position"]["found"] - (r["position"]["proposed"] if after is None else after)) / unexplained_error(r)
 
 
 def is_worse(r: Record) -> bool:
     return r["position"]["proposed"] > WORSE * r["position"]["found"]
 
 
-def places(r: Record) -> list[str]:
+def list_places(r: Record) -> list[str]:
     """Places of the proposed law and of its alternatives."""
     return list(dict.fromkeys([r["law"]["place"], *(name.partition(" over ")[0] for name in r["law"]["others"])]))
 
 
-def misnamed_by_library(r: Record) -> list[str]:
+def list_misnamed_by_library(r: Record) -> list[str]:
     """Effects of the library stated alone that are neither in the car nor at the place of the law."""
-    fine = {*different(r["plant"]), *SCATTER}
+    fine = {*plant_differences(r["plant"]), *SCATTER}
     return [n for n in r["alone"] if n not in fine and get_effect(n).slot not in hidden_of(r).slots]
 
 
-def misnamed(r: Record) -> list[str]:
+def list_misnamed(r: Record) -> list[str]:
     """Those of them that the proposal does not declare redundant."""
-    return [n for n in misnamed_by_library(r) if n not in r.get("redundant", ())]
+    return [n for n in list_misnamed_by_library(r) if n not in r.get("redundant", ())]
 
 
-def shape_right(r: Record) -> bool:
+def is_shape_right(r: Record) -> bool:
     return r["law"]["shape"] in hidden_of(r).shapes
 
 
@@ -89,11 +89,11 @@ def seconds(r: Record) -> float:
     return sum(r["seconds"]) * LENGTH / r["driven"]
 
 
-def row(name: str, measured: str, required: str = "", goal: str = "") -> tuple[str, str, str, str]:
+def make_row(name: str, measured: str, required: str = "", goal: str = "") -> tuple[str, str, str, str]:
     return name, measured, required, goal
 
 
-def share(hits: Iterable[bool]) -> str:
+def format_share(hits: Iterable[bool]) -> str:
     values = list(hits)
     if not values:
         return "no cases"
@@ -101,57 +101,63 @@ def share(hits: Iterable[bool]) -> str:
     return f"{sum(values)} of {len(values)}, {sum(values) / len(values):.0%} [{low:.0%}, {high:.0%}]"
 
 
-def counts(numbers: Iterable[int]) -> str:
+def format_counts(numbers: Iterable[int]) -> str:
     values = list(numbers)
     return f"{np.median(values):g} / {max(values)}" if values else "no cases"
 
 
-def spread(values: Sequence[float]) -> str:
+def format_spread(values: Sequence[float]) -> str:
     """Median and 10th percentile, as shares."""
     if not len(values):
         return "no cases"
     return f"{np.median(values):.0%} / {np.quantile(values, 0.1):.0%} ({len(values)} cases)"
 
 
-def scores(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
+def score_rows(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
     """(score, measured, required, goal)."""
     hidden = [r for r in records if r["block"] in "LM"]
     proposed, nothing = [r for r in hidden if r["law"]], [r for r in records if r["block"] == "N"]
-    matter = [r for r in hidden if "oracle" in r["position"] and closable(r)]
-    shaped = [r for r in proposed if place_right(r) and hidden_of(r).shapes]
+    matter = [r for r in hidden if "oracle" in r["position"] and is_closable(r)]
+    shaped = [r for r in proposed if is_place_right(r) and hidden_of(r).shapes]
     times = [seconds(r) for r in records]
     alarms = sum(r["law"] is not None for r in nothing)
     return [
-        row("noticed (reported as missing)", share(map(noticed, hidden)), "85 %", "95 %"),
-        row("... by a proposal, or as the outcome *unknown*", share(map(proposed_or_unknown, hidden))),
-        row("... where the library leaves something", share(map(noticed, matter))),
-        row("... on the virtual Leaf, where nothing else is missing", share(noticed(r) for r in hidden
-                                                                            if r["plant"] == LEAF)),
-        row("right slot, or a set that contains it, of proposals", share(map(slot_right, proposed)), "80 %", "90 %"),
-        row("... the proposal's own place", share(map(place_right, proposed))),
-        row("... where the library leaves something", share(slot_right(r) for r in matter if r["law"])),
-        row(f"... places named, of {len(ALL_TERMS)}: median / most", counts(len(places(r)) for r in proposed)),
-        row("held-out gap closed relative to the oracle, median / 10th percentile", spread([closed(r) for r in matter]),
-            "70 / 40 %", "90 / 60 %"),
-        row("held-out made worse, of proposals", share(map(is_worse, proposed)), "1 %", "0"),
-        row("proposal where nothing is left", f"{alarms} of {len(nothing)}", "1 of 60", "0"),
-        row("something reported as missing there", f"{sum(map(noticed, nothing))} of {len(nothing)}"),
-        row("a library name stated alone and wrong", share(bool(misnamed(r)) for r in hidden), "5 %", "2 %"),
-        row("... without what the proposal takes back", share(bool(misnamed_by_library(r)) for r in hidden)),
-        row("first reading of the shape right, where the place is", share(map(shape_right, shaped)), "60 %", "80 %"),
-        row("time, 5 minutes of driving, one core, median / largest", f"{np.median(times):.0f} / {max(times):.0f} s"
-            if times else "no cases", "90 s", "30 s"),
+        make_row("noticed (reported as missing)", format_share(map(is_noticed, hidden)), "85 %", "95 %"),
+        make_row("... by a proposal, or as the outcome *unknown*", format_share(map(is_proposed_or_unknown, hidden))),
+        make_row("... where the library leaves something", format_share(map(is_noticed, matter))),
+        make_row("... on the virtual Leaf, where nothing else is missing", format_share(is_noticed(r) for r in hidden
+                                                                                        if r["plant"] == LEAF)),
+        make_row("right slot, or a set that contains it, of proposals", format_share(map(is_slot_right, proposed)),
+                 "80 %", "90 %"),
+        make_row("... the proposal's own place", format_share(map(is_place_right, proposed))),
+        make_row("... where the library leaves something", format_share(is_slot_right(r) for r in matter if r["law"])),
+        make_row(f"... places named, of {len(ALL_TERMS)}: median / most",
+                 format_counts(len(list_places(r)) for r in proposed)),
+        make_row("held-out gap closed relative to the oracle, median / 10th percentile",
+                 format_spread([closed_share(r) for r in matter]), "70 / 40 %", "90 / 60 %"),
+        make_row("held-out made worse, of proposals", format_share(map(is_worse, proposed)), "1 %", "0"),
+        make_row("proposal where nothing is left", f"{alarms} of {len(nothing)}", "1 of 60", "0"),
+        make_row("something reported as missing there", f"{sum(map(is_noticed, nothing))} of {len(nothing)}"),
+        make_row("a library name stated alone and wrong", format_share(bool(list_misnamed(r)) for r in hidden), "5 %",
+                 "2 %"),
+        make_row("... without what the proposal takes back",
+                 format_share(bool(list_misnamed_by_library(r)) for r in hidden)),
+        make_row("first reading of the shape right, where the place is", format_share(map(is_shape_right, shaped)),
+                 "60 %", "80 %"),
+        make_row("time, 5 minutes of driving, one core, median / largest",
+                 f"{np.median(times):.0f} / {max(times):.0f} s"
+                 if times else "no cases", "90 s", "30 s"),
     ]
 
 
-def methods(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
+def method_rows(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
     """(method, gap closed, made worse, what it names) on the cases all were given."""
-    given = [r for r in records if r.get("baselines") and closable(r)]
+    given = [r for r in records if r.get("baselines") and is_closable(r)]
     everywhere = [r for r in records if r.get("baselines")]
 
     def one(name: str, after: Callable[[Record], float], names: str) -> tuple[str, str, str, str]:
-        worse = share(after(r) > WORSE * r["position"]["found"] for r in everywhere)
-        return name, spread([closed(r, after(r)) for r in given]), worse, names
+        worse = format_share(after(r) > WORSE * r["position"]["found"] for r in everywhere)
+        return name, format_spread([closed_share(r, after(r)) for r in given]), worse, names
 
     def regressed(r: Record) -> bool:
         return bool({get_effect(n).slot for n in r["baselines"]["regression_names"]} & set(hidden_of(r).slots))
@@ -160,9 +166,9 @@ def methods(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
     most = max(set(inputs), key=inputs.count) if inputs else "-"
     return [
         one("proposal, or none", lambda r: r["position"]["proposed"],
-            "a law; slot right in " + share(map(slot_right, [r for r in everywhere if r["law"]]))),
+            "a law; slot right in " + format_share(map(is_slot_right, [r for r in everywhere if r["law"]]))),
         one("sparse regression of residual accelerations", lambda r: r["baselines"]["regression"],
-            f"its largest term; a name related to it acts in the slot in {share(map(regressed, everywhere))}"),
+            f"its largest term; a name related to it acts in the slot in {format_share(map(regressed, everywhere))}"),
         one("Gaussian process on residual accelerations", lambda r: r["baselines"]["process"],
             f"nothing; its shortest length scale is most often that of the {most} "
             f"({inputs.count(most)} of {len(inputs)})"),

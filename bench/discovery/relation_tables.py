@@ -22,13 +22,13 @@ def write(records: Sequence[Record]) -> None:
 def as_markdown(records: Sequence[Record]) -> str:
     return "\n\n".join([
         _origin(records),
-        format_table(("score", "measured", "required", "goal"), score.scores(records)),
+        format_table(("score", "measured", "required", "goal"), score.score_rows(records)),
         *_methods(records),
         "Law by law; position after 5 s on held-out drives, mean over the cases, m:",
         format_table(("hidden", "cases", "noticed", "slot right", "vehicle file", "library", "with the proposal",
-                      "oracle"), _laws(records)),
+                      "oracle"), _law_rows(records)),
         "What failed, case by case:",
-        format_table(("case", "hidden", "answer", "wrong"), _failures(records) or [("-",) * 4])])
+        format_table(("case", "hidden", "answer", "wrong"), _failure_rows(records) or [("-",) * 4])])
 
 
 def _methods(records: Sequence[Record]) -> list[str]:
@@ -37,7 +37,7 @@ def _methods(records: Sequence[Record]) -> list[str]:
         return []
     return ["Other methods on the same cases, starting from the same answer of `st discover`, simulated the same way:",
             format_table(("method", "gap closed, median / 10th percentile", "made worse", "names"),
-                         score.methods(records))]
+                         score.method_rows(records))]
 
 
 def _origin(records: Sequence[Record]) -> str:
@@ -49,7 +49,7 @@ def _origin(records: Sequence[Record]) -> str:
             f"the library, N: nothing left to find).{looked} In brackets: 95 % Wilson interval.")
 
 
-def _laws(records: Sequence[Record]) -> list[tuple[str, ...]]:
+def _law_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
     by: dict[str, list[Record]] = defaultdict(list)
     for r in records:
         by[r["hidden"]].append(r)
@@ -63,16 +63,16 @@ def _laws(records: Sequence[Record]) -> list[tuple[str, ...]]:
         rows = by.get(name, [])
         if rows:
             laws = [r for r in rows if r["law"]]
-            slot = "-" if name == "nothing" else f"{sum(map(score.slot_right, laws))} of {len(laws)}"
-            lines.append((name, str(len(rows)), str(sum(map(score.noticed, rows))), slot,
+            slot = "-" if name == "nothing" else f"{sum(map(score.is_slot_right, laws))} of {len(laws)}"
+            lines.append((name, str(len(rows)), str(sum(map(score.is_noticed, rows))), slot,
                           *(mean(rows, which) for which in ("base", "found", "proposed", "oracle"))))
     return lines
 
 
-def _failures(records: Sequence[Record]) -> list[tuple[str, ...]]:
+def _failure_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
     rows = []
     for r in sorted(records, key=lambda r: (r["block"], r["index"])):
-        wrong = failures(r)
+        wrong = list_failures(r)
         if wrong:
             law = r["law"]
             by = f" times {law['by']}" if law and law["by"] else ""
@@ -84,18 +84,18 @@ def _failures(records: Sequence[Record]) -> list[tuple[str, ...]]:
     return rows
 
 
-def failures(r: Record) -> list[str]:
+def list_failures(r: Record) -> list[str]:
     """What is wrong with an answer, in words; empty where nothing is."""
     if r["block"] == "N":
         return ["a proposal where nothing is left"] if r["law"] else []
     wrong = []
     # Without an oracle it is not known whether anything is left to notice.
-    if ("oracle" not in r["position"] or score.closable(r)) and not score.noticed(r):
+    if ("oracle" not in r["position"] or score.is_closable(r)) and not score.is_noticed(r):
         wrong.append("not noticed")
     if r["law"]:
-        wrong += [] if score.slot_right(r) else ["another slot"]
+        wrong += [] if score.is_slot_right(r) else ["another slot"]
         wrong += ["made worse"] if score.is_worse(r) else []
-        if score.place_right(r) and score.hidden_of(r).shapes and not score.shape_right(r):
+        if score.is_place_right(r) and score.hidden_of(r).shapes and not score.is_shape_right(r):
             wrong.append(f"shape read as {r['law']['shape'] or 'none'}")
-    misnamed = score.misnamed(r)
+    misnamed = score.list_misnamed(r)
     return [*wrong, *([f"stated alone: {', '.join(misnamed)}"] if misnamed else [])]

@@ -10,7 +10,7 @@ from st_core.vehicle import VehicleParameters
 from st_sim.settings import REALISTIC
 
 from .oracle import BASE
-from .sensing import ROUNDING, noise_of
+from .sensing import ROUNDING, select_noise
 
 MARGIN_NS = 700_000_000
 """At both ends: the smoothed forward acceleration is known there."""
@@ -20,7 +20,7 @@ WIDTH = 15
 """Samples of 10 ms a recorded angle is smoothed over: a hand turns the wheel more slowly."""
 
 
-def resimulated(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLog:
+def resimulate(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLog:
     """From the first instant on to the end in one prediction, every 10 ms; noise and rounding as of the virtual INS.
 
     The speed is the recorded one's integral and the wheels follow the steering without the noise of its sensor, so
@@ -38,7 +38,7 @@ def resimulated(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLo
     dx, dy = vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
     x, y = cg_to_ins_position(x, y, yaw, dx, dy)
     turning, a_y = np.gradient(rate, step), np.gradient(v_y, step) + v_x * rate
-    noise = dict(zip(("x", "y", "velocity_x", "velocity_y", "yaw", "rate", "force"), noise_of(
+    noise = dict(zip(("x", "y", "velocity_x", "velocity_y", "yaw", "rate", "force"), select_noise(
         seed, len(x), v_x, ("x", "y", "velocity_x", "velocity_y", "yaw", "rate_z", "force_y")), strict=True))
 
     def read(values: np.ndarray, what: str, rounding: str) -> np.ndarray:

@@ -20,8 +20,8 @@ from .cases import PER_CAR, Case, cases_of
 from .drives import IDENTIFIED, drives_of, settings_of
 from .edits import EditCase
 from .effects import SCATTER
-from .judge import judged
-from .next_drive import driven_again
+from .judge import judge_answer
+from .next_drive import try_suggestion
 
 COMPARED = 3
 """Every so many-th case of blocks A and B is given to the other methods as well."""
@@ -34,23 +34,24 @@ def run_case(case: Question, limits: Limits | None = None, whole: bool = True) -
     limits = limits or Limits()
     if isinstance(case, EditCase):
         logs, vehicle = edits.drives_of(case)
-        found, seconds = _timed(logs, vehicle, (), DiscoverySettings(where=False, limits=limits))
-        return {**about(case), "cpu_s": seconds, **answer(found)}
+        found, seconds = _discover(logs, vehicle, (), DiscoverySettings(where=False, limits=limits))
+        return {**describe_case(case), "cpu_s": seconds, **describe_answer(found)}
     drives = drives_of(case)
     settings = replace(settings_of(case), limits=limits)
-    found, seconds = _timed(drives.suspect, drives.vehicle, drives.reference, settings)
+    found, seconds = _discover(drives.suspect, drives.vehicle, drives.reference, settings)
     known = (*SCATTER, *IDENTIFIED) if case.kind == "identified" else SCATTER
-    record = {**about(case), "cpu_s": seconds, "truth": {n: drives.truth[n] for n in case.hidden if n in drives.truth},
+    record = {**describe_case(case), "cpu_s": seconds,
+              "truth": {n: drives.truth[n] for n in case.hidden if n in drives.truth},
               "scatter": {n: drives.truth[n] for n in known}, "mistaken": list(drives.mistaken),
-              **answer(found), **judged(case, drives, found)}
+              **describe_answer(found), **judge_answer(case, drives, found)}
     if whole:
-        record |= driven_again(case, drives, found, settings, record)
+        record |= try_suggestion(case, drives, found, settings, record)
         if case.block in "AB" and case.index % COMPARED == 0:
-            record["baselines"] = baselines.compared(case, drives)
+            record["baselines"] = baselines.compare_methods(case, drives)
     return record
 
 
-def about(case: Question) -> Record:
+def describe_case(case: Question) -> Record:
     """The part of a record that describes the question."""
     if isinstance(case, EditCase):
         return {"kind": case.name or "unedited", "size": case.size}
@@ -58,7 +59,7 @@ def about(case: Question) -> Record:
             "scales": list(case.scales), "with_vy": case.with_vy, "shifted": case.shifted}
 
 
-def _timed(suspect, vehicle, reference, settings: DiscoverySettings) -> tuple[Discovery, float]:
+def _discover(suspect, vehicle, reference, settings: DiscoverySettings) -> tuple[Discovery, float]:
     """As in `st discover`, with the estimates of the sensors by the checks."""
     begin = time.process_time()
     sensors = pool_estimates([{name: value for name, value in check(log, vehicle).estimates.items()
@@ -68,7 +69,7 @@ def _timed(suspect, vehicle, reference, settings: DiscoverySettings) -> tuple[Di
     return found, round(time.process_time() - begin, 2)
 
 
-def answer(found: Discovery) -> Record:
+def describe_answer(found: Discovery) -> Record:
     """What of an answer is kept."""
     errors = found.errors.get("position_5s")
     return {
@@ -96,7 +97,7 @@ def _values(effect: FoundEffect) -> dict[str, list[float]]:
     return {n: [p.value, *p.interval] for n, p in effect.parameters.items()}
 
 
-def in_fair_order(set_: str, counts: dict[str, int], part: tuple[int, int] = (0, 1)) -> Iterator[Question]:
+def interleave_cases(set_: str, counts: dict[str, int], part: tuple[int, int] = (0, 1)) -> Iterator[Question]:
     """Cases of all blocks interleaved, so that all blocks are about equally complete when a run is stopped.
 
     part: (k, n), every n-th group from the k-th on, for one of n processes. What shares a reference stays together; the
@@ -120,7 +121,7 @@ def key_of(case: Question) -> tuple[str, str, int]:
     return case.set_, case.block, case.index
 
 
-def read(file: Path) -> dict[tuple[str, str, int], Record]:
+def read_records(file: Path) -> dict[tuple[str, str, int], Record]:
     """Records of a file of JSON lines, by set, block and index."""
     if not file.exists():
         return {}
@@ -128,9 +129,9 @@ def read(file: Path) -> dict[tuple[str, str, int], Record]:
     return {(r["set"], r["block"], r["index"]): r for r in lines}
 
 
-def read_all(files: Iterable[Path]) -> list[Record]:
+def read_files(files: Iterable[Path]) -> list[Record]:
     """Records of several files; if files answer a case with the same limit, the record of the last file is used."""
-    kept = {(*key, *r.get("limit", ())): r for file in files for key, r in read(file).items()}
+    kept = {(*key, *r.get("limit", ())): r for file in files for key, r in read_records(file).items()}
     return list(kept.values())
 
 
@@ -138,7 +139,7 @@ def run_all(cases: Iterable[Question], file: Path, until: float | None, report: 
             limits: Limits | None = None, whole: bool = True) -> list[Record]:
     """Records of all cases, appended to the file one by one; those in it are not computed again. until: no case begins
     after this Unix time."""
-    done, records = read(file), []
+    done, records = read_records(file), []
     file.parent.mkdir(parents=True, exist_ok=True)
     for case in cases:
         key = key_of(case)
@@ -146,7 +147,7 @@ def run_all(cases: Iterable[Question], file: Path, until: float | None, report: 
             if until is not None and time.time() >= until:
                 break
             begin = time.process_time()
-            record = _guarded(case, limits, whole)
+            record = _try_case(case, limits, whole)
             done[key] = {"set": key[0], "block": key[1], "index": key[2], "version": source_version(), **record,
                          "case_s": round(time.process_time() - begin, 2)}
             with file.open("a") as out:
@@ -156,10 +157,10 @@ def run_all(cases: Iterable[Question], file: Path, until: float | None, report: 
     return records
 
 
-def _guarded(case: Question, limits: Limits | None, whole: bool) -> Record:
+def _try_case(case: Question, limits: Limits | None, whole: bool) -> Record:
     # A discovery that raises is a wrong answer of the product, not the end of the benchmark.
     try:
         return run_case(case, limits, whole)
     except Exception as error:
-        return {**about(case), "outcome": "error", "effects": [], "varying": [], "truth": {}, "scatter": {},
+        return {**describe_case(case), "outcome": "error", "effects": [], "varying": [], "truth": {}, "scatter": {},
                 "error": f"{type(error).__name__}: {error}"[:300]}

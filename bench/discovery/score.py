@@ -9,9 +9,9 @@ import numpy as np
 from st_core.effects import EFFECTS
 
 from .cars import LEAF
-from .edit_score import edited
+from .edit_score import compare_edit
 from .effects import is_similar, members
-from .judge import different
+from .judge import plant_differences
 
 Record = dict[str, Any]
 MIN_LOSS_RATIO = 1.10
@@ -44,24 +44,24 @@ def stratum(detectability: float) -> str:
     return next(name for name, low in STRATA if detectability > low)
 
 
-def groups(r: Record) -> list[list[str]]:
+def list_statements(r: Record) -> list[list[str]]:
     """The statements of an answer: each its name followed by its alternatives."""
     return [_names(e) for e in r["effects"]]
 
 
-def covers(name: str, hidden: str) -> bool:
+def is_covered(name: str, hidden: str) -> bool:
     """Whether stating `name` states `hidden`: itself, or a composite it is part of."""
     return name == hidden or (name in EFFECTS and hidden in members(name))
 
 
-def states(r: Record, hidden: str) -> bool:
+def is_stated(r: Record, hidden: str) -> bool:
     """Alone or in a set."""
-    return any(covers(name, hidden) for group in groups(r) for name in group)
+    return any(is_covered(name, hidden) for group in list_statements(r) for name in group)
 
 
 def is_false(r: Record, effect: Record) -> bool:
     """Nothing in a statement is hidden, an effect confounded with it, or truly different between plant and model."""
-    true = {*different(r["plant"]), *r.get("mistaken", ())}
+    true = {*plant_differences(r["plant"]), *r.get("mistaken", ())}
     if any(name in true or any(is_similar(name, h) for h in r["hidden"]) for name in _names(effect)):
         return False
     parts = members(effect["name"]) if effect["name"] in EFFECTS else (effect["name"],)
@@ -70,7 +70,7 @@ def is_false(r: Record, effect: Record) -> bool:
                                      for n, (_, low, high) in effect["values"].items())
 
 
-def false_ones(r: Record) -> list[list[str]]:
+def list_false(r: Record) -> list[list[str]]:
     """The statements that are false."""
     return [_names(e) for e in r["effects"] if is_false(r, e)]
 
@@ -79,11 +79,11 @@ def _names(effect: Record) -> list[str]:
     return [effect["name"], *effect["alternatives"]]
 
 
-def exact(r: Record) -> bool:
-    return len(r["effects"]) == 1 and groups(r)[0][0] == r["hidden"][0]
+def is_exact(r: Record) -> bool:
+    return len(r["effects"]) == 1 and list_statements(r)[0][0] == r["hidden"][0]
 
 
-def matters(r: Record) -> list[str]:
+def relevant_effects(r: Record) -> list[str]:
     """Hidden effects that matter: without them the oracle is worse."""
     return [n for n, ratio in r.get("worth", {}).items() if ratio >= MIN_LOSS_RATIO]
 
@@ -101,7 +101,7 @@ def values_inside(r: Record) -> list[tuple[str, bool]]:
     return rows
 
 
-def closed(r: Record) -> float | None:
+def closed_share(r: Record) -> float | None:
     """Share of the oracle's gain in held-out 5 s position; None where the oracle gains too little to speak of."""
     p = r.get("position", {})
     if "oracle" not in p or p["base"] - p["oracle"] < max(CLOSABLE[0], CLOSABLE[1] * p["base"]):
@@ -116,7 +116,7 @@ def is_worse(r: Record) -> bool:
 def is_reported(r: Record) -> bool:
     """Block E: reported as varying, unknown or unexplained, and nothing stated except true differences."""
     reported = bool(r["varying"]) or r["outcome"] in ("varying", "unknown") or r.get("unexplained", False)
-    return reported and not false_ones({**r, "hidden": []})
+    return reported and not list_false({**r, "hidden": []})
 
 
 def power_pairs(records: Iterable[Record]) -> list[tuple[str, float, bool]]:
@@ -124,13 +124,13 @@ def power_pairs(records: Iterable[Record]) -> list[tuple[str, float, bool]]:
     pairs = []
     for r in records:
         for name in r["hidden"]:
-            promised = promise(r, name)
+            promised = promised_power(r, name)
             if promised is not None:
-                pairs.append((name, promised, states(r, name)))
+                pairs.append((name, promised, is_stated(r, name)))
     return pairs
 
 
-def promise(r: Record, name: str) -> float | None:
+def promised_power(r: Record, name: str) -> float | None:
     """Power the certificate gives the true size of a hidden effect: straight lines over the logarithm of the size."""
     rows = [(p, abs(size), found) for e, p, size, found in r.get("powers", ()) if e == name]
     truth = r["truth"].get(name)
@@ -147,7 +147,7 @@ def budget_misses(r: Record) -> list[float]:
     return [abs(r["budget"].get(part, [0.0])[0] - last) for part, (last, _) in r.get("shares", {}).items()]
 
 
-def share(rows: Sequence[Record], test: Callable[[Record], bool]) -> Record:
+def share_of_records(rows: Sequence[Record], test: Callable[[Record], bool]) -> Record:
     return share_of([test(r) for r in rows])
 
 
@@ -172,7 +172,7 @@ class Table:
         self.rows.append({"name": name, "required": required, "goal": goal, **result})
 
 
-def scores(records: Sequence[Record]) -> list[Record]:
+def score_rows(records: Sequence[Record]) -> list[Record]:
     """[{name, required, goal, hits, of, share, low, high or value} ...] of everything."""
     blocks: dict[str, list[Record]] = defaultdict(list)
     for r in records:
@@ -182,15 +182,15 @@ def scores(records: Sequence[Record]) -> list[Record]:
     _nothing_hidden(table, blocks["C"], "")
     _referenced(table, blocks["D"])
     relevant = [r for r in blocks["E"] if r.get("loss_ratio", 0.0) >= MIN_HIDDEN_LOSS_RATIO]
-    table.add("E: reported as varying or unknown, not named", "80 %", "92 %", share(relevant, is_reported))
+    table.add("E: reported as varying or unknown, not named", "80 %", "92 %", share_of_records(relevant, is_reported))
     for kind in ("place", "time", "unknown"):
-        table.add(f"  {kind}", "", "", share([r for r in relevant if r["kind"] == kind], is_reported))
+        table.add(f"  {kind}", "", "", share_of_records([r for r in relevant if r["kind"] == kind], is_reported))
     _edits(table, blocks["F"])
     away = {b: [r for r in blocks[b] if r["plant"] != LEAF] for b in "ABC"}
     _parameters_found(table, [*away["A"], *away["B"]], "multi-body, ")
     _nothing_hidden(table, away["C"], "multi-body, ")
     table.add("suggested drive, once driven, settles", "60 %", "85 %",
-              share([r for r in records if "settled" in r], lambda r: r["settled"]))
+              share_of_records([r for r in records if "settled" in r], lambda r: r["settled"]))
     judged = [r for r in (*blocks["A"], *blocks["B"]) if r.get("shares")]
     table.add("budget shares against truth, mean difference", "≤ 12 %", "≤ 6 %",
               {**value_of([m for r in judged for m in budget_misses(r)]), "percent": True})
@@ -199,7 +199,7 @@ def scores(records: Sequence[Record]) -> list[Record]:
     everything = [r["cpu_s"] for r in records if "cpu_s" in r]
     table.add("processor time of discover per case [s], median", "≤ 20", "≤ 5", value_of(everything, np.median))
     table.add("processor time of discover per case [s], largest", "≤ 20", "≤ 5", value_of(everything, np.max))
-    table.add("raised an error", "0", "0", share(records, lambda r: r["outcome"] == "error"))
+    table.add("raised an error", "0", "0", share_of_records(records, lambda r: r["outcome"] == "error"))
     return table.rows
 
 
@@ -207,49 +207,54 @@ def _parameters_found(table: Table, rows: list[Record], who: str) -> None:
     """Rows of blocks A and B. who: plant, for the rows' names."""
     slack = "within 6 points of " if who else ""
     table.add(f"{who}A and B: effects that matter, stated alone or in a set", slack + "90 %", "97 %",
-              share_of([states(r, n) for r in rows for n in matters(r)]))
+              share_of([is_stated(r, n) for r in rows for n in relevant_effects(r)]))
     table.add(f"{who}A and B: statements that are false", slack + "≤ 4 %", "≤ 1 %",
               share_of([is_false(r, e) for r in rows for e in r["effects"]]))
-    table.add(f"{who}A and B: mean set size", "≤ 1.6", "≤ 1.25", value_of([len(g) for r in rows for g in groups(r)]))
+    table.add(f"{who}A and B: mean set size", "≤ 1.6", "≤ 1.25",
+              value_of([len(g) for r in rows for g in list_statements(r)]))
     table.add(f"{who}A and B: values inside their 95 % interval", slack + "85 %", "92 %",
               share_of([inside for r in rows for _, inside in values_inside(r)]))
-    shares = [closed(r) for r in rows]
+    shares = [closed_share(r) for r in rows]
     for name, q, required, goal in (("median", 0.5, "92 %", "98 %"), ("10th percentile", 0.1, "75 %", "90 %")):
         table.add(f"{who}A and B: held-out 5 s position closed relative to the oracle, {name}", slack + required, goal,
                   {**value_of(shares, lambda v, q=q: np.quantile(v, q)), "percent": True})
     table.add(f"{who}A and B: held-out made worse", "≤ 1 %", "0",
-              share([r for r in rows if "position" in r], is_worse))
+              share_of_records([r for r in rows if "position" in r], is_worse))
 
 
 def _nothing_hidden(table: Table, rows: list[Record], who: str) -> None:
     exactly = [r for r in rows if r["kind"] == "base"]
     identified = [r for r in rows if r["kind"] == "identified"]
     table.add(f"{who}C: something stated", "≤ 3 %", "≤ 1 %",
-              share_of([*(bool(r["effects"]) for r in exactly), *(bool(false_ones(r)) for r in identified)]))
-    table.add(f"  {who}base exactly right: something stated", "", "", share(exactly, lambda r: bool(r["effects"])))
-    table.add(f"  {who}file identified: something stated that is not truly different", "", "", share(
-        identified, lambda r: bool(false_ones(r))))
-    table.add(f"  {who}file identified: anything stated", "", "", share(identified, lambda r: bool(r["effects"])))
-    table.add(f"  {who}C: held-out made worse", "≤ 1 %", "0", share([r for r in rows if "position" in r], is_worse))
+              share_of([*(bool(r["effects"]) for r in exactly), *(bool(list_false(r)) for r in identified)]))
+    table.add(f"  {who}base exactly right: something stated", "", "",
+              share_of_records(exactly, lambda r: bool(r["effects"])))
+    table.add(f"  {who}file identified: something stated that is not truly different", "", "", share_of_records(
+        identified, lambda r: bool(list_false(r))))
+    table.add(f"  {who}file identified: anything stated", "", "",
+              share_of_records(identified, lambda r: bool(r["effects"])))
+    table.add(f"  {who}C: held-out made worse", "≤ 1 %", "0",
+              share_of_records([r for r in rows if "position" in r], is_worse))
 
 
 def _referenced(table: Table, rows: list[Record]) -> None:
     single = [r for r in rows if r["kind"] == "one" and "detectability" in r]
     for level, required, goal in (("strong", "95 %", "98 %"), ("medium", "85 %", "94 %"), ("weak", "70 %", "85 %")):
-        table.add(f"D: exact name, {level}, with v_y", required, goal, share(
-            [r for r in single if r["with_vy"] and stratum(r["detectability"]) == level], exact))
-    table.add("  exact name, strong and medium, without v_y", "", "", share(
-        [r for r in single if not r["with_vy"] and stratum(r["detectability"]) in ("strong", "medium")], exact))
+        table.add(f"D: exact name, {level}, with v_y", required, goal, share_of_records(
+            [r for r in single if r["with_vy"] and stratum(r["detectability"]) == level], is_exact))
+    table.add("  exact name, strong and medium, without v_y", "", "", share_of_records(
+        [r for r in single if not r["with_vy"] and stratum(r["detectability"]) in ("strong", "medium")], is_exact))
     healthy = [r for r in rows if r["kind"] == "healthy"]
     for name, shifted, required, goal in (("same", False, "≤ 2 %", "≤ 1 %"), ("shifted", True, "≤ 4 %", "≤ 2 %")):
-        table.add(f"D: alarms, {name} conditions", required, goal, share(
+        table.add(f"D: alarms, {name} conditions", required, goal, share_of_records(
             [r for r in healthy if r["shifted"] == shifted], lambda r: r["outcome"] not in ("none", "not_testable")))
-    table.add("  D: held-out made worse", "≤ 1 %", "0", share([r for r in rows if "position" in r], is_worse))
+    table.add("  D: held-out made worse", "≤ 1 %", "0",
+              share_of_records([r for r in rows if "position" in r], is_worse))
 
 
 def _edits(table: Table, rows: list[Record]) -> None:
     plain = next((r for r in rows if r["index"] < 0), None)
-    compared = [] if plain is None else [edited(plain, r) for r in rows if r["index"] >= 0]
+    compared = [] if plain is None else [compare_edit(plain, r) for r in rows if r["index"] >= 0]
     table.add("F: moves by the edit, inside the interval; others do not beyond theirs", "90 %", "96 %",
               share_of([e.moved and not e.others for e in compared]))
     table.add("  the edited value moves by the edit", "", "", share_of([e.moved for e in compared]))
@@ -265,7 +270,7 @@ def _promises(rows: Iterable[Record]) -> Record:
                      for v in by.values() if len(v) >= ENOUGH])
 
 
-def formatted(row: Record) -> str:
+def format_result(row: Record) -> str:
     """The value of a row of scores in words."""
     if row.get("of") == 0:
         return "no cases"
@@ -278,4 +283,4 @@ def formatted(row: Record) -> str:
 
 
 def as_text(rows: Sequence[Record]) -> str:
-    return "\n".join(f"{r['name']:86s} {formatted(r):34s} {r['required']:>24s} / {r['goal']}" for r in rows)
+    return "\n".join(f"{r['name']:86s} {format_result(r):34s} {r['required']:>24s} / {r['goal']}" for r in rows)

@@ -26,44 +26,45 @@ ROUNDING = {"rate": 1e-5, "force": 1e-4, "angle": 1e-6, "velocity": 1e-4, "steer
 """rad/s, m/s^2, rad, m/s of NCOM; rad of the steering wheel on CAN."""
 
 
-def log_of(name: str, recording: Recording, car: Car, vehicle: VehicleParameters, settings: Settings, seed: int,
-           later: tuple[Settings, int] | None = None) -> DriveLog:
+def make_log(name: str, recording: Recording, car: Car, vehicle: VehicleParameters, settings: Settings, seed: int,
+             later: tuple[Settings, int] | None = None) -> DriveLog:
     """The recorded drive. car: of the plant; vehicle: what the reader of the files thinks it is. later: as in
     `compiled.drive`, for faults of the sensors."""
-    r = readings(recording, car, settings, seed, later)
+    r = make_readings(recording, car, settings, seed, later)
     count = len(recording.rows)
     stamp = PERIOD * np.arange(count)
     rates, forces = np.stack([r["rate_x"], r["rate_y"], r["rate_z"]]), np.stack([r["force_x"], r["force_y"]])
-    yaw, roll, pitch = (_rounded(r[key], "angle") for key in ("yaw", "roll", "pitch"))
+    yaw, roll, pitch = (_round(r[key], "angle") for key in ("yaw", "roll", "pitch"))
     cosine, sine = np.cos(r["yaw"]), np.sin(r["yaw"])
     level = np.stack([cosine * r["velocity_x"] - sine * r["velocity_y"], sine * r["velocity_x"] +
                       cosine * r["velocity_y"], r["velocity_z"]])
-    velocity = rotate_to_body(_rounded(level, "velocity"), yaw, -pitch, roll)
+    velocity = rotate_to_body(_round(level, "velocity"), yaw, -pitch, roll)
     steering = recording.steering_wheel + car.steering_wheel_offset
     if settings["steering_sensor_noise"]:
         steering = steering + settings["steering_sensor_noise"] * _stream(np.random.default_rng([seed, 4]), count, 256)
-    steering = _rounded(steering, "steering")
+    steering = _round(steering, "steering")
     late = STEERING_PHASE + settings["steering_sensor_latency"]
     return DriveLog(
-        name, _ns(stamp + settings["ins_time_error"]), r["x"], r["y"], yaw, velocity[0], velocity[1],
-        _rounded(rates, "rate")[2], _ns(stamp + late), vehicle.road_wheel_angle(steering), steering,
-        *_rounded(forces, "force"))
+        name, _to_nanoseconds(stamp + settings["ins_time_error"]), r["x"], r["y"], yaw, velocity[0], velocity[1],
+        _round(rates, "rate")[2], _to_nanoseconds(stamp + late), vehicle.road_wheel_angle(steering), steering,
+        *_round(forces, "force"))
 
 
-def readings(recording: Recording, car: Car, settings: Settings, seed: int,
-             later: tuple[Settings, int] | None = None) -> dict[str, np.ndarray]:
+def make_readings(recording: Recording, car: Car, settings: Settings, seed: int,
+                  later: tuple[Settings, int] | None = None) -> dict[str, np.ndarray]:
     """The fields of `InsReading` for every sample, before rounding; rates and forces as rate_x ... force_z."""
     count = len(recording.rows)
     parts = [(settings, slice(0, count))] if later is None else [
         (settings, slice(0, later[1])), (later[0], slice(later[1], count))]
-    clean = [_clean(recording.rows[part], recording.bank[part], recording.grade[part], car, s) for s, part in parts]
+    clean = [_noise_free_readings(recording.rows[part], recording.bank[part], recording.grade[part], car, s) for s,
+             part in parts]
     values = np.concatenate(clean, axis=1)
     if settings["ins_noise"]:
         values = values + settings["ins_noise"] * _noise(seed, count, recording.rows[:, VX])
     return dict(zip(CHANNELS, values, strict=True))
 
 
-def _clean(rows: np.ndarray, bank: np.ndarray, grade: np.ndarray, car: Car, s: Settings) -> np.ndarray:
+def _noise_free_readings(rows: np.ndarray, bank: np.ndarray, grade: np.ndarray, car: Car, s: Settings) -> np.ndarray:
     """(15, n), rows as CHANNELS: without noise, with the faults of the settings."""
     x, y, yaw, vx, vy, r, a_y, a_y_rate, a_x = rows[:, (X, Y, YAW, VX, VY, YAW_RATE, A_Y, A_Y_RATE, A_X)].T
     vx_dot, vy_dot, r_dot, climb = rows[:, STATES:].T
@@ -106,7 +107,7 @@ def _noise(seed: int, count: int, speed: np.ndarray) -> np.ndarray:
     return result
 
 
-def noise_of(seed: int, count: int, speed: np.ndarray, channels: Sequence[str]) -> np.ndarray:
+def select_noise(seed: int, count: int, speed: np.ndarray, channels: Sequence[str]) -> np.ndarray:
     """(channels, n) of the INS noise at the forward speeds [m/s]; channels: names of CHANNELS."""
     return _noise(seed, count, speed)[[CHANNELS.index(name) for name in channels]]
 
@@ -117,9 +118,9 @@ def _stream(generator: np.random.Generator, count: int, block: int) -> np.ndarra
     return np.concatenate(blocks)[:count]
 
 
-def _rounded(values: np.ndarray, kind: str) -> np.ndarray:
+def _round(values: np.ndarray, kind: str) -> np.ndarray:
     return np.round(values / ROUNDING[kind]) * ROUNDING[kind]
 
 
-def _ns(seconds: np.ndarray) -> np.ndarray:
+def _to_nanoseconds(seconds: np.ndarray) -> np.ndarray:
     return START_NS + np.round(seconds * 1e9).astype(np.int64)

@@ -12,10 +12,10 @@ from .._pages import format_table
 from . import score
 from .cars import LEAF
 from .cases import COUNTS
-from .edit_score import edited
+from .edit_score import compare_edit
 from .effects import DIFFERENT, KNOWN
-from .figures import confusion
-from .score import formatted, groups, matters, share, share_of, value_of
+from .figures import draw_confusion
+from .score import format_result, list_statements, relevant_effects, share_of, share_of_records, value_of
 
 Record = dict[str, Any]
 PAGE = project_root() / "docs" / "measurements" / "discovery_scores.md"
@@ -43,14 +43,14 @@ def write(records: Sequence[Record]) -> None:
     usual = [r for r in records if "limit" not in r]
     PAGE.write_text(as_markdown(usual, [r for r in records if "limit" in r]))
     FIGURE.parent.mkdir(exist_ok=True)
-    confusion(usual, FIGURE)
+    draw_confusion(usual, FIGURE)
 
 
 def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
     parts = [
         INTRODUCTION, _origin(records),
         "## Scores", format_table(("score", "measured", "required", "goal"), [
-            (r["name"].strip(), formatted(r), r["required"], r["goal"]) for r in score.scores(records)]),
+            (r["name"].strip(), format_result(r), r["required"], r["goal"]) for r in score.score_rows(records)]),
         "## The two plants", _plants(records),
         "## By hidden effect", "Blocks A and B: hidden effects that matter, how often they are stated, and how often "
         "the value stated is right.", _by_effect(records), f"![confusion](../images/{FIGURE.name})",
@@ -60,7 +60,7 @@ def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
         "## What is truly different between plant and model", "Naming one of these is right, whatever is hidden.",
         format_table(("plant", "effect", "why"), [(plant, name, why) for plant, rows in DIFFERENT.items()
                                            for name, why in rows.items()]),
-        "## What failed", *_failures(records),
+        "## What failed", *_failure_tables(records),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -88,10 +88,10 @@ def _plants(records: Sequence[Record]) -> str:
     """The rows of A to C, of each plant alone."""
     names, columns = [], []
     for leaf in (True, False):
-        rows = score.scores([r for r in records if r["block"] in "ABC" and (r["plant"] == LEAF) == leaf])
+        rows = score.score_rows([r for r in records if r["block"] in "ABC" and (r["plant"] == LEAF) == leaf])
         rows = [r for r in rows if not r["name"].startswith(("multi-body", "  multi-body")) and r.get("of")]
         names = names or [r["name"] for r in rows]
-        columns.append({r["name"]: formatted(r) for r in rows})
+        columns.append({r["name"]: format_result(r) for r in rows})
     return format_table(("score", "virtual Leaf", "multi-body cars"),
                  [(n.strip(), *(c.get(n, "no cases") for c in columns)) for n in names])
 
@@ -100,33 +100,35 @@ def _by_effect(records: Sequence[Record]) -> str:
     ab = [r for r in records if r["block"] in "AB"]
     rows = []
     for name in [h.library for h in KNOWN]:
-        found = share_of([score.states(r, name) for r in ab if name in matters(r)])
+        found = share_of([score.is_stated(r, name) for r in ab if name in relevant_effects(r)])
         right = share_of([inside for r in ab for n, inside in score.values_inside(r) if n == name])
-        rows.append((name, formatted(found), formatted(right)))
+        rows.append((name, format_result(found), format_result(right)))
     return format_table(("effect", "stated", "value inside its interval"), rows)
 
 
 def _methods(records: Sequence[Record]) -> str:
-    compared = [r for r in records if r.get("baselines") and score.closed(r) is not None]
+    compared = [r for r in records if r.get("baselines") and score.closed_share(r) is not None]
     if not compared:
         return NOT_RUN
 
     def row(name: str, position: Callable[[Record], float]) -> tuple[str, ...]:
         shares = [(r["position"]["base"] - position(r)) / (r["position"]["base"] - r["position"]["oracle"])
                   for r in compared]
-        worse = share(compared, lambda r: position(r) > score.WORSE * r["position"]["base"])
-        return (name, *(formatted({**value_of(shares, lambda v, q=q: np.quantile(v, q)), "name": "", "percent": True})
-                        for q in (0.5, 0.1)), formatted(worse))
+        worse = share_of_records(compared, lambda r: position(r) > score.WORSE * r["position"]["base"])
+        return (name, *(format_result({**value_of(shares, lambda v, q=q: np.quantile(v, q)), "name": "",
+                                       "percent": True})
+                        for q in (0.5, 0.1)), format_result(worse))
     rows = [row("no change", lambda r: r["position"]["base"]),
             row("tyres tuned again (three numbers)", lambda r: r["baselines"]["tyres"]),
             row("paramsd's equations (ratio, stiffness, offset)", lambda r: r["baselines"]["paramsd"]),
             row("discover", lambda r: r["position"]["found"]),
             row("oracle: the true effects fitted", lambda r: r["position"]["oracle"])]
     regressed = [r for r in compared if "regression" in r["baselines"]]
-    named = share(regressed, lambda r: bool(set(r["baselines"]["regression"]["names"]) & set(r["hidden"])))
-    worse = share(regressed, lambda r: r["baselines"]["regression"]["after"] > r["baselines"]["regression"]["before"])
-    text = ("Sparse regression of the residual accelerations predicts no positions. Its largest term names a "
-            f"hidden effect in {formatted(named)}; the residual on held-out drives grows in {formatted(worse)}.")
+    named = share_of_records(regressed, lambda r: bool(set(r["baselines"]["regression"]["names"]) & set(r["hidden"])))
+    residuals = [r["baselines"]["regression"] for r in regressed]
+    worse = share_of_records(residuals, lambda residual: residual["after"] > residual["before"])
+    text = ("Sparse regression of the residual accelerations predicts no positions. Its largest term names a hidden "
+            f"effect in {format_result(named)}; the residual on held-out drives grows in {format_result(worse)}.")
     return format_table(("method", "median", "10th percentile", "made worse"), rows) + "\n\n" + text
 
 
@@ -143,7 +145,7 @@ def _ablation(records: Sequence[Record]) -> str:
         by[r["limit"][0], r["limit"][1]].append(r)
     rows = []
     for (name, factor), mine in sorted(by.items()):
-        measured = {r["name"]: formatted(r) for r in score.scores(mine)}
+        measured = {r["name"]: format_result(r) for r in score.score_rows(mine)}
         rows.append((f"{name} x {factor:g}" if name else "as they are", *(measured[n] for n in ABLATED)))
     usual = by["", 1.0]
     cases = ", ".join(f"{n} {block}" for block, n in sorted(Counter(r["block"] for r in usual).items()))
@@ -152,7 +154,7 @@ def _ablation(records: Sequence[Record]) -> str:
     return "\n\n".join((about, format_table(("limit", *ABLATED), rows)))
 
 
-def _failures(records: Sequence[Record]) -> list[str]:
+def _failure_tables(records: Sequence[Record]) -> list[str]:
     """One table for each block: case, hidden effects, answer, errors."""
     plain = next((r for r in records if r["block"] == "F" and r["index"] < 0), None)
     parts = []
@@ -160,22 +162,23 @@ def _failures(records: Sequence[Record]) -> list[str]:
         rows = []
         for r in records:
             if r["block"] == block and r["index"] >= 0:
-                wrong = failures(r, plain)
+                wrong = list_failures(r, plain)
                 if wrong:
                     what = f"{r['plant']}: {r['words']}" if "words" in r else f"{r['kind']} {r['size']:+.3g}"
-                    rows.append((f"{block} {r['index']}", what, f"{r['outcome']}: {answer_text(r)}", "; ".join(wrong)))
+                    rows.append((f"{block} {r['index']}", what, f"{r['outcome']}: {format_answer(r)}",
+                                 "; ".join(wrong)))
         if rows:
             parts.append(format_table(("case", "hidden", "answer", "wrong"), rows))
     return parts or ["Nothing."]
 
 
-def answer_text(r: Record) -> str:
-    names = [" or ".join(group) for group in groups(r)] + [
+def format_answer(r: Record) -> str:
+    names = [" or ".join(group) for group in list_statements(r)] + [
         f"{name} varies with {partition}" for name, partition in r["varying"]]
     return " + ".join(names) or "-"
 
 
-def failures(r: Record, plain: Record | None) -> list[str]:
+def list_failures(r: Record, plain: Record | None) -> list[str]:
     """What is wrong with an answer, in words; empty where nothing is."""
     if r["outcome"] == "error":
         return [r["error"]]
@@ -183,21 +186,21 @@ def failures(r: Record, plain: Record | None) -> list[str]:
     if block == "F":
         if plain is None:
             return []
-        e = edited(plain, r)
+        e = compare_edit(plain, r)
         value = "not stated" if e.stated is None else f"{e.stated[0]:.4g} ({e.stated[1]:.4g} to {e.stated[2]:.4g})"
         return [*([] if e.moved else [f"expected {e.expected:.4g}, {value}"]),
                 *([f"also moved: {', '.join(e.others)}"] if e.others else [])]
     if block == "D":
         alarm = r["kind"] == "healthy" and r["outcome"] != "none"
-        missed = r["kind"] == "one" and r.get("detectability", 0.0) > 0.1 and not score.exact(r)
+        missed = r["kind"] == "one" and r.get("detectability", 0.0) > 0.1 and not score.is_exact(r)
         return ["alarm"] * alarm + [f"not the exact name (D {r.get('detectability', 0.0):.2f})"] * missed
     if block == "E":
         counts = r.get("loss_ratio", 0.0) >= score.MIN_HIDDEN_LOSS_RATIO
         return ["not reported, or named"] if counts and not score.is_reported(r) else []
     if block == "C" and r["kind"] == "base":
         return ["something is stated"] if r["effects"] else []
-    wrong = [f"false: {' or '.join(names)}" for names in score.false_ones(r)]
-    wrong += [f"missed: {n} (x{r['worth'][n]:.2f})" for n in matters(r) if not score.states(r, n)]
+    wrong = [f"false: {' or '.join(names)}" for names in score.list_false(r)]
+    wrong += [f"missed: {n} (x{r['worth'][n]:.2f})" for n in relevant_effects(r) if not score.is_stated(r, n)]
     wrong += [f"value of {n} outside" for n, inside in score.values_inside(r) if not inside]
     if "position" in r and score.is_worse(r):
         wrong.append("held-out made worse")

@@ -32,7 +32,7 @@ from st_recordings.runs.csv import read_csv
 from .._pages import format_records, replace_part
 from . import score
 from .cases import cases
-from .recordings import write
+from .recordings import write_case
 
 Work = importlib.import_module("st_core.discovery.discover")._Analysis  # the package exports the function of that name
 PAGE = project_root() / "docs" / "measurements" / "discovery_limits.md"
@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     LINES.parent.mkdir(parents=True, exist_ok=True)
     for name in chosen.cases:
-        for line in answers(name, chosen.numbers):
+        for line in count_variants(name, chosen.numbers):
             with LINES.open("a") as file:
                 file.write(json.dumps(line) + "\n")
             print(line, flush=True)
@@ -71,26 +71,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def answers(name: str, numbers: Sequence[str]) -> Iterator[dict[str, Any]]:
+def count_variants(name: str, numbers: Sequence[str]) -> Iterator[dict[str, Any]]:
     """Counts of one case, unchanged and with each of the numbers changed."""
     with tempfile.TemporaryDirectory(prefix="st-ablation-") as temporary:
         folder = Path(temporary)
-        truth = write(cases("development")[name], folder)
+        truth = write_case(cases("development")[name], folder)
         vehicle = read_vehicle(folder / "car" / "vehicle.yaml")
         logs = [read_csv(path, vehicle).log for path in sorted((folder / "drives").glob("*.csv"))]
     work = Work(logs, vehicle, "nonlinear", (), DiscoverySettings(), None, {}, 1, {})
-    searched = _searched(work)
-    usual = _counts(work, searched, truth)
+    searched = _search(work)
+    usual = _count(work, searched, truth)
     yield {"case": name, "number": "", "factor": 1.0, "changed": False, **usual}
     for number in numbers:
         for factor in FACTORS:
-            with _multiplied(work, number, factor) as other:
-                found = _counts(other, _searched(other) if number in SEARCHED else searched, truth)
+            with _multiply(work, number, factor) as other:
+                found = _count(other, _search(other) if number in SEARCHED else searched, truth)
             yield {"case": name, "number": number, "factor": factor, "changed": found != usual, **found}
 
 
 @contextmanager
-def _multiplied(work: Any, number: str, factor: float) -> Iterator[Any]:
+def _multiply(work: Any, number: str, factor: float) -> Iterator[Any]:
     """The work with one number multiplied."""
     if number in LIMITS:
         other = copy(work)
@@ -109,7 +109,7 @@ def _multiplied(work: Any, number: str, factor: float) -> Iterator[Any]:
             object.__setattr__(owner, key, value)
 
 
-def _searched(work: Any) -> tuple[Any, ...]:
+def _search(work: Any) -> tuple[Any, ...]:
     """Problem, floor of the noise, parts of the driving, the search and what it found."""
     problem, by_column = work._make_problem()
     parts = partitions(work.windows)
@@ -117,23 +117,23 @@ def _searched(work: Any) -> tuple[Any, ...]:
     return problem, work._channel_noise(by_column), parts, search, search.run()
 
 
-def _counts(work: Any, searched: tuple[Any, ...], truth: Mapping[str, Any]) -> dict[str, int]:
+def _count(work: Any, searched: tuple[Any, ...], truth: Mapping[str, Any]) -> dict[str, int]:
     """Counts of statements, hidden errors, values and points of the force curves."""
     work.problem, floor, parts, search, found = searched
     names = work._judge_effects(search, found, parts, floor)
-    answer = {"effects": [_plain(one) for one in names.named], "minor": [_plain(one) for one in names.minor],
+    answer = {"effects": [_as_dict(one) for one in names.named], "minor": [_as_dict(one) for one in names.minor],
               "combinations": [vars(one) for one in names.combinations],
               "axle_curves": [vars(one) for one in names.curves]}
     result = {"truth": truth, "answer": answer}
-    stated, hidden = score.statements(result), score.hidden(result)
+    stated, hidden = score.list_statements(result), score.named_errors(result)
     compared = [one["inside"] for one in stated if one["inside"] is not None]
-    inside, points = score.band(result)
+    inside, points = score.count_in_band(result)
     return {"statements": len(stated), "false": sum(not one["in_car"] for one in stated), "hidden": len(hidden),
             "named": sum(hidden.values()), "values": len(compared), "inside": sum(compared), "points": points,
             "in band": inside}
 
 
-def _plain(effect: Any) -> dict[str, Any]:
+def _as_dict(effect: Any) -> dict[str, Any]:
     return {"name": effect.name, "alternatives": effect.alternatives, "joint": effect.joint,
             "parameters": {name: vars(value) for name, value in effect.parameters.items()}}
 

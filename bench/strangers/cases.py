@@ -20,7 +20,7 @@ SINGLE = {"ratio": 6, "offset": 4, "load": 4, "lever": 4, "worn_front": 4, "worn
           "gyro_scale": 2, "gyro_bias": 1, "heading": 1}
 PAIRS = (("ratio", "offset"), ("lever", "delay"), ("heading", "offset"), ("ratio", "worn_rear"))
 HEALTHY = 20
-DRAWN = {  # smallest and largest size; +- where the sign is drawn too
+SIZE_RANGES = {  # smallest and largest size; +- where the sign is drawn too
     "ratio": (0.04, 0.09), "offset": (math.radians(1.0), math.radians(2.5)), "load": (170.0, 320.0),
     "lever": (0.25, 0.5), "worn_front": (0.74, 0.87), "worn_rear": (0.74, 0.87), "compliance": (1.5e-6, 3.0e-6),
     "delay": (0.06, 0.15), "gyro_scale": (0.015, 0.03), "gyro_bias": (math.radians(0.15), math.radians(0.4)),
@@ -44,7 +44,7 @@ class Case:
     sensors: Mapping[str, float] = field(default_factory=dict)
 
 
-def possible(car: Stranger, faults: tuple[str, ...]) -> bool:
+def is_possible(car: Stranger, faults: tuple[str, ...]) -> bool:
     elastic = car.numbers.compliance > 0 or car.numbers.column > 0
     return "compliance" not in faults or not (elastic or car.description == MULTI_BODY)
 
@@ -56,7 +56,7 @@ def cases(half: str) -> dict[str, Case]:
     Each half has 60: 20 with nothing wrong but guesses, 36 with one error, 4 with two.
     """
     if half == NEW_USER:
-        return {NEW_USER: new_user()}
+        return {NEW_USER: make_new_user()}
     cars, seed = HALVES[half]
     rng = np.random.default_rng(seed)
     faults = [(), *[()] * (HEALTHY - 1), *[(name,) for name, count in SINGLE.items() for _ in range(count)], *PAIRS]
@@ -64,20 +64,20 @@ def cases(half: str) -> dict[str, Case]:
     found: dict[str, Case] = {}
     for number in range(len(faults)):
         car = cars[number % len(cars)]
-        fitting = [f for f in faults if possible(car, f)]
+        fitting = [f for f in faults if is_possible(car, f)]
         new = [f for f in fitting if f"{car.name}_{'_and_'.join(f) or 'healthy'}" not in found]
         chosen = next(iter(new or fitting), None)
         if chosen is None:  # only errors are left that this car cannot have
-            car = next(one for one in cars if possible(one, faults[0]))
+            car = next(one for one in cars if is_possible(one, faults[0]))
             chosen = faults[0]
         faults.remove(chosen)
         base = f"{car.name}_{'_and_'.join(chosen) or 'healthy'}"
         name = next(n for n in (base, *(f"{base}_{k}" for k in range(2, 60))) if n not in found)
-        found[name] = _drawn(name, car, chosen, number, zlib.crc32(f"{half} {name}".encode()))
+        found[name] = _draw_case(name, car, chosen, number, zlib.crc32(f"{half} {name}".encode()))
     return found
 
 
-def new_user() -> Case:
+def make_new_user() -> Case:
     """Ratio of the file 8 % too large; mass, inertia, CG and stiffness of the file true."""
     n = CARS["own_car"].numbers
     known = {"yaw_inertia": n.inertia, "cornering_stiffness_front": n.stiffness_front,
@@ -86,9 +86,9 @@ def new_user() -> Case:
     return Case(NEW_USER, "own_car", {"ratio": 0.08}, known, {}, drives, 7, {})
 
 
-def _drawn(name: str, car: Stranger, faults: tuple[str, ...], number: int, seed: int) -> Case:
+def _draw_case(name: str, car: Stranger, faults: tuple[str, ...], number: int, seed: int) -> Case:
     rng = np.random.default_rng(seed)
-    hidden = {fault: float(rng.uniform(*DRAWN[fault])) * (rng.choice((-1, 1)) if fault in SIGNED else 1)
+    hidden = {fault: float(rng.uniform(*SIZE_RANGES[fault])) * (rng.choice((-1, 1)) if fault in SIGNED else 1)
               for fault in faults}
     n = multibody.numbers(car) if car.description == MULTI_BODY else car.numbers
     soft = 1 + n.stiffness_front * (n.compliance + n.column * n.trail)
@@ -139,9 +139,9 @@ def true_car(case: Case) -> Stranger:
     front, rear = case.hidden.get("worn_front", 1.0), case.hidden.get("worn_rear", 1.0)
     if car.description == MULTI_BODY:
         if load:
-            car = multibody.laden(car, (n.mass + load) / n.mass, back, inertia / n.inertia)
+            car = multibody.add_load(car, (n.mass + load) / n.mass, back, inertia / n.inertia)
         for axle, factor in (("front", front), ("rear", rear)):
-            car = multibody.worn(car, axle, factor) if factor != 1.0 else car
+            car = multibody.wear_tyres(car, axle, factor) if factor != 1.0 else car
         return replace(car, numbers=multibody.numbers(car), ins=car.ins + back)
     return replace(car, ins=car.ins + back, numbers=n._replace(
         mass=n.mass + load, front=n.front + back, inertia=inertia, stiffness_front=n.stiffness_front * front,

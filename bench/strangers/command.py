@@ -17,7 +17,7 @@ from st_recordings.paths import project_root, source_version
 from .._pages import format_records, replace_part
 from . import judge, score
 from .cases import HALVES, NEW_USER, Case, cases
-from .recordings import write
+from .recordings import write_case
 from .vehicles import CARS, DESCRIPTIONS
 
 PAGE = project_root() / "docs" / "measurements" / "strangers.md"
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if not chosen.only or case.name in chosen.only
             or any(text in case.name for text in chosen.only if text not in cases(chosen.cases))][::chosen.every]
     if chosen.list:
-        print("\n".join(f"{case.name}: {_hidden(case)}" for case in some))
+        print("\n".join(f"{case.name}: {_describe_hidden(case)}" for case in some))
         return 0
     folder = chosen.output or project_root() / ".st" / "strangers" / chosen.cases
     folder.mkdir(parents=True, exist_ok=True)
@@ -57,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if known and (chosen.score or (not chosen.fresh and known["version"] == source_version())):
             results.append(known)
         elif not chosen.score:
-            results.append(answered(case, chosen.keep))
+            results.append(run_case(case, chosen.keep))
             file.write_text(json.dumps(results[-1], indent=1) + "\n")
             print("\n".join(case_lines(results[-1])), flush=True)
     figures = score.totals(results)
@@ -67,13 +67,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return int(any("answer" not in one for one in results))
 
 
-def answered(case: Case, keep: Path | None = None) -> dict[str, Any]:
+def run_case(case: Case, keep: Path | None = None) -> dict[str, Any]:
     """Recordings, `st discover`, held-out errors and implied forces of a case."""
     result: dict[str, Any] = {"case": case.name, "version": source_version(), "date": str(date.today())}
     with tempfile.TemporaryDirectory(prefix="st-strangers-") as temporary:
         folder = (keep or Path(temporary)) / case.name
         folder.mkdir(parents=True)
-        result["truth"] = write(case, folder)
+        result["truth"] = write_case(case, folder)
         found, began, used = folder / "found", time.monotonic(), _processor_time()
         done = subprocess.run(
             [sys.executable, "-m", "st_cli.cli", "discover", str(folder / "drives"), "--car", str(folder / "car"),
@@ -84,7 +84,7 @@ def answered(case: Case, keep: Path | None = None) -> dict[str, Any]:
             return result | {"failed": done.stderr[-2000:]}
         answer = json.loads((found / "discovery.json").read_text())
         result["answer"] = {key: answer[key] for key in KEPT if key in answer}
-        result["held_out"] = judge.held_out(folder, found)
+        result["held_out"] = judge.held_out_errors(folder, found)
         result["forces"] = judge.implied_forces(result["truth"], folder, found, answer)
     return result
 
@@ -101,17 +101,17 @@ def case_lines(result: Mapping[str, Any]) -> list[str]:
         return [f"{result['case']}: FAILED: {result['failed'].strip().splitlines()[-1:]}"]
     errors, held = result["answer"]["errors"]["position_5s"], result["held_out"]
     lines = [f"{result['case']} ({result['seconds']} s): "
-             + ", ".join(f"{name} {'named' if ok else 'MISSED'}" for name, ok in score.hidden(result).items())]
-    lines += [f"   {statement(line)}" for line in score.statements(result)]
-    ratios = ", ".join(f"{axle} {value:.2f}" for axle, value in score.forces(result).items() if "_" not in axle)
-    inside, count = score.band(result)
+             + ", ".join(f"{name} {'named' if ok else 'MISSED'}" for name, ok in score.named_errors(result).items())]
+    lines += [f"   {format_statement(line)}" for line in score.list_statements(result)]
+    ratios = ", ".join(f"{axle} {value:.2f}" for axle, value in score.force_errors(result).items() if "_" not in axle)
+    inside, count = score.count_in_band(result)
     lines.append(f"   5 s error {errors['base']:.2f} -> {errors['augmented']:.3f} m, noise {errors['floor']:.3f} m; "
                  "held-out " + ", ".join(f"{key} {value:.2f}" for key, value in held.items() if value is not None)
                  + f" m; implied force over the file's error: {ratios}; band {inside}/{count}")
     return lines
 
 
-def statement(line: Mapping[str, Any]) -> str:
+def format_statement(line: Mapping[str, Any]) -> str:
     """One statement against what is in the car."""
     if line.get("value") is None:
         return f"{line['effect']}: {'in the car' if line['in_car'] else 'NOT IN THE CAR'}"
@@ -127,7 +127,7 @@ def statement(line: Mapping[str, Any]) -> str:
     return f"{text}: true {true}, {'inside' if line['inside'] else 'OUTSIDE'}"
 
 
-def _hidden(case: Case) -> str:
+def _describe_hidden(case: Case) -> str:
     text = ", ".join(f"{name} {size:.4g}" for name, size in case.hidden.items()) or "only the usual guesses"
     return f"{text}; {DESCRIPTIONS[CARS[case.car].description]}"
 
@@ -138,7 +138,7 @@ def page_table(results: Sequence[Mapping[str, Any]], figures: Mapping[str, Any])
     rows = [{"score": key, "value": number(value) if isinstance(value, float) else str(value)}
             for key, value in figures.items() if key != "false" and value is not None]
     each = [{"case": one["case"], "hidden": ", ".join(one["truth"]["hidden"]) or "-",
-             "stated": "<br>".join(statement(line) for line in score.statements(one)) or "-",
+             "stated": "<br>".join(format_statement(line) for line in score.list_statements(one)) or "-",
              "5 s error, m": f"{one['answer']['errors']['position_5s']['base']:.2f} → "
                              f"{one['answer']['errors']['position_5s']['augmented']:.2f}",
              "s": f"{one['seconds']:.0f}"} for one in results if "answer" in one]

@@ -17,7 +17,7 @@ AT = 4  # index of 5 s in ModelErrors.at_seconds
 INTERVAL = 0.25  # s between predictions
 
 
-def held_out(folder: Path, found: Path) -> dict[str, float | None]:
+def held_out_errors(folder: Path, found: Path) -> dict[str, float | None]:
     """Mean position error after 5 s [m] on the held-out drives with the owner's file, with the vehicle.yaml found
     alone, and with model.yaml; None where that file was not written."""
     original = read_vehicle(folder / "car" / "vehicle.yaml")

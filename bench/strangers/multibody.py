@@ -45,7 +45,7 @@ def drive(car: Stranger, road: np.ndarray, seconds: float, wander: np.ndarray, s
     return np.column_stack([np.interp(fine, np.arange(len(out)), column) for column in out.T])
 
 
-def laden(car: Stranger, mass: float, shift: float, inertia: float) -> Stranger:
+def add_load(car: Stranger, mass: float, shift: float, inertia: float) -> Stranger:
     """The car with factors of mass and yaw inertia, CG moved back by shift [m]."""
     known = dict(car.settings)
     known["mass_factor"] = known.get("mass_factor", 1.0) * mass
@@ -54,6 +54,6 @@ def laden(car: Stranger, mass: float, shift: float, inertia: float) -> Stranger:
     return replace(car, settings=tuple(known.items()))
 
 
-def worn(car: Stranger, axle: str, factor: float) -> Stranger:
+def wear_tyres(car: Stranger, axle: str, factor: float) -> Stranger:
     known, key = dict(car.settings), f"{axle}_stiffness_factor"
     return replace(car, settings=tuple({**known, key: known.get(key, 1.0) * factor}.items()))

@@ -22,7 +22,7 @@ DRAG, ROLLING_RESISTANCE, BRAKE_FRONT = 0.38, 0.011, 0.65
 
 
 @njit(cache=True)
-def stiffened(stiffness, load_ratio, p):
+def tyre_stiffness(stiffness, load_ratio, p):
     """Cornering stiffness of one tyre at its load; a table contains its load dependence."""
     if p.tyre == TABLE:
         return stiffness / 2
@@ -36,12 +36,13 @@ def axle_force(slip, stiffness, static, load, shift, longitudinal, p):
     for side in (-1.0, 1.0):
         z = max(load + side * shift, 50.0)
         ratio = z / static
-        force += side_force(p.tyre, slip, stiffened(stiffness, ratio, p), z, longitudinal / 2, p.grip, p.sliding, ratio)
+        force += side_force(p.tyre, slip, tyre_stiffness(stiffness, ratio, p), z, longitudinal / 2, p.grip, p.sliding,
+                            ratio)
     return force
 
 
 @njit(cache=True)
-def planar(q, fx, fy, moment, p, out):
+def planar_rates(q, fx, fy, moment, p, out):
     """Rates of the six planar states from body forces [N] and yaw moment [N m], drag and rolling resistance added."""
     vx, vy, r = q[3], q[4], q[5]
     resistance = DRAG * vx * abs(vx) + ROLLING_RESISTANCE * p.mass * GRAVITY * min(vx / 0.3, 1.0)
@@ -52,7 +53,7 @@ def planar(q, fx, fy, moment, p, out):
 
 
 @njit(cache=True)
-def shares(push, p):
+def split_push(push, p):
     """Longitudinal force of the front and of the rear axle [N]."""
     front = push * (p.drive_front if push > 0 else BRAKE_FRONT)
     return front, push - front
@@ -64,7 +65,7 @@ def rolling(q, wheel, push, p, out):
     rear = p.wheelbase - p.front
     delta = q[8] if p.steer_lag > 0 else wheel
     speed = max(q[3], 0.8)
-    ffx, frx = shares(push, p)
+    ffx, frx = split_push(push, p)
     kinematic_f, kinematic_r = math.atan((q[4] + p.front * q[5]) / speed), math.atan((q[4] - rear * q[5]) / speed)
     static_f, static_r = p.mass * GRAVITY * rear / p.wheelbase / 2, p.mass * GRAVITY * p.front / p.wheelbase / 2
     transfer = p.height / p.wheelbase * push / 2
@@ -77,7 +78,7 @@ def rolling(q, wheel, push, p, out):
     bent = delta - p.compliance * fy
     c, s = math.cos(bent), math.sin(bent)
     front = fy * c + ffx * s
-    planar(q, ffx * c - fy * s + frx, front + ry, p.front * front - rear * ry, p, out)
+    planar_rates(q, ffx * c - fy * s + frx, front + ry, p.front * front - rear * ry, p, out)
     ay = (front + ry) / p.mass
     out[6] = q[7]
     out[7] = (p.mass * 0.9 * p.height * (ay + GRAVITY * q[6]) - p.roll_stiffness * q[6] - p.roll_damping * q[7]
@@ -93,7 +94,7 @@ def four_wheels(q, wheel, push, p, out):
     """Own states: lateral and longitudinal acceleration the loads follow, road-wheel angle."""
     rear = p.wheelbase - p.front
     half = p.track / 2
-    forces = shares(push, p)
+    forces = split_push(push, p)
     total_x, total_y, moment, steered = 0.0, 0.0, 0.0, 0.0
     for axle in range(2):
         front = axle == 0
@@ -109,12 +110,13 @@ def four_wheels(q, wheel, push, p, out):
             delta = math.atan(tangent / (1 - side * p.ackermann * half / p.wheelbase * tangent)) if front else 0.0
             slip = math.atan((q[4] + q[5] * x) / max(q[3] - q[5] * y, 0.8)) - delta
             ratio = z / static
-            fy = side_force(p.tyre, slip, stiffened(stiffness, ratio, p), z, forces[axle] / 2, p.grip, p.sliding, ratio)
+            fy = side_force(p.tyre, slip, tyre_stiffness(stiffness, ratio, p), z, forces[axle] / 2, p.grip, p.sliding,
+                            ratio)
             c, s = math.cos(delta), math.sin(delta)
             bx, by = forces[axle] / 2 * c - fy * s, forces[axle] / 2 * s + fy * c
             total_x, total_y, moment = total_x + bx, total_y + by, moment + x * by - y * bx
             steered += fy if front else 0.0
-    planar(q, total_x, total_y, moment, p, out)
+    planar_rates(q, total_x, total_y, moment, p, out)
     out[6] = (total_y / p.mass - q[6]) / 0.08
     out[7] = (push / p.mass - q[7]) / 0.06
     out[8] = (wheel - p.compliance * steered - q[8]) / max(p.steer_lag, 0.012)
@@ -125,7 +127,7 @@ def elastic(q, wheel, push, p, out):
     """Own states: road-wheel angle without elasticity, slip angle front and rear."""
     rear = p.wheelbase - p.front
     speed = max(q[3], 0.8)
-    ffx, frx = shares(push, p)
+    ffx, frx = split_push(push, p)
     static_f, static_r = p.mass * GRAVITY * rear / p.wheelbase / 2, p.mass * GRAVITY * p.front / p.wheelbase / 2
     transfer = p.height / p.wheelbase * push / 2
     moved = p.mass * q[3] * q[5] * p.height / p.track
@@ -136,7 +138,7 @@ def elastic(q, wheel, push, p, out):
     delta = q[6] - p.column * torque - p.compliance * fy
     c, s = math.cos(delta), math.sin(delta)
     front = fy * c + ffx * s
-    planar(q, ffx * c - fy * s + frx, front + ry, p.front * front - rear * ry - torque, p, out)
+    planar_rates(q, ffx * c - fy * s + frx, front + ry, p.front * front - rear * ry - torque, p, out)
     out[6] = (wheel - q[6]) / max(p.steer_lag, 0.012)
     out[7] = max(speed, 3.0) / p.relaxation * (math.atan((q[4] + p.front * q[5]) / speed) - delta - q[7])
     out[8] = max(speed, 3.0) / p.relaxation * (
@@ -149,7 +151,7 @@ def bristle(q, wheel, push, p, out):
     rear = p.wheelbase - p.front
     loads = (p.mass * GRAVITY * rear / p.wheelbase, p.mass * GRAVITY * p.front / p.wheelbase)
     transfer = p.height / p.wheelbase * push
-    ffx, frx = shares(push, p)
+    ffx, frx = split_push(push, p)
     c, s = math.cos(q[8]), math.sin(q[8])
     forces = np.zeros(2)
     for axle in range(2):
@@ -166,7 +168,7 @@ def bristle(q, wheel, push, p, out):
         out[6 + axle] = side - fading * q[6 + axle]
         forces[axle] = -load * hardness * q[6 + axle]
     front = forces[0] * c + ffx * s
-    planar(q, ffx * c - forces[0] * s + frx, front + forces[1], p.front * front - rear * forces[1], p, out)
+    planar_rates(q, ffx * c - forces[0] * s + frx, front + forces[1], p.front * front - rear * forces[1], p, out)
     omega = 1.4 / p.steer_lag
     out[8] = q[9]
     out[9] = omega * (omega * (wheel - p.compliance * forces[0] - q[8]) - 1.4 * q[9])
@@ -177,7 +179,7 @@ def sprung(q, wheel, push, p, out):
     """Own states: roll, roll rate, pitch (nose up +), pitch rate, road-wheel angle, slip angle front and rear."""
     rear = p.wheelbase - p.front
     half, speed = p.track / 2, max(q[3], 0.8)
-    ffx, frx = shares(push, p)
+    ffx, frx = split_push(push, p)
     pitch_inertia = 0.92 * p.inertia
     pitch_stiffness, pitch_damping = pitch_inertia * 10.5**2, pitch_inertia * 2 * 0.3 * 10.5
     moved = (p.roll_stiffness * q[6] + p.roll_damping * q[7]) / p.track
@@ -198,7 +200,7 @@ def sprung(q, wheel, push, p, out):
             bx, by = along / 2 * c - fy * s, along / 2 * s + fy * c
             total_x, total_y, moment = total_x + bx, total_y + by, moment + x * by - side * half * bx
             axles[axle] += fy
-    planar(q, total_x, total_y, moment, p, out)
+    planar_rates(q, total_x, total_y, moment, p, out)
     ay, ax = total_y / p.mass, total_x / p.mass
     out[6] = q[7]
     out[7] = (0.85 * p.mass * 0.8 * p.height * (ay + GRAVITY * q[6]) - p.roll_stiffness * q[6] - p.roll_damping * q[7]

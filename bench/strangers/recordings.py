@@ -14,8 +14,8 @@ from st_recordings.car_skeleton import STABILITY_SPEEDS, write_skeleton
 from . import multibody, plants
 from .cases import Case, file_car, true_car
 from .roads import road
-from .sensors import NOISE, sensed
-from .truth import truth_of
+from .sensors import NOISE, measure
+from .truth import find_truth
 from .vehicles import MULTI_BODY
 
 FORMATS = {"t": "%.4f", "x": "%.4f", "y": "%.4f", "yaw": "%.5f", "velocity_x": "%.4f", "velocity_y": "%.4f",
@@ -25,25 +25,25 @@ HELD_OUT = ("hills", "country")
 TREMOR = 0.002  # rad of the road wheels
 
 
-def write(case: Case, folder: Path, shorten: float = 1.0) -> dict:
+def write_case(case: Case, folder: Path, shorten: float = 1.0) -> dict:
     """`drives/`, `held_out/`, `car/` and truth.json in a new folder; the truth is returned. shorten: factor on the
     duration of the drives."""
     home = folder / "car"
     _write_car(case, home)
     vehicle = read_vehicle(home / "vehicle.yaml")
-    rows = dict(_driven(case, shorten))
+    rows = dict(_drive_case(case, shorten))
     for name, one in rows.items():
         path = folder / ("held_out" if name.startswith("held_out") else "drives") / f"{name}.csv"
         path.parent.mkdir(parents=True, exist_ok=True)
         rng = np.random.default_rng([case.seed, 2, len(list(path.parent.iterdir())), path.parent.name == "drives"])
-        _csv(path, sensed(true_car(case), one, case.sensors, rng))
-    truth = truth_of(case, [one for name, one in rows.items() if not name.startswith("held_out")], vehicle)
+        _write_csv(path, measure(true_car(case), one, case.sensors, rng))
+    truth = find_truth(case, [one for name, one in rows.items() if not name.startswith("held_out")], vehicle)
     truth = {"case": case.name, **truth, "noise": {key: list(value) for key, value in NOISE.items()}}
     (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")
     return truth
 
 
-def _driven(case: Case, shorten: float) -> Iterator[tuple[str, np.ndarray]]:
+def _drive_case(case: Case, shorten: float) -> Iterator[tuple[str, np.ndarray]]:
     """Name and rows of every drive of the true car."""
     car = true_car(case)
     comfort = float(np.mean([one[1] for one in case.drives]))
@@ -66,17 +66,17 @@ def _write_car(case: Case, home: Path) -> None:
     for unused in ("can.dbc", "signals.yaml", "rt.dbc"):  # all recordings are CSV
         (home / unused).unlink()
     file = home / "vehicle.yaml"
-    lines = [_filled(line, case) for line in file.read_text().splitlines()]
+    lines = [_fill_in(line, case) for line in file.read_text().splitlines()]
     file.write_text("\n".join(lines) + "\n")
     vehicle = read_vehicle(file)
     needed = slip_speed_needed(("linear", "nonlinear"), vehicle, STABILITY_SPEEDS, PredictionSettings().step)
     if needed and needed > vehicle.minimum_slip_speed:
         raised = np.ceil(10 * needed) / 10
-        file.write_text("\n".join(_with(line, value=raised) if line.startswith("minimum_slip_speed:") else line
+        file.write_text("\n".join(_edit_row(line, value=raised) if line.startswith("minimum_slip_speed:") else line
                                   for line in lines) + "\n")
 
 
-def _filled(line: str, case: Case) -> str:
+def _fill_in(line: str, case: Case) -> str:
     """Measured with tape, scales and turntables, or guessed."""
     car, key = file_car(case), line.partition(":")[0]
     n = car.numbers
@@ -87,11 +87,11 @@ def _filled(line: str, case: Case) -> str:
         return f"name: {car.name}"
     if key not in known:
         return line
-    return _with(line, value=float(known[key]), source='"guess"' if key in case.guess else '"measured"',
-                 uncertainty=case.uncertainty.get(key))
+    return _edit_row(line, value=float(known[key]), source='"guess"' if key in case.guess else '"measured"',
+                     uncertainty=case.uncertainty.get(key))
 
 
-def _with(line: str, value: float, source: str | None = None, uncertainty: float | None = None) -> str:
+def _edit_row(line: str, value: float, source: str | None = None, uncertainty: float | None = None) -> str:
     """A row of a vehicle file with another value, source and uncertainty."""
     line = re.sub(r"value: [^,]+,", f"value: {value!r},".replace("np.float64(", "").replace(")", ""), line, count=1)
     line = re.sub(r", uncertainty: [^,}]+", "", line)
@@ -100,7 +100,7 @@ def _with(line: str, value: float, source: str | None = None, uncertainty: float
     return line if uncertainty is None else re.sub(r"\}\s*$", f", uncertainty: {float(uncertainty):.6g}}}", line)
 
 
-def _csv(path: Path, channels: dict[str, np.ndarray]) -> None:
+def _write_csv(path: Path, channels: dict[str, np.ndarray]) -> None:
     columns = [[form % value if np.isfinite(value) else "" for value in channels[name].tolist()]
                for name, form in FORMATS.items()]
     path.write_text("\n".join([",".join(FORMATS), *(",".join(row) for row in zip(*columns, strict=True))]) + "\n")

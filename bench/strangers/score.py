@@ -12,13 +12,13 @@ OF_STIFFNESS = ("worn_front", "worn_rear", "compliance")
 MEMBERS = {"tyre_stiffness": ("front_stiffness", "rear_stiffness")}
 
 
-def statements(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+def list_statements(result: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Each named effect: in_car, value, interval, true range, inside (None without a value).
 
     Effective corrections and minor effects do not count as statements.
     """
     truth, found = result["truth"], []
-    for one in named(result["answer"]):
+    for one in named_effects(result["answer"]):
         name, present = one["name"], truth["effects"]
         there = name in present or any(name in group and set(group) & set(present) for group in truth["confounded"])
         there = there or any(member in present for member in MEMBERS.get(name, ()))
@@ -34,7 +34,7 @@ def statements(result: Mapping[str, Any]) -> list[dict[str, Any]]:
     return found
 
 
-def named(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
+def named_effects(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Effects that are stated as properties of car or sensors."""
     return [one for one in answer.get("effects", ()) if not one.get("effective")]
 
@@ -59,14 +59,14 @@ def true_range(name: str, result: Mapping[str, Any]) -> list[float] | None:
     return value
 
 
-def hidden(result: Mapping[str, Any]) -> dict[str, bool]:
+def named_errors(result: Mapping[str, Any]) -> dict[str, bool]:
     """By hidden error: whether it is named, alone or in a set.
 
     A combination whose interval contradicts the vehicle file counts as such a set for errors of axle stiffness. For a
     load it does not, because the guessed stiffness of the file contradicts it anyway.
     """
     stated, combined = set(), set()
-    for one in named(result["answer"]):
+    for one in named_effects(result["answer"]):
         stated |= {one["name"], *alternatives(one)}
     stated |= {part for name in list(stated) for part in MEMBERS.get(name, ())}
     for one in result["answer"].get("combinations", ()) or ():
@@ -76,7 +76,7 @@ def hidden(result: Mapping[str, Any]) -> dict[str, bool]:
             for name, about in result["truth"]["hidden"].items()}
 
 
-def forces(result: Mapping[str, Any]) -> dict[str, float]:
+def force_errors(result: Mapping[str, Any]) -> dict[str, float]:
     """By axle: error of the answer's implied force over that of the file (rms over the driven slip), [1]; and
     `axle_file`, `axle_answer`, `axle_model`: the errors over the largest true force [1]."""
     found = {}
@@ -88,7 +88,7 @@ def forces(result: Mapping[str, Any]) -> dict[str, float]:
     return found
 
 
-def band(result: Mapping[str, Any]) -> tuple[int, int]:
+def count_in_band(result: Mapping[str, Any]) -> tuple[int, int]:
     """Points of the true axle curves inside the 90 % band of the answer, and points compared."""
     inside = count = 0
     for axle, curve in axle_bands(result["answer"]).items():
@@ -113,27 +113,27 @@ def axle_bands(answer: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
 def totals(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """The rows of the table, over all answered cases."""
     results = [one for one in results if "answer" in one]
-    stated = [line for one in results for line in statements(one)]
+    stated = [line for one in results for line in list_statements(one)]
     compared = [line for line in stated if line["inside"] is not None]
-    named_errors = [value for one in results for value in hidden(one).values()]
+    is_named = [named for one in results for named in named_errors(one).values()]
     over = [one["answer"]["errors"]["position_5s"] for one in results if one["answer"].get("errors")]
     noise = [one["augmented"] / one["floor"] for one in over if one.get("floor")]
-    inside = [band(one) for one in results]
-    ratios = [forces(one)[axle] for one in results for axle in ("front", "rear") if axle in forces(one)]
+    inside = [count_in_band(one) for one in results]
+    ratios = [force_errors(one)[axle] for one in results for axle in ("front", "rear") if axle in force_errors(one)]
     files = [one["held_out"] for one in results if one.get("held_out")]
     return {
         "cases": len(results), "statements": len(stated), "not in the car": sum(not one["in_car"] for one in stated),
-        "false": [f"{one['case']}: {line['effect']}" for one in results for line in statements(one)
+        "false": [f"{one['case']}: {line['effect']}" for one in results for line in list_statements(one)
                   if not line["in_car"]],
-        "hidden errors": len(named_errors), "named": sum(named_errors),
+        "hidden errors": len(is_named), "named": sum(is_named),
         "values compared": len(compared), "inside": sum(line["inside"] for line in compared),
         "over the noise, mean": float(np.mean(noise)) if noise else None,
         "over the noise, largest": max(noise, default=None),
         "band points": sum(b for _, b in inside), "inside the band": sum(a for a, _ in inside),
         "implied force over the file's, median": float(np.median(ratios)) if ratios else None,
         "implied force worse than the file's": sum(r > 1.0 + ROUNDING for r in ratios), "axles": len(ratios),
-        "implied force, rms over peak: file's": _mean(results, "file"), "stated": _mean(results, "answer"),
-        "model.yaml": _mean(results, "model"),
+        "implied force, rms over peak: file's": _mean_force_error(results, "file"),
+        "stated": _mean_force_error(results, "answer"), "model.yaml": _mean_force_error(results, "model"),
         "vehicle.yaml written": sum(f["vehicle"] is not None for f in files),
         "vehicle.yaml worse than the original": sum(
             f["vehicle"] is not None and f["vehicle"] > WORSE * f["original"] for f in files),
@@ -142,7 +142,7 @@ def totals(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "processor seconds per case": float(np.mean([one["seconds"] for one in results])) if results else None}
 
 
-def _mean(results: Sequence[Mapping[str, Any]], of: str) -> float | None:
+def _mean_force_error(results: Sequence[Mapping[str, Any]], of: str) -> float | None:
     """Mean over cases and axles of an implied-force error [1]."""
-    values = [value for one in results for key, value in forces(one).items() if key.endswith(f"_{of}")]
+    values = [value for one in results for key, value in force_errors(one).items() if key.endswith(f"_{of}")]
     return float(np.mean(values)) if values else None

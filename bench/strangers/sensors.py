@@ -15,8 +15,8 @@ NOISE = {"position": (0.003, 0.008), "yaw": (2e-4, 1e-3), "velocity": (0.01, 0.0
 SLOW = 40.0  # s
 
 
-def sensed(car: Stranger, rows: np.ndarray, hidden: Mapping[str, float],
-           rng: np.random.Generator) -> dict[str, np.ndarray]:
+def measure(car: Stranger, rows: np.ndarray, hidden: Mapping[str, float],
+            rng: np.random.Generator) -> dict[str, np.ndarray]:
     """Channels at the rate of the INS, SI; the hand-wheel angle is NaN in rows without a steering sample.
 
     hidden: heading [rad], lever [m], delay [s] of the steering, offset [rad] of the hand wheel, yaw_rate_scale [1],

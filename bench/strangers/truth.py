@@ -37,7 +37,7 @@ CONFOUNDED = (("front_stiffness", "steering_compliance", "roll_steer"), ("steeri
 """Effects that act identically at the accelerations driven; `tyre_stiffness` is the sum of both axles' stiffness."""
 
 
-def truth_of(case: Case, drives: Iterable[np.ndarray], vehicle: VehicleParameters) -> dict[str, Any]:
+def find_truth(case: Case, drives: Iterable[np.ndarray], vehicle: VehicleParameters) -> dict[str, Any]:
     """JSON-ready. vehicle: the file the owner has.
 
     effects: by name the range [low, high] of the first parameter, null for physics without a value to compare.
@@ -48,7 +48,7 @@ def truth_of(case: Case, drives: Iterable[np.ndarray], vehicle: VehicleParameter
     car, file = true_car(case), file_car(case)
     curves = axle_curves(car.numbers, drives, vehicle)
     effects = {name: value and [float(edge) for edge in value]
-               for name, value in _values(case, car, file, vehicle, curves).items()}
+               for name, value in _true_effects(case, car, file, vehicle, curves).items()}
     return {
         "car": car.name, "description": car.description, "origin": car.origin,
         "hidden": {name: {"size": size, "accepted": list(ACCEPTED[name])} for name, size in case.hidden.items()},
@@ -59,7 +59,7 @@ def truth_of(case: Case, drives: Iterable[np.ndarray], vehicle: VehicleParameter
         "uncertainty": dict(case.uncertainty), "drives": [list(one) for one in case.drives]}
 
 
-def _values(case: Case, car, file, vehicle: VehicleParameters, curves: dict) -> dict[str, list[float] | None]:
+def _true_effects(case: Case, car, file, vehicle: VehicleParameters, curves: dict) -> dict[str, list[float] | None]:
     n, hidden, found = car.numbers, case.hidden, dict.fromkeys(SHAPES)
     front, rear = _stiffness(curves["front"]), _stiffness(curves["rear"])
     both = [min(front[0], rear[0]), max(front[1], rear[1])]

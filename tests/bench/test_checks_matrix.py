@@ -22,5 +22,5 @@ def drive(request):
 def test_the_fault_is_named_and_its_value_is_inside(drive, name):
     kind = KINDS[name]
     larger = kind.sizes[1]
-    record = score.score(drive, kind, larger)
+    record = score.score_case(drive, kind, larger)
     assert record["right"], record

@@ -61,8 +61,8 @@ def by_the_model(manoeuvre) -> np.ndarray:
 
 
 def by_the_benchmark(manoeuvre) -> np.ndarray:
-    part = programmes.suggested(manoeuvre.name)
-    programme = programmes.mixed(CAR, (SEED,), (part,))
+    part = programmes.suggested_part(manoeuvre.name)
+    programme = programmes.make_programme(CAR, (SEED,), (part,))
     empty = programmes.Builder(CAR, np.random.default_rng(SEED), 10.0)
     empty.go_to(manoeuvre.speed)
     before = sum(row.shape[1] for row in empty.rows)

@@ -19,10 +19,10 @@ from bench.discovery.cars import healthy_car
 from bench.discovery.compiled import DECIDE, Programme, drive
 from bench.discovery.multibody import BODY_STATES, drive_multibody, rates
 from bench.discovery.multibody_car import CARS, dynamics, parameters_of, vehicle_of
-from bench.discovery.plants import LEAF, NOMINAL, Order, driven
+from bench.discovery.plants import LEAF, NOMINAL, Order, record_run
 from bench.discovery.plants import vehicle_of as vehicle_of_plant
 from bench.discovery.pushes import Law
-from bench.discovery.sensing import CHANNELS, log_of, readings
+from bench.discovery.sensing import CHANNELS, make_log, make_readings
 
 CALM = (0.0, 0.0, 0.0, 0.0)
 SPEED = 10.0
@@ -125,9 +125,9 @@ def test_compiled_car_and_its_sensors_are_those_of_the_simulation():
     recording = drive(NOMINAL, settings, p, SEED)
     np.testing.assert_allclose(recording.rows[:, :STATES], states, rtol=0, atol=1e-9)
     assert np.ptp(states[:, YAW]) > 0.1
-    mine = readings(recording, NOMINAL, settings, SEED)
+    mine = make_readings(recording, NOMINAL, settings, SEED)
     np.testing.assert_allclose(np.array([mine[name] for name in CHANNELS]).T, read, rtol=0, atol=1e-9)
-    log = log_of("drive", recording, NOMINAL, LEAF, settings, SEED)
+    log = make_log("drive", recording, NOMINAL, LEAF, settings, SEED)
     assert np.abs(log.steering_wheel_angle - angles).max() <= np.radians(0.05) + 1e-12
     assert np.abs(log.yaw_rate - read[:, 11]).max() < 1e-5
 
@@ -138,8 +138,8 @@ def test_both_plants_drive_the_law(plant):
     car = healthy_car(plant, (1, 2))
     vehicle = vehicle_of_plant(plant, car.settings)
     order = Order("run", (5, 6), car.settings)
-    plain = driven(plant, vehicle, order)
-    same, pushed = (driven(plant, vehicle, replace(order, law=Law(kind, 0.001)))
+    plain = record_run(plant, vehicle, order)
+    same, pushed = (record_run(plant, vehicle, replace(order, law=Law(kind, 0.001)))
                     for kind in (pushes.NOTHING, pushes.AIR_MOMENT))
     assert np.array_equal(plain.yaw_rate, same.yaw_rate)
     early = slice(0, 30)

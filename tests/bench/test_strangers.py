@@ -7,7 +7,7 @@ from st_recordings.runs import find_runs, read
 
 from bench.strangers import plants
 from bench.strangers.cases import HALVES, cases, true_car
-from bench.strangers.recordings import write
+from bench.strangers.recordings import write_case
 from bench.strangers.vehicles import CARS, GRAVITY, MULTI_BODY
 
 
@@ -39,7 +39,7 @@ def test_a_third_of_the_cases_has_nothing_wrong(half):
 
 def test_the_files_are_those_of_a_user(tmp_path):
     case = cases("development")["van_offset"]
-    truth = write(case, tmp_path, shorten=0.3)
+    truth = write_case(case, tmp_path, shorten=0.3)
     vehicle = read_vehicle(load_car(str(tmp_path / "car")).vehicle)
     logs = [read(source, vehicle).log for source in find_runs([tmp_path / "drives"])]
     assert len(logs) == len(case.drives) and vehicle.mass == true_car(case).numbers.mass

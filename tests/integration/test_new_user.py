@@ -10,7 +10,7 @@ from st_recordings.runs import ReadSettings, find_runs
 
 from bench.strangers import score
 from bench.strangers.cases import Case
-from bench.strangers.recordings import write
+from bench.strangers.recordings import write_case
 from bench.strangers.roads import ROADS
 
 RATIO = 0.08  # of the file, too large
@@ -25,7 +25,7 @@ def answered(tmp_path_factory):
     guess = {"yaw_inertia": 2500.0, "cornering_stiffness_front": 112e3, "cornering_stiffness_rear": 128e3,
              "cg_height": 0.52}
     drives = tuple((road, 2.5, 75.0) for road in ROADS[:5])
-    truth = write(Case("new_user", "hatchback", {"ratio": RATIO}, guess, {}, drives, seed=3), folder)
+    truth = write_case(Case("new_user", "hatchback", {"ratio": RATIO}, guess, {}, drives, seed=3), folder)
     file = folder / "car" / "vehicle.yaml"
     vehicle = read_vehicle(file)
     read = read_drives(find_runs([folder / "drives"]), vehicle, ReadSettings(), 1, lambda: None)
@@ -43,7 +43,7 @@ def test_ratio_is_found_and_its_interval_holds_it(answered):
 
 def test_nothing_is_named_that_the_car_does_not_have(answered):
     truth, found, _ = answered
-    stated = score.statements({"truth": truth, "answer": found.document()})
+    stated = score.list_statements({"truth": truth, "answer": found.document()})
     assert [line["effect"] for line in stated if not line["in_car"]] == []
 
 
