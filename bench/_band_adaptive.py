@@ -1,4 +1,4 @@
-"""Scores adaptive bands: coverage and width over each drive, starting from bands calibrated on the other drives."""
+"""Coverage and interval score of adaptive bands over drives, starting from bands calibrated on other drives."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,10 +10,10 @@ from st_core.log_evaluation import EvaluationSettings, evaluate_blocks, regular_
 from st_core.models import get_model
 from st_core.vehicle import VehicleParameters
 
-INTERVAL = 0.1  # s between starts, as live
-SETTLING_TIME = 120.0  # s after the first start; coverage after it is also counted separately
-MIN_SETTLED_STARTS = 300  # starts after the settling time required for a separate coverage of a drive
-PAUSE_NS = 6_000_000_000  # between the drives of a session
+INTERVAL = 0.1  # s between starts, as in the live predictor
+SETTLING_TIME = 120.0  # s after the first start; the coverage after this time is also computed separately
+MIN_SETTLED_STARTS = 300  # minimum number of later starts for a separate coverage of a drive
+PAUSE_NS = 6_000_000_000  # between two drives that are joined
 LEVELS = (0.9, 0.5)
 
 ModelMode = tuple[str, str]
@@ -21,7 +21,7 @@ ModelMode = tuple[str, str]
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Every start of a drive. starts_ns: (n,). conditions: (n, 4). errors: (n, points, 3) by model and mode."""
+    """All starts of a drive: times (n,) [ns], conditions (n, 4), and errors (n, points, 3) by model and mode."""
 
     name: str
     starts_ns: np.ndarray
@@ -30,6 +30,7 @@ class Drive:
 
 
 def evaluate_drive(log: DriveLog, vehicle: VehicleParameters, model: str, settings: EvaluationSettings) -> Drive:
+    """Predicts from every start of a log, and collects conditions and errors."""
     signals = settings.signals(log)
     starts, _ = usable_starts(signals, vehicle, regular_starts(log, INTERVAL), settings.prediction.minimum_speed)
     times, errors = [], {}
@@ -42,7 +43,7 @@ def evaluate_drive(log: DriveLog, vehicle: VehicleParameters, model: str, settin
 
 
 def join_drives(name: str, drives: Sequence[Drive]) -> Drive:
-    """The drives joined one after the other."""
+    """Joins drives to one, with a pause between them."""
     begin, times = 0, []
     for drive in drives:
         times.append(drive.starts_ns - drive.starts_ns[0] + begin)
@@ -52,7 +53,7 @@ def join_drives(name: str, drives: Sequence[Drive]) -> Drive:
 
 
 class Score:
-    """Coverage and interval score of adaptive bands over several drives, each with a new band."""
+    """Coverage and interval score of adaptive bands over several drives; each drive starts with a new band."""
 
     def __init__(self, time: np.ndarray, question: ModelMode):
         self._time, self._question = time, question
@@ -60,7 +61,7 @@ class Score:
         self._settled: dict[float, list[float]] = {level: [] for level in LEVELS}
 
     def add(self, drive: Drive, band: Band | None = None, domain: CalibrationDomain | None = None) -> None:
-        """Follow one drive. band: calibrated band to start from, None: no band. domain: of the calibrated band."""
+        """Adapts a band over a drive. band: calibrated band at the start, None without one; domain: its domain."""
         rows = np.isfinite(drive.conditions).all(axis=1)
         if domain is not None:
             rows[rows] = domain(drive.conditions[rows])
@@ -69,7 +70,7 @@ class Score:
         factors, scales = adaptive.follow(drive.starts_ns[rows], drive.conditions[rows], errors)
         scored = np.isfinite(errors).all(axis=(1, 2))
         settled = (drive.starts_ns[rows] - drive.starts_ns[0]) * 1e-9 >= SETTLING_TIME
-        if band is None:  # without a calibrated band, none is issued before
+        if band is None:  # without a calibrated band, none is issued within the settling time
             scored &= settled
         size, scale = np.abs(errors[scored]), scales[scored]
         highest = (size / scale).max(axis=(1, 2), initial=0.0)
@@ -82,8 +83,11 @@ class Score:
                 self._settled[level].append(float(late.mean()))
 
     def cells(self, calibrated: bool = True) -> dict[str, str]:
-        """By level: coverage of fixed and adaptive bands and of the worst settled drive, and interval score relative to
-        fixed bands that are scaled by one factor to the coverage of the adaptive bands."""
+        """Cells of a table for each level: coverage of fixed and adaptive bands, coverage of the worst drive after the
+        settling time, and interval score relative to fixed bands.
+
+        One factor scales the fixed bands to the coverage of the adaptive bands.
+        """
         cells = {}
         for level in LEVELS:
             factor, initial, highest, size, scale = map(np.concatenate, zip(*self._parts[level], strict=True))

@@ -1,4 +1,4 @@
-"""Measures the delay of the evaluator's coverage warning after a change of the virtual car, and its false warnings."""
+"""Delay of the coverage warning of the evaluator after a change of the virtual car, and number of false warnings."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -19,12 +19,12 @@ SETTINGS = EvaluationSettings()
 TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
 MODELS, MODES = ("linear", "nonlinear"), ("hindsight", "forecast")
 SEED, CALIBRATION_DRIVES, HEALTHY_DRIVES, CHANGED_DRIVES = 22, 24, 2, 5
-# Manoeuvres of about 8 s in each drive: an hour, four minutes, one minute.
+# Number of manoeuvres, of about 8 s each: an hour, four minutes, one minute.
 HEALTHY_PARTS, CHANGED_PARTS, CALIBRATION_PARTS = 450, 30, 9
 STYLES = {"ordinary": ("ORDINARY", "CIRCLE", "ORDINARY", "SWEEP", "ORDINARY", "STEPS", "WEAVE", "SLALOM",
                        "SLOW_CIRCLE"),
           "brisk": ("STEPS", "SLALOM", "SWEEP", "BRAKING", "CIRCLE")}
-"""Manoeuvres of discovery.programmes. Lateral acceleration: ordinary: mostly below 2.5 m/s^2, brisk: up to 5 m/s^2."""
+"""Style -> manoeuvres of discovery.programmes. Lateral acceleration: mostly below 2.5 m/s^2, and up to 5 m/s^2."""
 CHANGES = {
     "steering offset 0.005 rad": {"steering_offset": 0.005}, "steering offset 0.01 rad": {"steering_offset": 0.01},
     "steering offset 0.02 rad": {"steering_offset": 0.02}, "friction 0.7": {"friction_factor": 0.7},
@@ -40,15 +40,15 @@ Row = dict[str, str]
 
 @dataclass
 class DriveWarnings:
-    """warned: times in the drive at which a warning began [s], by model and mode. share: inside the 90 % band."""
+    """Duration of a drive [s]; by model and mode, times at which a warning began [s], and coverage of the 90 % band."""
 
     seconds: float
-    warned: dict[tuple[str, str], list[float]] = field(default_factory=dict)
-    share: dict[tuple[str, str], float] = field(default_factory=dict)
+    begins: dict[tuple[str, str], list[float]] = field(default_factory=dict)
+    coverage: dict[tuple[str, str], float] = field(default_factory=dict)
 
 
 def count_warnings(log: DriveLog, vehicle: VehicleParameters, bands: Bands, domain: CalibrationDomain) -> DriveWarnings:
-    """Warnings of the evaluator during a drive; a score is known one horizon after its start."""
+    """Warnings of the evaluator during a drive; a score becomes known one horizon after its start."""
     signals, counts = SETTINGS.signals(log), CoverageMonitor()
     models = [get_model(model) for model in {model: None for model, _ in bands}]
     starts, _ = usable_starts(signals, vehicle, regular_starts(log, SETTINGS.interval),
@@ -70,9 +70,9 @@ def count_warnings(log: DriveLog, vehicle: VehicleParameters, bands: Bands, doma
                 counts.add(make_score(model, mode, start, SETTINGS.prediction.step, errors))
                 one = counts.by_pair.get((model, mode))
                 if one and one.warns and not before[model, mode]:
-                    found.warned[model, mode].append((start - log.start_ns) * 1e-9 + horizon)
+                    found.begins[model, mode].append((start - log.start_ns) * 1e-9 + horizon)
                 before[model, mode] = bool(one and one.warns)
-    found.share = {key: one.share(0.9) for key, one in counts.by_pair.items()}
+    found.coverage = {key: one.share(0.9) for key, one in counts.by_pair.items()}
     return found
 
 
@@ -83,7 +83,7 @@ def calibrate_all(runs: Sequence[ErrorSamples]) -> tuple[Bands, CalibrationDomai
 
 
 def measure_changes() -> list[Row]:
-    """Rows for each style of driving: drives without a change, then with each change."""
+    """Rows of the table for each style of driving: drives without a change, then drives with each change."""
     return [row for number, style in enumerate(STYLES) for row in _measure_style(number, style)]
 
 
@@ -97,7 +97,7 @@ def _measure_style(number: int, style: str) -> list[Row]:
     kinds = [getattr(programmes, name) for name in STYLES[style]]
 
     def drive(kind: int, which: int, count: int, after: Mapping[str, float] | None = None) -> DriveLog:
-        """count: number of manoeuvres. after: settings of the car from the middle of the drive on."""
+        """Log of `count` manoeuvres. after: settings of the car from the middle of the drive on."""
         parts = tuple(kinds[k % len(kinds)] for k in range(count))
         changed: dict[str, Any] = {} if after is None else {"before": healthy, "from_": 0.5}
         return record_run(cars.LEAF, file,
@@ -121,17 +121,17 @@ def _measure_style(number: int, style: str) -> list[Row]:
 def _healthy_rows(style: str, drives: Sequence[DriveWarnings]) -> list[Row]:
     hours = sum(one.seconds for one in drives) / 3600.0
     return [_row(style, f"nothing, {hours:.1f} h", key,
-                 f"{sum(len(one.warned[key]) for one in drives)} false warnings",
-                 f"90 % kept {np.mean([one.share[key] for one in drives]):.1%}") for key in drives[0].warned]
+                 f"{sum(len(one.begins[key]) for one in drives)} false warnings",
+                 f"90 % kept {np.mean([one.coverage[key] for one in drives]):.1%}") for key in drives[0].begins]
 
 
 def _changed_rows(style: str, name: str, drives: Sequence[DriveWarnings]) -> list[Row]:
-    """Delays from the change, in the middle of the drive, to the first warning after it."""
+    """Rows with the delay from the change, in the middle of each drive, to the first warning after it."""
     rows = []
-    for key in drives[0].warned:
-        delays = [min((t - 0.5 * one.seconds for t in one.warned[key] if t > 0.5 * one.seconds), default=np.inf)
+    for key in drives[0].begins:
+        delays = [min((t - 0.5 * one.seconds for t in one.begins[key] if t > 0.5 * one.seconds), default=np.inf)
                   for one in drives]
-        early = sum(any(t <= 0.5 * one.seconds for t in one.warned[key]) for one in drives)
+        early = sum(any(t <= 0.5 * one.seconds for t in one.begins[key]) for one in drives)
         middle, soon = float(np.median(delays)), sum(delay <= 60.0 for delay in delays)
         before = f", {early} before the change" if early else ""
         rows.append(_row(style, name, key, f"{soon} of {len(drives)}{before}",

@@ -17,7 +17,7 @@ from st_offline.discovery.vehicle_update import update_vehicle
 
 
 def correct_files(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[VehicleParameters, Model, Intervals]:
-    """Vehicle, model and 95 % intervals of its parameters, read from the files that `st discover` writes."""
+    """Vehicle, model and 95 % intervals of its parameters, from the files that `st discover` writes for these logs."""
     sensors = pool_estimates([{name: value for name, value in check(log, vehicle).estimates.items()
                                if np.isfinite(value).all()} for log in logs])
     settings = DiscoverySettings()

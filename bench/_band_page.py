@@ -1,5 +1,4 @@
-"""Writes the rows of the benchmark of bands and their comparison with the aims to docs/measurements/bands.md.
-Each part of the benchmark replaces its own rows."""
+"""Writes the results of the benchmark of bands, and their comparison with the aims, to docs/measurements/bands.md."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,15 +9,15 @@ from st_recordings.paths import project_root
 PAGE = project_root() / "docs" / "measurements" / "bands.md"
 ROWS_PART, AIMS_PART = "table of held-out runs", "held against the aims"
 AIMS = {"90 % covers": (86.0, 94.0), "50 % covers": (45.0, 55.0), "worst cell of 200 starts": (80.0, 100.0)}
-"""%."""
-RATIO = 1.15
-"""Interval score over that of the best alternative."""
+"""Column -> lower and upper bound of the coverage [%]."""
+MAX_SCORE_RATIO = 1.15
+"""Aim for the interval score divided by that of the best alternative."""
 MODELS = ("kinematic", "linear", "nonlinear")
 BAND, CALIBRATED = "conformal", "scaled to its level"
 
 
 def write_rows(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE) -> None:
-    """Replace the rows with the same titles and keep all others."""
+    """Replaces the rows with the same titles, and keeps all others."""
     kept = {cells[0]: cells for cells in map(_split_row, read_part(page, ROWS_PART).splitlines()[2:])}
     kept |= {title: [title, *row.values()] for title, row in rows.items()}
     columns = ["held out", *next(iter(rows.values()))]
@@ -28,7 +27,7 @@ def write_rows(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE) -> None
 
 
 def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
-    """Range over all models for each held-out group and mode, in bold if outside the aim."""
+    """Ranges over all models for each held-out group and mode, in bold if they miss the aim."""
     groups: dict[str, dict[str, list[Mapping[str, str]]]] = {}
     for row in (one for one in rows if one["interval score"] != "-"):
         title, mode, way = _split_title(row["held out"])
@@ -52,11 +51,11 @@ def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
 
 
 def _format_ratios(band: Sequence[Mapping[str, str]], others: Mapping[str, Sequence[Mapping[str, str]]]) -> str:
-    """Range over the models of the larger ratio of both axes."""
+    """Formats the range, over the models, of the larger score ratio of both axes, in bold if it misses the aim."""
     ratios = [max(mine / best for mine, best in zip(_interval_scores(row), _interval_scores(other), strict=True))
               for row, other in zip(band, _best_rows(others), strict=False)]
     text = _format_range(ratios, "{:.2f}", "")
-    return f"**{text}**" if ratios and max(ratios) > RATIO else text
+    return f"**{text}**" if ratios and max(ratios) > MAX_SCORE_RATIO else text
 
 
 def _best_rows(others: Mapping[str, Sequence[Mapping[str, str]]]) -> list[Mapping[str, str]]:
@@ -80,7 +79,7 @@ def _interval_scores(row: Mapping[str, str]) -> tuple[float, float]:
 
 
 def _leading_percent(cell: str) -> float | None:
-    """Share at the beginning of a cell [%]."""
+    """The percentage at the beginning of a cell; None if there is none."""
     number, found, _ = cell.partition("%")
     return float(number) if found else None
 

@@ -1,4 +1,4 @@
-"""Computes bands by alternative methods: calibrated, parametric, and parametric scaled to the same coverage."""
+"""Methods to compute bands: conformal, parametric, and scaled to their level on the calibration runs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,15 +13,16 @@ SEED = 21
 
 ModelMode = tuple[str, str]
 Method = Callable[[Band, Sequence[ErrorSamples], ModelMode], Band]
-"""Computes a band from the calibrated band, whose scale the alternatives share, and from the calibration runs."""
+"""Computes a band from the calibrated band, which has the same scale, and from the calibration runs."""
 
 
 def parametric_band(band: Band, runs: Sequence[ErrorSamples], question: ModelMode, by_condition: bool = True,
                     heavy: bool = False) -> Band:
-    """Band of a normal or Student t process: quantiles of its largest point and axis, from random draws.
+    """Band of a normal or, if `heavy`, Student t process: quantiles of its maximum over all points and axes.
 
-    The covariance is estimated from the scaled errors of all runs together; nothing is held out or calibrated. The
-    degrees of freedom are the maximum-likelihood estimate for single points.
+    The quantiles are computed from random draws. The covariance is estimated from the scaled errors of all runs
+    together, without calibration on held-out runs. The degrees of freedom are the maximum-likelihood estimate for
+    single points. by_condition: whether the scale depends on the conditions.
     """
     scale = band.scale if by_condition else _average_scale(band.scale, runs, question)
     picked = [evenly_spaced(len(one.conditions), 100) for one in runs]
@@ -35,7 +36,7 @@ def parametric_band(band: Band, runs: Sequence[ErrorSamples], question: ModelMod
     if heavy:
         sample = generator.choice(points.ravel(), 5000)
         degrees_of_freedom = max(2.5, stats.t.fit(sample, floc=0.0)[0])
-        # The covariance stays the same, the tails become heavier.
+        # The tails become heavier with the same covariance.
         drawn *= np.sqrt((degrees_of_freedom - 2.0) / generator.chisquare(degrees_of_freedom, (len(drawn), 1)))
         marginal = stats.t(degrees_of_freedom,
                            scale=points.std() * np.sqrt((degrees_of_freedom - 2.0) / degrees_of_freedom))
@@ -45,14 +46,14 @@ def parametric_band(band: Band, runs: Sequence[ErrorSamples], question: ModelMod
 
 
 def scale_to_level(band: Band, runs: Sequence[ErrorSamples], question: ModelMode) -> Band:
-    """The band with factors that give exactly its level on the equally weighted calibration runs."""
+    """The band with factors for which its coverage of the equally weighted calibration runs is its level."""
     parts = [np.quantile(band.scores(one.conditions, one.errors[question]).max(axis=1), np.linspace(0.0, 1.0, 201))
              for one in runs]
     return replace(band, factors={level: float(np.quantile(np.concatenate(parts), level)) for level in LEVELS})
 
 
 def _average_scale(scale: Scale, runs: Sequence[ErrorSamples], question: ModelMode) -> Scale:
-    """Root mean square error at each knot, equal for all conditions."""
+    """Scale that is the same for all conditions: the root mean square error at each knot."""
     time = scale.time
     squares = np.mean([np.square(one.errors[question].astype(float)).mean(axis=0) for one in runs], axis=0)
     rows = [int(np.abs(time - knot).argmin()) for knot in scale.knots]

@@ -1,4 +1,4 @@
-"""Drives of the virtual Leaf for identification, compiled, with steering tremor and sensor noise."""
+"""Drives of the compiled virtual Leaf for identification, with steering tremor and sensor noise."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -18,21 +18,21 @@ from st_sim.settings import resolve
 SECONDS = 60.0
 SENSORS = ("ins_noise=1", "steering_sensor_noise=0.0005")
 LEVER_ERROR, MISALIGNMENT = 0.06, 0.008
-"""m, rad: errors of the INS mounting in the vehicle file, in the slow drives."""
+"""Errors of the INS mounting in the slow drives [m, rad]."""
 
 
 def with_stiffness(car: VehicleParameters, front: float, rear: float) -> VehicleParameters:
-    """The car with other axle cornering stiffnesses [N/rad]; lambda_ky of both tyres follows."""
+    """The car with other cornering stiffnesses of the axles [N/rad] and the lambda_ky derived from them."""
     return replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear).with_derived_scales()
 
 
 def apply_estimates(car: VehicleParameters, estimates: Iterable[Estimate]) -> VehicleParameters:
-    """The car with those estimates that are in a vehicle file; lambda_ky follows."""
+    """The car with the estimates of quantities of the vehicle file and the lambda_ky derived from them."""
     return car.with_values({e.parameter: e.value for e in estimates if quantity(e.parameter)}).with_derived_scales()
 
 
 def bends(speed: float, across: float, hold: float = 4.0) -> Callable[[Builder], None]:
-    """Left and right in turn at a lateral acceleration [m/s^2], with ramps of a second and straights between."""
+    """Alternating bends at a lateral acceleration `across` [m/s^2], with ramps of one second and straights between."""
     def build(road: Builder) -> None:
         curvature = across / speed**2
         angle = curvature * (road.car.wheelbase + 0.004 * speed**2)
@@ -52,7 +52,7 @@ def straight(speed: float) -> Callable[[Builder], None]:
 
 
 def steps(speed: float, angle: float) -> Callable[[Builder], None]:
-    """Road-wheel angle [rad] at once to the left, back, to the right, back."""
+    """Steps of the road wheel angle [rad] to the left, back, to the right, and back."""
     def build(road: Builder) -> None:
         for side in (1.0, 0.0, -1.0, 0.0):
             road.add(np.full(round(1.5 / DT), side * angle))
@@ -60,7 +60,7 @@ def steps(speed: float, angle: float) -> Callable[[Builder], None]:
 
 
 def sweep(speed: float, angle: float) -> Callable[[Builder], None]:
-    """0.3 to 2.5 Hz within 20 s."""
+    """Sine sweep of the road wheel angle [rad] from 0.3 to 2.5 Hz within 20 s."""
     def build(road: Builder) -> None:
         t = np.arange(0.0, 20.0, DT)
         rate = np.log(2.5 / 0.3) / 20.0
@@ -70,16 +70,20 @@ def sweep(speed: float, angle: float) -> Callable[[Builder], None]:
 
 
 Run = tuple[str, float, Callable[[Builder], None]]
+"""Name, initial speed [m/s] and manoeuvre, which is repeated."""
 Runs = Sequence[Run]
-def _bends(pairs) -> Runs:
+
+
+def _bends(pairs: Iterable[tuple[float, float]]) -> Runs:
+    """Runs with bends at pairs of speed [m/s] and lateral acceleration [m/s^2]."""
     return tuple((f"bends {v:g} m/s, {a:g} m/s^2", v, bends(v, a)) for v, a in pairs)
 
 
 BENDS = _bends(((9.0, 2.0), (10.0, 2.2), (11.0, 2.5), (12.0, 1.5), (12.0, 3.0), (13.0, 3.3), (14.0, 2.0), (14.5, 3.2),
                 (15.0, 3.5), (16.0, 2.5)))
-"""Radii of 40 to 100 m."""
+"""Bends with radii of 40 to 100 m."""
 TIGHT_BENDS = _bends(((6.0, 1.5), (6.5, 2.2), (7.0, 2.5), (7.5, 3.0), (8.0, 3.3), (8.5, 3.5)))
-"""Radii of 20 to 24 m."""
+"""Bends with radii of 20 to 24 m."""
 STRAIGHTS: Runs = tuple((f"straight {v:g} m/s", v, straight(v)) for v in (7.0, 9.0, 11.0, 13.0))
 SLOW: Runs = tuple((f"slow {v:g} m/s", v, bends(v, a)) for v, a in (
     (2.5, 0.6), (3.5, 1.2), (4.5, 1.0), (5.5, 1.8), (6.5, 1.5), (8.0, 2.0)))
@@ -89,7 +93,7 @@ TRANSIENTS: Runs = (("steps 10 m/s", 10.0, steps(10.0, 0.05)), ("steps 14 m/s", 
 
 def record(runs: Runs, plant: str, seed: int, effects: Sequence[str] = (), seconds: float = SECONDS,
            sensors: Sequence[str] = SENSORS) -> list[DriveLog]:
-    """Logs of the runs, with steering tremor and sensor noise from the seed."""
+    """Logs of the runs; the seed determines steering tremor and sensor noise."""
     settings = resolve(plant, ("driver_tremor=0", *sensors, *effects))
     car, vehicle = read_car(LEAF_FILE), leaf()
     return [make_log(name, _drive_run(run, number, plant, seed, seconds), car, vehicle, settings,

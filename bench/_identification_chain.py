@@ -1,4 +1,4 @@
-"""Runs the paper's procedure on virtual S1 to S7: steering offset, cornering stiffnesses, evaluation."""
+"""The procedure of the paper for virtual S1 to S7: identify steering offset and cornering stiffnesses, evaluate."""
 
 from dataclasses import replace
 
@@ -20,15 +20,15 @@ from st_sim.sensors import Ins, SteeringSensor
 from st_sim.settings import resolve
 from st_sim.simulation import SimulatedCar
 
-# s of each; figure eight and circles are uniform, only S6 and S7 have straights above 5 m/s.
+# Duration of each scenario [s]; only S6 and S7 have straights above 5 m/s, the others are uniform.
 SECONDS = {"S1": 20, "S2": 15, "S3": 15, "S4": 15, "S5": 25, "S6": 90, "S7": 90}
 START_NS, INTERVAL_MS = 1_756_900_800_000_000_000, 10
-RESOLUTION = np.deg2rad(0.1)
+STEERING_RESOLUTION = np.deg2rad(0.1)  # rad, of the steering wheel angle on CAN
 MODELS = ("kinematic", "linear", "nonlinear")
 
 
 def run_procedure() -> dict:
-    """RMS over the starts of the horizon-mean errors [m] for each scenario and vehicle file."""
+    """Estimates, and rms over the starts of the horizon means of the errors [m] by vehicle file and scenario."""
     car = leaf()
     unknown = with_stiffness(replace(car, steering_wheel_offset=0.0), 0.8 * car.cornering_stiffness_front,
                              0.8 * car.cornering_stiffness_rear)
@@ -38,15 +38,15 @@ def run_procedure() -> dict:
     paper = identify_stiffness(logs, offset_known)
     better = fit_stiffness(logs, offset_known)
     files = {"not identified": unknown, "offset identified": offset_known,
-             "stiffness by the paper's regression": _with(offset_known, paper),
-             "stiffness by prediction": _with(offset_known, better), "the paper's table": car}
+             "stiffness by the paper's regression": apply_estimates(offset_known, paper.estimates),
+             "stiffness by prediction": apply_estimates(offset_known, better.estimates), "the paper's table": car}
     found = {"offset, deg": _format_estimates(offset, np.rad2deg(1.0)), "paper": _format_estimates(paper),
              "prediction": _format_estimates(better)}
     return {"found": found, "errors": {name: prediction_errors(logs, file) for name, file in files.items()}}
 
 
 def record_scenario(scenario: str, seconds: float, vehicle: VehicleParameters) -> DriveLog:
-    """A scenario as the sensors of the realistic virtual Leaf record it; the steering angle in steps of its CAN bus."""
+    """Log of a scenario from the sensors of the realistic virtual Leaf, with the steering resolution of its CAN bus."""
     settings, car = resolve("realistic"), read_car(LEAF_FILE)
     simulated = SimulatedCar(car, settings, load(scenario), seed=1)
     ins, sensor = Ins(car, settings, INTERVAL_MS / 1000, 1), SteeringSensor(car, settings, 1)
@@ -55,7 +55,7 @@ def record_scenario(scenario: str, seconds: float, vehicle: VehicleParameters) -
         simulated.advance(k * INTERVAL_MS / 1000)
         truth = simulated.truth()
         r = ins.read(truth)
-        steering_wheel = round(sensor.read(truth) / RESOLUTION) * RESOLUTION
+        steering_wheel = round(sensor.read(truth) / STEERING_RESOLUTION) * STEERING_RESOLUTION
         rows.append((r.x, r.y, r.yaw, r.velocity_x, r.velocity_y, r.rates[2], steering_wheel))
     *columns, steering_wheel = np.array(rows).T
     columns[2] = np.unwrap(columns[2])
@@ -64,7 +64,7 @@ def record_scenario(scenario: str, seconds: float, vehicle: VehicleParameters) -
 
 
 def prediction_errors(logs: list, car: VehicleParameters) -> dict:
-    """RMS of the horizon means in hindsight, longitudinal / lateral [m], by model and scenario, as in `st evaluate`."""
+    """RMS of the horizon means in hindsight, longitudinal / lateral [m], by model and scenario, as in st evaluate."""
     table: dict[str, dict[str, str]] = {model: {} for model in MODELS}
     total: dict[str, list] = {model: [] for model in MODELS}
     for log in logs:
@@ -81,10 +81,6 @@ def prediction_errors(logs: list, car: VehicleParameters) -> dict:
 
 def _rms(values: np.ndarray) -> str:
     return " / ".join(f"{value:.2f}" for value in np.sqrt(np.square(values).mean(axis=0)))
-
-
-def _with(car: VehicleParameters, found: Identification) -> VehicleParameters:
-    return apply_estimates(car, found.estimates)
 
 
 def _format_estimates(found: Identification, factor: float = 1.0) -> dict:

@@ -1,5 +1,6 @@
-"""Identifies the Genesis from some of its drives and tests the result by the position error on the others."""
+"""Identifies the Genesis from four of its drives, and tests the result by the position errors of the others."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -24,14 +25,15 @@ from st_recordings.runs import find_runs, read
 
 TRAINING_DRIVES = ("cpg_lap_slow", "cpg_lap_fast", "cpg_lap_medium", "cpg_low_speed_a")
 STEERING = ("steering_ratio", "steering_wheel_offset")
-SECONDS = 5
+PREDICTION_TIME = 5  # s
 
 
 def identify_genesis() -> dict:
-    """Estimates from the drives in LEARNT, and errors with them on all drives."""
+    """Estimates from the TRAINING_DRIVES, and position errors with them on all drives."""
     car = genesis_vehicle()
     logs = {source.name: read(source, car).log for source in find_runs([NINE_DRIVES])}
-    # The recordings contain the road wheel angle, hand wheel / 15.87; converted back, so that the ratio can be changed.
+    # The recordings contain the road wheel angle; it is converted to the steering wheel angle, so that the ratio can
+    # be changed.
     logs = {name: replace(log, steering_wheel_angle=car.steering_wheel_angle(log.road_wheel_angle))
             for name, log in logs.items()}
     learnt, others = [logs[n] for n in TRAINING_DRIVES], [log for name,
@@ -62,7 +64,7 @@ def identify_genesis() -> dict:
 
 
 def with_estimates(car: VehicleParameters, found: Identification, names=None) -> VehicleParameters:
-    """The car with the estimates of these parameters; None: with all estimates."""
+    """The car with the estimates of the named parameters, or with all estimates."""
     chosen = [e for e in found.estimates if names is None or e.parameter in names]
     return apply_estimates(car, chosen)
 
@@ -73,7 +75,7 @@ def correct_mounting(log: DriveLog, angle: float) -> DriveLog:
 
 
 def position_errors(logs: list[DriveLog], car: VehicleParameters, misalignment: float) -> dict:
-    """Root mean square of the position error 5 s after the start [m], hindsight, with its 95 % interval."""
+    """RMS position error after PREDICTION_TIME in hindsight [m], with its 95 % interval, and for each drive."""
     result = {}
     for base in ("kinematic", "linear"):
         model = augment(base, {"heading_misalignment": {"angle": misalignment}})
@@ -82,7 +84,7 @@ def position_errors(logs: list[DriveLog], car: VehicleParameters, misalignment: 
             own = log.with_steering(car)
             starts, _ = usable_starts(LogSignals(own, 0.1, 5.0), car, regular_starts(own, 0.1), 0.5)
             # Integration steps small enough for these stiffnesses at the lowest speed.
-            batch = LogBatch(own, starts, points=(SECONDS,), substeps="auto")
+            batch = LogBatch(own, starts, points=(PREDICTION_TIME,), substeps="auto")
             errors = batch.errors(batch.predict(model, car))[:, 0, :2]
             good = np.isfinite(errors).all(axis=1)
             columns.append(np.column_stack((np.full(good.sum(), number), (starts[good] - log.start_ns) * 1e-9,
@@ -94,7 +96,8 @@ def position_errors(logs: list[DriveLog], car: VehicleParameters, misalignment: 
     return result
 
 
-def _rms(values, run_of, time) -> str:
+def _rms(values: np.ndarray, run_of: np.ndarray, time: np.ndarray) -> str:
+    """Root mean square and its 95 % interval, from a bootstrap of blocks of the runs."""
     group = make_blocks(run_of, time)
     totals = group.sums(np.stack([np.ones_like(values), values**2], axis=1))
     weights = np.random.default_rng(0).multinomial(len(group), np.full(len(group), 1.0 / len(group)), size=500)
@@ -115,8 +118,8 @@ def _identify_single(log: DriveLog, car: VehicleParameters) -> dict | str:
         return str(error)
 
 
-def _describe_estimates(call) -> dict | str:
-    """Estimates with warnings, or the reason why there are none."""
+def _describe_estimates(call: Callable[[], Identification]) -> dict | str:
+    """Estimates and warnings, or the reason why the identification failed."""
     try:
         found = call()
         return {**_format_estimates(found), "warnings": " ".join(found.warnings)}

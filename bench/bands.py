@@ -1,7 +1,7 @@
-"""Evaluates bands on held-out runs: coverage, worst cell, and interval score compared with parametric alternatives.
+"""Bands on held-out runs: coverage, worst cell, and interval score compared with parametric alternatives.
 
-ST_BANDS=genesis, virtual, manoeuvres, corrected, changes or adaptive runs only this part. Each part replaces its rows
-of docs/measurements/bands.md.
+ST_BANDS=genesis, virtual, manoeuvres, corrected, changes or adaptive runs one part only. Each part replaces its rows in
+docs/measurements/bands.md.
 """
 
 import os
@@ -32,7 +32,7 @@ from st_recordings.runs import find_runs, read
 SETTINGS = EvaluationSettings()
 TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
 MODELS, MODES = ("kinematic", "linear", "nonlinear"), ("hindsight", "forecast")
-# Days of recording according to the data's web page; for low_speed_f to _h, only the campaign is known.
+# Days of recording, from the web page of the data; for low_speed_f to _h only the campaign is known.
 DAYS = {
     "2018-08-20": ("cpg_lap_slow", "cpg_lap_fast"), "2018-08-22": ("cpg_lap_medium", "cpg_lap_fast_controlled"),
     "June 2019": ("cpg_low_speed_a", "cpg_low_speed_b", "cpg_low_speed_f", "stale_position_low_speed_g",
@@ -45,7 +45,7 @@ REAR_AXLE_RUNS = ("rear_ref_rfs_1", "rear_ref_rfs_2", "rear_ref_rfs_3", "rear_re
 SEEDS, DRIVES_PER_MANOEUVRE, DRIVES_PER_SESSION, FOLDS, CORRECTION_DRIVES = 32, 4, 8, 4, 6
 MANOEUVRES = ("SWEEP", "STEPS", "SLALOM", "WEAVE", "LIMIT", "BRAKING", "ORDINARY", "CIRCLE")
 DEVIATIONS = {"friction_factor": 0.75, "steering_offset": 0.01, "mass_factor": 1.1}
-"""Deviations of the second car from the vehicle file: factors, and an offset [rad]."""
+"""Deviations of the second virtual car from the vehicle file: factors, and an offset [rad]."""
 
 Runs = Mapping[str, ErrorSamples]
 Row = dict[str, str]
@@ -70,7 +70,7 @@ def run() -> dict:
 
 
 def score_changes() -> dict[str, Row]:
-    """Delays of the coverage warning; the page gets all rows except forecasts without a warning."""
+    """Delays of the coverage warning; the page contains all rows except those of forecasts without a warning."""
     rows = measure_changes()
     shown = [row for row in rows if row["question"] == "hindsight" or row["median delay"] != "none"]
     replace_part(PAGE, "changes in mid-drive", format_records(shown))
@@ -78,14 +78,14 @@ def score_changes() -> dict[str, Row]:
 
 
 def score_adaptive() -> dict[str, Row]:
-    """Adaptive bands of the linear model on sessions of the virtual car by manoeuvre, and on drives of the Genesis by
-    day, by site, with the INS at the rear axle, and without calibrated bands to start from."""
-    here = make_world()
+    """Adaptive bands of the linear model for sessions of the virtual car with one manoeuvre each, and for the Genesis:
+    held out by day and by site, with the INS at the rear axle, and without calibrated bands."""
+    world = make_world()
     kinds = {kind: tuple(f"{kind} {k}" for k in range(DRIVES_PER_SESSION)) for kind in MANOEUVRES}
-    logs = {names[k]: here.drive(kind, k, here.healthy, kind) for kind, names in kinds.items()
+    logs = {names[k]: world.drive(kind, k, world.healthy, kind) for kind, names in kinds.items()
             for k in range(DRIVES_PER_SESSION)}
-    runs = {name: collect_samples(log, here.file, ("linear",)) for name, log in logs.items()}
-    drives = {name: evaluate_drive(log, here.file, "linear", SETTINGS) for name, log in logs.items()}
+    runs = {name: collect_samples(log, world.file, ("linear",)) for name, log in logs.items()}
+    drives = {name: evaluate_drive(log, world.file, "linear", SETTINGS) for name, log in logs.items()}
     sessions = {kind: [join_drives(kind, [drives[name] for name in names])] for kind, names in kinds.items()}
     sets = [("virtual, by manoeuvre", runs, kinds, sessions)]
     real = _genesis_logs()
@@ -105,7 +105,7 @@ def score_adaptive() -> dict[str, Row]:
 
 def _adaptive_rows(title: str, runs: Runs, groups: Mapping[str, Sequence[str]],
                    new: Mapping[str, Sequence[Drive]]) -> list[Row]:
-    """runs: runs for the calibration, of which those of the tested group are excluded; empty: no calibration."""
+    """Rows of both modes. runs: for the calibration, without those of the tested group; empty for no calibration."""
     rows = []
     for question in (("linear", mode) for mode in MODES):
         score = Score(TIME, question)
@@ -122,11 +122,11 @@ def _adaptive_rows(title: str, runs: Runs, groups: Mapping[str, Sequence[str]],
 
 
 def score_genesis() -> dict[str, Row]:
-    """Bands of the Genesis by run, by day and by site; empty without the shared drives."""
+    """Bands of the Genesis, held out by run, by day and by site; empty without the shared drives."""
     runs = _genesis_runs()
     if runs is None:
         return {}
-    apart = {name: runs.pop(name) for name in REAR_AXLE_RUNS}
+    rear_axle = {name: runs.pop(name) for name in REAR_AXLE_RUNS}
     found = {}
     for model in MODELS:
         found |= score_held_out(f"Genesis, {model}, by run", runs, {name: (name,) for name in runs}, model,
@@ -134,11 +134,12 @@ def score_genesis() -> dict[str, Row]:
         found |= score_held_out(f"Genesis, {model}, by day", runs, DAYS, model)
         found |= score_held_out(f"Genesis, {model}, by site", runs, SITES, model)
     replace_part(PAGE, "days that count as one", format_records(score_days(runs)))
-    return found | score_transfer("Genesis, linear, on runs with the INS point at the rear axle", runs, apart, "linear")
+    return found | score_transfer("Genesis, linear, on runs with the INS point at the rear axle", runs, rear_axle,
+                                  "linear")
 
 
 def score_days(runs: Runs) -> list[Row]:
-    """Coverage of each day by bands of the other days, with the runs of a day joined to one."""
+    """Coverage of each day by bands calibrated on the other days, with the runs of a day joined to one run."""
     rows = []
     days = {day: join_runs([runs[name] for name in names]) for day, names in DAYS.items()}
     stated = (0.5, highest_level(len(days) - 1))
@@ -160,32 +161,32 @@ def score_days(runs: Runs) -> list[Row]:
 
 
 def score_virtual() -> dict[str, Row]:
-    """Bands of the virtual car by seed, and bands of the car of the vehicle file on a car that deviates from it."""
-    here = make_world()
-    mixed, other = here.samples("seed", SEEDS, here.healthy), here.samples("off", SEEDS, here.off)
+    """Bands of the virtual car, held out by seed, and transferred to a car that deviates from its vehicle file."""
+    world = make_world()
+    mixed, other = world.samples("seed", SEEDS, world.healthy), world.samples("off", SEEDS, world.off)
     return score_held_out("virtual, nonlinear, by seed", mixed, _folds(mixed), "nonlinear", tuple(METHODS)) \
         | score_held_out("virtual, parameters off, by seed", other, _folds(other), "nonlinear", tuple(METHODS)) \
         | score_transfer("virtual, bands of the healthy car on the one that is off", mixed, other, "nonlinear")
 
 
 def score_manoeuvres() -> dict[str, Row]:
-    """Each manoeuvre tested with bands of all the others."""
-    here = make_world()
-    kinds = {kind: here.samples(kind, DRIVES_PER_MANOEUVRE, here.healthy, kind) for kind in MANOEUVRES}
+    """Bands of the virtual car, held out by manoeuvre."""
+    world = make_world()
+    kinds = {kind: world.samples(kind, DRIVES_PER_MANOEUVRE, world.healthy, kind) for kind in MANOEUVRES}
     return score_held_out("virtual, nonlinear, by manoeuvre", {k: v for one in kinds.values() for k, v in one.items()},
                           {kind: tuple(one) for kind, one in kinds.items()}, "nonlinear")
 
 
 def score_corrected() -> dict[str, Row]:
-    """The car that deviates from its file, after and before the correction by `st discover` on other drives."""
-    here = make_world()
-    drives = [here.drive("to mend", k, here.off) for k in range(CORRECTION_DRIVES)]
-    car, model, intervals = correct_files(drives, here.file)
-    logs = [here.drive("off", k, here.off).with_steering(car) for k in range(SEEDS)]
+    """Bands of the car that deviates from its file, before and after `st discover` corrects it with other drives."""
+    world = make_world()
+    drives = [world.drive("to mend", k, world.off) for k in range(CORRECTION_DRIVES)]
+    car, model, intervals = correct_files(drives, world.file)
+    logs = [world.drive("off", k, world.off).with_steering(car) for k in range(SEEDS)]
     after = {log.name: collect_samples(log, car, (model,)) for log in logs}
     _write_shares([sum_shares([model], car, SETTINGS.signals(log), SETTINGS, {model.name: intervals}) for log in logs])
-    before = here.samples("off", SEEDS, here.off)
-    healthy = here.samples("seed", SEEDS, here.healthy)
+    before = world.samples("off", SEEDS, world.off)
+    healthy = world.samples("seed", SEEDS, world.healthy)
     name = model.name
     found = score_held_out("virtual, corrected by st discover, by seed", after, _folds(after), name, tuple(METHODS))
     renamed = {key: ErrorSamples(one.name, one.conditions, {("nonlinear", mode): one.errors[name, mode]
@@ -196,7 +197,7 @@ def score_corrected() -> dict[str, Row]:
 
 
 def _write_shares(runs: Sequence[dict]) -> None:
-    """Write the causes of the corrected car's error into the page."""
+    """Writes the causes of the errors of the corrected car to the page."""
     shares = summarise_shares(pool_sums(runs))
     (one,) = shares.values()
     causes = {name: values["5"]["lateral"] for name, values in one["rms_of_cause"].items()}
@@ -208,14 +209,14 @@ def _write_shares(runs: Sequence[dict]) -> None:
 
 @dataclass(frozen=True)
 class World:
-    """The virtual Leaf: vehicle file, settings of the healthy car that it describes, and of a car that deviates."""
+    """The virtual Leaf: vehicle file, settings of the car that it describes, and settings of a car that deviates."""
 
     file: VehicleParameters
     healthy: Mapping[str, float]
     off: Mapping[str, float]
 
     def drive(self, name: str, number: int, settings: Mapping[str, float], kind: str | None = None) -> DriveLog:
-        """One drive. kind: name of a manoeuvre in bench.discovery.programmes, driven three times; None: mixed."""
+        """Log of a drive. kind: name of a manoeuvre in bench.discovery.programmes, driven three times; None: mixed."""
         from bench.discovery import cars, programmes
         from bench.discovery.plants import Order, record_run
 
@@ -245,7 +246,7 @@ def collect_samples(log: DriveLog, vehicle: VehicleParameters, models: Sequence[
 
 def score_held_out(title: str, runs: Runs, groups: Mapping, model: str, ways: Sequence[str] = CALIBRATED) -> dict[str,
                                                                                                                   Row]:
-    """Each group of runs tested with bands of all other groups; one row for each mode and method."""
+    """Tests each group of runs with bands of all other groups; one row for each mode and method."""
     found = {}
     for mode in MODES:
         entries: dict[str, list] = {way: [] for way in ways}
@@ -267,7 +268,7 @@ def score_held_out(title: str, runs: Runs, groups: Mapping, model: str, ways: Se
 
 
 def score_transfer(title: str, runs: Runs, others: Runs, model: str) -> dict[str, Row]:
-    """Bands of `runs` tested on `others`, from another car or mounting; their coverage is not guaranteed."""
+    """Tests bands of `runs` on runs of another car or mounting, for which the coverage is not guaranteed."""
     found = {}
     for mode in MODES:
         known = list(runs.values())
@@ -280,7 +281,7 @@ def score_transfer(title: str, runs: Runs, others: Runs, model: str) -> dict[str
 
 def sum_scores(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSamples],
                question: tuple[str, str]) -> list[dict]:
-    """Sums for `summarise_bands`, for each new run."""
+    """Sums for `summarise_bands` for each new run."""
     domain, entries = CalibrationDomain.of([one.conditions for one in known]), []
     for one in new:
         rows = domain(one.conditions)
@@ -290,7 +291,7 @@ def sum_scores(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSam
 
 
 def format_cells(runs: Sequence[dict], refused: Sequence[str]) -> Row:
-    """Cells of one row. refused: groups for which no band could be calibrated, with the reason."""
+    """Cells of a row. refused: groups for which no band could be calibrated, each with the reason."""
     of_all = summarise_bands({"models": {"m": {"q": pool_sums(runs)}}})["models"]["m"]["q"] if runs else None
     if of_all is None or not of_all["starts"]:
         return dict.fromkeys(COLUMNS, "-") | {"no band": "; ".join(refused) or "100%"}
@@ -314,7 +315,7 @@ def _folds(runs: Runs) -> dict[int, list[str]]:
 
 
 def _genesis_runs() -> dict[str, ErrorSamples] | None:
-    """All drives except the one with a wrong projection."""
+    """Samples of all drives except the one with a wrong projection; None without the shared drives."""
     found = _genesis_logs()
     return found and {name: collect_samples(log, found[0], MODELS) for name, log in found[1].items()}
 

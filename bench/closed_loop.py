@@ -1,9 +1,8 @@
-"""Live closed loop: drives of a car with hidden effects, `st discover` without a reference, then the corrected files on
-a new road; errors before and after. Two cases: two effects of the library and a wrong number in the vehicle file; and a
-relation that is not in the library, which `st discover` proposes.
+"""The whole loop, live: drive a car with hidden effects, run `st discover`, and drive a new road with its files.
 
-Everything runs through bridges, nodes and files: `st demo`, `st discover`, `st demo`. Errors before and after are of
-two drives in real time, compared over the starts that were scored in both.
+Two cases: two effects of the library and a wrong value in the vehicle file; and a relation that is not in the library,
+which `st discover` proposes. Everything runs through bridges, nodes and files: `st demo`, `st discover`, `st demo`. The
+errors before and after are those of two drives in real time, over the starts that were scored in both.
 """
 
 import argparse
@@ -23,13 +22,13 @@ from st_recordings.paths import config, project_root
 from st_recordings.results import read_results
 
 RATIO = "steering_ratio: {value: 17.3"
-WRONG = 1.08  # of the steering ratio in the file
+RATIO_ERROR = 1.08  # factor on the steering ratio in the file
 HIDDEN = {"steering_lag": 0.14, "ins_misalignment": 0.012}  # s, rad
 DRIVES = ("sweep", "slalom", "lane_change", "brake_in_turn", "there_and_back", "weave")
-SECONDS, UNSEEN, UNSEEN_SECONDS = 30.0, "S6", 60.0
-LAW = {"drive_offset": 0.2}  # m: a yaw moment with the force of drive and brakes
+DURATION, NEW_ROAD, NEW_ROAD_DURATION = 30.0, "S6", 60.0  # s
+LAW = {"drive_offset": 0.2}  # m; a yaw moment in proportion to the force of drive and brakes
 LAW_DRIVES = ("sweep", "lane_change", "brake_in_turn", "S6", "slalom.yaml", "stop_and_go.yaml")
-LAW_SECONDS, LAW_UNSEEN, LAW_UNSEEN_SECONDS = 40.0, "S7", 50.0
+LAW_DURATION, LAW_NEW_ROAD, LAW_NEW_ROAD_DURATION = 40.0, "S7", 50.0
 PERIOD = 0.1  # s between starts
 LAW_BEGINS = "## A law beyond the library"
 PAGE = project_root() / "docs" / "measurements" / "closed_loop.md"
@@ -37,7 +36,7 @@ IMAGES = project_root() / "docs" / "images"
 
 
 def run(folder: Path | None = None) -> dict:
-    """Run both cases; drives that exist in `folder` are not repeated."""
+    """Runs both cases; drives that exist in `folder` are not repeated."""
     if folder is None:
         with tempfile.TemporaryDirectory(prefix="st-closed-loop-") as name:
             return run(Path(name))
@@ -45,12 +44,12 @@ def run(folder: Path | None = None) -> dict:
 
 
 def run_effects(folder: Path) -> dict:
-    """Effects found, and lateral RMSE [m] over 5 s by model before and after. Writes its part of the page."""
+    """Effects found, and lateral RMSE [m] over 5 s by model before and after; writes its part of the page."""
     vehicle = _write_wrong_file(folder)
     car = ("--plant-vehicle", LEAF_FILE, *_effect_options(HIDDEN))
-    found = _discover(folder, DRIVES, SECONDS, vehicle, car)
+    found = _discover(folder, DRIVES, DURATION, vehicle, car)
     corrected, model = folder / "found" / "vehicle.yaml", folder / "found" / "model.yaml"
-    unseen = ("--scenario", UNSEEN, "--duration", UNSEEN_SECONDS, *car, "--seed", 100)
+    unseen = ("--scenario", NEW_ROAD, "--duration", NEW_ROAD_DURATION, *car, "--seed", 100)
     _drive(folder / "before", *unseen, "--vehicle", vehicle)
     _drive(folder / "after", *unseen, "--vehicle", corrected if corrected.exists() else vehicle, "--model", model)
     before, after = compare_drives(read_scored(folder / "before"), read_scored(folder / "after"))
@@ -64,13 +63,16 @@ def run_effects(folder: Path) -> dict:
 
 
 def run_relation(folder: Path) -> dict:
-    """The proposed law, and lateral RMSE [m] over 5 s: given: nonlinear model with the given vehicle file; library:
-    with the effects of the library; proposed: with the law. Writes its part of the page."""
+    """The proposed relation, and lateral RMSE [m] over 5 s; writes its part of the page.
+
+    given: nonlinear model with the given vehicle file; library: with the effects of the library; proposed: with the
+    proposed relation.
+    """
     folder.mkdir(exist_ok=True)
     vehicle, car = LEAF_FILE, _effect_options(LAW)
-    found = _discover(folder, LAW_DRIVES, LAW_SECONDS, vehicle, car, "--propose")
+    found = _discover(folder, LAW_DRIVES, LAW_DURATION, vehicle, car, "--propose")
     written = {name: folder / "found" / name for name in ("vehicle.yaml", "model.yaml", "proposed.yaml", "effects")}
-    unseen = ("--scenario", LAW_UNSEEN, "--duration", LAW_UNSEEN_SECONDS, *car, "--seed", 100)
+    unseen = ("--scenario", LAW_NEW_ROAD, "--duration", LAW_NEW_ROAD_DURATION, *car, "--seed", 100)
     # A model file is valid for one vehicle file: model.yaml for the corrected one, proposed.yaml for the given one.
     corrected = written["vehicle.yaml"] if written["vehicle.yaml"].exists() else vehicle
     model = ("--model", written["model.yaml"]) if written["model.yaml"].exists() else ()
@@ -95,7 +97,7 @@ def run_relation(folder: Path) -> dict:
 
 def _discover(folder: Path, drives: Sequence[str], seconds: float, vehicle: Path, car: Sequence[object],
               *options: str) -> dict:
-    """Record the drives live and run `st discover` on them; returns the content of discovery.json."""
+    """Records the drives live and runs `st discover` on them; returns the content of discovery.json."""
     for number, name in enumerate(drives):
         road = config(f"manoeuvres/{name}") if name.endswith(".yaml") else name
         _drive(folder / Path(name).stem, "--scenario", road, "--duration", seconds, "--vehicle", vehicle, *car,
@@ -110,7 +112,7 @@ def _discover(folder: Path, drives: Sequence[str], seconds: float, vehicle: Path
 class Scored:
     """Starts of a live drive at which every model was scored in hindsight.
 
-    time: (n,) after the start of the drive [s]. lateral: mean error over the horizon [m], (n,) by model.
+    time: (n,) since the begin of the drive [s]. lateral: horizon means of the error [m], (n,) by model.
     """
 
     time: np.ndarray
@@ -118,7 +120,7 @@ class Scored:
 
 
 def _drive(folder: Path, *options: object) -> Path:
-    """Record a live drive unless it exists already."""
+    """Records a live drive, unless its folder exists; returns the folder."""
     if not folder.exists():
         _st("demo", *options, "--output", folder)
     return folder
@@ -130,16 +132,16 @@ def read_scored(folder: Path) -> Scored:
     with (folder / "truth" / "truth.mcap").open("rb") as file:
         summary = make_reader(file).get_summary()
     if summary is None or summary.statistics is None:
-        raise RuntimeError(f"{folder}: its truth.mcap is truncated, so the begin of the drive is unknown")
+        raise RuntimeError(f"{folder}: its truth.mcap is truncated, so that the begin of the drive is unknown")
     return Scored((starts - summary.statistics.message_start_time) * 1e-9,
                   {model: one.lateral[np.isin(one.start_ns, starts)] for model, one in scores.items()})
 
 
 def compare_drives(*drives: Scored) -> list[dict]:
-    """Number of starts and lateral RMSE [m] by model of each repetition of a drive, over the starts common to all.
+    """Number of starts and lateral RMSE [m] by model for each repetition of a drive, over the starts common to all.
 
-    A start is common if each of the others has one within half a period. On a busy computer measurements may be
-    missing, and with them 5 s of starts; scores of another part of the road are not compared.
+    A start is common if every repetition has one within half a period of it. A busy computer may lose measurements, and
+    with them 5 s of starts; scores of different parts of the road must not be compared.
     """
     first = drives[0].time
     rows = [np.abs(drive.time - first[:, None]).argmin(axis=1) for drive in drives]
@@ -163,12 +165,12 @@ def _write_wrong_file(folder: Path) -> Path:
     if RATIO not in text:
         raise RuntimeError(f"{LEAF_FILE} does not have the steering ratio that this benchmark expects")
     file = folder / "car.yaml"
-    file.write_text(text.replace(RATIO, f"steering_ratio: {{value: {17.3 * WRONG:.4f}"))
+    file.write_text(text.replace(RATIO, f"steering_ratio: {{value: {17.3 * RATIO_ERROR:.4f}"))
     return file
 
 
 def _st(*arguments: object) -> None:
-    # A shell of its own: a suite started within another would take its domain.
+    # Without the domain of a suite that may be running.
     clean = {k: v for k, v in os.environ.items() if k != "ROS_DOMAIN_ID"}
     subprocess.run([str(project_root() / "st"), *map(str, arguments)], check=True, env=clean)
 
@@ -179,7 +181,7 @@ def _statement(effect: dict) -> dict:
 
 
 def _draw(file: Path, rows: Mapping[str, tuple[float | None, float]], labels: tuple[str, str]) -> None:
-    """Plot errors before (None: not measured) and after [m], by name."""
+    """Plots errors by name, before (None: not measured) and after [m]."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -205,7 +207,7 @@ def _draw(file: Path, rows: Mapping[str, tuple[float | None, float]], labels: tu
 
 
 def _write(effects: str = "", law: str = "") -> None:
-    """Replace the given parts of the page."""
+    """Replaces the given parts of the page."""
     old, _, rest = PAGE.read_text().partition(LAW_BEGINS)
     PAGE.write_text((effects or old.rstrip("\n") + "\n") + "\n" + (law or LAW_BEGINS + rest))
 
@@ -227,11 +229,11 @@ def _effects_page(result: dict) -> str:
         "See how far predictions are off with a wrong vehicle file, and how far after `st discover` has corrected it.",
         "Written by `./st bench closed_loop`; do not edit. The virtual Leaf (`realistic`) is driven through bridges",
         f"and nodes with {hidden}, and a vehicle file whose steering ratio is",
-        f"{100 * (WRONG - 1):.0f} % wrong: {len(DRIVES)} drives of {SECONDS:g} s ({', '.join(DRIVES)}).",
+        f"{100 * (RATIO_ERROR - 1):.0f} % wrong: {len(DRIVES)} drives of {DURATION:g} s ({', '.join(DRIVES)}).",
         "`st discover` receives the recorded bags and that file, nothing else. Then a new road",
-        f"({UNSEEN}) is driven live twice: with the file as it was, and with what `st discover` wrote.", "",
-        f"Found (the true factor of the ratio is 1/{WRONG:g} = {1 / WRONG:.3f}); held-out 5 s position {base:.2f} → "
-        f"{augmented:.2f} m:", "",
+        f"({NEW_ROAD}) is driven live twice: with the file as it was, and with what `st discover` wrote.", "",
+        f"Found (the true factor of the ratio is 1/{RATIO_ERROR:g} = {1 / RATIO_ERROR:.3f}); held-out 5 s position "
+        f"{base:.2f} → {augmented:.2f} m:", "",
         "| effect | value, 95 % interval |", "|---|---|", *(row(e) for e in result["found"]), "",
         f"Kept, not named: {', '.join(e['name'] for e in result['kept']) or 'nothing'}.", "",
         f"Live, lateral error over 5 s in hindsight, RMSE over {result['after']['starts']} starts of both drives:", "",
@@ -256,9 +258,9 @@ def _law_page(result: dict) -> str:
     lines = [LAW_BEGINS, "",
              f"Hidden in the same car is {hidden}: drive and brakes act that far (m) to the right of its middle, a yaw",
              f"moment that no effect of the library describes. It turns the car by {truth:.3f} rad/s² for each m/s² of",
-             f"drive or brakes. {len(LAW_DRIVES)} live drives of {LAW_SECONDS:g} s ({', '.join(LAW_DRIVES)})",
+             f"drive or brakes. {len(LAW_DRIVES)} live drives of {LAW_DURATION:g} s ({', '.join(LAW_DRIVES)})",
              "are recorded; `st discover --propose` gets the bags and the right vehicle file. Then a road it has not",
-             f"seen ({LAW_UNSEEN}: braking from 16 m/s into a roundabout, and out of it) is driven live twice.", "",
+             f"seen ({LAW_NEW_ROAD}: braking from 16 m/s into a roundabout, and out of it) is driven live twice.", "",
              f"The library states {', '.join(f'`{n}`' for n in result['stated']) or 'nothing'}, and keeps "
              f"{', '.join(f'`{n}`' for n in result['kept']) or 'nothing'}.", *lines_of_law, ""]
     if "proposed" in result:
@@ -273,8 +275,8 @@ def _law_page(result: dict) -> str:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--folder", type=Path, help="keep all runs there, and drive only what is not there")
-    parser.add_argument("--law", action="store_true", help="only the loop of the law beyond the library")
+    parser.add_argument("--folder", type=Path, help="folder for all runs; those that it contains are not repeated")
+    parser.add_argument("--law", action="store_true", help="only the case of the relation that is not in the library")
     given = parser.parse_args()
     if given.folder:
         given.folder.mkdir(parents=True, exist_ok=True)

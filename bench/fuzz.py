@@ -1,10 +1,10 @@
-"""Fuzzing of every reader: number of inputs and findings; ST_FUZZ_SECONDS of processor time for each (60).
+"""Fuzzes every reader: number of inputs and findings.
 
-`ncom_bulk` is the fastest: blocks of packets with changed bytes through the streaming parser, and every tenth block
-through the decoder of files, which must give the same result. `ncom_packets` processes single packets, most with right
-checksums, as the node does before its messages. ST_FUZZ_TARGETS=ncom_packets,dbc names targets, ST_FUZZ_SEED a
-seed; ST_FUZZ_KEEP=1 keeps findings, made smaller, in tests/fuzz/corpus. As a script its exit status is 1 if there were
-any.
+`ncom_bulk` is the fastest target: blocks of packets with changed bytes are parsed as a stream, and every tenth block is
+also decoded as a file, which must give the same result. `ncom_packets` processes single packets, most of them with
+correct checksums, as the node does. ST_FUZZ_SECONDS: processor time for each target (60 s). ST_FUZZ_TARGETS: names of
+targets, such as ncom_packets,dbc. ST_FUZZ_SEED: seed. ST_FUZZ_KEEP=1: findings are reduced and kept in
+tests/fuzz/corpus. As a script, the exit status is 1 if there are findings.
 """
 
 import json
@@ -25,12 +25,12 @@ from oxts_bridge.ncom import PACKET_SIZE
 from oxts_bridge.stream import NcomParser
 
 FAST, BULK = "ncom_packets", "ncom_bulk"
-MOST_BULK = 12_000_000
-BLOCK = 2000  # packets through one pipeline, for long-lived state; its seed reproduces a finding
+MAX_BULK_PACKETS = 12_000_000
+BLOCK = 2000  # packets processed by one pipeline with its state; the seed of a block reproduces a finding
 
 
 def mutate(rng: random.Random, packet: bytes) -> bytes:
-    """The packet with a few changed bytes, in three of four cases with correct checksums."""
+    """Changes a few bytes of a packet; in three of four cases the checksums are correct."""
     data = bytearray(packet)
     for _ in range(1 + rng.getrandbits(2)):
         data[1 + int(rng.random() * 71)] = rng.getrandbits(8)
@@ -45,7 +45,7 @@ def make_ncom_block(seed: int) -> list[bytes]:
 
 
 def fuzz_packets(seed: int, seconds: float) -> dict:
-    """Process blocks of packets; a failure counts once per block and is replayed with ncom_block(seed)."""
+    """Processes blocks of packets; a failure counts once per block and is reproduced by make_ncom_block(seed)."""
     started, inputs, found = processor_seconds(), 0, {}
     base, accepted = packets(), 0
     while processor_seconds() - started < seconds:
@@ -65,7 +65,7 @@ def fuzz_packets(seed: int, seconds: float) -> dict:
 
 
 def make_bulk_block(seed: int, base: np.ndarray) -> bytes:
-    """Packets with 1 to 3 bytes changed; three of four get right checksums, a few bytes are cut out anywhere."""
+    """A block of packets with 1 to 3 changed bytes each, three of four with correct checksums; bytes are missing."""
     rng = np.random.default_rng(seed)
     data = base[rng.integers(len(base), size=BLOCK)]
     rows = np.arange(BLOCK)
@@ -82,10 +82,10 @@ def make_bulk_block(seed: int, base: np.ndarray) -> bytes:
 
 
 def fuzz_bulk(seed: int, seconds: float) -> dict:
-    """Check that the parser accounts for every byte and that both decoders agree."""
+    """Checks that the parser accounts for every byte, and that both decoders agree."""
     base = np.frombuffer(b"".join(packets()), np.uint8).reshape(-1, PACKET_SIZE)
     started, blocks, accepted, found = processor_seconds(), 0, 0, {}
-    while processor_seconds() - started < seconds and blocks * BLOCK < MOST_BULK:
+    while processor_seconds() - started < seconds and blocks * BLOCK < MAX_BULK_PACKETS:
         block_seed = seed * 10**9 + blocks
         data, parser = make_bulk_block(block_seed, base), NcomParser()
         try:

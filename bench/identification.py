@@ -1,4 +1,4 @@
-"""Identification from driving: bias and coverage over 50 noise seeds, real held-out drives, the paper's procedure."""
+"""Identification from driving: bias and coverage for 50 noise seeds, held-out real drives, procedure of the paper."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -25,33 +25,33 @@ from st_core.vehicle import VehicleParameters
 from st_sim.settings import REALISTIC
 
 SEEDS = range(400, 450)  # not used in the development of the estimators
-SILENT = ("ins_noise=0", "steering_sensor_noise=0")
-KNOWN = {"steered_drive_force": {"share": 1.0}}  # front-wheel drive, and nothing else of the plant
+NO_NOISE = ("ins_noise=0", "steering_sensor_noise=0")
+KNOWN_EFFECTS = {"steered_drive_force": {"share": 1.0}}  # the only effect of the plant that the model includes
 
 
 def run() -> dict:
-    """Run all parts, which takes about ten minutes."""
+    """Runs all parts, which takes about ten minutes."""
     return {"seeds": score_seeds(), "noise-free": score_noise_free(), "realistic car": score_realistic(),
             "speed": measure_speed(), "genesis": identify_genesis(), "chain": run_procedure()}
 
 
 def make_wrong_file(car: VehicleParameters) -> VehicleParameters:
-    """Initial vehicle file of every identification, with wrong values."""
+    """Initial vehicle of every identification, with wrong values."""
     other = replace(car, steering_wheel_offset=0.0, yaw_inertia=0.8 * car.yaw_inertia, cg_to_ins_x=-0.3)
     return with_stiffness(other, 0.8 * car.cornering_stiffness_front, 1.25 * car.cornering_stiffness_rear)
 
 
 def identify_seed(seed: int, car: VehicleParameters) -> dict[str, tuple[Identification, dict[str, float]]]:
-    """Result and true values by method, for one noise seed of all drives."""
+    """Method -> result and true values, for drives with one noise seed."""
     logs = record_all("ideal", seed)
     start = make_wrong_file(car)
     offset = identify_steering_offset(logs["straight"], start)
-    # The estimated offset is used in the next steps, as for a real car.
+    # The next steps use the estimated offset, as for a real car.
     start = replace(start, steering_wheel_offset=offset["steering_wheel_offset"].value)
     right_ins = replace(start, cg_to_ins_x=car.cg_to_ins_x)
     stiffness = {name: getattr(car, name) for name in STIFFNESSES}
     steering = {"steering_ratio": car.steering_ratio, "steering_wheel_offset": car.steering_wheel_offset}
-    known = augment("nonlinear", KNOWN)
+    known = augment("nonlinear", KNOWN_EFFECTS)
     mass_right = replace(right_ins, yaw_inertia=car.yaw_inertia)
     paper = identify_stiffness(logs["bends"], mass_right)
     return {
@@ -69,7 +69,7 @@ def identify_seed(seed: int, car: VehicleParameters) -> dict[str, tuple[Identifi
 
 
 def curve_slopes(found: Identification, car: VehicleParameters) -> dict[str, float]:
-    """The regression of the true tyres' force, in place of the measured one, on the same slip angles [N/rad]."""
+    """Slopes [N/rad] of the regression with true instead of measured tyre forces, at the same slip angles."""
     p = nonlinear_tyre.parameters(car)
     w = nonlinear_tyre.inputs(0.0, 0.0, p)
     result = {}
@@ -80,7 +80,7 @@ def curve_slopes(found: Identification, car: VehicleParameters) -> dict[str, flo
 
 
 def score_seeds(numbers: Iterable[int] = SEEDS) -> dict:
-    """Coverage of the 95 % interval over the seeds, errors, and mean stated uncertainty."""
+    """Coverage of the 95 % intervals over the seeds, errors, and mean stated uncertainty."""
     car = leaf()
     found: dict[tuple[str, str], list] = {}
     for seed in numbers:
@@ -104,10 +104,10 @@ def _summary(rows: list) -> dict:
 
 
 def score_noise_free() -> dict:
-    """Error of each stiffness [%] due to the single-track model, from the double-track plant without noise."""
+    """Errors of the stiffnesses [%] that a single-track model causes for a double-track plant without noise."""
     car = leaf()
-    return {"radii 40 to 100 m": _stiffness_errors(record_all("ideal", 0, SILENT)["bends"], car, car),
-            "radii 20 to 24 m": _stiffness_errors(record(TIGHT_BENDS, "ideal", 0, sensors=SILENT), car, car)}
+    return {"radii 40 to 100 m": _stiffness_errors(record_all("ideal", 0, NO_NOISE)["bends"], car, car),
+            "radii 20 to 24 m": _stiffness_errors(record(TIGHT_BENDS, "ideal", 0, sensors=NO_NOISE), car, car)}
 
 
 def _stiffness_errors(logs: list, start: VehicleParameters, car: VehicleParameters) -> dict:
@@ -115,7 +115,7 @@ def _stiffness_errors(logs: list, start: VehicleParameters, car: VehicleParamete
         "paper": lambda: identify_stiffness(logs, start),
         "prediction, linear": lambda: fit_stiffness(logs, start, "linear"),
         "prediction": lambda: fit_stiffness(logs, start),
-        "prediction, drive force": lambda: fit_stiffness(logs, start, augment("nonlinear", KNOWN)),
+        "prediction, drive force": lambda: fit_stiffness(logs, start, augment("nonlinear", KNOWN_EFFECTS)),
     }
     return {name: {axle: 100.0 * (found[key].value / getattr(car, key) - 1.0)
                    for axle, key in zip(("front, %", "rear, %"), STIFFNESSES, strict=True)}
@@ -123,7 +123,8 @@ def _stiffness_errors(logs: list, start: VehicleParameters, car: VehicleParamete
 
 
 def score_realistic() -> dict:
-    """The same on the realistic car, against the small-slip stiffness of its tyres at static load [%], and inertia."""
+    """Errors for the realistic car: stiffnesses [%] relative to the small-slip stiffness of its tyres at static load,
+    and the other quantities."""
     car = leaf()
     logs = record_all("realistic", 0)
     true = with_stiffness(car, REALISTIC["front_stiffness_factor"] * car.cornering_stiffness_front,
@@ -144,7 +145,7 @@ def _row(estimate) -> str:
 
 
 def measure_speed() -> dict:
-    """CPU seconds, warm: stiffness from 10 runs of 60 s."""
+    """Processor and wall time [s] of the identification of stiffness from 10 runs of 60 s, after warm-up."""
     car = leaf()
     logs = record_all("ideal", 1)["bends"]
     start = replace(make_wrong_file(car), steering_wheel_offset=car.steering_wheel_offset, cg_to_ins_x=car.cg_to_ins_x)

@@ -1,7 +1,7 @@
-"""The suite for an hour at full rates with random faults: memory, handles, shared memory, age of predictions, losses.
+"""An hour at full rates with random faults: memory, handles, shared memory, age of predictions, losses.
 
-250 NCOM packets and 1750 CAN frames per second; a fault every 30 s or so, kills and hangs among them. ST_SOAK_MINUTES
-(60), ST_SOAK_SEED (1). Writes docs/images/soak.png; reading the recordings takes a few minutes more.
+250 NCOM packets and 1750 CAN frames per second; about every 30 s a fault, including kills and hangs. ST_SOAK_MINUTES
+(60) and ST_SOAK_SEED (1) change the run. Draws docs/images/soak.png; reading the recordings takes some more minutes.
 """
 
 import contextlib
@@ -27,27 +27,27 @@ from st_recordings.mcap import recover
 from st_recordings.runs.bag import open_bag
 
 FIGURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "soak.png"
-MOST_FAULT = 12.0  # s; longer ones have their own rows in the fault table
-CALM = (15.0, 45.0)  # s between two faults
-CALM_AT_THE_END = 20.0
-AFTERWARDS = 12.0  # s after a fault in which a loss is still its own: a node is started again after up to 10 s
+MAX_FAULT_DURATION = 12.0  # s; longer faults have rows in the fault table
+PAUSE = (15.0, 45.0)  # s between two faults
+FINAL_PAUSE = 20.0  # s
+RECOVERY_TIME = 12.0  # s after a fault for which it explains losses: a node restarts after up to 10 s
 SAMPLE_PERIOD = 5.0
 SEGMENT = re.compile(r"/dev/shm/(fastrtps_[0-9a-f]+)")
-ODDS = {"kill": 1, "hang": 1, "wire": 6}
+FAULT_WEIGHTS = {"kill": 1, "hang": 1, "wire": 6}
 
 
 @dataclass
 class Samples:
-    """One entry per sample; per process: node -> values, NaN while it does not run."""
+    """One value per sample; for processes: node -> values, NaN while it does not run."""
 
     minutes: list[float] = field(default_factory=list)
     memory: dict[str, list[float]] = field(default_factory=dict)  # MB resident
     handles: dict[str, list[float]] = field(default_factory=dict)
-    segments: list[int] = field(default_factory=list)  # mapped by a node of ours
-    left: list[int] = field(default_factory=list)  # of ended nodes
-    behind: list[float] = field(default_factory=list)  # s, of the sender
-    busy: list[float] = field(default_factory=list)  # load of the machine
-    known: set[str] = field(default_factory=set)
+    segments: list[int] = field(default_factory=list)  # shared-memory segments that a node of the suite maps
+    left: list[int] = field(default_factory=list)  # segments that ended nodes left behind
+    behind: list[float] = field(default_factory=list)  # delay of the sender [s]
+    load: list[float] = field(default_factory=list)  # load of the machine
+    known: set[str] = field(default_factory=set)  # segments seen so far
 
 
 def take_sample(rig: Rig, samples: Samples, began: float) -> None:
@@ -70,20 +70,20 @@ def take_sample(rig: Rig, samples: Samples, began: float) -> None:
     samples.left.append(sum(Path("/dev/shm", name).exists() for name in samples.known - mapped))
     samples.behind.append(rig.car.behind)
     rig.car.behind = 0.0
-    samples.busy.append(os.getloadavg()[0])
+    samples.load.append(os.getloadavg()[0])
 
 
 def choose_fault(rng: random.Random) -> Fault:
-    kind = rng.choices(list(ODDS), list(ODDS.values()))[0]
-    wire = [f for f in (*INS, *CAN) if f.seconds <= MOST_FAULT]
+    kind = rng.choices(list(FAULT_WEIGHTS), list(FAULT_WEIGHTS.values()))[0]
+    wire = [f for f in (*INS, *CAN) if f.seconds <= MAX_FAULT_DURATION]
     return rng.choice({"kill": KILLED, "hang": HANGING, "wire": wire}[kind])
 
 
 def run_with_faults(rig: Rig, minutes: float, seed: int) -> tuple[Samples, Counter, list[tuple[float, float]]]:
-    """Run the suite with faults; returns samples, count of each fault, and begin and end of each fault [minutes]."""
+    """Runs the suite with faults; returns samples, count of each fault, and begin and end of each fault [minutes]."""
     rng, samples, faults, when = random.Random(seed), Samples(), Counter(), []
     began = time.monotonic()
-    end, due, next_fault = began + 60 * minutes, began, began + CALM[0]
+    end, due, next_fault = began + 60 * minutes, began, began + PAUSE[0]
     undo, until = None, 0.0
     while (now := time.monotonic()) < end:
         rig.run(0.5)
@@ -93,20 +93,20 @@ def run_with_faults(rig: Rig, minutes: float, seed: int) -> tuple[Samples, Count
         if undo and now >= until:
             with contextlib.suppress(ProcessLookupError):
                 undo()
-            undo, next_fault = None, now + rng.uniform(*CALM)
-        elif not undo and now >= next_fault and now < end - MOST_FAULT - CALM_AT_THE_END:
+            undo, next_fault = None, now + rng.uniform(*PAUSE)
+        elif not undo and now >= next_fault and now < end - MAX_FAULT_DURATION - FINAL_PAUSE:
             fault = choose_fault(rng)
             try:
                 undo, until = fault.put(rig), now + fault.seconds
                 faults[fault.name] += 1
                 when.append(((now - began) / 60, (until - began) / 60))
-            except (StopIteration, ProcessLookupError):  # the node is being started again already
-                next_fault = now + CALM[0]
+            except (StopIteration, ProcessLookupError):  # the node is already being restarted
+                next_fault = now + PAUSE[0]
     return samples, faults, when
 
 
 def read_recordings(folder: Path) -> dict[str, np.ndarray]:
-    """Start and age of the predictions, stamps of the NCOM packets and number of CAN frames in all bags."""
+    """Start times and ages of the predictions, stamps of the NCOM packets, and number of CAN frames, in all bags."""
     starts, ages, packets, frames = [], [], [], 0
     for bag in sorted(folder.glob("bag*")):
         recover(bag)
@@ -124,19 +124,21 @@ def read_recordings(folder: Path) -> dict[str, np.ndarray]:
 
 def count_unexplained_losses(sent_ns: np.ndarray, recorded_ns: np.ndarray, began_ns: int, when: list,
                              minutes: float) -> int:
-    """How many fewer were recorded than sent while no fault was in, nor shortly before, summed over each such stretch:
-    a packet or two may fall on the other side of its edge."""
+    """Number of packets that were sent but not recorded outside of faults and RECOVERY_TIME.
+
+    Up to two packets for each stretch without a fault are not counted, because they may belong to its neighbours.
+    """
     edges = began_ns + np.arange(0, int(60 * minutes) + 1) * 10**9
     missing = np.histogram(sent_ns, edges)[0] - np.histogram(recorded_ns, edges)[0]
     second, calm = np.arange(len(missing)), np.ones(len(missing), bool)
     for begin, end in when:
-        calm &= (second < 60 * begin - 2) | (second > 60 * end + AFTERWARDS)
+        calm &= (second < 60 * begin - 2) | (second > 60 * end + RECOVERY_TIME)
     stretches = np.split(np.where(calm, missing, 0), np.flatnonzero(np.diff(calm)) + 1)
     return int(sum(lost for s in stretches if (lost := s.sum()) > 2))
 
 
 def growth_per_hour(minutes: list[float], values: list[float]) -> float:
-    """Growth in MB or handles per hour in the longest life of a node between kills, without its first minute."""
+    """Growth per hour during the longest life of a node between two kills, without its first minute."""
     t, v = np.array(minutes), np.array(values)
     cuts = np.flatnonzero(np.isnan(v) | (np.diff(v, prepend=v[0]) < -0.3 * np.nanmax(v)))
     lives = np.split(np.arange(len(v)), cuts)
@@ -170,12 +172,12 @@ def draw(samples: Samples, found: dict, when: list[tuple[float, float]], began_n
             axes[3].plot(edges + 0.5, [np.percentile(x, share) if len(x) else np.nan for x in inside], label=label)
         axes[3].set(ylabel="measured to published, ms", yscale="log")
         axes[3].legend(loc="upper left", fontsize=8)
-        axes[4].plot(samples.minutes, samples.busy, color="#888888")
+        axes[4].plot(samples.minutes, samples.load, color="#888888")
         axes[4].set(ylabel="load of the machine", xlabel="minutes", ylim=(0, None))
         for axis in axes:
             for minute, _ in when:
                 axis.axvline(minute, color="#dddddd", linewidth=0.5, zorder=0)
-        axes[0].set_title("Soak at 250 NCOM packets/s and 1750 CAN frames/s; thin lines: faults put in")
+        axes[0].set_title("Soak at 250 NCOM packets/s and 1750 CAN frames/s; thin lines: injected faults")
         figure.savefig(FIGURE)
 
 
@@ -188,7 +190,7 @@ def run() -> dict:
             ticks = rig.monitor.state.ticks
             samples, faults, when = run_with_faults(rig, minutes, seed)
             ill, restarts = rig.ill(), rig.supervisor.restarts
-            rig.car.ins.change = rig.car.can.change = lambda data: ()  # what was sent is all there by the end
+            rig.car.ins.change = rig.car.can.change = lambda data: ()  # stop sending, so that all sent data can arrive
             rig.run(2.0)
             sent, frames_sent = np.array(rig.car.ins.sent_ns), len(rig.car.can.sent_ns)
             ticks = rig.monitor.state.ticks or ticks
@@ -202,7 +204,7 @@ def run() -> dict:
         "minutes": samples.minutes[-1], "faults": sum(faults.values()), "kinds": len(faults), "restarts": restarts,
         "statuses at the end": {k: v for k, v in statuses.items() if v}, "not well at the end": ill,
         "ncom sent": len(sent), "ncom recorded": len(found["packet_ns"]),
-        "ncom lost with no fault in": count_unexplained_losses(sent, found["packet_ns"], began_ns, when,
+        "ncom lost without a fault": count_unexplained_losses(sent, found["packet_ns"], began_ns, when,
                                                                samples.minutes[-1]),
         "longest silence in the recording, s": float(np.diff(np.sort(found["packet_ns"])).max(initial=0)) * 1e-9,
         "can sent": frames_sent, "can recorded": int(found["frames"]),
@@ -212,5 +214,5 @@ def run() -> dict:
         "memory MB per hour": {name: growth_per_hour(samples.minutes, v) for name, v in samples.memory.items()},
         "handles per hour": {name: growth_per_hour(samples.minutes, v) for name, v in samples.handles.items()},
         "segments left behind": samples.left[-1], "sender behind, worst s": max(samples.behind),
-        "load of the machine, mean": float(np.mean(samples.busy)), "recorded MB": size / 1e6,
+        "load of the machine, mean": float(np.mean(samples.load)), "recorded MB": size / 1e6,
     }

@@ -1,4 +1,4 @@
-"""Corruption matrix of `st check`: known faults put into real and virtual drives, and the findings."""
+"""Corruption matrix of `st check`: the findings for known faults in real and virtual drives."""
 
 from .command import main
 

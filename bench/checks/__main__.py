@@ -1,4 +1,4 @@
-"""python -m bench.checks: run the matrix and print the results; see `main`."""
+"""Runs the corruption matrix: python -m bench.checks."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""What becomes of the matrix and of healthy drives with each limit of the checks at half and at twice its value."""
+"""Results of the matrix and of healthy drives with each limit of the checks at half and at twice its value."""
 
 from dataclasses import fields
 from functools import lru_cache
@@ -16,14 +16,14 @@ from .score import Drive, check_as_recorded, run_check, score_case
 from .virtual import virtual_drive
 
 DRIVES = ("virtual_S6",)
-SEED, SECONDS = 2000, 40.0
-"""Of the healthy drives, one of each scenario."""
+SEED, DURATION = 2000, 40.0
+"""Seed and duration [s] of the healthy drives, one of each scenario."""
 
 Setting = tuple[str, float]
 
 
 def main(jobs: int) -> str:
-    """Table of the page; each row is printed when it is ready."""
+    """The table of the page; prints each row as soon as it is ready."""
     settings: list[Setting] = [("unchanged", 1.0)]
     settings += [(field.name, factor) for field in fields(LIMITS) for factor in (0.5, 2.0)]
     found: dict[Setting, str] = {}
@@ -37,7 +37,7 @@ def main(jobs: int) -> str:
 
 
 def _score_setting(setting: Setting) -> str:
-    """Right cases of the smaller sizes; healthy drives with an error or a warning; further errors of a faulty drive."""
+    """Formats the share of right cases of the smaller sizes, the number with other findings, and the false alarms."""
     name, factor = setting
     before = None if factor == 1.0 else getattr(LIMITS, name)
     check_as_recorded.cache_clear()
@@ -58,9 +58,9 @@ def _score_setting(setting: Setting) -> str:
 
 @lru_cache
 def _healthy_drive(scenario: str) -> Recording:
-    return virtual_drive(scenario, SEED, SECONDS)
+    return virtual_drive(scenario, SEED, DURATION)
 
 
 def _load_drives() -> list[Recording]:
-    there = drives.list_drives("development")
-    return [drives.load(name, "development") for name in DRIVES if name in there]
+    available = drives.list_drives("development")
+    return [drives.load(name, "development") for name in DRIVES if name in available]

@@ -1,4 +1,4 @@
-"""Options of the corruption matrix."""
+"""Command line of the corruption matrix."""
 
 import argparse
 import json
@@ -19,20 +19,20 @@ PAGE = Path("docs") / "manual" / "checks.md"
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="st bench checks", description=(
-        "Known faults put into real and virtual drives, and the findings of `st check`. The sealed drives are run "
-        "once, at the end; look at those of development as often as you like."))
-    parser.add_argument("--sealed", action="store_true", help="the sealed drives, with sizes drawn by seed")
+        "Puts known faults into real and virtual drives, and scores the findings of `st check`. Run the sealed drives "
+        "only once, at the end, and those of development as often as you like."))
+    parser.add_argument("--sealed", action="store_true", help="use the sealed drives, with random sizes")
     parser.add_argument("--kind", action="append", choices=sorted(KINDS), metavar="NAME", help="may be repeated")
-    parser.add_argument("--drive", action="append", metavar="NAME", help="may be repeated; one kind and one drive: "
-                        "every finding in full")
+    parser.add_argument("--drive", action="append", metavar="NAME", help="may be repeated; for one kind and one drive, "
+                        "every finding is printed in full")
     parser.add_argument("--list", action="store_true", help="print kinds, sizes, findings and drives")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--write", action="store_true", help="write the table of it into docs/manual/checks.md")
-    parser.add_argument("--healthy", type=int, metavar="SEEDS", help="drives of all scenarios without a fault instead")
-    parser.add_argument("--seconds", type=float, default=35.0, help="of a healthy drive")
-    parser.add_argument("--speed", action="store_true", help="time of 1, 10 and 30 minutes instead")
-    parser.add_argument("--ablation", action="store_true", help="each limit at half and at twice its value instead")
-    parser.add_argument("--real", action="store_true", help="findings of every recorded drive instead")
+    parser.add_argument("--write", action="store_true", help="write the result into docs/manual/checks.md")
+    parser.add_argument("--healthy", type=int, metavar="SEEDS", help="check drives without a fault instead")
+    parser.add_argument("--seconds", type=float, default=35.0, help="duration of a healthy drive")
+    parser.add_argument("--speed", action="store_true", help="measure the time of a check instead")
+    parser.add_argument("--ablation", action="store_true", help="halve and double each limit instead")
+    parser.add_argument("--real", action="store_true", help="print the findings of every real drive instead")
     chosen = parser.parse_args(arguments)
     if chosen.list:
         return _print_kinds()
@@ -51,14 +51,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run_matrix(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
     set_ = "sealed" if chosen.sealed else "development"
-    there, kinds = drives.list_drives(set_), chosen.kind or list(KINDS)
-    if unknown := [name for name in chosen.drive or () if name not in there]:
-        parser.error(f"--drive {unknown[0]}: the {set_} set has {', '.join(there)}")
+    available, kinds = drives.list_drives(set_), chosen.kind or list(KINDS)
+    if unknown := [name for name in chosen.drive or () if name not in available]:
+        parser.error(f"--drive {unknown[0]}: the {set_} set has {', '.join(available)}")
     if chosen.kind and chosen.drive and len(chosen.drive) == 1:
         return _print_in_full(set_, chosen.drive[0], kinds)
     records: list[Record] = []
     begin = time.monotonic()
-    for part in run_matrix(set_, chosen.drive or there, kinds, chosen.jobs):
+    for part in run_matrix(set_, chosen.drive or available, kinds, chosen.jobs):
         for record in part:
             if not record["right"]:
                 print("wrong: " + tables.describe_failure(record), flush=True)
@@ -72,7 +72,7 @@ def _run_matrix(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> 
 
 
 def _write_results(document: Record, records: Sequence[Record]) -> None:
-    """Each set has its own place in results.json; the page shows both."""
+    """Writes the results of a set to results.json, and those of both sets to the page."""
     results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     results[document["set"]] = {**document, "wrong": [tables.describe_failure(r) for r in records if not r["right"]]}
     RESULTS.write_text(json.dumps(results, indent=1) + "\n")
@@ -81,7 +81,7 @@ def _write_results(document: Record, records: Sequence[Record]) -> None:
 
 
 def _write_page(mark: str, text: str, write: bool, status: int = 0) -> int:
-    """Put a text into the page."""
+    """Writes a text to the page if `write`; returns `status`."""
     if write:
         when = f"Version {source_version()}, {time.strftime('%Y-%m-%d', time.gmtime())}."
         tables.put_into(project_root() / PAGE, mark, text if mark == "corruption matrix" else f"{text}\n\n{when}")
@@ -94,7 +94,7 @@ def _print_in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
         for size in kind.sizes:
             clean = drive.clean(kind, size)
             if not kind.shows(clean, size.value):
-                print(f"== {kind.name} {size.label}: {name} cannot show it")
+                print(f"== {kind.name} {size.label}: {name} cannot show this fault")
                 continue
             corrupted, truth = kind.edit(clean, size.value)
             print(f"== {kind.name} {size.label}: {kind.how} {truth:.5g}; expected {' or '.join(kind.findings)}")

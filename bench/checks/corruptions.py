@@ -1,7 +1,7 @@
-"""What can be wrong with a recording: each kind as an edit of a good one, with the expected finding of `st check`.
+"""Kinds of faults in a recording: each is an edit of a good recording, with the expected finding of `st check`.
 
-An edit returns the corrupted recording and the truth about it: for `how` "times" the factor the named value is
-multiplied by, for "plus" what is added to it, for "is" the value itself; "named" has no value.
+An edit returns the corrupted recording and the true change of the value in the finding: with `how` "times" its factor,
+with "plus" its summand, with "is" the value itself; with "named" the finding has no value.
 """
 
 from collections.abc import Callable
@@ -23,14 +23,14 @@ from .recording import (
 )
 
 DEG, GON, G, FOOT, MPH, KMH = 57.29577951, 63.66197724, 9.80665, 3.280839895, 2.236936292, 3.6
-"""Per rad, rad, m/s^2 in one g, per m, per m/s, per m/s."""
+"""Units per rad, rad, m/s^2 per g, per m, per m/s, per m/s."""
 Edit = Callable[[Recording, float], tuple[Recording, float]]
 Shows = Callable[[Recording, float], bool]
 
 
 @dataclass(frozen=True)
 class Size:
-    """fixed: has no other size, as a unit. part: put into the middle half of the drive alone, the rest is cut off."""
+    """Size of a fault. fixed: it cannot be scaled (a unit). part: only the middle half of the drive is used."""
 
     label: str
     value: float
@@ -40,10 +40,13 @@ class Size:
 
 @dataclass(frozen=True)
 class Kind:
-    """findings: any of them is the right name. shows: whether a drive can show it at all. channel: the finding must be
-    about. tolerance: by how much of the truth a value may miss where it is a share, a count, a step or a gross factor.
-    also: further findings that are true of it. before: what the drive is given first, corrupted or not. either_side: a
-    real drive gets it on the side on which it is off already; on the other the two might cancel.
+    """A kind of fault.
+
+    findings: names of findings that are right. how: see the module. shows: whether a drive can show a fault of a size.
+    channel: a channel that the finding must name. tolerance: permitted error of the value relative to the truth, for
+    shares, counts, steps and gross factors. also: other findings that are true. before: preparation of the drive.
+    either_side: in a real drive the fault has the sign of the deviation that the drive already has, because with the
+    other sign the two might cancel.
     """
 
     name: str
@@ -76,12 +79,12 @@ def edit_log(change: Callable[[DriveLog, float], DriveLog]) -> Edit:
 
 
 def negate(change: Edit) -> Edit:
-    """Put in the other way round: the car's point lies behind, the true value is negative."""
+    """The edit with the opposite sign: the measuring point moves back, and the true value is negative."""
     return lambda r, size: change(r, -size)
 
 
 def road_wheel_only(change: Edit) -> Edit:
-    """A recording with the angle of the road wheels only."""
+    """The edit of a recording that contains only the road wheel angle."""
     return lambda r, size: change(r.with_log(steering_wheel_angle=None), size)
 
 
@@ -116,10 +119,8 @@ def whole_and_half(value: float) -> tuple[Size, Size]:
 
 
 POSITION, VELOCITY, WHEEL = ("x", "y"), ("velocity_x", "velocity_y"), ("road_wheel_angle", "steering_wheel_angle")
-SHARE = 0.05
-"""Tolerance of shares, counts and lengths."""
-GROSS = 0.25
-"""Tolerance of what is measured against the car: its own ratio, offset and understeer are in it."""
+SHARE = 0.05  # tolerance of shares, counts and lengths
+GROSS = 0.25  # tolerance of values that include the errors of the vehicle file in ratio, offset and understeer
 
 TIME = (
     Kind("stamps in other units", ("time_unit",), "is", f.change_time_unit, unit_sizes(("ms", 1e3), ("us", 1e6)),
@@ -182,7 +183,7 @@ VELOCITIES = (
          unit_sizes(("km/h", KMH), ("mph", MPH)), v.slides_and_bends),
     Kind("velocities in other units", ("velocity_scale",), "times", scale(*VELOCITY),
          unit_sizes(("km/h", KMH), ("mph", MPH)), v.slides_and_bends),
-    # How much of v_y is wrong as well is not to be seen of a few per cent.
+    # An error of a few per cent does not show whether v_y is wrong as well.
     Kind("velocity_x scaled", ("velocity_x_scale", "velocity_scale"), "times", scale("velocity_x"),
          two_sizes(1.03, 1.10), v.moves),
     Kind("velocity_y sign", ("velocity_y_scale",), "times", scale("velocity_y"), whole_and_half(-1.0),

@@ -1,6 +1,6 @@
-"""The drives of the matrix: recorded ones of the Genesis and of the virtual Leaf, for development and sealed.
+"""The drives of the matrix: real drives of the Genesis and drives of the virtual Leaf, in two sets.
 
-The sealed drives are looked at once, at the end: other runs, other scenarios, other seeds.
+The sealed set, with other runs, scenarios and seeds than the development set, is used only once, at the end.
 """
 
 from functools import lru_cache
@@ -22,12 +22,11 @@ VIRTUAL = {
     "sealed": (("lane_change", 81), ("sweep", 82), ("brake_in_turn", 83), (str(config("manoeuvres/slalom.yaml")), 84),
                (str(Path(__file__).with_name("country_road.yaml")), 85)),
 }
-SECONDS = 120.0
-"""of a virtual drive."""
+DURATION = 120.0  # s, of a virtual drive
 
 
 def list_drives(set_: str) -> tuple[str, ...]:
-    """Real drives first; those that are not there are left out."""
+    """Names of the drives of a set that are available, real ones first."""
     virtual = tuple(drive_name(scenario) for scenario, _ in VIRTUAL[set_])
     return tuple(name for name in REAL[set_] if _file(name).exists()) + virtual
 
@@ -36,7 +35,7 @@ def list_drives(set_: str) -> tuple[str, ...]:
 def load(name: str, set_: str) -> Recording:
     for scenario, seed in VIRTUAL[set_]:
         if name == drive_name(scenario):
-            return virtual_drive(scenario, seed, SECONDS)
+            return virtual_drive(scenario, seed, DURATION)
     return real_drive(_file(name))
 
 
@@ -45,11 +44,11 @@ def real_drive(file: Path) -> Recording:
 
 
 def list_real_files() -> list[Path]:
-    """Every drive of the shared folders."""
+    """Files of all real drives."""
     return sorted(DATA.glob("*/*.csv"))
 
 
 def _file(name: str) -> Path:
-    # A drive that is in no folder gets a path in the first one; the reader reports it as missing.
+    # A missing drive gets a path that the reader reports as missing.
     found = [file for file in list_real_files() if file.stem == name]
     return found[0] if found else NINE_DRIVES / f"{name}.csv"

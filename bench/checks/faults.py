@@ -1,4 +1,4 @@
-"""Edits that are more than a factor, a sum or a delay. Each returns the corrupted recording and the true value."""
+"""Edits of recordings other than factors, offsets and delays; each returns the recording and the true value."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,10 +8,8 @@ from st_core.log import DriveLog
 
 from .recording import RTK_INTEGER, STEERING, TIMED, Recording, select_rows
 
-DIFFERENTIAL = 4
-"""NCOM position mode without RTK."""
-MOVING = 1.5
-"""m/s."""
+DIFFERENTIAL = 4  # NCOM position mode without RTK
+MIN_SPEED = 1.5  # m/s; the car moves above it
 Edited = tuple[Recording, float]
 
 
@@ -20,7 +18,7 @@ def _generator(recording: Recording) -> np.random.Generator:
 
 
 def change_time_unit(r: Recording, factor: float) -> Edited:
-    """Stamps count `factor` times too fast, from the first measurement on."""
+    """Stamps that advance `factor` times too fast from the first measurement on."""
     start = r.log.start_ns
 
     def faster(time_ns: np.ndarray) -> np.ndarray:
@@ -40,17 +38,17 @@ def remove_one_span(r: Recording, seconds: float) -> Edited:
 
 
 def _remove_spans(r: Recording, gaps: list[tuple[float, float]]) -> Edited:
-    """Nothing recorded for (start, length) [s]. True value: what the INS's gaps last together, s."""
-    def there(time_ns: np.ndarray) -> np.ndarray:
+    """Removes the data in gaps (start, length) [s]. True value: total duration of the gaps of the INS [s]."""
+    def is_recorded(time_ns: np.ndarray) -> np.ndarray:
         time = (time_ns - r.log.ins_time_ns[0]) * 1e-9
         return ~np.any([(time > start) & (time < start + length) for start, length in gaps], axis=0)
-    corrupted = select_rows(r, there(r.log.ins_time_ns), there(r.log.steering_time_ns))
+    corrupted = select_rows(r, is_recorded(r.log.ins_time_ns), is_recorded(r.log.steering_time_ns))
     steps = np.diff(corrupted.time)
     return corrupted, float(steps[steps > 0.25].sum())
 
 
 def repeat_stamps(r: Recording, share: float) -> Edited:
-    """That share of all recorded rows repeats the previous row; a reader leaves them out."""
+    """A fraction `share` of the recorded rows repeats the previous row; a reader leaves them out."""
     generator = _generator(r)
 
     def doubled(time: np.ndarray) -> np.ndarray:
@@ -61,7 +59,7 @@ def repeat_stamps(r: Recording, share: float) -> Edited:
 
 
 def swap_stamps(r: Recording, share: float) -> Edited:
-    """Rows recorded before the one measured before them; a reader leaves them out."""
+    """A fraction `share` of the rows is recorded before the previous measurement; a reader leaves them out."""
     generator, stamps, rising = _generator(r), {}, {}
     for name, in_order in r.auxiliary.stamps.items():
         time = in_order.copy()
@@ -69,18 +67,18 @@ def swap_stamps(r: Recording, share: float) -> Edited:
         time[rows], time[rows + 1] = in_order[rows + 1], in_order[rows]
         stamps[name] = time
         rising[name] = np.ones(len(time), bool)
-        # The later stamp comes first and stays; the log itself is in the order of time.
+        # The later stamp comes first and is kept, because the log itself is in order of time.
         rising[name][rows] = False
     return select_rows(r, rising["INS"], rising["steering"]).with_auxiliary(stamps=stamps), share
 
 
 def add_jitter(r: Recording, size: float) -> Edited:
-    """Stamps of the arrival, `size` [s] of white delay; rows stay in order. True value: std of what it adds to the
-    intervals."""
+    """Stamps with random delays of standard deviation `size` [s], in the same order. True value: standard deviation of
+    the change of the intervals [s]."""
     time = r.log.ins_time_ns
     noise = np.round(size * 1e9 * _generator(r).standard_normal(len(time))).astype(np.int64)
-    apart = 1000 * np.arange(len(time))
-    late = np.maximum.accumulate(time + noise - apart) + apart
+    min_steps = 1000 * np.arange(len(time))  # 1 us between rows
+    late = np.maximum.accumulate(time + noise - min_steps) + min_steps
     fields = {"ins_time_ns": late}
     if np.array_equal(time, r.log.steering_time_ns):
         fields["steering_time_ns"] = late
@@ -88,11 +86,11 @@ def add_jitter(r: Recording, size: float) -> Edited:
 
 
 def drop_rows(r: Recording, share: float) -> Edited:
-    """Rows in which the yaw rate held no number; they were left out of the INS's rows."""
-    there = _generator(r).random(len(r.log.x)) >= share
-    corrupted = select_rows(r, there, np.ones(len(r.log.steering_time_ns), bool))
-    missing = int((~there).sum())
-    return corrupted.with_auxiliary(missing={"yaw_rate": missing}), missing / len(there)
+    """Rows in which the yaw rate has no value, and which a reader therefore left out."""
+    is_recorded = _generator(r).random(len(r.log.x)) >= share
+    corrupted = select_rows(r, is_recorded, np.ones(len(r.log.steering_time_ns), bool))
+    missing = int((~is_recorded).sum())
+    return corrupted.with_auxiliary(missing={"yaw_rate": missing}), missing / len(is_recorded)
 
 
 def exchange_axes(r: Recording, sign: float) -> Edited:
@@ -109,7 +107,7 @@ def to_compass(r: Recording, factor: float) -> Edited:
 
 
 def to_wrapped_degrees(r: Recording, factor: float) -> Edited:
-    """-180 to 180 deg in the file, unwrapped by a reader that takes it for rad."""
+    """Yaw from -180 to 180 deg in the file, which a reader unwraps as if it were in rad."""
     wrapped = (r.log.yaw * factor + 180.0) % 360.0 - 180.0
     return r.with_log(yaw=np.unwrap(wrapped)), factor
 
@@ -122,19 +120,19 @@ def make_positions_stale(r: Recording, share: float) -> Edited:
     old = _generator(r).random(len(r.log.x)) < share
     old[0] = False
     rows = np.arange(len(old)) - old
-    # What is findings is how often positions step back: at an old row behind a fresh one.
+    # The finding counts the steps back, from a new position to an old one.
     return r.with_log(x=r.log.x[rows], y=r.log.y[rows]), float(np.mean(old[1:] & ~old[:-1]))
 
 
 def jump_every_second(r: Recording, size: float) -> Edited:
-    """To the side and, a second later, back."""
+    """Positions that jump to the side and, a second later, back."""
     second = np.floor(r.time)
     return _shift_positions(r, size * (second % 2)), float(np.count_nonzero(np.diff(second % 2)))
 
 
 def jump_once(r: Recording, size: float) -> Edited:
-    """A new fix in the middle of the moving rows, which stays."""
-    moving = np.flatnonzero(np.abs(r.log.velocity_x) > MOVING)
+    """Positions with a lasting offset from the middle of the rows in which the car moves."""
+    moving = np.flatnonzero(np.abs(r.log.velocity_x) > MIN_SPEED)
     return _shift_positions(r, size * (np.arange(len(r.log.x)) >= moving[len(moving) // 2])), 1.0
 
 
@@ -155,11 +153,11 @@ def hold(channel: str) -> Callable[[Recording, float], Edited]:
 
 
 def freeze(*channels: str) -> Callable[[Recording, float], Edited]:
-    """The first of them moves most in that stretch. True value: how long it is constant, s."""
+    """Freezes channels in the span in which the first one varies most. True value: how long it is constant [s]."""
     def edit(r: Recording, seconds: float) -> Edited:
         start = find_liveliest(r, channels[0], seconds)
         if start is None:
-            raise ValueError(f"{r.name}: no {seconds:g} s in which the car moves")
+            raise ValueError(f"{r.name}: the car never moves for {seconds:g} s")
         fields = {}
         for channel in channels:
             if (values := getattr(r.log, channel)) is not None:
@@ -171,7 +169,7 @@ def freeze(*channels: str) -> Callable[[Recording, float], Edited]:
 
 
 def _constant_duration(r: Recording, channel: str, values: np.ndarray, start: float) -> float:
-    """For how long it has the value it has at start [s]: what is rounded may have had it a little before."""
+    """Duration [s] for which a channel has its value at `start` [s]; a rounded channel may have it a little earlier."""
     time = r.log.steering_time_ns if channel in STEERING else r.log.ins_time_ns
     row = _window(r, channel, start, 1.0).start
     changes = np.flatnonzero(np.diff(values)) + 1
@@ -182,12 +180,12 @@ def _constant_duration(r: Recording, channel: str, values: np.ndarray, start: fl
 
 
 def find_liveliest(r: Recording, channel: str, seconds: float) -> float | None:
-    """Start [s] of the stretch in which the channel moves most while the car does not stop."""
+    """Start [s] of the span in which a channel varies most while the car moves; None if there is none."""
     speed, best = np.abs(r.log.velocity_x), None
     for start in np.arange(1.0, r.log.duration - seconds - 1.0):
         rows = _window(r, channel, start, seconds)
         spread = np.std(getattr(r.log, channel)[rows])
-        if speed[_window(r, "x", start, seconds)].min() > MOVING and (best is None or spread > best[0]):
+        if speed[_window(r, "x", start, seconds)].min() > MIN_SPEED and (best is None or spread > best[0]):
             best = spread, float(start)
     return None if best is None else best[1]
 
@@ -204,7 +202,7 @@ def is_standing(r: Recording) -> np.ndarray:
 
 
 def creep(r: Recording, speed: float) -> Edited:
-    """A forward speed that does not go to zero."""
+    """A forward velocity that does not become zero when the car stops."""
     return r.with_log(velocity_x=np.where(is_standing(r), speed, r.log.velocity_x)), speed
 
 

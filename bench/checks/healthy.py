@@ -1,4 +1,4 @@
-"""Virtual drives without a fault: checks should report no error and almost no warning."""
+"""Virtual drives without a fault, for which the checks should report no error and almost no warning."""
 
 import time
 from collections import Counter
@@ -12,14 +12,13 @@ from .score import format_finding, run_check
 from .virtual import virtual_drive
 
 FIRST_SEED = 1000
-BATCH = 5
-"""Drives of one scenario in one task."""
+BATCH = 5  # drives of one scenario in one task
 
 Findings = tuple[str, int, list[tuple[str, str]]]
 
 
 def main(seeds: int, seconds: float, jobs: int) -> tuple[str, int]:
-    """Every scenario with that many seeds: (findings, exit status 1 if an error is among them)."""
+    """Checks drives of every scenario with that many seeds; returns (findings, exit status 1 if one is an error)."""
     tasks = [(scenario, range(FIRST_SEED + first, FIRST_SEED + min(first + BATCH, seeds)), seconds)
              for scenario in SCENARIOS for first in range(0, seeds, BATCH)]
     begin, counts, names = time.monotonic(), Counter(), Counter()

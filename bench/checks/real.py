@@ -1,4 +1,4 @@
-"""Findings in every recorded drive of the shared folders, and in the nine together."""
+"""Findings in every real drive, and those that are consistent across the nine drives without a known fault."""
 
 from st_core.checks import Finding, Severity, compare_runs
 
@@ -11,7 +11,7 @@ SETS = {"hyundai_genesis_oxts": "The nine drives", "hyundai_genesis_more": "Driv
 
 
 def main() -> str:
-    """Prints every finding; the page's text: errors and warnings of each drive, and what several have in common."""
+    """Prints every finding; returns the text of the page: errors and warnings by drive, and consistent findings."""
     parts = []
     for folder, title in SETS.items():
         files = [file for file in drives.list_real_files() if file.parent.name == folder]

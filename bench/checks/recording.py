@@ -1,4 +1,4 @@
-"""A drive with its auxiliary recordings, and the edits that several corruptions share."""
+"""A drive with its auxiliary data, and the edits that several corruptions use."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -8,17 +8,16 @@ from st_core.checks import AuxiliaryData, InsQuality, Series
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 
-RTK_INTEGER, LOCKED = 6, 4
-WHEEL_NOISE = 0.02
-"""m/s."""
+RTK_INTEGER, LOCKED = 6, 4  # NCOM position mode, navigation status
+WHEEL_NOISE = 0.02  # m/s
 STEERING = ("road_wheel_angle", "steering_wheel_angle")
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """real: measured; its own faults are not known. vehicle: the file that a user would have with it.
+    """A drive with the vehicle file that its user has. real: a real drive, with unknown faults.
 
-    own: what right sensors show on a car that is not real: finding -> value, where that is not 1 or 0.
+    own: for a virtual drive, finding -> value that sensors without a fault show, if it differs from 1 or 0.
     """
 
     log: DriveLog
@@ -33,7 +32,7 @@ class Recording:
 
     @property
     def time(self) -> np.ndarray:
-        """s after the first INS measurement, of the INS rows."""
+        """Times of the INS rows since the first one [s]."""
         return (self.log.ins_time_ns - self.log.ins_time_ns[0]) * 1e-9
 
     def with_log(self, **fields) -> "Recording":
@@ -43,7 +42,7 @@ class Recording:
         return replace(self, auxiliary=replace(self.auxiliary, **fields))
 
     def between(self, start_ns: int, end_ns: int) -> "Recording":
-        """Everything recorded in that time; stamps are left out, they are of the whole."""
+        """The part of the recording between two times [ns], without stamps, which belong to the whole recording."""
         auxiliary = {name: None if (part := getattr(self.auxiliary, name)) is None else _rows(
             part, (part.time_ns >= start_ns) & (part.time_ns <= end_ns)) for name in TIMED}
         return replace(self, log=self.log.slice(start_ns, end_ns),
@@ -51,7 +50,7 @@ class Recording:
 
 
 TIMED = ("wheel_speed", "ins_speed", "quality")
-"""Parts of AuxiliaryData that have a time base."""
+"""Parts of AuxiliaryData with time stamps."""
 
 
 def _rows(part: Series | InsQuality, kept: np.ndarray) -> Series | InsQuality:
@@ -59,14 +58,14 @@ def _rows(part: Series | InsQuality, kept: np.ndarray) -> Series | InsQuality:
 
 
 def middle_half(recording: Recording) -> Recording:
-    """The middle half."""
+    """The middle half of a recording."""
     start, end = int(recording.log.ins_time_ns[0]), int(recording.log.ins_time_ns[-1])
     quarter = (end - start) // 4
     return recording.between(start + quarter, end - quarter)
 
 
 def select_rows(recording: Recording, ins: np.ndarray, steering: np.ndarray) -> Recording:
-    """Only the rows of the log marked True."""
+    """The recording with only those rows of the log that the masks select."""
     log = recording.log
     fields = {name: value[steering if "steering" in name or "wheel" in name else ins]
               for name in log.__dataclass_fields__ if isinstance(value := getattr(log, name), np.ndarray)}
@@ -74,7 +73,7 @@ def select_rows(recording: Recording, ins: np.ndarray, steering: np.ndarray) -> 
 
 
 def delay_channels(recording: Recording, seconds: float, *channels: str) -> Recording:
-    """Each channel delayed by `seconds`; the ends, where its value is unknown, are cut off."""
+    """Delays channels by `seconds`; the ends, where their values are unknown, are cut off."""
     log, fields = recording.log, {}
     for channel in channels:
         if (values := getattr(log, channel)) is not None:
@@ -94,7 +93,7 @@ def _delay(time_ns: np.ndarray, values: np.ndarray, seconds: float) -> np.ndarra
 
 
 def with_good_quality(recording: Recording) -> Recording:
-    """The status of a unit with RTK throughout."""
+    """Adds the status of a unit that has RTK all the time."""
     time = recording.log.ins_time_ns
     level = np.ones(len(time))
     return recording.with_auxiliary(quality=InsQuality(time, LOCKED * level, RTK_INTEGER * level, 0.01 * level,
@@ -102,7 +101,7 @@ def with_good_quality(recording: Recording) -> Recording:
 
 
 def with_wheel_speed(recording: Recording) -> Recording:
-    """A wheel speed that is right: the INS's forward speed and a little noise, at every second row."""
+    """Adds a correct wheel speed: the forward velocity of every second INS row, with a little noise."""
     return recording.with_auxiliary(wheel_speed=_noisy_speed(recording, WHEEL_NOISE))
 
 
@@ -116,6 +115,6 @@ def _noisy_speed(recording: Recording, noise: float) -> Series:
 
 
 def with_stamps(recording: Recording) -> Recording:
-    """Stamps without a fault."""
+    """Adds stamps without a fault."""
     log = recording.log
     return recording.with_auxiliary(stamps={"INS": log.ins_time_ns, "steering": log.steering_time_ns})

@@ -1,4 +1,4 @@
-"""All cases of a set, drive by drive, on one or several processes."""
+"""Runs all cases of a set, drive by drive, in one or several processes."""
 
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
@@ -11,11 +11,11 @@ from .corruptions import KINDS, Kind, Size
 from .score import Drive, Record, scale_size, score_case
 
 SMALLEST, LARGEST = 0.7, 1.5
-"""Sizes of the sealed set, in sizes of development."""
+"""Range of the sizes of the sealed set, relative to those of the development set."""
 
 
 def run_matrix(set_: str, names: Sequence[str], kinds: Sequence[str], jobs: int) -> Iterator[list[Record]]:
-    """Records of one drive after the other, as they are done."""
+    """Yields the records of each drive as soon as they are ready."""
     tasks = [(set_, name, tuple(kinds)) for name in names]
     yield from map_parallel(score_drive, tasks, jobs)
 

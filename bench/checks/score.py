@@ -1,8 +1,8 @@
-"""Scores of the findings of `check` on a corrupted drive against the truth, as plain data.
+"""Scores the findings of `check` on a corrupted drive.
 
-Truth of a virtual drive is absolute: its sensors are known. A real drive has offsets of its own, so truth is what the
-same quantity is estimated to be on the drive as recorded, combined with the edit: times for factors, plus for offsets.
-Shares, counts and lengths are those of the edit, also on real drives.
+The truth is known for a virtual drive, because its sensors are. A real drive has unknown deviations, so the truth is
+the estimate for the drive as recorded, combined with the edit: multiplied by factors, added to offsets. Shares, counts
+and lengths are those of the edit, also for real drives.
 """
 
 from dataclasses import replace
@@ -23,7 +23,7 @@ def run_check(recording: Recording) -> Checked:
 
 
 def try_check(recording: Recording) -> tuple[Checked, str]:
-    """A check that raises is a wrong answer of the product, not the end of the matrix: what it raised is the second."""
+    """(result, error text): an exception of a check is a wrong answer and does not end the matrix."""
     try:
         return run_check(recording), ""
     except Exception as error:
@@ -32,12 +32,12 @@ def try_check(recording: Recording) -> tuple[Checked, str]:
 
 @cache
 def check_as_recorded(recording: Recording) -> Checked:
-    """Of a drive nothing was put into; one object is checked once."""
+    """The result for a drive as recorded; each drive is checked only once."""
     return run_check(recording)
 
 
 class Drive:
-    """A recording and what it is before a fault is put in, each made once."""
+    """A recording and its preparations for the kinds of faults, each made only once."""
 
     def __init__(self, recording: Recording):
         self.recording = recording
@@ -52,7 +52,7 @@ class Drive:
 
 
 def score_case(drive: Drive, kind: Kind, size: Size) -> Record | None:
-    """None where the drive cannot show it."""
+    """The record of a case; None if the drive cannot show the fault."""
     clean = drive.clean(kind, size)
     if not kind.shows(clean, size.value):
         return None
@@ -76,7 +76,7 @@ def score_case(drive: Drive, kind: Kind, size: Size) -> Record | None:
 
 
 def find_finding(result: Checked, kind: Kind) -> Finding | None:
-    """The gravest finding with a right name, about the right channel."""
+    """The most severe finding with a right name and channel."""
     for finding in result.findings:
         if finding.name in kind.findings and (kind.channel is None or kind.channel in finding.channels):
             return finding
@@ -84,7 +84,7 @@ def find_finding(result: Checked, kind: Kind) -> Finding | None:
 
 
 def true_value(kind: Kind, size: Size, clean: Recording, change: float) -> tuple[float | None, str]:
-    """What the value should be, and where that is from: edit, drive."""
+    """(true value of the finding, its source: "edit" or "drive")."""
     if kind.how == "named":
         return None, "edit"
     if kind.how == "is":
@@ -97,7 +97,7 @@ def true_value(kind: Kind, size: Size, clean: Recording, change: float) -> tuple
 
 
 def estimate_as_recorded(kind: Kind, clean: Recording) -> float | None:
-    """Of a drive as recorded."""
+    """The estimate for the drive as recorded; None if there is none."""
     found = check_as_recorded(clean).estimates
     return next((found[name][0] for name in kind.findings if name in found), None)
 
@@ -111,7 +111,7 @@ def combine(how: str, own: float, change: float) -> float:
 
 
 def is_inside(kind: Kind, finding: Finding, truth: float | None) -> bool:
-    """In the finding's interval, or as near as the kind allows."""
+    """Whether the truth is in the interval of the finding, or within the tolerance of the kind."""
     if truth is None:
         return True
     if finding.value is None:
@@ -122,7 +122,7 @@ def is_inside(kind: Kind, finding: Finding, truth: float | None) -> bool:
 
 
 def new_findings(result: Checked, before: Checked, kind: Kind) -> list[Finding]:
-    """Findings caused by the corruption other than its own."""
+    """Findings that the corruption causes in addition to its own."""
     known = {finding.name for finding in before.findings} | {*kind.findings, *kind.also}
     return [finding for finding in result.findings if finding.name not in known]
 
@@ -137,7 +137,7 @@ def format_finding(finding: Finding) -> str:
 
 
 def scale_size(size: Size, how: str, share: float) -> Size:
-    """The same fault, `share` times as large; a factor is as large as its distance from 1."""
+    """The same fault, `share` times as large; the size of a factor is its difference from 1."""
     if size.fixed:
         return size
     value = 1 + (size.value - 1) * share if how == "times" else size.value * share

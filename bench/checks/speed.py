@@ -1,4 +1,4 @@
-"""How long a check takes, and whether that grows as the recording does."""
+"""Processor time of a check for recordings of different lengths."""
 
 import time
 
@@ -11,7 +11,7 @@ REPEATS = 3
 
 
 def main() -> str:
-    """Table of the page; each row is printed when it is ready."""
+    """The table of the page; prints each row as soon as it is ready."""
     longest = virtual_drive("S6", 1, 60.0 * MINUTES[-1])
     start = int(longest.log.ins_time_ns[0])
     rows = []

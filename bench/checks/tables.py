@@ -1,4 +1,4 @@
-"""Records of the matrix as tables: for the console, for results.json, for docs/manual/checks.md."""
+"""Formats the records of the matrix for the console, results.json and docs/manual/checks.md."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +20,7 @@ def count_row(records: Sequence[Record], **first: object) -> Record:
 
 
 def summarise(records: Sequence[Record]) -> Record:
-    """Per kind in the order of the matrix, per drive, and in all."""
+    """Counts for each kind, each drive, and in total."""
     def by(key: str) -> list[Record]:
         values = dict.fromkeys(r[key] for r in records)
         return [count_row([r for r in records if r[key] == value], **{key: value}) for value in values]
@@ -36,7 +36,7 @@ def format_share(r: Record) -> str:
 
 
 def as_markdown(document: Record) -> str:
-    """Totals, and the kinds in which not every case is right."""
+    """Formats the totals, and the kinds with wrong cases."""
     total = [(r["which"], str(r["cases"]), format_share(r)) for r in document["total"]]
     missed = [(r["kind"], str(r["cases"]), str(r["right"])) for r in document["kinds"] if r["right"] < r["cases"]]
     count = len(document["kinds"])
@@ -62,10 +62,10 @@ def describe_failure(r: Record) -> str:
 
 
 def put_into(page: Path, mark: str, text: str) -> None:
-    """Between the comment `mark` and the next end. Raises ValueError where the page has no such mark."""
+    """Replaces the text between the comment `mark` and the next end. Raises ValueError for a page without them."""
     begin = f"<!-- {mark} -->"
     before, found, rest = page.read_text().partition(begin)
     _, end, after = rest.partition(END)
     if not found or not end:
-        raise ValueError(f"{page}: the marks {begin} and {END} are not there")
+        raise ValueError(f"{page}: the comments {begin} and {END} are missing")
     page.write_text(f"{before}{begin}\n\n{text}\n\n{END}{after}")

@@ -1,4 +1,4 @@
-"""Drives of the virtual Leaf in memory: plant, driver and sensors of st_sim, rounding and axes of the wires."""
+"""Drives of the virtual Leaf in memory: plant, driver and sensors of st_sim, rounding and axes of NCOM and CAN."""
 
 import math
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from .recording import Recording, with_good_quality
 START_NS = 1_756_900_800_000_000_000
 INS_MS = 10
 ROUNDING = {"angle": 1e-6, "velocity": 1e-4, "rate": 1e-5, "force": 1e-4, "steering": np.radians(0.1), "wheel": 0.01}
-"""rad, m/s, rad/s, m/s^2 of NCOM; rad of the hand wheel and m/s on CAN."""
+"""Resolution of NCOM [rad, m/s, rad/s, m/s^2], and of steering wheel angle [rad] and wheel speeds [m/s] on CAN."""
 
 
 def drive_name(scenario: str) -> str:
@@ -30,10 +30,7 @@ def drive_name(scenario: str) -> str:
 
 
 def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
-    """One scenario, or the road of a file, with the realistic plant.
-
-    INS and steering at 100 Hz, wheel speeds at 50 Hz, RTK all the time.
-    """
+    """A drive of a scenario or road file, realistic plant; INS and steering at 100 Hz, wheel speeds at 50 Hz."""
     car, vehicle = read_car(LEAF_FILE), leaf()
     settings = resolve("realistic", [])
     source = SimulatedCar(car, settings, load(scenario), seed)
@@ -48,7 +45,7 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
         if now % STEERING_SCHEDULE[0] == STEERING_SCHEDULE[1]:
             steering.append((now / 1000 + settings["steering_sensor_latency"], sensor.read(source.truth())))
         if now % WHEEL_SCHEDULE[0] == WHEEL_SCHEDULE[1]:
-            # The rear wheels: they do not travel further than the car in a turn.
+            # The rear wheels, because they do not travel further than the car in a turn.
             wheels.append((now / 1000, sum(read_wheel_speeds(source.truth(), settings)[0][2:]) / 2))
     log = _make_log(drive_name(scenario), readings, np.array(steering), vehicle)
     times, speeds = np.array(wheels).T
@@ -57,10 +54,10 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
 
 
 def _true_deviations(settings: Settings, readings: list[InsReading], exact: list[InsReading]) -> dict[str, float]:
-    """What is true of right sensors: noise wanders, and its mean over the drive is a bias.
+    """Values that sensors without a fault show: the mean of the noise over the drive is a bias.
 
-    The body leans outwards and lifts its nose: accelerometers measure that part of gravity as well, and the yaw rate
-    is that about an axis of the leaning body, cos(roll) cos(pitch) of the true one.
+    The body rolls outwards and pitches: accelerometers also measure a component of gravity, and the measured yaw rate
+    is cos(roll) cos(pitch) times the true one, because its axis is fixed to the body.
     """
     def mean(value: Callable[[InsReading], float]) -> float:
         return sum(value(one) - value(other) for one, other in zip(readings, exact, strict=True)) / len(readings)

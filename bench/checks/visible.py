@@ -1,6 +1,6 @@
-"""Which drives can show what: a fault that no sample depends on is not a case.
+"""Conditions for which a drive can show a fault: a fault that changes no sample is not a case.
 
-Limits are about what a fault of the smaller size needs to stand out of the noise of a normal INS.
+The limits are about those at which a fault of the smaller size exceeds the noise of a normal INS.
 """
 
 from collections.abc import Callable
@@ -11,28 +11,23 @@ from .faults import find_liveliest, is_standing
 from .recording import Recording
 
 Shows = Callable[[Recording, float], bool]
-TURNING, STEERED = 0.05, 0.005
-"""rad/s, rad: standard deviation over the drive. A steady circle has none, and hides every delay of its yaw rate."""
-HARD = 0.25
-"""m/s^2: standard deviation of dv_x/dt."""
-CORNERING = 0.4
-"""m/s^2: standard deviation of r v_x."""
-SLIDING = 0.05
-"""m/s: root mean square of v_y."""
-BENDING = 0.005
-"""1/m: standard deviation of the curvature. On a circle the point measured, the heading and the tyres look alike."""
-STRAIGHT, STRAIGHT_SHARE = 0.005, 0.1
-"""1/m, and the least share of the drive below it."""
-SLOW, SLOW_TURNING = 8.0, 0.3
-"""m/s, and rad^2/s of yaw rate squared below it: faster, tyre slip moves the point about which the car turns."""
-SPEEDS = 0.1
-"""Standard deviation of the speed over its mean. At one speed a point further ahead looks like an early sample."""
-ONE_WAY = 0.2
-"""Share of the way along the axis that is travelled less."""
-LEVER = 1.5
-"""m."""
-STANDING = 3.0
-"""s."""
+MIN_YAW_RATE_DEVIATION, MIN_STEERING_DEVIATION = 0.05, 0.005
+"""Standard deviations over the drive [rad/s, rad]. In a steady circle they are 0, which hides a delay."""
+MIN_X_DOT_DEVIATION = 0.25  # m/s^2, standard deviation of dv_x/dt
+MIN_CORNERING_DEVIATION = 0.4  # m/s^2, standard deviation of r v_x
+MIN_LATERAL_VELOCITY = 0.05  # m/s, root mean square of v_y
+MIN_CURVATURE_DEVIATION = 0.005
+"""Standard deviation of the curvature [1/m]. On a circle, errors of measuring point, heading and tyres look alike."""
+MAX_STRAIGHT_CURVATURE, MIN_STRAIGHT_SHARE = 0.005, 0.1
+"""Curvature of a straight [1/m], and minimum share of straights in the drive."""
+MAX_SLOW_SPEED, MIN_SLOW_TURNING = 8.0, 0.3
+"""[m/s], and integral of the squared yaw rate below this speed [rad^2/s]. At higher speed, tyre slip moves the point
+about which the car turns."""
+MIN_SPEED_VARIATION = 0.1
+"""Standard deviation of the speed over its mean. At one speed, a point further ahead looks like an early sample."""
+MIN_AXIS_SHARE = 0.2  # minimum share of the distance along x, and along y
+MAX_LEVER_ARM = 1.5  # m, of an accelerometer from the INS point
+MIN_STANDSTILL = 3.0  # s
 
 
 def moves(r: Recording, size: float = 0.0) -> bool:
@@ -40,37 +35,37 @@ def moves(r: Recording, size: float = 0.0) -> bool:
 
 
 def turns(r: Recording, size: float = 0.0) -> bool:
-    return moves(r) and float(np.std(r.log.yaw_rate)) > TURNING
+    return moves(r) and float(np.std(r.log.yaw_rate)) > MIN_YAW_RATE_DEVIATION
 
 
 def bends(r: Recording, size: float = 0.0) -> bool:
-    return turns(r) and float(np.std(_curvature(r))) > BENDING
+    return turns(r) and float(np.std(_curvature(r))) > MIN_CURVATURE_DEVIATION
 
 
 def slides_and_bends(r: Recording, size: float = 0.0) -> bool:
-    return bends(r) and float(np.sqrt(np.mean(r.log.velocity_y**2))) > SLIDING
+    return bends(r) and float(np.sqrt(np.mean(r.log.velocity_y**2))) > MIN_LATERAL_VELOCITY
 
 
 def bends_and_straights(r: Recording, size: float = 0.0) -> bool:
-    return bends(r) and float(np.mean(np.abs(_curvature(r)) < STRAIGHT)) > STRAIGHT_SHARE
+    return bends(r) and float(np.mean(np.abs(_curvature(r)) < MAX_STRAIGHT_CURVATURE)) > MIN_STRAIGHT_SHARE
 
 
 def bends_at_several_speeds(r: Recording, size: float = 0.0) -> bool:
-    return bends(r) and float(np.std(r.log.velocity_x)) > SPEEDS * float(np.mean(r.log.velocity_x))
+    return bends(r) and float(np.std(r.log.velocity_x)) > MIN_SPEED_VARIATION * float(np.mean(r.log.velocity_x))
 
 
 def bends_slowly(r: Recording, size: float = 0.0) -> bool:
-    slow = (r.log.velocity_x < SLOW)[1:]
-    return bends(r) and float(np.sum((r.log.yaw_rate[1:] ** 2 * np.diff(r.time))[slow])) > SLOW_TURNING
+    slow = (r.log.velocity_x < MAX_SLOW_SPEED)[1:]
+    return bends(r) and float(np.sum((r.log.yaw_rate[1:] ** 2 * np.diff(r.time))[slow])) > MIN_SLOW_TURNING
 
 
 def moves_in_x_and_y(r: Recording, size: float = 0.0) -> bool:
     ways = [np.abs(np.diff(r.log.x)).sum(), np.abs(np.diff(r.log.y)).sum()]
-    return moves(r) and min(ways) > ONE_WAY * sum(ways)
+    return moves(r) and min(ways) > MIN_AXIS_SHARE * sum(ways)
 
 
 def accelerates(r: Recording, size: float = 0.0) -> bool:
-    return moves(r) and r.log.acceleration_x is not None and float(np.std(_slope(r, r.log.velocity_x))) > HARD
+    return has_a_x(r) and float(np.std(_slope(r, r.log.velocity_x))) > MIN_X_DOT_DEVIATION
 
 
 def turns_and_accelerates(r: Recording, size: float = 0.0) -> bool:
@@ -78,12 +73,12 @@ def turns_and_accelerates(r: Recording, size: float = 0.0) -> bool:
 
 
 def corners(r: Recording, size: float = 0.0) -> bool:
-    return has_a_y(r) and float(np.std(r.log.yaw_rate * r.log.velocity_x)) > CORNERING
+    return has_a_y(r) and float(np.std(r.log.yaw_rate * r.log.velocity_x)) > MIN_CORNERING_DEVIATION
 
 
 def corners_fast(r: Recording, size: float = 0.0) -> bool:
-    """An accelerometer LEVER away from the INS point shows a lag of LEVER / v of its own; a smaller one is none."""
-    return corners(r) and size > 1.1 * LEVER / float(np.median(r.log.velocity_x))
+    """Whether a lag of `size` [s] exceeds MAX_LEVER_ARM / v, which the lever arm of an accelerometer causes."""
+    return corners(r) and size > 1.1 * MAX_LEVER_ARM / float(np.median(r.log.velocity_x))
 
 
 def has_a_y(r: Recording, size: float = 0.0) -> bool:
@@ -95,7 +90,7 @@ def has_a_x(r: Recording, size: float = 0.0) -> bool:
 
 
 def steers(r: Recording, size: float = 0.0) -> bool:
-    return turns(r) and float(np.std(r.log.road_wheel_angle)) > STEERED
+    return turns(r) and float(np.std(r.log.road_wheel_angle)) > MIN_STEERING_DEVIATION
 
 
 def steers_and_bends(r: Recording, size: float = 0.0) -> bool:
@@ -103,16 +98,16 @@ def steers_and_bends(r: Recording, size: float = 0.0) -> bool:
 
 
 def stops(r: Recording, size: float = 0.0) -> bool:
-    return float(np.mean(is_standing(r))) * r.log.duration > STANDING
+    return float(np.mean(is_standing(r))) * r.log.duration > MIN_STANDSTILL
 
 
 def long_enough(channel: str) -> Shows:
-    """Has a stretch of that length in which the car moves, and much more than that."""
+    """Whether a drive has a span of that length in which the car moves, and is at least twice as long."""
     return lambda r, seconds: r.log.duration > 2 * seconds and find_liveliest(r, channel, seconds) is not None
 
 
 def _curvature(r: Recording) -> np.ndarray:
-    """1/m, over half a second, where the car is not slow."""
+    """Curvature [1/m] above 2 m/s, averaged over half a second."""
     count = max(1, round(0.5 / float(np.median(np.diff(r.time)))))
     rate = np.convolve(r.log.yaw_rate, np.ones(count) / count, "same")
     moving = r.log.velocity_x > 2.0
@@ -120,7 +115,7 @@ def _curvature(r: Recording) -> np.ndarray:
 
 
 def _slope(r: Recording, values: np.ndarray) -> np.ndarray:
-    """Over 0.5 s."""
+    """Derivative of a signal, over steps of 0.5 s."""
     time = r.time
     grid = np.arange(0.0, time[-1], 0.5)
     return np.diff(np.interp(grid, time, values)) / 0.5

@@ -1,9 +1,9 @@
-"""Cars that share no equation with the project, through `st discover`: what is stated against what is in the car."""
+"""Tests `st discover` with cars that share no equation with the project, and scores its statements."""
 
 from collections.abc import Sequence
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; see `command`."""
+    """Runs the command line in `command`."""
     from .command import main as command
     return command(arguments)

@@ -1,4 +1,4 @@
-"""`./st bench strangers`."""
+"""Runs the benchmark: python -m bench.strangers."""
 
 import sys
 

@@ -1,11 +1,11 @@
-"""What the answers become at half and twice each number that decides in a discovery.
+"""Changes of the answers if a number that decides in a discovery is halved or doubled.
 
     python -m bench.strangers.ablation [--cases NAME ...] [--page]
 
-Development cases only. A case is driven and searched once; numbers that act after the search reuse that search. What
-acts on the suggested drive only (`following`) or on where the model fails (`where`) is not in these counts. The
-answers are those of the functions, without what `st check` measures of the sensors. One JSON line a case and variant is
-appended to .st/strangers/ablation.jsonl; --page writes the table of all lines there.
+Development cases only. A case is driven and searched once; numbers that act after the search reuse that search. Numbers
+that act only on suggested drives or on the search for places where the model fails are not included. The functions of
+the discovery are called without the estimates of `st check` for the sensors. One JSON line for each case and variant is
+appended to .st/strangers/ablation.jsonl; --page writes the table of all these lines.
 """
 
 import argparse
@@ -34,11 +34,11 @@ from . import score
 from .cases import cases
 from .recordings import write_case
 
-Work = importlib.import_module("st_core.discovery.discover")._Analysis  # the package exports the function of that name
+Analysis = importlib.import_module("st_core.discovery.discover")._Analysis  # `discover` of the package is a function
 PAGE = project_root() / "docs" / "measurements" / "discovery_limits.md"
 LINES = project_root() / ".st" / "strangers" / "ablation.jsonl"
-DIVERSE = ("light_ev_ratio", "suv_worn_rear", "van_lever", "escort_ratio", "saloon_worn_front", "bmw_320i_gyro_bias",
-           "hatchback_load", "light_ev_load", "estate_healthy")
+DIVERSE_CASES = ("light_ev_ratio", "suv_worn_rear", "van_lever", "escort_ratio", "saloon_worn_front",
+                 "bmw_320i_gyro_bias", "hatchback_load", "light_ev_load", "estate_healthy")
 FACTORS = (0.5, 2.0)
 LIMITS = ("max_file_deviation", "min_relative_size", "min_peak_force", "unexplained_share", "max_noise_ratio")
 IN_SEARCH = {"MAX_QUADRATIC_RISE": fit, "MAX_SCALED": fit, "DIVERGED": fit, "MIN_CURVATURE": evidence,
@@ -49,15 +49,15 @@ CONSTANTS = {"UNSELECTED_DEVIATION": evidence, "MIN_FORCE_CHANGE": axles, "MAX_S
              "DRAWS": axles, "GAIN_SPEED": axles, **IN_SEARCH}
 NUMBERS = (*LIMITS, "model_error", *CONSTANTS)
 SEARCHED = ("max_file_deviation", "min_relative_size", *IN_SEARCH)
-"""Numbers that act during the search; all others after it."""
+"""Numbers that act during the search; all others act after it."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit status."""
+    """Runs the cases, and writes the page if requested; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m bench.strangers.ablation", description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", nargs="*", default=DIVERSE, metavar="NAME", help="development cases to run")
+    parser.add_argument("--cases", nargs="*", default=DIVERSE_CASES, metavar="NAME", help="development cases to run")
     parser.add_argument("--numbers", nargs="*", default=NUMBERS, choices=NUMBERS, metavar="NUMBER", help="to change")
-    parser.add_argument("--page", action="store_true", help=f"write the table of {PAGE.name}")
+    parser.add_argument("--page", action="store_true", help=f"write the table in {PAGE.name}")
     chosen = parser.parse_args(arguments)
     LINES.parent.mkdir(parents=True, exist_ok=True)
     for name in chosen.cases:
@@ -72,29 +72,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def count_variants(name: str, numbers: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """Counts of one case, unchanged and with each of the numbers changed."""
+    """Yields the counts of one case, unchanged and with each number changed."""
     with tempfile.TemporaryDirectory(prefix="st-ablation-") as temporary:
         folder = Path(temporary)
         truth = write_case(cases("development")[name], folder)
         vehicle = read_vehicle(folder / "car" / "vehicle.yaml")
         logs = [read_csv(path, vehicle).log for path in sorted((folder / "drives").glob("*.csv"))]
-    work = Work(logs, vehicle, "nonlinear", (), DiscoverySettings(), None, {}, 1, {})
-    searched = _search(work)
-    usual = _count(work, searched, truth)
+    analysis = Analysis(logs, vehicle, "nonlinear", (), DiscoverySettings(), None, {}, 1, {})
+    searched = _search(analysis)
+    usual = _count(analysis, searched, truth)
     yield {"case": name, "number": "", "factor": 1.0, "changed": False, **usual}
     for number in numbers:
         for factor in FACTORS:
-            with _multiply(work, number, factor) as other:
+            with _multiply(analysis, number, factor) as other:
                 found = _count(other, _search(other) if number in SEARCHED else searched, truth)
             yield {"case": name, "number": number, "factor": factor, "changed": found != usual, **found}
 
 
 @contextmanager
-def _multiply(work: Any, number: str, factor: float) -> Iterator[Any]:
-    """The work with one number multiplied."""
+def _multiply(analysis: Any, number: str, factor: float) -> Iterator[Any]:
+    """Context in which one number is multiplied; yields the analysis that uses it."""
     if number in LIMITS:
-        other = copy(work)
-        other.limits = replace(work.limits, **{number: factor * getattr(work.limits, number)})
+        other = copy(analysis)
+        other.limits = replace(analysis.limits, **{number: factor * getattr(analysis.limits, number)})
         yield other
         return
     owners = ([(p, "model_error") for effect in EFFECTS.values() for p in effect.parameters]
@@ -103,24 +103,24 @@ def _multiply(work: Any, number: str, factor: float) -> Iterator[Any]:
     try:
         for (owner, key), value in zip(owners, before, strict=True):
             object.__setattr__(owner, key, type(value)(factor * value))
-        yield work
+        yield analysis
     finally:
         for (owner, key), value in zip(owners, before, strict=True):
             object.__setattr__(owner, key, value)
 
 
-def _search(work: Any) -> tuple[Any, ...]:
-    """Problem, floor of the noise, parts of the driving, the search and what it found."""
-    problem, by_column = work._make_problem()
-    parts = partitions(work.windows)
-    search = Search(problem, work.limits, parts, work.sensors, work.settings.seed)
-    return problem, work._channel_noise(by_column), parts, search, search.run()
+def _search(analysis: Any) -> tuple[Any, ...]:
+    """(problem, noise of the channels, partitions of the windows, search, its result)."""
+    problem, by_column = analysis._make_problem()
+    parts = partitions(analysis.windows)
+    search = Search(problem, analysis.limits, parts, analysis.sensors, analysis.settings.seed)
+    return problem, analysis._channel_noise(by_column), parts, search, search.run()
 
 
-def _count(work: Any, searched: tuple[Any, ...], truth: Mapping[str, Any]) -> dict[str, int]:
-    """Counts of statements, hidden errors, values and points of the force curves."""
-    work.problem, floor, parts, search, found = searched
-    names = work._judge_effects(search, found, parts, floor)
+def _count(analysis: Any, searched: tuple[Any, ...], truth: Mapping[str, Any]) -> dict[str, int]:
+    """Counts of statements, hidden errors, values and points of the axle curves, and how many are right."""
+    analysis.problem, floor, parts, search, found = searched
+    names = analysis._judge_effects(search, found, parts, floor)
     answer = {"effects": [_as_dict(one) for one in names.named], "minor": [_as_dict(one) for one in names.minor],
               "combinations": [vars(one) for one in names.combinations],
               "axle_curves": [vars(one) for one in names.curves]}
@@ -139,13 +139,13 @@ def _as_dict(effect: Any) -> dict[str, Any]:
 
 
 def page_table(lines: Sequence[Mapping[str, Any]]) -> str:
-    """A row for each number and factor: sums over the cases, and in how many of them anything counted here changes."""
+    """The table: for each number and factor, sums over the cases, and number of cases in which a count changes."""
     newest = {(line["case"], line["number"], line["factor"]): line for line in lines}
     rows = []
     for number, factor in dict.fromkeys((number, factor) for _, number, factor in newest):
         mine = [line for key, line in newest.items() if key[1:] == (number, factor)]
         total = {key: sum(line[key] for line in mine) for key in mine[0] if isinstance(mine[0][key], int)}
-        rows.append({"number": f"`{number}` × {factor:g}" if number else "as they are",
+        rows.append({"number": f"`{number}` × {factor:g}" if number else "unchanged",
                      "hidden errors named": f"{total['named']} of {total['hidden']}",
                      "false statements": f"{total['false']} of {total['statements']}",
                      "values inside": f"{total['inside']} of {total['values']}",

@@ -1,4 +1,4 @@
-"""The cases: car, what is hidden, what the owner guesses, which drives; drawn from one seed for each half."""
+"""The cases: car, hidden errors, guesses of the owner and drives; each half is drawn from one seed."""
 
 import math
 import zlib
@@ -14,13 +14,14 @@ from .vehicles import CARS, DEVELOPMENT, MULTI_BODY, SEALED, Stranger
 
 HALVES = {"development": (DEVELOPMENT, 20261125), "sealed": (SEALED, 31415926)}
 NEW_USER = "new_user"
-"""The case of a new user: front-wheel drive, brush tyres, a true vehicle file but for the ratio, six mild drives."""
-LOAD_AHEAD = 0.3  # m of the rear axle
+"""The case of a new user: front-wheel drive, brush tyres, a vehicle file that is right except for the steering ratio,
+and six mild drives."""
+LOAD_AHEAD = 0.3  # m from the rear axle forward to the load
 SINGLE = {"ratio": 6, "offset": 4, "load": 4, "lever": 4, "worn_front": 4, "worn_rear": 4, "compliance": 3, "delay": 3,
           "gyro_scale": 2, "gyro_bias": 1, "heading": 1}
 PAIRS = (("ratio", "offset"), ("lever", "delay"), ("heading", "offset"), ("ratio", "worn_rear"))
 HEALTHY = 20
-SIZE_RANGES = {  # smallest and largest size; +- where the sign is drawn too
+SIZE_RANGES = {  # smallest and largest size [SI]; the sign of those in SIGNED is random
     "ratio": (0.04, 0.09), "offset": (math.radians(1.0), math.radians(2.5)), "load": (170.0, 320.0),
     "lever": (0.25, 0.5), "worn_front": (0.74, 0.87), "worn_rear": (0.74, 0.87), "compliance": (1.5e-6, 3.0e-6),
     "delay": (0.06, 0.15), "gyro_scale": (0.015, 0.03), "gyro_bias": (math.radians(0.15), math.radians(0.4)),
@@ -30,9 +31,13 @@ SIGNED = ("ratio", "offset", "lever", "gyro_scale", "gyro_bias", "heading")
 
 @dataclass(frozen=True)
 class Case:
-    """hidden: size of each error, SI; ratio: file over true ratio minus 1, lever [m] true minus file, load [kg] at the
-    rear, worn_*: factor on the stiffness, compliance [rad/N] in addition. guess: values of the vehicle file that are
-    not measured. uncertainty: standard deviations the file states. drives: (road, comfort [m/s^2], seconds)."""
+    """A car with its hidden errors, its vehicle file and its drives.
+
+    hidden: error -> size [SI]; ratio: of the file over the true one, minus 1; lever: true minus that of the file [m];
+    load: mass above the rear axle [kg]; worn_*: factor on the stiffness; compliance: additional [rad/N]. guess: values
+    of the vehicle file that were not measured. uncertainty: standard deviations in the file. drives: (road, lateral
+    acceleration that the driver accepts [m/s^2], duration [s]). sensors: errors of the sensors.
+    """
 
     name: str
     car: str
@@ -45,6 +50,7 @@ class Case:
 
 
 def is_possible(car: Stranger, faults: tuple[str, ...]) -> bool:
+    """Whether a car can have these errors; one with elastic steering gets no additional compliance."""
     elastic = car.numbers.compliance > 0 or car.numbers.column > 0
     return "compliance" not in faults or not (elastic or car.description == MULTI_BODY)
 
@@ -53,7 +59,7 @@ def is_possible(car: Stranger, faults: tuple[str, ...]) -> bool:
 def cases(half: str) -> dict[str, Case]:
     """The cases of a half by name, or the one of NEW_USER.
 
-    Each half has 60: 20 with nothing wrong but guesses, 36 with one error, 4 with two.
+    Each half has 60 cases: 20 with no error except guesses, 36 with one error, 4 with two.
     """
     if half == NEW_USER:
         return {NEW_USER: make_new_user()}
@@ -67,7 +73,7 @@ def cases(half: str) -> dict[str, Case]:
         fitting = [f for f in faults if is_possible(car, f)]
         new = [f for f in fitting if f"{car.name}_{'_and_'.join(f) or 'healthy'}" not in found]
         chosen = next(iter(new or fitting), None)
-        if chosen is None:  # only errors are left that this car cannot have
+        if chosen is None:  # the car can have none of the remaining errors
             car = next(one for one in cars if is_possible(one, faults[0]))
             chosen = faults[0]
         faults.remove(chosen)
@@ -78,7 +84,7 @@ def cases(half: str) -> dict[str, Case]:
 
 
 def make_new_user() -> Case:
-    """Ratio of the file 8 % too large; mass, inertia, CG and stiffness of the file true."""
+    """The case NEW_USER: the steering ratio in the file is 8 % too large."""
     n = CARS["own_car"].numbers
     known = {"yaw_inertia": n.inertia, "cornering_stiffness_front": n.stiffness_front,
              "cornering_stiffness_rear": n.stiffness_rear, "cg_height": n.height}
@@ -93,7 +99,7 @@ def _draw_case(name: str, car: Stranger, faults: tuple[str, ...], number: int, s
     n = multibody.numbers(car) if car.description == MULTI_BODY else car.numbers
     soft = 1 + n.stiffness_front * (n.compliance + n.column * n.trail)
     off = np.exp(rng.normal(0.0, 0.16, 2))
-    # Worn tyres are known as they were when new.
+    # For worn tyres, the file contains the stiffness of the new ones.
     off = [1.0 if f"worn_{axle}" in faults else value for axle, value in zip(("front", "rear"), off, strict=True)]
     rule = n.mass * n.front * (n.wheelbase - n.front) * rng.choice((1.0, 0.92, 1.08))
     guess = {"yaw_inertia": float(round(rule, -1)),
@@ -124,13 +130,13 @@ def _sensor_errors(hidden: Mapping[str, float]) -> dict[str, float]:
 
 
 def file_car(case: Case) -> Stranger:
-    """The car as its owner measured it: before the load was put in and the tyres wore."""
+    """The car as its owner measured it: without the load, and with new tyres."""
     car = CARS[case.car]
     return replace(car, numbers=multibody.numbers(car)) if car.description == MULTI_BODY else car
 
 
 def true_car(case: Case) -> Stranger:
-    """The car that drives."""
+    """The car as it is driven."""
     car, n = file_car(case), file_car(case).numbers
     load = case.hidden.get("load", 0.0)
     arm = n.wheelbase - LOAD_AHEAD - n.front  # of the load, behind the CG of the empty car

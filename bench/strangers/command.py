@@ -1,4 +1,4 @@
-"""Options, the run of a case through the commands themselves, and the tables."""
+"""Command line: runs the cases with `st discover`, and writes the tables."""
 
 import argparse
 import json
@@ -23,24 +23,24 @@ from .vehicles import CARS, DESCRIPTIONS
 PAGE = project_root() / "docs" / "measurements" / "strangers.md"
 KEPT = ("outcome", "effects", "minor", "effective", "combinations", "varying", "signature", "errors", "named_errors",
         "axle_curves", "assumed", "files")
-"""Parts of discovery.json that the score or a reader of misses uses."""
+"""Keys of discovery.json that are kept for the score, or to understand wrong answers."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit status 0, or 1 if a case could not be answered."""
+    """Runs and scores the chosen cases; exit status 1 if `st discover` failed for one of them."""
     parser = argparse.ArgumentParser(prog="st bench strangers", description=(
-        "Cars that share no equation with the project, driven and recorded as CSV with the file of a usual owner; "
-        "answered by st discover and scored."))
+        "Runs st discover for drives of cars that share no equation with the project, recorded as CSV, with the "
+        "vehicle file of a usual owner, and scores its answers."))
     parser.add_argument("--cases", choices=[*HALVES, NEW_USER], default="development")
-    parser.add_argument("--only", nargs="+", metavar="TEXT", help="cases by name, or by a part of it")
+    parser.add_argument("--only", nargs="+", metavar="TEXT", help="names of cases, or parts of names")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="only every N-th of the chosen cases")
-    parser.add_argument("--output", type=Path, help="folder of the answers, one JSON a case; default "
-                        ".st/strangers/<half>. A case answered there by this version is not run again")
+    parser.add_argument("--output", type=Path, help="folder of the answers, one JSON file per case; default "
+                        ".st/strangers/<half>. A case that this version has answered is not run again")
     parser.add_argument("--fresh", action="store_true", help="run all chosen cases again")
-    parser.add_argument("--keep", type=Path, help="folder for recordings and all files of the answers")
-    parser.add_argument("--list", action="store_true", help="list the cases and what is hidden")
-    parser.add_argument("--score", action="store_true", help="score the answers that are there, of any version")
-    parser.add_argument("--page", action="store_true", help="also write the tables of docs/measurements/strangers.md")
+    parser.add_argument("--keep", type=Path, help="folder in which recordings and all files of the answers are kept")
+    parser.add_argument("--list", action="store_true", help="list the cases and their hidden errors")
+    parser.add_argument("--score", action="store_true", help="only score the existing answers, of any version")
+    parser.add_argument("--page", action="store_true", help="also write the tables in docs/measurements/strangers.md")
     chosen = parser.parse_args(arguments)
     some = [case for case in cases(chosen.cases).values()
             if not chosen.only or case.name in chosen.only
@@ -68,7 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run_case(case: Case, keep: Path | None = None) -> dict[str, Any]:
-    """Recordings, `st discover`, held-out errors and implied forces of a case."""
+    """Writes the recordings of a case and runs `st discover`; returns the answer, held-out errors and implied
+    forces."""
     result: dict[str, Any] = {"case": case.name, "version": source_version(), "date": str(date.today())}
     with tempfile.TemporaryDirectory(prefix="st-strangers-") as temporary:
         folder = (keep or Path(temporary)) / case.name
@@ -90,13 +91,13 @@ def run_case(case: Case, keep: Path | None = None) -> dict[str, Any]:
 
 
 def _processor_time() -> float:
-    """Of ended child processes [s]."""
+    """Processor time of ended child processes [s]."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
 
 
 def case_lines(result: Mapping[str, Any]) -> list[str]:
-    """What was hidden, stated and missed, for a terminal."""
+    """Lines for a terminal: hidden errors, statements, and errors of prediction and forces."""
     if "answer" not in result:
         return [f"{result['case']}: FAILED: {result['failed'].strip().splitlines()[-1:]}"]
     errors, held = result["answer"]["errors"]["position_5s"], result["held_out"]
@@ -112,7 +113,7 @@ def case_lines(result: Mapping[str, Any]) -> list[str]:
 
 
 def format_statement(line: Mapping[str, Any]) -> str:
-    """One statement against what is in the car."""
+    """Formats a statement, and whether it is true for the car."""
     if line.get("value") is None:
         return f"{line['effect']}: {'in the car' if line['in_car'] else 'NOT IN THE CAR'}"
     low, high = line["interval"] or (None, None)
@@ -128,12 +129,12 @@ def format_statement(line: Mapping[str, Any]) -> str:
 
 
 def _describe_hidden(case: Case) -> str:
-    text = ", ".join(f"{name} {size:.4g}" for name, size in case.hidden.items()) or "only the usual guesses"
+    text = ", ".join(f"{name} {size:.4g}" for name, size in case.hidden.items()) or "no error except the usual guesses"
     return f"{text}; {DESCRIPTIONS[CARS[case.car].description]}"
 
 
 def page_table(results: Sequence[Mapping[str, Any]], figures: Mapping[str, Any]) -> str:
-    """The score and a row for each case."""
+    """Tables of the score and of the cases."""
     number = "{:.2f}".format
     rows = [{"score": key, "value": number(value) if isinstance(value, float) else str(value)}
             for key, value in figures.items() if key != "false" and value is not None]

@@ -1,4 +1,4 @@
-"""An answer of `st discover` on driving and forces it did not see: held-out drives, implied axle forces."""
+"""Judges an answer of `st discover` by prediction errors on held-out drives and by the axle forces it implies."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,14 +12,14 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.car import read_vehicle
 from st_recordings.runs import find_runs, read
 
-SPEED = 20.0  # m/s, at which the axle forces are computed; they are those of steady cornering at any speed
-AT = 4  # index of 5 s in ModelErrors.at_seconds
+SPEED = 20.0  # m/s, for the computation of the axle forces in steady cornering, which do not depend on it
+INDEX_5S = 4  # index of 5 s in ModelErrors.at_seconds
 INTERVAL = 0.25  # s between predictions
 
 
 def held_out_errors(folder: Path, found: Path) -> dict[str, float | None]:
-    """Mean position error after 5 s [m] on the held-out drives with the owner's file, with the vehicle.yaml found
-    alone, and with model.yaml; None where that file was not written."""
+    """Mean position error after 5 s [m] on the held-out drives with the file of the owner, with vehicle.yaml of the
+    answer alone, and with model.yaml; None for a file that was not written."""
     original = read_vehicle(folder / "car" / "vehicle.yaml")
     new = read_vehicle(found / "vehicle.yaml") if (found / "vehicle.yaml").exists() else None
     model = _model(found)
@@ -40,15 +40,18 @@ def _error(folder: Path, model: Any, vehicle: VehicleParameters) -> float:
         log = read(source, vehicle).log
         errors = next(value for (_, mode), value in evaluate_log([model], vehicle, log, settings).errors.items()
                       if mode == "hindsight")
-        collected.append(errors.at_seconds[errors.complete, AT, :2])
+        collected.append(errors.at_seconds[errors.complete, INDEX_5S, :2])
     return float(np.mean(np.hypot(*np.concatenate(collected).T)))
 
 
 def implied_forces(truth: Mapping[str, Any], folder: Path, found: Path,
                    answer: Mapping[str, Any]) -> dict[str, dict[str, list[float]]]:
-    """By axle, in steady cornering over the driven slip: slip [rad], force of the car, of the owner's file, of the
-    answer (its named and minor effects at the values stated), and of model.yaml with all corrections [N, opposing the
-    slip]."""
+    """By axle, in steady cornering over the driven slip angles: slip angle [rad] and lateral forces [N, against the
+    slip].
+
+    Forces of the car, of the file of the owner, of the answer (its named and minor effects at their stated values), and
+    of model.yaml with all corrections.
+    """
     original = read_vehicle(folder / "car" / "vehicle.yaml")
     stated = {one["name"]: {key: p["value"] for key, p in one["parameters"].items()}
               for one in (*answer.get("effects", ()), *answer.get("minor", ())) if not one.get("effective")}
@@ -68,7 +71,7 @@ def _is_of_the_car(effect: type) -> bool:
 
 
 def _grids(truth: Mapping[str, Any]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Ten slips of each axle, of the same steady states at both, and the true forces there."""
+    """By axle ten slip angles, of the same steady states for both axles, and the true forces."""
     grids = {}
     for axle, curve in truth["axles"].items():
         slip = np.linspace(curve["slip"][0], curve["slip"][-1], 10)
@@ -77,7 +80,7 @@ def _grids(truth: Mapping[str, Any]) -> dict[str, tuple[np.ndarray, np.ndarray]]
 
 
 def _forces(model: AugmentedModel, vehicle: VehicleParameters, truth: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """By axle the force [N] of a model at those slips, from its accelerations and its own mass, inertia and lengths.
+    """By axle the force [N] of a model at these slip angles, from its accelerations, mass, inertia and lengths.
 
         F_f = (m a_y l_r + I r_dot) / L,  F_r = (m a_y l_f - I r_dot) / L,  a_y = v_y_dot + v_x r
     """
@@ -85,7 +88,7 @@ def _forces(model: AugmentedModel, vehicle: VehicleParameters, truth: Mapping[st
     (slip_f, force_f), (slip_r, force_r) = grids["front"], grids["rear"]
     found: dict[str, list[float]] = {"front": [], "rear": []}
     for a, b, total in zip(slip_f, slip_r, force_f + force_r, strict=True):
-        r = total / truth["body"]["mass"] / SPEED  # a left turn: the wheels slide to their right
+        r = total / truth["body"]["mass"] / SPEED  # left turn: the wheels slide to the right
         vy = car.cg_to_rear_axle * r - SPEED * np.tan(b)
         angle = float(np.arctan((vy + car.cg_to_front_axle * r) / SPEED) + a)
         w = model.inputs(angle, 0.0, p)

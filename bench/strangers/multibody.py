@@ -1,4 +1,5 @@
-"""The multi-body car of `bench.discovery` on the strangers' roads, as rows of `plants.drive`."""
+"""Drives the multi-body cars of `bench.discovery` on the roads of this benchmark, with the results of
+`plants.drive`."""
 
 from dataclasses import replace
 
@@ -17,7 +18,7 @@ PROXY = Numbers(0.0, 0.0, 0.0, 0.0, 0.55, 1.5, 0.0, 0.0, 1.0, DUGOFF, 1.0)
 
 
 def numbers(car: Stranger) -> Numbers:
-    """Mass, inertia, lengths and stiffness of the package's car with the settings of the stranger."""
+    """The parameters of a multi-body car with its settings: mass, inertia, lengths, stiffness and friction."""
     v = vehicle_of(car.package, dict(car.settings))
     return car.numbers._replace(
         mass=v.mass, inertia=v.yaw_inertia, wheelbase=v.wheelbase, front=v.cg_to_front_axle, height=v.cg_height,
@@ -26,8 +27,11 @@ def numbers(car: Stranger) -> Numbers:
 
 
 def drive(car: Stranger, road: np.ndarray, seconds: float, wander: np.ndarray, seed: int) -> np.ndarray:
-    """Rows as of `plants.drive`. A rolling single-track car drives the road first; its hand, heading and speed are the
-    programme of the multi-body car, with a driver that keeps the heading."""
+    """Rows as those of `plants.drive`.
+
+    A simple car drives the road first; its steering, heading and speed are the programme of the multi-body car, and a
+    driver keeps the heading.
+    """
     v = nominal_car(car.package)
     proxy = PROXY._replace(
         mass=v.mass, inertia=v.yaw_inertia, wheelbase=v.wheelbase, front=v.cg_to_front_axle,
@@ -46,7 +50,7 @@ def drive(car: Stranger, road: np.ndarray, seconds: float, wander: np.ndarray, s
 
 
 def add_load(car: Stranger, mass: float, shift: float, inertia: float) -> Stranger:
-    """The car with factors of mass and yaw inertia, CG moved back by shift [m]."""
+    """The car with a load: factors on mass and yaw inertia, and the CG moved back by `shift` [m]."""
     known = dict(car.settings)
     known["mass_factor"] = known.get("mass_factor", 1.0) * mass
     known["yaw_inertia_factor"] = known.get("yaw_inertia_factor", 1.0) * inertia

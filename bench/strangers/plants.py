@@ -1,7 +1,7 @@
-"""Equations of motion of the strangers, compiled; fourth-order Runge-Kutta with a driver who follows a road.
+"""Compiled equations of motion of the cars, and their simulation with a driver who follows a road.
 
-State q, all descriptions: x, y [m], yaw [rad], v_x, v_y [m/s] at the CG, yaw rate [rad/s], then their own states.
-wheel: road-wheel angle requested by the driver [rad]; push: sum of the longitudinal tyre forces [N].
+The state q of every description begins with x, y [m], yaw [rad], v_x, v_y [m/s] at the CG and yaw rate [rad/s]; further
+states follow. wheel: road wheel angle that the driver requests [rad]; push: sum of the longitudinal tyre forces [N].
 """
 
 import math
@@ -12,18 +12,17 @@ from numba import njit
 from .tyres import side_force
 from .vehicles import BRISTLE, ELASTIC, FOUR_WHEELS, GRAVITY, ROLLING, TABLE, Numbers
 
-STEP = 0.005
-"""s, of the recorded rows; each is integrated in two steps."""
+STEP = 0.005  # s, between recorded rows; each is integrated in two steps
 STATES = 16
 ROW = STATES + 5
 AX, AY, TURN, WHEEL, PUSH = range(STATES, ROW)
-"""Columns behind the states: rates of v_x, v_y and yaw rate, requested road-wheel angle, push."""
+"""Columns after the states: derivatives of v_x, v_y and yaw rate, requested road wheel angle, push."""
 DRAG, ROLLING_RESISTANCE, BRAKE_FRONT = 0.38, 0.011, 0.65
 
 
 @njit(cache=True)
 def tyre_stiffness(stiffness, load_ratio, p):
-    """Cornering stiffness of one tyre at its load; a table contains its load dependence."""
+    """Cornering stiffness of one tyre at its load; a tabulated tyre has its load dependence in the table."""
     if p.tyre == TABLE:
         return stiffness / 2
     return stiffness / 2 * load_ratio * (1 - p.load_loss * (load_ratio - 1))
@@ -31,7 +30,7 @@ def tyre_stiffness(stiffness, load_ratio, p):
 
 @njit(cache=True)
 def axle_force(slip, stiffness, static, load, shift, longitudinal, p):
-    """Lateral force of two tyres [N]. static, load: of one tyre on average; shift: load moved from left to right."""
+    """Lateral force of an axle [N]. static, load: mean loads of its tyres [N]; shift: load moved from left to right."""
     force = 0.0
     for side in (-1.0, 1.0):
         z = max(load + side * shift, 50.0)
@@ -43,7 +42,8 @@ def axle_force(slip, stiffness, static, load, shift, longitudinal, p):
 
 @njit(cache=True)
 def planar_rates(q, fx, fy, moment, p, out):
-    """Rates of the six planar states from body forces [N] and yaw moment [N m], drag and rolling resistance added."""
+    """Writes the rates of the six planar states from body forces [N] and yaw moment [N m], with drag and rolling
+    resistance."""
     vx, vy, r = q[3], q[4], q[5]
     resistance = DRAG * vx * abs(vx) + ROLLING_RESISTANCE * p.mass * GRAVITY * min(vx / 0.3, 1.0)
     out[0] = vx * math.cos(q[2]) - vy * math.sin(q[2])
@@ -54,14 +54,14 @@ def planar_rates(q, fx, fy, moment, p, out):
 
 @njit(cache=True)
 def split_push(push, p):
-    """Longitudinal force of the front and of the rear axle [N]."""
+    """Longitudinal forces of front and rear axle [N]."""
     front = push * (p.drive_front if push > 0 else BRAKE_FRONT)
     return front, push - front
 
 
 @njit(cache=True)
 def rolling(q, wheel, push, p, out):
-    """Own states: roll, roll rate, road-wheel angle, slip angle front and rear."""
+    """Further states: roll, roll rate, road-wheel angle, slip angle front and rear."""
     rear = p.wheelbase - p.front
     delta = q[8] if p.steer_lag > 0 else wheel
     speed = max(q[3], 0.8)
@@ -91,7 +91,7 @@ def rolling(q, wheel, push, p, out):
 
 @njit(cache=True)
 def four_wheels(q, wheel, push, p, out):
-    """Own states: lateral and longitudinal acceleration the loads follow, road-wheel angle."""
+    """Further states: lateral and longitudinal acceleration the loads follow, road-wheel angle."""
     rear = p.wheelbase - p.front
     half = p.track / 2
     forces = split_push(push, p)
@@ -124,7 +124,7 @@ def four_wheels(q, wheel, push, p, out):
 
 @njit(cache=True)
 def elastic(q, wheel, push, p, out):
-    """Own states: road-wheel angle without elasticity, slip angle front and rear."""
+    """Further states: road-wheel angle without elasticity, slip angle front and rear."""
     rear = p.wheelbase - p.front
     speed = max(q[3], 0.8)
     ffx, frx = split_push(push, p)
@@ -147,7 +147,7 @@ def elastic(q, wheel, push, p, out):
 
 @njit(cache=True)
 def bristle(q, wheel, push, p, out):
-    """Own states: bristle deflection front and rear [m], road-wheel angle and its rate."""
+    """Further states: bristle deflection front and rear [m], road-wheel angle and its rate."""
     rear = p.wheelbase - p.front
     loads = (p.mass * GRAVITY * rear / p.wheelbase, p.mass * GRAVITY * p.front / p.wheelbase)
     transfer = p.height / p.wheelbase * push
@@ -176,7 +176,7 @@ def bristle(q, wheel, push, p, out):
 
 @njit(cache=True)
 def sprung(q, wheel, push, p, out):
-    """Own states: roll, roll rate, pitch (nose up +), pitch rate, road-wheel angle, slip angle front and rear."""
+    """Further states: roll, roll rate, pitch (nose up +), pitch rate, road-wheel angle, slip angle front and rear."""
     rear = p.wheelbase - p.front
     half, speed = p.track / 2, max(q[3], 0.8)
     ffx, frx = split_push(push, p)
@@ -229,7 +229,7 @@ def derivative(description, q, wheel, push, p, out):
 
 @njit(cache=True)
 def step(description, q, wheel, push, p, h, k, mid):
-    """One Runge-Kutta step; q is changed. k: (4, STATES), its first row becomes the rates at the start."""
+    """Advances q by one Runge-Kutta step. k (4, STATES): its first row becomes the rates at the start."""
     derivative(description, q, wheel, push, p, k[0])
     for stage in range(1, 4):
         part = h if stage == 3 else h / 2
@@ -242,9 +242,10 @@ def step(description, q, wheel, push, p, h, k, mid):
 
 @njit(cache=True)
 def drive(description, road, p, seconds, wander):
-    """Rows (n, ROW) every STEP. road: x, y, yaw, speed every 0.5 m; wander: hand tremor, road-wheel angle [rad].
+    """Rows (n, ROW) of a drive, one per STEP. road: x, y, yaw and speed every 0.5 m; wander: tremor of the driver, as
+    road wheel angle [rad].
 
-    The driver looks 0.9 s ahead; a speed of the road below 1.4 m/s is a stop of 4 s.
+    The driver looks 0.9 s ahead; where the speed of the road is below 1.4 m/s, the car stops for 4 s.
     """
     rows = int(seconds / STEP)
     q, k, mid, out = np.zeros(STATES), np.zeros((4, STATES)), np.zeros(STATES), np.zeros((rows, ROW))
@@ -285,12 +286,12 @@ def drive(description, road, p, seconds, wander):
 
 
 def axle_forces(rows: np.ndarray, p: Numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(slip front, force front, slip rear, force rear) [rad, N] of each row.
+    """(front slip angle, front force, rear slip angle, rear force) [rad, N] of each row.
 
         F_f = (m a_y l_r + I r_dot) / L,  F_r = (m a_y l_f - I r_dot) / L,  a_y = v_y_dot + v_x r
 
-    Slip of the axle by the motion of the body and the steering wheel: compliance, roll steer and lag are in the force,
-    not in the slip. Valid above a few m/s.
+    The slip angle follows from the motion of the body and the steering wheel; compliance, roll steer and lag therefore
+    affect the force, not the slip angle. Valid above a few m/s.
     """
     rear = p.wheelbase - p.front
     vx = np.maximum(rows[:, 3], 0.8)

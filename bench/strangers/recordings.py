@@ -1,4 +1,4 @@
-"""The files of a case: drives as CSV, the owner's car folder, a held-out drive, and the truth."""
+"""Writes the files of a case: drives as CSV, the car folder of the owner, held-out drives, and the truth."""
 
 import json
 import re
@@ -26,8 +26,10 @@ TREMOR = 0.002  # rad of the road wheels
 
 
 def write_case(case: Case, folder: Path, shorten: float = 1.0) -> dict:
-    """`drives/`, `held_out/`, `car/` and truth.json in a new folder; the truth is returned. shorten: factor on the
-    duration of the drives."""
+    """Writes `drives/`, `held_out/`, `car/` and truth.json to a new folder; returns the truth.
+
+    shorten: factor on the duration of the drives.
+    """
     home = folder / "car"
     _write_car(case, home)
     vehicle = read_vehicle(home / "vehicle.yaml")
@@ -44,7 +46,7 @@ def write_case(case: Case, folder: Path, shorten: float = 1.0) -> dict:
 
 
 def _drive_case(case: Case, shorten: float) -> Iterator[tuple[str, np.ndarray]]:
-    """Name and rows of every drive of the true car."""
+    """Yields name and rows of every drive of the true car."""
     car = true_car(case)
     comfort = float(np.mean([one[1] for one in case.drives]))
     planned = [(name, name, c, s) for name, c, s in case.drives]
@@ -77,7 +79,7 @@ def _write_car(case: Case, home: Path) -> None:
 
 
 def _fill_in(line: str, case: Case) -> str:
-    """Measured with tape, scales and turntables, or guessed."""
+    """Fills in a row of the vehicle file: a value that the owner measured or guessed."""
     car, key = file_car(case), line.partition(":")[0]
     n = car.numbers
     known = {"mass": round(n.mass), "wheelbase": round(n.wheelbase, 3), "cg_to_front_axle": round(n.front, 3),

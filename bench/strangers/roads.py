@@ -1,4 +1,4 @@
-"""Roads of the strangers' drives."""
+"""Random roads of the drives."""
 
 import math
 
@@ -8,9 +8,10 @@ ROADS = ("town", "country", "roundabouts", "motorway", "hills", "avenue")
 
 
 def road(name: str, rng: np.random.Generator, comfort: float, stops: bool = True) -> np.ndarray:
-    """x, y [m], yaw [rad], speed [m/s] every 0.5 m; comfort: lateral acceleration the driver accepts [m/s^2].
+    """Rows of x, y [m], yaw [rad] and speed [m/s] every 0.5 m.
 
-    Curvature changes over 12 m, braking at 1.8 m/s^2. stops: with places where the speed is 0.
+    comfort: lateral acceleration that the driver accepts [m/s^2]. stops: whether the road has stops. The curvature
+    changes over 12 m, and the driver brakes at 1.8 m/s^2.
     """
     parts = _parts(name, rng, comfort)
     if not stops:
@@ -19,7 +20,7 @@ def road(name: str, rng: np.random.Generator, comfort: float, stops: bool = True
 
 
 def _parts(name: str, rng: np.random.Generator, comfort: float) -> list[tuple[float, float, float]]:
-    """(length [m], curvature [1/m], speed limit [m/s]) of each part; a limit of 0 is a stop."""
+    """(length [m], curvature [1/m], speed limit [m/s]) of each part of a road; a limit of 0 is a stop."""
     brisk = math.sqrt(comfort / 3.0)
 
     def bend(radius: float, degrees: float, limit: float) -> tuple[float, float, float]:

@@ -1,21 +1,21 @@
-"""The score of answers: statements, hidden errors, values, prediction, axle forces, vehicle file, time."""
+"""Scores answers: statements, hidden errors, values, prediction, axle forces, vehicle file and time."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-WORSE = 1.02
-"""A held-out error counts as worse above this factor: two short drives differ by so much."""
-ROUNDING = 1e-9  # of an implied force that no effect changes
-OF_STIFFNESS = ("worn_front", "worn_rear", "compliance")
+WORSE = 1.02  # factor above which a held-out error is worse, because two short drives differ by that much
+ROUNDING = 1e-9  # relative rounding error of an implied force that no effect changes
+STIFFNESS_ERRORS = ("worn_front", "worn_rear", "compliance")
 MEMBERS = {"tyre_stiffness": ("front_stiffness", "rear_stiffness")}
 
 
 def list_statements(result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Each named effect: in_car, value, interval, true range, inside (None without a value).
+    """One dict for each named effect: whether it is in the car, value, interval, true range, and whether the interval
+    overlaps it (None without a value).
 
-    Effective corrections and minor effects do not count as statements.
+    Effective corrections and minor effects are no statements.
     """
     truth, found = result["truth"], []
     for one in named_effects(result["answer"]):
@@ -35,12 +35,12 @@ def list_statements(result: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def named_effects(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Effects that are stated as properties of car or sensors."""
+    """Effects that the answer states as properties of car or sensors."""
     return [one for one in answer.get("effects", ()) if not one.get("effective")]
 
 
 def alternatives(effect: Mapping[str, Any]) -> set[str]:
-    """Effects in the same set: alternatives and joint names."""
+    """Names that the answer does not distinguish from the effect."""
     found = set()
     for key in ("alternatives", "joint"):
         found |= set(effect.get(key) or ())
@@ -48,7 +48,8 @@ def alternatives(effect: Mapping[str, Any]) -> set[str]:
 
 
 def true_range(name: str, result: Mapping[str, Any]) -> list[float] | None:
-    """Range of the first parameter; the front stiffness reaches to that of the tyres where elasticity is named too."""
+    """True range of the first parameter; that of the front stiffness includes the tyres alone if elasticity is
+    named."""
     truth = result["truth"]
     value = truth["effects"].get(name)
     if name == "front_stiffness" and value:
@@ -60,10 +61,10 @@ def true_range(name: str, result: Mapping[str, Any]) -> list[float] | None:
 
 
 def named_errors(result: Mapping[str, Any]) -> dict[str, bool]:
-    """By hidden error: whether it is named, alone or in a set.
+    """Hidden error -> whether it is named, alone or with alternatives.
 
-    A combination whose interval contradicts the vehicle file counts as such a set for errors of axle stiffness. For a
-    load it does not, because the guessed stiffness of the file contradicts it anyway.
+    For errors of axle stiffness, a combination whose interval contradicts the vehicle file counts as well. For a load
+    it does not, because the guessed stiffness of the file contradicts it in any case.
     """
     stated, combined = set(), set()
     for one in named_effects(result["answer"]):
@@ -72,13 +73,13 @@ def named_errors(result: Mapping[str, Any]) -> dict[str, bool]:
     for one in result["answer"].get("combinations", ()) or ():
         low, high = one["interval"]
         combined |= set() if low <= one["file"] <= high else set(one["effects"])
-    return {name: bool((stated | (combined if name in OF_STIFFNESS else set())) & set(about["accepted"]))
+    return {name: bool((stated | (combined if name in STIFFNESS_ERRORS else set())) & set(about["accepted"]))
             for name, about in result["truth"]["hidden"].items()}
 
 
 def force_errors(result: Mapping[str, Any]) -> dict[str, float]:
-    """By axle: error of the answer's implied force over that of the file (rms over the driven slip), [1]; and
-    `axle_file`, `axle_answer`, `axle_model`: the errors over the largest true force [1]."""
+    """By axle: rms error of the implied force of the answer over that of the file [1], over the driven slip angles; and
+    `<axle>_file`, `<axle>_answer`, `<axle>_model`: rms errors over the largest true force [1]."""
     found = {}
     for axle, curve in (result.get("forces") or {}).items():
         true, peak = np.array(curve["true"]), max(np.abs(curve["true"]))
@@ -89,7 +90,7 @@ def force_errors(result: Mapping[str, Any]) -> dict[str, float]:
 
 
 def count_in_band(result: Mapping[str, Any]) -> tuple[int, int]:
-    """Points of the true axle curves inside the 90 % band of the answer, and points compared."""
+    """(points of the true axle curves inside the 90 % band of the answer, number of points)."""
     inside = count = 0
     for axle, curve in axle_bands(result["answer"]).items():
         true = result["truth"]["axles"].get(axle)
@@ -106,12 +107,12 @@ def count_in_band(result: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def axle_bands(answer: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """By axle the stated force curve (slip, low, high); empty for an answer without curves."""
+    """By axle the force curve of the answer (slip, low, high); empty for an answer without curves."""
     return {curve["axle"]: curve for curve in answer.get("axle_curves") or ()}
 
 
 def totals(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """The rows of the table, over all answered cases."""
+    """The rows of the score, over all answered cases."""
     results = [one for one in results if "answer" in one]
     stated = [line for one in results for line in list_statements(one)]
     compared = [line for line in stated if line["inside"] is not None]

@@ -1,4 +1,4 @@
-"""INS and steering sensor of a stranger: noise, rates, resolution and hidden errors."""
+"""INS and steering sensor of a car: noise, rates, resolution and hidden errors."""
 
 import math
 from collections.abc import Mapping
@@ -11,15 +11,15 @@ from .vehicles import Stranger
 
 NOISE = {"position": (0.003, 0.008), "yaw": (2e-4, 1e-3), "velocity": (0.01, 0.01), "yaw_rate": (5e-4, 5e-5),
          "acceleration": (0.05, 0.01), "steering": (5e-4, 0.0)}
-"""White and slow part (time constant 40 s), standard deviations: m, rad, m/s, rad/s, m/s^2, rad of the hand wheel."""
-SLOW = 40.0  # s
+"""Standard deviations of white noise and of slow noise [m, rad, m/s, rad/s, m/s^2, rad of the steering wheel]."""
+SLOW_TIME = 40.0  # s, time constant of the slow noise
 
 
 def measure(car: Stranger, rows: np.ndarray, hidden: Mapping[str, float],
             rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Channels at the rate of the INS, SI; the hand-wheel angle is NaN in rows without a steering sample.
+    """Channels [SI] at the rate of the INS; the steering wheel angle is NaN in rows without a steering sample.
 
-    hidden: heading [rad], lever [m], delay [s] of the steering, offset [rad] of the hand wheel, yaw_rate_scale [1],
+    hidden: heading [rad], lever [m], delay of the steering [s], offset of the steering wheel [rad], yaw_rate_scale [1],
     yaw_rate_bias [rad/s].
     """
     every = round(1 / STEP / car.ins_rate)
@@ -32,7 +32,7 @@ def measure(car: Stranger, rows: np.ndarray, hidden: Mapping[str, float],
 
     def noise(kind: str) -> np.ndarray:
         white, slow = NOISE[kind]
-        keep = math.exp(-1 / (rate * SLOW))
+        keep = math.exp(-1 / (rate * SLOW_TIME))
         kicks = slow * math.sqrt(1 - keep * keep) * rng.standard_normal(n)
         drift = lfilter([1.0], [1.0, -keep], kicks, zi=[keep * slow * rng.standard_normal()])[0]
         return white * rng.standard_normal(n) + drift

@@ -1,4 +1,4 @@
-"""What is true of a case: effects of the library that are in the car, their values, confounded groups, force curves."""
+"""The truth about a case: effects of the library that the car has, their values, and axle force curves."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -12,20 +12,19 @@ from .cases import Case, file_car, true_car
 from .tyres import side_force
 from .vehicles import BRISTLE, ELASTIC, FOUR_WHEELS, GRAVITY, MULTI_BODY, ROLLING, SPRUNG, Numbers
 
-REAL = 0.03
-"""Relative deviation from the file below which an effect does not count as being in the car."""
-REAL_HEIGHT = 0.03  # m
+MIN_DEVIATION = 0.03  # relative deviation from the file from which on the car has an effect
+MIN_HEIGHT_DEVIATION = 0.03  # m
 OUTER_WHEEL = 0.02
-"""Largest relative excess steer by the laden outer wheel of a parallel linkage, t delta / (2 L) times the load shift:
-the car turns like one with a smaller ratio."""
+"""Largest relative excess of the steer angle due to the laden outer wheel of a parallel linkage, t delta / (2 L) times
+the load shift: the car turns like one with a smaller steering ratio."""
 PACKAGE_FRICTION = 1.049  # p_dy1 of commonroad-vehicle-models
-STEADY_TURN, STEADY_STEER, SLOWEST = 0.15, 0.12, 6.0
-"""rad/s^2, rad/s of the road wheels, m/s: rows of the axle force curve."""
+MAX_YAW_ACCELERATION, MAX_STEER_RATE, MIN_SPEED = 0.15, 0.12, 6.0
+"""Limits of the rows for the axle force curves [rad/s^2, rad/s of the road wheels, m/s]."""
 POINTS, EDGE = 12, 0.005
-"""Points of a curve; share of the rows left out at the largest slip."""
+"""Points of a curve; share of the rows with the largest slip angles that are left out."""
 SHAPES = ("front_tyre_curve", "rear_tyre_curve", "tyre_load_sensitivity", "front_saturation", "rear_saturation",
           "tyre_saturation", "combined_slip", "steered_drive_force")
-"""Physics that is in all these cars, in other equations than the library's: without a value to compare."""
+"""Effects that all these cars have, but in other equations than the library, so that no value can be compared."""
 ACCEPTED = {
     "ratio": ("steering_ratio",), "offset": ("steering_offset",), "load": ("load", "mass", "cg_position"),
     "lever": ("sensor_lever_arm",), "worn_front": ("front_stiffness", "steering_compliance", "roll_steer"),
@@ -38,12 +37,12 @@ CONFOUNDED = (("front_stiffness", "steering_compliance", "roll_steer"), ("steeri
 
 
 def find_truth(case: Case, drives: Iterable[np.ndarray], vehicle: VehicleParameters) -> dict[str, Any]:
-    """JSON-ready. vehicle: the file the owner has.
+    """The truth as JSON values. vehicle: the file of the owner.
 
-    effects: by name the range [low, high] of the first parameter, null for physics without a value to compare.
-    hidden: by error its size and accepted names. axles: by axle slip [rad, >= 0], force [N, opposing it] of the car,
-    and that of the file at the same slip. tyre_stiffness_front: factor of the front tyres without elasticity, which the
-    front stiffness may also take where the elasticity is named.
+    effects: name -> range [low, high] of the first parameter, null without a value to compare. hidden: error -> size
+    and accepted names. axles: axle -> slip angle [rad, >= 0], force of the car [N, against the slip], and force of the
+    file at the same slip angle. tyre_stiffness_front: factor of the front tyres without elasticity, which the front
+    stiffness may also have if the elasticity is named.
     """
     car, file = true_car(case), file_car(case)
     curves = axle_curves(car.numbers, drives, vehicle)
@@ -67,7 +66,7 @@ def _true_effects(case: Case, car, file, vehicle: VehicleParameters, curves: dic
     friction = _friction(car.description, n, vehicle)
     for name, value in (("front_stiffness", front), ("rear_stiffness", rear), ("friction", friction),
                         ("yaw_inertia", [inertia, inertia]), ("mass", [n.mass / vehicle.mass] * 2)):
-        if value[0] < 1 - REAL or value[1] > 1 + REAL:
+        if value[0] < 1 - MIN_DEVIATION or value[1] > 1 + MIN_DEVIATION:
             found[name] = value
     if "front_stiffness" in found and "rear_stiffness" in found:
         found["tyre_stiffness"] = both
@@ -75,7 +74,7 @@ def _true_effects(case: Case, car, file, vehicle: VehicleParameters, curves: dic
     higher = n.height - vehicle.cg_height
     if abs(shift) > 1e-3:
         found["cg_position"] = [shift, shift]
-    if abs(higher) > REAL_HEIGHT:
+    if abs(higher) > MIN_HEIGHT_DEVIATION:
         found["longitudinal_load_transfer"] = [higher, higher]
     if car.description != BRISTLE:
         found["lateral_load_transfer"] = None
@@ -90,7 +89,7 @@ def _true_effects(case: Case, car, file, vehicle: VehicleParameters, curves: dic
         if name in hidden:
             found[effect] = [value(hidden[name])] * 2
     if "load" in hidden:
-        # The library's load is over the rear axle: one that moves the CG as far is a little smaller.
+        # The load of the library is above the rear axle; one that shifts the CG equally is a little smaller.
         behind = vehicle.wheelbase - file.numbers.front
         found["load"] = [(n.mass - hidden["load"]) * -shift / (behind + shift), hidden["load"]]
     if "steering_ratio" in found and car.description == FOUR_WHEELS:
@@ -101,16 +100,16 @@ def _true_effects(case: Case, car, file, vehicle: VehicleParameters, curves: dic
 
 
 def _dynamics(car) -> dict[str, list[float] | None]:
-    """Lags and elasticity; a range of 20 % where the equations are not those of the library."""
+    """Lags and elasticity, with a range of 20 % if the equations differ from those of the library."""
     n, found = car.numbers, {}
-    loose = 0.0 if car.description == ROLLING else 0.2
+    tolerance = 0.0 if car.description == ROLLING else 0.2
     if n.relaxation > 0:
-        found["tyre_relaxation"] = [n.relaxation * (1 - loose), n.relaxation * (1 + loose)]
+        found["tyre_relaxation"] = [n.relaxation * (1 - tolerance), n.relaxation * (1 + tolerance)]
     lag = n.steer_lag
     if car.description in (FOUR_WHEELS, ELASTIC, SPRUNG):
         lag = max(lag, 0.012 if car.description != SPRUNG else 0.015)
     if lag > 0:
-        found["steering_lag"] = [lag * (1 - loose), lag * (1 + loose)]
+        found["steering_lag"] = [lag * (1 - tolerance), lag * (1 + tolerance)]
     soft = n.compliance + n.column * n.trail
     if soft > 0:
         # The trail shrinks with slip.
@@ -122,8 +121,8 @@ def _dynamics(car) -> dict[str, list[float] | None]:
 
 
 def _stiffness(curve: dict) -> list[float]:
-    """Range of the stiffness factor of an axle, elasticity included: from the slope over the smallest third of the
-    driven slip to the factor on the file's curve that fits best over all of it."""
+    """Range of the stiffness factor of an axle, including elasticity: between the fits to the smallest third of the
+    driven slip angles and to all of them."""
     force, file = np.array(curve["force"]), np.array(curve["file"])
     small = slice(0, max(2, len(force) // 3))
     slope, fitted = (float(force[part] @ file[part] / (file[part] @ file[part])) for part in (small, slice(None)))
@@ -131,7 +130,7 @@ def _stiffness(curve: dict) -> list[float]:
 
 
 def _friction(description: int, n: Numbers, vehicle: VehicleParameters) -> list[float]:
-    """Range over the axles of the largest side force over that of the file's tyre."""
+    """Range, over the axles, of the largest lateral force divided by that of the tyre in the file."""
     found = []
     for stiffness, lever, tyre in ((n.stiffness_front, n.wheelbase - n.front, vehicle.tyre_front),
                                    (n.stiffness_rear, n.front, vehicle.tyre_rear)):
@@ -146,12 +145,14 @@ def _friction(description: int, n: Numbers, vehicle: VehicleParameters) -> list[
 
 
 def axle_curves(n: Numbers, drives: Iterable[np.ndarray], vehicle: VehicleParameters) -> dict[str, dict]:
-    """By axle slip, force and file's force over the driven slip: medians of the rows of nearly steady driving, left and
-    right turns folded together; rows: how many each point rests on."""
+    """By axle: slip angle, force, force of the file, and number of rows of each point.
+
+    The points are medians over rows of nearly steady driving; left and right turns are combined.
+    """
     columns: list[list[np.ndarray]] = [[], [], [], []]
     for rows in drives:
-        steady = (np.abs(rows[:, plants.TURN]) < STEADY_TURN) & (rows[:, 3] > SLOWEST) & (
-            np.abs(np.gradient(rows[:, plants.WHEEL], plants.STEP)) < STEADY_STEER)
+        steady = (np.abs(rows[:, plants.TURN]) < MAX_YAW_ACCELERATION) & (rows[:, 3] > MIN_SPEED) & (
+            np.abs(np.gradient(rows[:, plants.WHEEL], plants.STEP)) < MAX_STEER_RATE)
         for into, values in zip(columns, plants.axle_forces(rows[steady], n), strict=True):
             into.append(values)
     slip_f, force_f, slip_r, force_r = (np.concatenate(one) for one in columns)

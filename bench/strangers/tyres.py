@@ -25,7 +25,7 @@ TABLE_SLOPE = TABLE_SHARE[2, 1] / TABLE_SLIP[1]
 
 @njit(cache=True)
 def tabulated(slip, stretch, load_ratio):
-    """Share of grip times load, linear in slip and load; stretch: factor on the slip axis."""
+    """Force over grip times load, interpolated linearly in slip angle and load; stretch: factor on the slip angle."""
     a = min(abs(slip) * stretch, TABLE_SLIP[-1] - 1e-9)
     x = min(max(load_ratio, TABLE_LOAD[0]), TABLE_LOAD[-1] - 1e-9)
     i = np.searchsorted(TABLE_SLIP, a, side="right") - 1
@@ -39,7 +39,8 @@ def tabulated(slip, stretch, load_ratio):
 
 @njit(cache=True)
 def tmeasy(t, slope, peak):
-    """Force [N] at lateral slip t = tan(alpha) >= 0. slope: at 0 [N]; peak [N]; 0.85 of it at 3 times its slip."""
+    """Force [N] at lateral slip t = tan(alpha) >= 0. slope: at t = 0 [N]; peak [N]; 0.85 peak from 3 times its slip
+    on."""
     at_peak = 2.2 * peak / slope
     if t <= at_peak:
         s = t / at_peak

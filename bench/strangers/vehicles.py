@@ -1,4 +1,4 @@
-"""Cars of the strangers benchmark: parameters in SI units with their origin, and what the owner guesses."""
+"""Cars of this benchmark: their parameters in SI units, and the origin of these."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -57,10 +57,10 @@ class Numbers(NamedTuple):
 
 @dataclass(frozen=True)
 class Stranger:
-    """A car. origin: of its parameters. ratio: hand wheel over road wheel. ins: ahead of the CG [m].
+    """A car. origin: source of its parameters. ratio: steering wheel angle over road wheel angle [1].
 
-    ins_rate, steering_rate [Hz]; steering_step: resolution of the steering sensor [deg]. package: name of the car of
-    the multi-body description, settings: its changed values.
+    ins: position of the INS ahead of the CG [m]. ins_rate, steering_rate [Hz]. steering_step: resolution of the
+    steering sensor [deg]. package: name of a multi-body car; settings: its changed values.
     """
 
     name: str
