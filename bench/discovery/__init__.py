@@ -1,12 +1,12 @@
-"""Blind benchmark of discovery: hidden effects in two plants and real drives, the answers, the score."""
+"""Blind benchmark of `st discover`: hidden effects in two plants and in real drives, answers and scores."""
 
 import sys
 from collections.abc import Sequence
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; see `command`, and `relation_command` for what follows --laws."""
-    # Imported here: plants and cases are of use without the engine that is judged.
+    """Runs the command line in `command`, or with --laws that in `relation_command`."""
+    # Imported here, because tests use plants and cases without the discovery.
     given = sys.argv[1:] if arguments is None else list(arguments)
     if "--laws" in given:
         from .relation_command import main as laws

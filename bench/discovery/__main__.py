@@ -1,4 +1,4 @@
-"""python -m bench.discovery: run cases and print the results; see `main`."""
+"""Runs the benchmark: python -m bench.discovery."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""What the scores become at half and twice each limit of the decision."""
+"""Changes of the scores if a limit of the decision is halved or doubled."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ FACTORS = (0.5, 2.0)
 
 
 def list_variants() -> list[tuple[str, float, Limits]]:
-    """(field, factor, limits), the limits as they are first, under no name."""
+    """Lists (field, factor, limits), first the unchanged limits without a name."""
     usual = Limits()
     rows: list[tuple[str, float, Limits]] = [("", 1.0, usual)]
     for field in fields(Limits):
@@ -27,7 +27,8 @@ def list_variants() -> list[tuple[str, float, Limits]]:
 
 
 def run_variants(cases: Sequence, out: Path, until: float | None, report: Callable[[Record], None]) -> None:
-    """All cases with each variant; a file of JSON lines each, next to `out`, its records marked with the limit."""
+    """Runs all cases with each variant; writes a file of JSON lines for each, next to `out`, with the limit in each
+    record."""
     for name, factor, limits in list_variants():
         file = out.with_name(f"{out.stem}_{name or 'usual'}_{factor:g}.jsonl")
         records = run_all(cases, file, until, report, limits, whole=False)

@@ -1,4 +1,4 @@
-"""What is done without a discovery: tune the tyres again, learn what openpilot's paramsd learns, regress residuals."""
+"""Methods for comparison: tuning of the tyres, the parameters of openpilot's paramsd, regression of residuals."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -17,21 +17,22 @@ from .oracle import Judge, Oracle, Point, null_model
 from .regression import Regression
 
 TYRES = ("front_stiffness", "rear_stiffness", "friction")
-LEARNT = {"steering_ratio": "factor", "tyre_stiffness": "factor", "steering_offset": "angle"}
-LEARNT_UNITS = (0.05, 0.1, 0.005)
+PARAMSD_EFFECTS = {"steering_ratio": "factor", "tyre_stiffness": "factor", "steering_offset": "angle"}
+PARAMSD_SCALES = (0.05, 0.1, 0.005)
 RATIO, STIFFNESS, OFFSET = (0.5, 2.0), (0.3, 3.0), (-0.1, 0.1)
-"""paramsd's range checks: ratio 0.5 to 2 of the nominal, stiffness 0.2 to 5 (our library's bounds are narrower)."""
-EVERY, HORIZON, POINT = 1.0, 3.0, 0.1
-"""s between the starts of the predictions, their length, and between the yaw rates compared."""
+"""Range checks of paramsd: ratio 0.5 to 2 of the nominal, stiffness 0.2 to 5; the bounds of the library are
+narrower."""
+START_INTERVAL, HORIZON, POINT_INTERVAL = 1.0, 3.0, 0.1
+"""Interval of the starts, length of the predictions, and interval of the compared yaw rates [s]."""
 
 
 def compare_methods(case: Case, drives: Drives) -> dict[str, Any]:
-    """Held-out 5 s position [m] after each method, and what the regression makes of the residuals."""
+    """Held-out position error after 5 s [m] for each method, and the residuals before and after the regression."""
     settings = settings_of(case)
     judge = Judge(drives.held_out, drives.vehicle, settings)
     tyres = Oracle(drives.suspect, drives.vehicle, TYRES, {}, settings).best
-    learnt = Point(null_model().with_values(fit_paramsd(drives.suspect, drives.vehicle)), tyres.gain)
-    result: dict[str, Any] = {"tyres": round(judge.position(tyres), 4), "paramsd": round(judge.position(learnt), 4)}
+    identified = Point(null_model().with_values(fit_paramsd(drives.suspect, drives.vehicle)), tyres.gain)
+    result: dict[str, Any] = {"tyres": round(judge.position(tyres), 4), "paramsd": round(judge.position(identified), 4)}
     if case.with_vy:
         regression = Regression(drives.suspect, drives.vehicle, null_model())
         before, after = regression.residual_over_noise(drives.held_out)
@@ -44,8 +45,8 @@ def fit_paramsd(runs: Sequence[DriveLog], vehicle: VehicleParameters) -> dict[st
 
         minimise sum of (r measured - r of the linear model with measured steering and speed)^2
 
-    The equations and the three numbers openpilot learns on the road with a Kalman filter, here by least squares over
-    whole drives. Source: openpilot, selfdrive/locationd/paramsd.py.
+    These are the equations and the three parameters of openpilot, which estimates them with a Kalman filter; here they
+    are fitted by least squares to whole drives. Source: openpilot, selfdrive/locationd/paramsd.py.
     """
     batches = [_batch(run) for run in runs]
 
@@ -55,24 +56,24 @@ def fit_paramsd(runs: Sequence[DriveLog], vehicle: VehicleParameters) -> dict[st
         return np.clip(np.nan_to_num(np.concatenate(rows).ravel(), nan=1.0), -1.0, 1.0)
 
     low, high = zip(RATIO, STIFFNESS, OFFSET, strict=True)
-    found = least_squares(residuals, [1.0, 1.0, 0.0], bounds=(low, high), x_scale=LEARNT_UNITS, diff_step=1e-3)
+    found = least_squares(residuals, [1.0, 1.0, 0.0], bounds=(low, high), x_scale=PARAMSD_SCALES, diff_step=1e-3)
     return _as_values(found.x)
 
 
 def _as_values(x: np.ndarray) -> dict[str, dict[str, float]]:
-    return {name: {p: float(v)} for (name, p), v in zip(LEARNT.items(), x, strict=True)}
+    return {name: {p: float(v)} for (name, p), v in zip(PARAMSD_EFFECTS.items(), x, strict=True)}
 
 
 @cache
 def _linear() -> AugmentedModel:
-    return set_effects_to_null(augment("linear", tuple(LEARNT)))
+    return set_effects_to_null(augment("linear", tuple(PARAMSD_EFFECTS)))
 
 
 def _batch(log: DriveLog) -> tuple[LogBatch, np.ndarray]:
-    """Predictions of a drive, and the yaw rates measured at their points (n, k) [rad/s]."""
+    """Predictions of a drive, and the measured yaw rates at their points (n, k) [rad/s]."""
     margin = round(0.2e9)
-    starts = np.arange(log.start_ns + margin, log.end_ns - round(HORIZON * 1e9) - margin, round(EVERY * 1e9))
-    points = np.round(np.arange(POINT, HORIZON + POINT / 2, POINT), 6)
+    starts = np.arange(log.start_ns + margin, log.end_ns - round(HORIZON * 1e9) - margin, round(START_INTERVAL * 1e9))
+    points = np.round(np.arange(POINT_INTERVAL, HORIZON + POINT_INTERVAL / 2, POINT_INTERVAL), 6)
     batch = LogBatch(log, starts, HORIZON, 0.05, points=points, substeps="auto")
     measured, = batch.signals.ins_at(starts[:, None] + np.round(points * 1e9).astype(np.int64), "yaw_rate")
     return batch, measured

@@ -1,4 +1,4 @@
-"""Healthy cars: the plants, each a few per cent off what is usual for them."""
+"""Healthy cars: the plants with random deviations of a few per cent from their usual parameters."""
 
 from dataclasses import dataclass, field
 
@@ -10,7 +10,7 @@ from . import multibody_car
 LEAF = "leaf"
 PLANTS = (LEAF, *multibody_car.CARS)
 
-# One standard deviation: as a factor of the usual value, or added where that is 0 or 1 by nature.
+# Standard deviations: relative to the usual value, or absolute for a usual value of 0.
 _FACTOR = {
     "mass_factor": 0.03, "yaw_inertia_factor": 0.05, "front_stiffness_factor": 0.04, "rear_stiffness_factor": 0.04,
     "friction_factor": 0.03, "steering_ratio_factor": 0.02, "relaxation_length": 0.15, "steering_lag": 0.2,
@@ -25,7 +25,7 @@ _ADDED = {
 
 @dataclass(frozen=True)
 class HealthyCar:
-    """settings of the plant and its sensors. number: which car of its set it is. plant: one of PLANTS."""
+    """A car of a plant (one of PLANTS), identified by its number, with the settings of plant and sensors."""
 
     plant: str
     number: tuple[int, ...]
@@ -33,7 +33,7 @@ class HealthyCar:
 
 
 def healthy_car(plant: str, number: tuple[int, ...], **others: float) -> HealthyCar:
-    """The car of that number. others: settings it has for sure."""
+    """The car with a number, which is the seed of its deviations. others: fixed settings."""
     generator = np.random.default_rng(number)
     leaf = plant == LEAF
     values = dict(REALISTIC if leaf else multibody_car.HEALTHY)
@@ -43,13 +43,13 @@ def healthy_car(plant: str, number: tuple[int, ...], **others: float) -> Healthy
             if leaf or name in multibody_car.KNOWN_HERE:
                 values[name] = apply(values[name], drawn)
     values |= others
-    # Tremor is part of the programmes here.
+    # The tremor of the driver is part of the programmes.
     values["driver_tremor"] = 0.0
     return HealthyCar(plant, number, {n: _clip(n, float(v)) for n, v in values.items()})
 
 
 def has_setting(plant: str, setting: str) -> bool:
-    """Whether a plant has that switch."""
+    """Whether a plant has a setting."""
     return setting in (SETTINGS if plant == LEAF else multibody_car.KNOWN_HERE)
 
 

@@ -1,6 +1,6 @@
-"""The cases of blocks A to E: what is hidden, in which car, in which drives. All follows from set, block and index.
+"""The cases of blocks A to E: hidden effects, cars and drives, which follow from set, block and index.
 
-Truth is never handed to `discover`; it is stored with the drives for the score. Block F is in `edits`.
+`discover` never gets the truth, which is stored with the drives for the score. Block F is in `edits`.
 """
 
 import hashlib
@@ -17,11 +17,9 @@ from .effects import BY_NAME, FOREIGN, KNOWN, PHYSICS, PLACES, SENSORS, Hidden, 
 
 SEALED = "single track, discovery, sealed set 11"
 COUNTS = {"A": 100, "B": 120, "C": 120, "D": 150, "E": 60, "F": 100}
-PER_CAR = 10
-"""Cases of block D that share one healthy car and its reference drives."""
+PER_CAR = 10  # cases of block D with the same healthy car and reference drives
 SCALES, ODDS = (1.0, 0.5, 0.25), (0.45, 0.35, 0.2)
-ELSEWHERE = 5000.0
-"""m between the two sites of a slope that is at one of them only."""
+SITE_DISTANCE = 5000.0  # m, between the two sites of a slope that exists at one of them only
 
 WRONG = {
     "steering_ratio": (("steering_ratio_factor",), 0.12), "front_stiffness": (("front_stiffness_factor",), 0.2),
@@ -29,19 +27,20 @@ WRONG = {
     "both stiffnesses": (("front_stiffness_factor", "rear_stiffness_factor"), 0.2), "mass": (("mass_factor",), 0.15),
     "steering_offset": (("steering_offset",), 0.006), "heading_misalignment": (("ins_misalignment",), 0.01745),
 }
-"""Block B: what a vehicle file has wrong -> (settings, largest error: a share, of offset and mounting rad)."""
+"""Block B: wrong quantity of the vehicle file -> (settings, largest error: relative, or [rad] for angles)."""
 ADDED = ("steering_offset", "ins_misalignment")
 STIFFNESS = ("front_stiffness", "rear_stiffness", "both stiffnesses")
 
 
 @dataclass(frozen=True)
 class Case:
-    """One question to `discover`.
+    """One task for `discover`.
 
-    block: A to E; kind: of the block. car: healthy; settings: of the driven car; file: settings the vehicle file
-    assumes, None if it is identified. hidden: effects of the library that are present, or wrong in the file; words: the
-    same as a sentence. reference: whether healthy drives are given. effects: names of the candidates, None for all.
-    shifted: driven on other roads or at other speeds than the reference. from_: share of each run after which the
+    block: A to E; kind: kind of case in the block. car: the healthy car; settings: those of the driven car; file:
+    settings that the vehicle file assumes, None if it is identified. hidden: effects of the library that are present,
+    or wrong in the file; words: their description. scales: their sizes. with_vy: whether v_y is measured. reference:
+    whether healthy drives are given. effects: names of the candidates, None for all. shifted: whether roads or speeds
+    differ from the reference. parts: manoeuvres, None for the default. from_: fraction of each run after which the
     change is present. elsewhere: settings at the second site, where every other run is driven.
     """
 
@@ -69,13 +68,13 @@ class Case:
 
 
 def seed_of(set_: str, *what: object) -> int:
-    """The development set may be looked at; the sealed seeds are hashes."""
+    """The seed of a case, a hash of the set and of `what`."""
     text = f"{SEALED if set_ == 'sealed' else set_} {' '.join(map(str, what))}"
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
 
 
 def cases_of(set_: str, block: str, count: int | None = None) -> list[Case]:
-    """The first `count` cases of a block, A to E, independent of `count`."""
+    """The first `count` cases of a block from A to E; case k does not depend on `count`."""
     make = {"A": _single_effect, "B": _several_errors, "C": _no_error, "D": _with_reference,
             "E": _varying_effect}[block]
     return [make(set_, i) for i in range(COUNTS[block] if count is None else count)]
@@ -86,7 +85,7 @@ def _draw(set_: str, block: str, index: int) -> np.random.Generator:
 
 
 def _choose_plant(index: int) -> str:
-    """A third of the cases is on the multi-body cars in turn."""
+    """Chooses the plant: every third case has one of the multi-body cars, in turn."""
     return PLANTS[1 + index // 3 % (len(PLANTS) - 1)] if index % 3 == 2 else LEAF
 
 
@@ -95,7 +94,7 @@ def _list_usable(plant: str) -> list[Hidden]:
 
 
 def _draw_from_deck(set_: str, block: str, plant: str, number: int) -> Hidden:
-    """The number-th card of decks that hold each effect once: every effect comes equally often."""
+    """Draws from shuffled decks with one card per effect, so that every effect occurs equally often."""
     cards = _list_usable(plant)
     deck = np.random.default_rng(seed_of(set_, block, plant == LEAF, "deck", number // len(cards)))
     return cards[deck.permutation(len(cards))[number % len(cards)]]
@@ -112,7 +111,7 @@ def _describe(chosen: Iterable[tuple[Hidden, float, int]]) -> str:
 
 
 def _single_effect(set_: str, index: int) -> Case:
-    """A: one effect, no reference, the vehicle file otherwise the car's own."""
+    """A: one effect, no reference; otherwise the vehicle file is that of the car."""
     draw, plant = _draw(set_, "A", index), _choose_plant(index)
     number = index // 3 if index % 3 == 2 else index - index // 3
     hidden = _draw_from_deck(set_, "A", plant, number)
@@ -124,7 +123,7 @@ def _single_effect(set_: str, index: int) -> Case:
 
 
 def _several_errors(set_: str, index: int) -> Case:
-    """B: three to five wrong parameters, none to two errors of sensors and of physics in addition, no reference."""
+    """B: three to five wrong parameters, up to two sensor errors and two physical effects, no reference."""
     draw, plant = _draw(set_, "B", index), _choose_plant(index)
     car = healthy_car(plant, (seed_of(set_, "B", index, "car"),))
     file, driven, hidden, words = dict(car.settings), car.settings, [], []
@@ -153,18 +152,19 @@ def _several_errors(set_: str, index: int) -> Case:
 
 
 def _no_error(set_: str, index: int) -> Case:
-    """C: in turn the base model itself as the car, and a file identified on other drives of the car."""
+    """C: alternately, the base model itself is the car, or the file was identified on other drives of the car."""
     car = healthy_car(_choose_plant(index), (seed_of(set_, "C", index, "car"),))
     kind = "base" if index % 2 == 0 else "identified"
     return Case(set_, "C", index, kind, car, car.settings, car.settings if kind == "base" else None)
 
 
 def _with_reference(set_: str, index: int) -> Case:
-    """D: the nominal vehicle file and healthy drives. Three of five cases hide one effect, the others nothing."""
+    """D: the nominal vehicle file and healthy reference drives; three of five cases hide one effect, the others
+    none."""
     draw = _draw(set_, "D", index)
     group = index // PER_CAR
     with_vy = group % 5 != 4
-    # Every third car leaves room for the effects that need it.
+    # Every third car has settings with which the effects that need them can be hidden.
     room = {"combined_slip": 0.0} if group % 3 == 0 else {}
     car = healthy_car(LEAF, (seed_of(set_, "D", "car", group),), **room)
     nominal = healthy_car(LEAF, (0,)).settings | _file_of_leaf()
@@ -188,15 +188,15 @@ def _with_reference(set_: str, index: int) -> Case:
 
 
 def _file_of_leaf() -> Settings:
-    """Values of config/vehicle/leaf.yaml for the virtual Leaf."""
+    """Settings of the virtual Leaf for which the vehicle file of the Leaf is right."""
     return {"mass_factor": 1.0, "yaw_inertia_factor": 1.0, "front_stiffness_factor": 1.0, "rear_stiffness_factor": 1.0,
             "friction_factor": 1.0, "steering_ratio_factor": 1.0, "steering_offset": 0.0, "cg_shift": 0.0,
             "ins_lever_error": 0.0}
 
 
 def _varying_effect(set_: str, index: int) -> Case:
-    """E: varying between places, begun in the middle of every run, and unknown, in turn; no reference, the file of
-    the car."""
+    """E: in turn, an effect that varies between places, one that begins in the middle of every run, and one that is
+    unknown to the library; no reference, and the vehicle file of the car."""
     draw = _draw(set_, "E", index)
     car = healthy_car(LEAF, (seed_of(set_, "E", index, "car"),))
     kind = ("place", "time", "unknown")[index % 3]
@@ -224,7 +224,8 @@ def _begins_midway(case: Case, number: int, draw: np.random.Generator) -> Case:
 
 
 def _outside_library(case: Case, number: int, draw: np.random.Generator) -> Case:
-    """In turn a switch no effect equals, and an effect of the library that is left out, with all that is like it."""
+    """Alternately, a change that no effect describes, and an effect that is removed from the library with all similar
+    ones."""
     if number % 2 == 0:
         return _add_effect(case, FOREIGN[number // 2 % len(FOREIGN)], 1.0, draw)
     pool = [h for h in _list_usable(LEAF) if not h.with_]

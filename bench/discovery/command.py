@@ -1,4 +1,4 @@
-"""Options of the blind benchmark."""
+"""Command line of the blind benchmark."""
 
 import argparse
 import tempfile
@@ -15,22 +15,22 @@ FOLDER = Path(tempfile.gettempdir()) / "st_bench_discovery"
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="st bench discovery", description=(
-        "Hidden effects in two plants and edits of real drives: the answers of discovery, compared with the truth. "
-        "Look at the development set as often as you like; the sealed set is opened with a frozen version."))
+        "Compares answers of st discover with the truth, for hidden effects in two plants and edits of real drives. "
+        "Use the development set as often as you like, and the sealed set once, with a frozen version."))
     parser.add_argument("--set", default="development",
-                        help="development, sealed, or any other word: a set of its own")
+                        help="development, sealed, or any other word for another set")
     parser.add_argument("--counts", type=_counts, default=COUNTS, metavar="A=10,B=10",
-                        help="cases of each block, at most; default all")
-    parser.add_argument("--until", type=float, metavar="MINUTES", help="begin no case after this time")
+                        help="maximum number of cases of each block; default all")
+    parser.add_argument("--until", type=float, metavar="MINUTES", help="start no case after this time")
     parser.add_argument("--part", type=_part, default=(0, 1), metavar="K/N",
-                        help="the share of process K = 1 ... N; each writes a file of its own")
-    parser.add_argument("--out", type=Path, help="file of JSON lines; cases in it are not computed again")
-    parser.add_argument("--plain", action="store_true", help="leave out baselines and suggested drives")
+                        help="run the share of process K of N; each process writes its own file")
+    parser.add_argument("--out", type=Path, help="file of JSON lines; cases that it contains are not run again")
+    parser.add_argument("--plain", action="store_true", help="without baselines and suggested drives")
     parser.add_argument("--ablation", action="store_true",
-                        help="the same cases with half and twice each limit of the decision")
+                        help="run the cases with each limit of the decision halved and doubled")
     parser.add_argument("--tables", type=Path, nargs="+", metavar="FILE",
-                        help="run nothing: write docs/measurements/discovery_scores.md from these files; a case in "
-                             "several is taken from the last")
+                        help="only write docs/measurements/discovery_scores.md from these files; of a case in "
+                             "several files, the last is used")
     chosen = parser.parse_args(arguments)
     if chosen.tables:
         records = read_files(chosen.tables)

@@ -1,8 +1,7 @@
-"""The virtual car compiled: the functions of st_sim themselves, driven by a programme instead of a driver.
+"""The compiled virtual car: the functions of st_sim, driven by a programme instead of a driver.
 
-Written a second time is the order of `Plant.step`: steering wheel -> delay -> play -> ratio -> lag, Heun's step.
-Cars that stop are refused, because standstill is left out.
-Checked by: tests/bench/test_discovery_plants.py.
+It repeats the order of `Plant.step`: steering wheel -> delay -> play -> ratio -> lag, step of Heun's method. Standstill
+is not included, so that a car that stops is rejected. Checked by: tests/bench/test_discovery_plants.py.
 """
 
 from dataclasses import dataclass
@@ -23,15 +22,12 @@ from .pushes import Car as Body
 from .pushes import Law, law_accelerations
 
 DECIDE = 5
-"""Steps between two decisions of steering and pedals, and between two samples: 0.01 s."""
-MAX_STEERING_WHEEL_RATE = 8.0
-"""rad/s at the steering wheel."""
+"""Steps between two decisions of the driver, and between two samples: 0.01 s."""
+MAX_STEERING_WHEEL_RATE = 8.0  # rad/s
 SPEED_GAIN, MAX_BRAKING, MAX_DRIVE, JERK = 1.2, 7.0, 3.5, 10.0
-"""1/s, m/s^2, m/s^2, m/s^3 of the foot, as the driver of st_sim."""
+"""[1/s, m/s^2, m/s^2, m/s^3] of the pedals, as for the driver of st_sim."""
 RECORDED = STATES + 4
 """State, then the derivatives of v_x, v_y, yaw rate and z."""
-
-
 NO_LAW = Law()
 
 
@@ -41,11 +37,11 @@ class Stopped(Exception):
 
 @dataclass(frozen=True)
 class Programme:
-    """What steering and pedals are to do, every 0.01 s from the start: all arrays of one length.
+    """Commands of the driver every 0.01 s from the start; all arrays have the same length.
 
-    hand: hand-wheel angle, left + [rad]. yaw: heading to hold [rad], counted from where the hand begins to
-    look; gain: how much road-wheel angle per heading error [1], 0 where it does not look. speed [m/s],
-    acceleration [m/s^2] of it.
+    steering_wheel: steering wheel angle, left + [rad]. yaw: heading to keep [rad], relative to that at which the
+    control of the heading begins; gain: road wheel angle per heading error [1], 0 without control. speed [m/s] and its
+    derivative acceleration [m/s^2].
     """
 
     steering_wheel: np.ndarray
@@ -57,8 +53,8 @@ class Programme:
 
 @dataclass(frozen=True)
 class Recording:
-    """Truth every 0.01 s. rows: (n, RECORDED). hand: one step after each row [rad], as the steering sensor samples it.
-    bank, grade: of the road [rad].
+    """True motion every 0.01 s. rows: (n, RECORDED). steering_wheel: angle one step after each row [rad], when the
+    steering sensor samples it. bank, grade: angles of the road [rad].
     """
 
     rows: np.ndarray
@@ -69,12 +65,14 @@ class Recording:
 
 def drive(car: Car, settings: Settings, programme: Programme, seed: int,
           later: tuple[Settings, int] | None = None, law: Law = NO_LAW) -> Recording:
-    """The car drives a programme. later: other settings from that sample on. law: of `pushes`. Raises Stopped."""
+    """Drives a programme. later: (other settings, sample from which on they are valid). law: see `pushes`. Raises
+    Stopped."""
     parts = [(settings, len(programme.steering_wheel))] if later is None else [
         (settings, later[1]), (later[0], len(programme.steering_wheel) - later[1])]
     plant = Plant(car, settings, seed)
     plant.place(0.0, 0.0, float(programme.yaw[0]), float(programme.speed[0]))
-    # State, hand, pedal, loose play, the two gusts, heading left over, gain; the plant drew four numbers for gusts.
+    # State, steering wheel, pedal, position within the play, two gusts, heading error, gain; the plant has drawn four
+    # numbers for the gusts.
     state = np.array([*plant.state, 0.0, 0.0, 0.0, plant.surroundings.wind_x,
                       plant.surroundings.wind_y - settings["wind_speed"], 0.0, 1.0])
     draw = normal_stream(np.random.default_rng([seed, 1]))
@@ -104,7 +102,7 @@ def drive(car: Car, settings: Settings, programme: Programme, seed: int,
 
 @cache
 def compile_loop(loop):
-    """A loop over steps with everything it reaches as machine code, kept on disk."""
+    """Compiles a loop and all functions that it calls; the machine code is cached on the disk."""
     for function in structure.reachable(loop)[:-1]:
         register_jitable(function)
     kernel = numba.njit(error_model="numpy")(loop)
@@ -113,10 +111,11 @@ def compile_loop(loop):
 
 
 def control_pedals(pedal, speed, acceleration, motion, rear, wheelbase):
-    """The next longitudinal acceleration the pedals ask for [m/s^2].
+    """The next longitudinal acceleration that the pedals request [m/s^2].
 
-    pedal: the last one. speed [m/s], acceleration [m/s^2]: targets. motion: v_x, v_y [m/s], yaw rate [rad/s],
-    road-wheel angle [rad]. rear: CG to rear axle [m]. Force that the steered wheels take in a bend is made up for.
+    pedal: the previous one. speed [m/s], acceleration [m/s^2]: targets. motion: v_x, v_y [m/s], yaw rate [rad/s], road
+    wheel angle [rad]. rear: distance from CG to rear axle [m]. The longitudinal force of the steered wheels in a bend
+    is compensated.
     """
     vx, vy, r, steer = motion
     bend = abs(vx * r * sin(steer)) * rear / wheelbase
@@ -131,7 +130,7 @@ def _tuple(s):
 
 
 def _add_law(rates, s, law, body, time, ax):
-    """The rates of the state with a law that is not in the library."""
+    """The rates of the state with the accelerations of a law."""
     aside, turning = law_accelerations(law, body, time, s[VX], s[YAW_RATE], ax, rates[VY], rates[YAW_RATE])
     return (rates[0], rates[1], rates[2], rates[3], rates[4], rates[5] + aside, rates[6] + turning, rates[7], rates[8],
             rates[9], rates[10], rates[11], rates[12], rates[13], rates[14], rates[15])

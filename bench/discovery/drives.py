@@ -11,7 +11,7 @@ from st_core.vehicle import VehicleParameters
 from st_sim.settings import Settings
 
 from .cars import HealthyCar
-from .cases import ELSEWHERE, Case
+from .cases import SITE_DISTANCE, Case
 from .effects import Values, null_value, true_values
 from .oracle import Oracle
 from .plants import Order, record_run, vehicle_of
@@ -19,16 +19,19 @@ from .resimulated import resimulate
 
 RUNS, HELD_OUT = 3, 2
 IDENTIFIED = ("front_stiffness", "rear_stiffness", "friction", "steering_ratio", "steering_offset")
-"""What block C identifies on other drives of the car."""
-OFF = {"factor": 0.02, "angle": 0.0005}
-"""1, rad: an identified value that far from the car's is mistaken."""
+"""Quantities that block C identifies on other drives of the car."""
+MAX_ERROR = {"factor": 0.02, "angle": 0.0005}
+"""Largest error of an identified value that is not a mistake [1, rad]."""
 
 
 @dataclass(frozen=True)
 class Drives:
-    """reference, suspect: what `discover` gets, with `vehicle` as the file. held_out: more drives of the suspect car;
-    healthy_held_out: the same programmes driven by the healthy car. truth: values of all effects the plant has a switch
-    for, relative to that file. mistaken: names of effects that identification got wrong in it."""
+    """The drives of a case.
+
+    reference, suspect, vehicle: input of `discover`. held_out: further drives of the suspect car; healthy_held_out: the
+    same programmes, driven by the healthy car. truth: values, relative to the vehicle file, of all effects for which
+    the plant has a setting. mistaken: effects whose values in the identified file are wrong.
+    """
 
     reference: tuple[DriveLog, ...]
     suspect: tuple[DriveLog, ...]
@@ -48,7 +51,7 @@ def channels_of(case: Case) -> tuple[str, ...]:
 
 
 def drives_of(case: Case) -> Drives:
-    """All drives of a case."""
+    """Drives the cars of a case."""
     vehicle, mistaken = _make_file(case)
     suspect = _suspect(case, vehicle)
     held_out = _held_out(case, vehicle, case.settings)
@@ -62,24 +65,25 @@ def drives_of(case: Case) -> Drives:
         reference = _reference(case.car, tuple(sorted(case.file.items())), case.with_vy)
     healthy_held_out = _held_out(case, vehicle, case.car.settings) if case.block in "DE" else []
     truth = true_values(case.settings, case.file or case.settings, vehicle) | mistaken
-    wrong = tuple(n for n, values in mistaken.items() for p, v in values.items() if abs(v - null_value(n, p)) > OFF[p])
+    wrong = tuple(n for n, values in mistaken.items() for p, v in values.items()
+                  if abs(v - null_value(n, p)) > MAX_ERROR[p])
     return Drives(reference, tuple(suspect), tuple(held_out), tuple(healthy_held_out), vehicle, truth, wrong)
 
 
 def record_more(case: Case, vehicle: VehicleParameters, orders: list[Order]) -> tuple[DriveLog, ...]:
-    """More drives of the car of a case, seen by its sensors."""
+    """Records further drives of the car of a case."""
     logs = [record_run(case.car.plant, vehicle, order) for order in orders]
     return tuple(log if case.with_vy else without_vy(log) for log in logs)
 
 
 def without_vy(log: DriveLog) -> DriveLog:
-    """A set of sensors that does not give v_y: nothing can use it by accident."""
+    """The log of a set of sensors without v_y, which is zero, so that nothing can use it by accident."""
     return replace(log, velocity_y=np.zeros_like(log.velocity_y))
 
 
 def _make_file(case: Case) -> tuple[VehicleParameters, Values]:
-    """The vehicle file, assumed or identified on separate drives, and its errors: an axle identified without
-    its compliance is softer than its tyres."""
+    """(vehicle file, its errors). The file is assumed, or identified on separate drives; an axle that is identified
+    without its compliance is softer than its tyres."""
     if case.file is not None:
         return vehicle_of(case.car.plant, case.file), {}
     start = vehicle_of(case.car.plant, case.car.settings)
@@ -101,7 +105,7 @@ def _suspect(case: Case, vehicle: VehicleParameters) -> list[DriveLog]:
         away = case.elsewhere is not None and i % 2 == 1
         orders.append(Order(
             f"suspect_{i + 1}", (case.seed, i), case.elsewhere if away else case.settings, case.parts, factors,
-            case.car.settings if case.from_ else None, case.from_, ELSEWHERE if away else 0.0))
+            case.car.settings if case.from_ else None, case.from_, SITE_DISTANCE if away else 0.0))
     return [record_run(case.car.plant, vehicle, order) for order in orders]
 
 

@@ -1,6 +1,7 @@
-"""Block F: an answer for edited drives against the answer for the drives as they are.
+"""Block F: compares the answer for edited drives with the answer for the drives as recorded.
 
-The value before the edit is the one in that answer: stated, kept, or fitted in addition without being either."""
+The value before the edit is the one in the latter answer, whether it was stated, kept, or only fitted in addition.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,8 +16,9 @@ Stated = dict[tuple[str, str], tuple[float, float, float]]
 
 @dataclass(frozen=True)
 class Edited:
-    """moved: the edited value is stated and its interval contains the expected one; or the effect is an alternative
-    of a stated one. others: other effects with changed values. expected, stated: value of the edited parameter."""
+    """Comparison for one edit. moved: whether the interval of the stated value contains the expected value, or the
+    effect is an alternative of a stated one. others: other effects with changed values. expected, stated: value of the
+    edited parameter."""
 
     moved: bool
     others: tuple[str, ...]
@@ -31,7 +33,7 @@ def compare_edit(plain: Record, r: Record) -> Edited:
     start = before[key][0] if key in before else plain["on_top"][edit.effect][edit.parameter]
     expected = edit.expected(start, r["size"])
     if edit.effect == "steering_offset" and ("steering_ratio", "factor") in before:
-        # What is added to the recorded angle is divided by the ratio before it reaches the wheels.
+        # An offset of the recorded angle is divided by the steering ratio.
         expected = start - r["size"] / before["steering_ratio", "factor"][0]
     value = after.get(key)
     moved = value[1] <= expected <= value[2] if value else edit.effect in alternatives(r)
@@ -48,8 +50,10 @@ def alternatives(r: Record) -> set[str]:
 
 
 def _same(key: tuple[str, str], before: Stated, after: Stated, plain: Record, r: Record) -> bool:
-    """Either value is inside the other's interval; one that is not stated is at null, unless it became an
-    alternative of what is stated in its place."""
+    """Whether one of the two values is inside the interval of the other.
+
+    A value that is not stated is at null, unless its effect became an alternative of a stated one.
+    """
     effect = key[0]
     if key in before and key in after:
         (a, a_low, a_high), (b, b_low, b_high) = before[key], after[key]

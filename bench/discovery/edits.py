@@ -1,7 +1,7 @@
-"""Block F: known changes put into the recorded columns, or the vehicle file, of real drives. The value stated must move
-by just that against the answer for the drives as they are.
+"""Block F: known changes of recorded columns, or of the vehicle file, of real drives.
 
-All nine Genesis drives take part in every case; each change is the inverse of how the library reads it.
+The stated value must differ by the change from the answer for the drives as recorded. All nine Genesis drives take part
+in every case; each change is the inverse of an effect of the library.
 """
 
 from collections.abc import Callable
@@ -18,30 +18,31 @@ from .._cars import NINE_DRIVES, genesis
 from .._mounting import move_ins, rotate_ins
 from .cases import seed_of
 
-SMALLEST, LARGEST = 0.5, 1.5
-"""Of the typical size."""
+SMALLEST, LARGEST = 0.5, 1.5  # times the typical size
 
 Column = Callable[[DriveLog, float], DriveLog]
 
 
 @dataclass(frozen=True)
 class Edit:
-    """effect, parameter: of the library, what it shows as. size: usual; signs it may have. column: puts it into a
-    recording; None: into the mass of the vehicle file. times: the value is multiplied by 1 + size, else added to;
-    turned: it shows with the opposite sign, or as the inverse of the factor."""
+    """A change of recordings. effect, parameter: those of the library that describe it. size: typical size.
+
+    column: changes a recording; None for a change of the mass in the vehicle file. times: the value is multiplied by
+    1 + size; otherwise size is added. inverse: the parameter changes with the opposite sign, or by the inverse factor.
+    """
 
     effect: str
     parameter: str
     size: float
     column: Column | None
     times: bool = False
-    turned: bool = False
+    inverse: bool = False
 
     def expected(self, value: float, size: float) -> float:
-        """What the parameter must be after the edit, if it was `value` before."""
+        """The value of the parameter after the edit, if it was `value` before."""
         if self.times:
-            return value / (1.0 + size) if self.turned else value * (1.0 + size)
-        return value - size if self.turned else value + size
+            return value / (1.0 + size) if self.inverse else value * (1.0 + size)
+        return value - size if self.inverse else value + size
 
 
 def _replace_steering(log: DriveLog, angle: np.ndarray) -> DriveLog:
@@ -60,13 +61,13 @@ EDITS: dict[str, Edit] = {
     "steering scaled": Edit("steering_ratio", "factor", 0.10, lambda log, k: _replace_steering(
         log, log.road_wheel_angle * (1.0 + k)), times=True),
     "heading turned": Edit("heading_misalignment", "angle", 0.01, rotate_ins),
-    "steering late": Edit("steering_delay", "time", 0.05, _delay, turned=True),
+    "steering late": Edit("steering_delay", "time", 0.05, _delay, inverse=True),
     "yaw rate scaled": Edit("yaw_rate_scale", "factor", 0.03, lambda log, k: replace(
         log, yaw_rate=log.yaw_rate * (1.0 + k)), times=True),
     "point moved": Edit("sensor_lever_arm", "x", 1.0, move_ins),
-    "mass of the file": Edit("mass", "factor", 0.15, None, times=True, turned=True),
+    "mass of the file": Edit("mass", "factor", 0.15, None, times=True, inverse=True),
     "steering offset": Edit("steering_offset", "angle", 0.006, lambda log, a: _replace_steering(
-        log, log.road_wheel_angle + a), turned=True),
+        log, log.road_wheel_angle + a), inverse=True),
     "yaw rate biased": Edit("yaw_rate_bias", "bias", 0.008, lambda log, b: replace(log, yaw_rate=log.yaw_rate + b)),
     "speed scaled": Edit("speed_scale", "factor", 0.02, _scale_speed, times=True),
     "a_y biased": Edit("lateral_acceleration_bias", "bias", 0.3, lambda log, b: replace(
@@ -76,7 +77,7 @@ EDITS: dict[str, Edit] = {
 
 @dataclass(frozen=True)
 class EditCase:
-    """name: of EDITS, "" for the drives as they are. size: signed."""
+    """A case. name: key of EDITS, or "" for the drives as recorded. size: with sign."""
 
     set_: str
     index: int
@@ -86,7 +87,7 @@ class EditCase:
 
 
 def cases_of(set_: str, count: int) -> list[EditCase]:
-    """The drives as they are (index -1), then one edit after the other in turn."""
+    """The drives as recorded (index -1), then all kinds of edits in turn."""
     cases = [EditCase(set_, -1, "", 0.0)]
     for index in range(count):
         draw = np.random.default_rng(seed_of(set_, "F", index))
@@ -97,7 +98,7 @@ def cases_of(set_: str, count: int) -> list[EditCase]:
 
 
 def drives_of(case: EditCase, folder: Path = NINE_DRIVES) -> tuple[list[DriveLog], VehicleParameters]:
-    """Raises FileNotFoundError without the recordings."""
+    """(edited drives, vehicle). Raises FileNotFoundError without the recordings."""
     logs, vehicle = list(recorded_drives(folder)), genesis()
     if not case.name:
         return logs, vehicle
@@ -109,8 +110,8 @@ def drives_of(case: EditCase, folder: Path = NINE_DRIVES) -> tuple[list[DriveLog
 
 @cache
 def recorded_drives(folder: Path) -> tuple[DriveLog, ...]:
-    """The drives as they are."""
+    """The drives as recorded."""
     files = sorted(folder.glob("*.csv"))
     if not files:
-        raise FileNotFoundError(f"{folder}: the recorded drives are not there")
+        raise FileNotFoundError(f"{folder}: the folder of the recorded drives is empty or missing")
     return tuple(read_csv(file).log for file in files)

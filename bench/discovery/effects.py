@@ -1,7 +1,7 @@
-"""Table of the plants' switches and the effects of the library they correspond to.
+"""Settings of the plants, and the effects of the library (st_core.effects) to which they correspond.
 
-The switches act in the plants' equations; the library's names are those of st_core.effects. `full` is the change of
-a large effect (scale 1), `signs` the directions it may take: the other is outside what the library, or a car, allows.
+The settings act in the equations of the plants. `full` is the change for a large effect (scale 1), `signs` are its
+possible directions; neither the library nor a real car has the other direction.
 """
 
 from collections.abc import Mapping
@@ -17,10 +17,10 @@ Values = dict[str, dict[str, float]]
 
 @dataclass(frozen=True)
 class Hidden:
-    """One switch of a plant. library: name in st_core.effects, None where no effect of it equals the switch.
+    """One setting of a plant. library: name of the effect, None if no effect of the library describes the setting.
 
-    factor: the change multiplies the setting (1 + change), else it is added. with_: other settings of the healthy car
-    that leave room for the effect. group: effects of one group are not hidden together.
+    factor: the setting is multiplied by 1 + change; otherwise the change is added. with_: other settings of the healthy
+    car without which the effect cannot be hidden. group: effects of one group are not hidden together.
     """
 
     setting: str
@@ -67,8 +67,9 @@ KNOWN = (
     Hidden("velocity_scale", "speed_scale", 0.01, factor=True, group="speed"),
     Hidden("lateral_acceleration_bias", "lateral_acceleration_bias", 0.25, group="accelerometer"),
 )
-"""In the library. roll_steer has the opposite sign there (understeer +); backlash is at the steering wheel here. The
-bias of the yaw rate is a switch of the multi-body car alone; wind and slope are of the virtual Leaf alone."""
+"""Settings that the library describes. roll_steer has the opposite sign there (understeer +), and the backlash is that
+of the steering wheel here. Only the multi-body cars have a bias of the yaw rate; only the virtual Leaf has wind and
+slope."""
 BY_NAME = {hidden.library: hidden for hidden in KNOWN}
 
 PLACES = (
@@ -76,19 +77,19 @@ PLACES = (
     Hidden("terrain_wave", None, 0.06, UP),
     Hidden("hillside_slope", None, 0.05),
 )
-"""Bound to where the car is. The slope is there at one of two sites only, else it were an effect of the library."""
+"""Changes that depend on the place. The slope exists at one of two sites, otherwise the library would describe it."""
 FOREIGN = (
     Hidden("gust_speed", None, 10.0, UP),
     Hidden("rear_roll_steer", None, 0.25),
     Hidden("camber_thrust", None, 1.0, UP),
 )
-"""No effect of the library equals these. Some of them an effect can nearly imitate (rear roll steer, camber thrust).
-The Ackermann share is not here: on these drives nothing of it can be seen."""
+"""Changes that no effect of the library describes; some can nearly be imitated (rear roll steer, camber thrust). The
+Ackermann share is not included, because these drives do not show it."""
 
 SENSORS = ("yaw_rate_scale", "yaw_rate_bias", "speed_scale", "lateral_acceleration_bias", "sensor_lever_arm")
 PHYSICS = ("steering_lag", "steering_delay", "steering_backlash", "steering_compliance", "roll_steer",
            "tyre_relaxation", "combined_slip", "lateral_load_transfer", "crosswind", "road_bank")
-"""What block B adds to the wrong parameters: none to two of each."""
+"""Effects of which block B adds up to two of each kind to the wrong parameters."""
 
 DIFFERENT: dict[str, dict[str, str]] = {
     "leaf": {
@@ -116,18 +117,18 @@ DIFFERENT: dict[str, dict[str, str]] = {
         "yaw_rate_scale": "the gyroscope leans with the body, up to 0.11 rad, and shows 0.6 % less there",
     },
 }
-"""plant -> effect -> why it is there in the plant and not in the base model, whatever is hidden: naming it is right."""
+"""Plant -> effect that the plant has in every case, but not the base model -> reason. Naming it is right."""
 SCATTER = ("heading_misalignment", "lateral_acceleration_bias", "yaw_rate_scale", "speed_scale")
-"""What every car has a little of and no vehicle file can hold: naming it is right if its true value is in the interval
-stated. The same applies to remaining errors of an identified file."""
+"""Effects that every car has to some degree and that are not in a vehicle file. Naming one is right if the stated
+interval contains its true value; the same applies to remaining errors of an identified file."""
 
-# Effect -> parameter -> setting, where the library counts the quotient of the car's setting and the file's ...
+# Effects whose value is the ratio of the settings of car and file ...
 _QUOTIENTS = {"steering_ratio": "steering_ratio_factor", "front_stiffness": "front_stiffness_factor",
               "rear_stiffness": "rear_stiffness_factor", "friction": "friction_factor", "mass": "mass_factor",
               "yaw_inertia": "yaw_inertia_factor"}
-# ... their difference ...
+# ... or their difference ...
 _DIFFERENCES = {"cg_position": ("shift", "cg_shift"), "sensor_lever_arm": ("x", "ins_lever_error")}
-# ... and all of it, because a vehicle file cannot hold it.
+# ... or the setting of the car, because a vehicle file does not contain it.
 _TOTALS = {
     "steering_lag": ("time_constant", "steering_lag"), "steering_compliance": ("compliance", "steering_compliance"),
     "tyre_relaxation": ("length", "relaxation_length"), "combined_slip": ("share", "combined_slip"),
@@ -140,8 +141,10 @@ _TOTALS = {
 
 
 def true_values(car: Settings, file: Settings, vehicle: VehicleParameters) -> Values:
-    """{effect: {parameter: value}} in the library's parameters, of a plant with the settings `car` and a vehicle file
-    that assumes `file`; vehicle: that file. Effects of value zero are included, those without a switch are not."""
+    """Effect -> {parameter: value} for a plant with the settings `car` and a vehicle file that assumes `file`.
+
+    vehicle: the vehicle file. Effects of value zero are included, those without a setting are not.
+    """
     ratio = car["steering_ratio_factor"] / file["steering_ratio_factor"]
     values = {name: {"factor": car[s] / file[s]} for name, s in _QUOTIENTS.items() if s in car}
     values |= {name: {p: car[s] - file[s]} for name, (p, s) in _DIFFERENCES.items() if s in car}
@@ -162,12 +165,12 @@ def null_value(effect: str, parameter: str) -> float:
 
 
 def members(name: str) -> tuple[str, ...]:
-    """The effects a composite is made of; itself else."""
+    """The effects of which a composite effect consists, or the effect itself."""
     return getattr(get_effect(name), "members", ()) or (name,)
 
 
 def is_similar(first: str, second: str) -> bool:
-    """Whether two names stand for the same: equal, one a part of the other, or declared as confounded."""
+    """Whether two effects are equal, one is a part of the other, or they are declared as confounded."""
     if first == second or first in members(second) or second in members(first):
         return True
     return second in get_effect(first).confounded_with or first in get_effect(second).confounded_with

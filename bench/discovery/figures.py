@@ -1,4 +1,4 @@
-"""The confusion matrix: what was hidden against what was stated."""
+"""Draws the confusion matrix of hidden and stated effects."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,8 +18,10 @@ OTHERS = ("several", "unknown", "none")
 
 
 def count_confusion(records: Sequence[dict[str, Any]]) -> tuple[list[str], list[str], np.ndarray]:
-    """(hidden names, stated names, counts) of block A where the effect matters; the best name counts, the hidden one
-    where it is among several."""
+    """(hidden effects, stated effects, counts) for the cases of block A in which the effect matters.
+
+    If several effects are stated and the hidden one is among them, it counts.
+    """
     truths = [h.library for h in KNOWN]
     single = [r for r in records if r["block"] == "A" and relevant_effects(r)]
     stated = [_stated(r) for r in single]
@@ -38,7 +40,7 @@ def _stated(r: dict[str, Any]) -> str:
 
 
 def is_of_interest(r: dict[str, Any], name: str) -> bool:
-    """True differences between plant and model do not count as confusion, unless they are hidden."""
+    """Whether an effect counts; true differences between plant and model do not, unless they are hidden."""
     return name in r["hidden"] or name not in plant_differences(r["plant"])
 
 

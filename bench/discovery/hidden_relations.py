@@ -1,8 +1,8 @@
-"""Twelve laws that are not in the library, and six effects taken out of it: how each is hidden, where it acts, its
-shape.
+"""Twelve relations that are not in the library, and six effects that are removed from it: how each is hidden, where it
+acts, and its shape.
 
-What acts on the car is in its equations (`pushes`, or a switch of the plant); what lies between wheel and sensor, or in
-a sensor, is put into the recording.
+Relations of the car are in its equations (`pushes`, or a setting of the plant); those between steering wheel and
+sensor, or in a sensor, change the recording.
 """
 
 from collections.abc import Callable, Mapping
@@ -25,7 +25,7 @@ Change = Callable[[DriveLog, VehicleParameters, float], DriveLog]
 
 
 def _add_kink(log: DriveLog, vehicle: VehicleParameters, size: float) -> DriveLog:
-    """Beyond 0.04 rad the wheels turn `size` more than the recorded angle."""
+    """Above 0.04 rad, the wheels turn more than the recorded angle by the fraction `size`."""
     true, edge = log.road_wheel_angle, 0.04
     beyond = np.maximum(np.abs(true) - edge, 0.0)
     angle = np.sign(true) * (np.minimum(np.abs(true), edge) + beyond / (1.0 + size))
@@ -33,7 +33,7 @@ def _add_kink(log: DriveLog, vehicle: VehicleParameters, size: float) -> DriveLo
 
 
 def _add_growing_delay(log: DriveLog, vehicle: VehicleParameters, size: float) -> DriveLog:
-    """The wheels follow the recorded angle by 0.06 s at 10 m/s, and `size` more for each m/s."""
+    """The wheels lag behind the recorded angle by 0.06 s at 10 m/s, and by `size` [s] more for each m/s."""
     time = log.steering_time_ns * 1e-9
     speed = np.interp(log.steering_time_ns.astype(float), log.ins_time_ns.astype(float), log.velocity_x)
     angle = np.interp(time + 0.06 + size * (speed - 10.0), time, log.road_wheel_angle)
@@ -46,10 +46,13 @@ def _add_g_sensitivity(log: DriveLog, vehicle: VehicleParameters, size: float) -
 
 @dataclass(frozen=True)
 class Hidden:
-    """name; places: of a law that are right; shapes: of its first reading that are right, () where nothing is; slots:
-    of the library where it acts. settings: added to those of the plant; law, change: of the equations, of the
-    recording, with their size. On the multi-body cars `elsewhere` replaces switches that only the virtual Leaf has.
-    removed: the effect of the library that is taken out, and what is like it."""
+    """A hidden relation.
+
+    places, shapes: right places of a proposal, and right shapes of its first reading (empty if none is right). slots:
+    slots of the library in which it acts. settings: added to those of the plant; law: change of the equations; change:
+    change of the recording, with its size. elsewhere: law of the multi-body cars, in place of settings that only the
+    virtual Leaf has. removed: effect that is removed from the library, together with similar ones.
+    """
 
     name: str
     places: tuple[str, ...]
@@ -93,7 +96,8 @@ LAWS = (
            size=0.012),
     Hidden("tyres that warm up", GRIP, ("saturating", "inverse", *STRAIGHT), AXLES, law=Law(pushes.WARM_UP, 0.25)),
 )
-"""rad/(rad roll) and rad s^2/m; 1/rad and 1; 1; 1; s^2/m^2; m/s; 1; 1/m^2 rad; rad/m; rad s/m; s^2/m; 1."""
+"""Units of the sizes in this order: rad/(rad roll) and rad s^2/m; 1/rad and 1; 1; 1; s^2/m^2; m/s; 1; 1/m^2 rad;
+rad/m; rad s/m; s^2/m; 1."""
 REMOVED = (
     Hidden("steering lag", ("front_steer",), ("linear",), ("steering",), {"steering_lag": 0.08},
            removed="steering_lag"),

@@ -1,5 +1,5 @@
-"""Comparison of an answer with the truth: held-out errors of base, answer and oracle, benefit of each hidden effect,
-and the shares of the gap by kind. Plain data."""
+"""Compares an answer with the truth: held-out errors of base model, answer and oracle, benefit of each hidden effect,
+and shares of the error by kind."""
 
 from typing import Any
 
@@ -18,18 +18,21 @@ DIGITS = 5
 
 
 def plant_differences(plant: str) -> dict[str, str]:
-    """Effects that are there in the plant and not in the base model -> why."""
+    """Effects that the plant has, but not the base model -> reason."""
     return DIFFERENT["leaf" if plant == LEAF else "multibody"]
 
 
 def true_effects(case: Case) -> set[str]:
-    """Everything that is there: what is hidden, the scatter of the car, what is different in its plant."""
+    """All effects of the car: hidden ones, those with scatter, and those that only the plant has."""
     return {*case.hidden, *SCATTER, *(n for n in plant_differences(case.car.plant) if members(n) == (n,))}
 
 
 def judge_answer(case: Case, drives: Drives, found: Discovery) -> Record:
-    """position [m] and loss of base, found and oracle; worth: by hidden effect, loss without it over the oracle's;
-    shares: by part (last, first) of the base's position error; fitted: values of the oracle."""
+    """Scores of an answer: position error [m] and loss of base model, answer and oracle.
+
+    worth: hidden effect -> loss without it over that of the oracle. shares: part -> shares (added last, added first) of
+    the position error of the base model. fitted: values of the oracle.
+    """
     settings = settings_of(case)
     judge = Judge(drives.held_out, drives.vehicle, settings)
     base = Point(null_model().with_values(found.base.values), found.acceleration_gain)
@@ -62,7 +65,8 @@ def _measure_points(judge: Judge, **points: Point) -> Record:
 
 
 def _judge_visibility(case: Case, drives: Drives, judge: Judge, base: Point, answer: Point) -> Record:
-    """Whether what is hidden shows on held-out drives: loss of the base over its loss on the healthy car's."""
+    """Position errors and losses, and loss ratio of the base model for the held-out drives of driven and healthy
+    car."""
     healthy = Judge(drives.healthy_held_out, drives.vehicle, settings_of(case))
     healthy.sized_by(base)
     judge.size = healthy.size
@@ -70,7 +74,8 @@ def _judge_visibility(case: Case, drives: Drives, judge: Judge, base: Point, ans
 
 
 def _shares(judge: Judge, oracle: Oracle, names: set[str]) -> Record:
-    """By part, of the base's mean position error: by how much it grows without the part, and falls with it alone."""
+    """By part, relative to the mean position error of the base model: increase without the part, decrease with it
+    alone."""
     base, best = judge.position(oracle.base), judge.position(oracle.best)
     shares = {}
     for part in PARTS[:4]:

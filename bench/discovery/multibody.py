@@ -2,9 +2,9 @@
 
     x' = f(x, steering rate, acceleration)  of commonroad-vehicle-models, midpoint rule
 
-driven by the same programmes as the virtual car and read by the same sensors. Added are the steering chain steering
-wheel -> delay -> play -> ratio -> lag -> offset in front of its equations, and the gravity of a slope and the wind of
-st_sim, which act on the masses and on the body's centre of gravity. Cars that nearly stop or tip over are refused.
+It has the same programmes and sensors as the virtual car. Its equations are extended by the steering chain (steering
+wheel -> delay -> play -> ratio -> lag -> offset), and by gravity on a slope and wind as in st_sim, which act on the
+masses and on the CG of the body. Cars that nearly stop or tip over are rejected.
 Checked by: tests/bench/test_discovery_plants.py.
 """
 
@@ -44,16 +44,13 @@ from .pushes import Car as Body
 from .sensing import PERIOD, STEERING_PHASE, make_log
 
 STEP = 0.001
-"""s. Halving it moves a manoeuvre of 9 s by less than a millimetre; 5 ms would be out by 0.3 m, because the spin of a
+"""Integration step [s]. Half of it changes a manoeuvre of 9 s by less than 1 mm, 5 ms by 0.3 m, because the spin of a
 wheel settles within 2 ms at low speed."""
 DECIDE, SENSED = round(PERIOD / STEP), round(STEERING_PHASE / STEP) - 1
 """Steps between two decisions of steering and pedals; the step after which the steering sensor samples."""
-SLOWEST = 2.5
-"""m/s."""
-STEEPEST = 0.25
-"""rad of roll. Beyond it wheels lift, which the package has no equations for: its tyres would pull the car down."""
-SETTLING = 2.0
-"""s of straight driving on a level road before the drive begins."""
+MIN_SPEED = 2.5  # m/s
+MAX_ROLL = 0.25  # rad; above it wheels lift, for which the package has no equations
+SETTLING_TIME = 2.0  # s of straight driving on a level road before the drive begins
 
 # Positions in the state of the package, where they differ from st_sim's.
 P_STEER, P_VX, P_YAW, P_YAW_RATE, P_ROLL, P_ROLL_RATE, P_PITCH, P_VY, P_Z, P_VZ = 2, 3, 4, 5, 6, 7, 8, 10, 11, 12
@@ -62,12 +59,12 @@ BODY_STATES = 29
 
 
 class Options(NamedTuple):
-    """Of sensors, steering and air.
+    """Parameters of sensors, steering and air.
 
-    level: pitch of the car at rest [rad], where the INS was levelled. nominal: steering ratio the programme is made
-    for; ratio: of this car. play: half of it, at the steering wheel [rad]. memory: share of an error of
-    the rack that a step leaves, for the lag. offset [rad]. to_rear, wheelbase [m]. drag_area [m^2]. still_air: no wind.
-    wind: towards north, gust: standard deviation [m/s].
+    level: pitch of the car at rest [rad], at which the INS was levelled. nominal: steering ratio of the programme;
+    ratio: that of the car. play: half of the play at the steering wheel [rad]. memory: fraction of the error of the
+    rack position that remains after a step, for the lag. offset: at the road wheels [rad]. to_rear, wheelbase [m].
+    drag_area [m^2]. still_air: whether there is no wind. wind: towards north [m/s]; gust: standard deviation [m/s].
     """
 
     level: float
@@ -86,11 +83,11 @@ class Options(NamedTuple):
 
 def drive_multibody(car: str, settings: Mapping[str, float], programme: Programme, seed: int,
                     later: tuple[Mapping[str, float], int] | None = None, law: Law = NO_LAW) -> Recording:
-    """A car of `multibody_car.CARS` drives one of the `programmes`, made for `nominal_car(car)`.
+    """Drives a programme for `nominal_car(car)` with a car of `multibody_car.CARS`.
 
-    settings: what is hidden, others as in HEALTHY. later: other settings from that sample on. The recording has the
-    columns of the virtual car, with roll [rad] as A_Y and pitch [rad] as A_X, so that `sensing.log_of` reads both.
-    Raises Stopped; ValueError for a setting this plant does not have.
+    settings: changes of HEALTHY. later: (other settings, sample from which on they are valid). The recording has the
+    columns of the virtual car, with roll [rad] as A_Y and pitch [rad] as A_X, so that `sensing.make_log` can be used.
+    Raises Stopped; ValueError for a setting that this plant does not have.
     """
     count = len(programme.steering_wheel)
     parts = [(settings, 0, count)] if later is None else [(settings, 0, later[1]), (later[0], later[1], count)]
@@ -107,21 +104,21 @@ def drive_multibody(car: str, settings: Mapping[str, float], programme: Programm
 def log_multibody(name: str, car: str, settings: Mapping[str, float], programme: Programme, seed: int,
                   vehicle: VehicleParameters, later: tuple[Mapping[str, float], int] | None = None,
                   law: Law = NO_LAW) -> DriveLog:
-    """The same as a recorded drive. vehicle: what the reader of the files thinks the car is."""
+    """The log of such a drive. vehicle: the vehicle file of the reader."""
     recording = drive_multibody(car, settings, programme, seed, later, law)
     after = None if later is None else (complete_settings(later[0]), later[1])
     return make_log(name, recording, nominal_car(car), vehicle, complete_settings(settings), seed, after)
 
 
 def _settle(car: str, settings: Mapping[str, float], programme: Programme) -> np.ndarray:
-    """State of body, driver and wire when the springs have come to rest: at the origin, straight ahead."""
+    """State of body, driver and steering after the springs have settled, at the origin and straight ahead."""
     s = complete_settings(settings)
     body = {name: s[name] for name in ("mass_factor", "cg_shift")}
     p = parameters_of(car, body)
     speed = float(programme.speed[0])
-    # Body; then steering wheel, pedal, loose play, lagging rack, the two gusts, heading left over, gain.
+    # Body; then steering wheel, pedal, position within the play, rack, two gusts, heading error, gain.
     state = np.array([*init_mb([0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0], p), *np.zeros(7), 1.0], float)
-    still = np.zeros(round(SETTLING / PERIOD))
+    still = np.zeros(round(SETTLING_TIME / PERIOD))
     straight = Programme(still, still, still, still + speed, still)
     _run(car, complete_settings(body), state, straight, slice(None), None, np.empty((len(still), RECORDED + 3)))
     state[[0, 1, P_STEER, P_YAW_RATE, P_VY, P_VY_FRONT, P_VY_REAR]] = 0.0
@@ -132,7 +129,7 @@ def _settle(car: str, settings: Mapping[str, float], programme: Programme) -> np
 
 def _run(car: str, s: Mapping[str, float], state: np.ndarray, programme: Programme, part: slice, draw,
          out: np.ndarray, law: Law = NO_LAW) -> None:
-    """Drive a part of the programme; `state` and `out` are changed."""
+    """Drives a part of the programme; changes `state` and `out`."""
     p = _with_curve(parameters_of(car, s), law)
     slippery = _with_curve(
         parameters_of(car, {**s, "friction_factor": s["friction_factor"] * s["friction_patch"]}), law)
@@ -156,7 +153,8 @@ def _run(car: str, s: Mapping[str, float], state: np.ndarray, programme: Program
 
 
 def _with_curve(p, law: Law):
-    """Parameters of a car whose rear tyres have another curve shape, with the same stiffness and grip."""
+    """The parameters; for the law REAR_CURVE the rear tyres have another shape, with the same stiffness and
+    friction."""
     if law.kind != REAR_CURVE:
         return p
     rear = p.tire_rear
@@ -164,7 +162,7 @@ def _with_curve(p, law: Law):
 
 
 def _add_law(f, x, law, body, time, ax):
-    """The rates with a law that is not in the library; f is changed."""
+    """Adds the accelerations of a law to the rates f."""
     aside, turning = law_accelerations(law, body, time, x[P_VX], x[P_YAW_RATE], ax, f[P_VY], f[P_YAW_RATE])
     f[P_VY] += aside
     f[P_VY_FRONT] += aside
@@ -173,7 +171,8 @@ def _add_law(f, x, law, body, time, ax):
 
 
 def rates(x, steering_rate, acceleration, here, p, drag_area, still_air):
-    """The package's 29 rates, then slope and wind. here: bank, grade [rad], wind towards x and y of the map [m/s]."""
+    """The 29 rates of the package with slope and wind. here: bank, grade [rad], wind towards x and y of the map
+    [m/s]."""
     bank, grade, wind_x, wind_y = here
     f = dynamics(x, (steering_rate, acceleration), p)
     air_x, air_y = air_force(still_air, drag_area, x[P_YAW], x[P_VX], x[P_VY], wind_x, wind_y)
@@ -243,7 +242,7 @@ def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, steerin
                 _add_law(f, middle, law, body, time, pedal)
             for i in range(BODY_STATES):
                 x[i] += STEP * f[i]
-            if not (x[P_VX] > SLOWEST and abs(x[P_ROLL]) < STEEPEST):
+            if not (x[P_VX] > MIN_SPEED and abs(x[P_ROLL]) < MAX_ROLL):
                 return False
     for i in range(BODY_STATES):
         state[i] = x[i]

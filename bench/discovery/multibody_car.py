@@ -1,10 +1,10 @@
 """The cars of the multi-body plant: parameter sets and equations of the package commonroad-vehicle-models.
 
-The package's 29 equations are used as they are. It gives one tyre to all wheels; here each axle has its own, by naming
-`p.tire_front` or `p.tire_rear` where its source has `p.tire` (`PerAxle`).
+The 29 equations of the package are used unchanged. In the package all wheels have the same tyre; here each axle has its
+own: `PerAxle` replaces `p.tire` in the source by `p.tire_front` or `p.tire_rear`.
 
-Axes: its equations are written with y to the right and z down, and hold for y to the left (yaw left +) as their mirror
-image. So its roll is + when the left side goes down, its "left" wheels stand on the right; pitch is + nose up.
+Axes: the equations are written for y to the right and z down; their mirror image is valid for y to the left (yaw left
++). Roll is therefore positive with the left side down, its "left" wheels are on the right; pitch is positive nose up.
 Source: Althoff and Wuersching, CommonRoad: Vehicle Models, 2020. Checked by: tests/bench/test_discovery_plants.py.
 """
 
@@ -30,18 +30,19 @@ from vehiclemodels import vehicle_parameters as package
 from vehiclemodels.utils.tire_model import formula_lateral
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 
-FASTEST_STEERING = 5.0
-"""rad/s at the road wheels; the package's 0.4 is a limit for planners, not one of a steering gear."""
+MAX_STEERING_RATE = 5.0
+"""Limit at the road wheels [rad/s]; that of the package, 0.4, is for planners."""
 SLIP_SPEED = 5.0
-"""m/s, `minimum_slip_speed` of the vehicle files: with less, prediction steps of 50 ms are too long for these tyres."""
+"""`minimum_slip_speed` of the vehicle files [m/s]; at a lower one, prediction steps of 50 ms are too long for these
+tyres."""
 SLIP_RANGE, LOAD_RANGE = 0.2, (0.3, 1.8)
-"""rad, and shares of the static load, over which the tyre of the vehicle file is fitted."""
+"""Slip angles [rad], and loads relative to the static load, for the fit of the tyre in the vehicle file."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Data of a car that the package does not contain. number: of its parameter set. cg_to_ins_x [m]: the INS sits on
-    the centreline, as high as the centre of gravity of the body."""
+    """Data of a car that the package does not contain. number: that of its parameter set. cg_to_ins_x [m]: the INS is
+    on the centreline, at the height of the CG of the body."""
 
     number: int
     name: str
@@ -64,17 +65,17 @@ SURROUNDINGS = ("drag_area", "bank_angle", "grade_angle", "hillside_slope", "ter
 SENSORS = ("ins_noise", "ins_time_error", "ins_misalignment", "ins_lever_error", "yaw_rate_scale", "yaw_rate_bias",
            "velocity_scale", "lateral_acceleration_bias", "steering_sensor_noise", "steering_sensor_latency")
 KNOWN_HERE = (*WIRE, *BODY, *SURROUNDINGS, *SENSORS)
-"""Settings this plant has; names, units and signs are those of st_sim.settings. yaw_rate_bias [rad/s] is added here."""
+"""Settings of this plant, with names, units and signs of st_sim.settings, and in addition yaw_rate_bias [rad/s]."""
 
-# The gradients are 1 because this plant records angles where st_sim records accelerations.
+# The gradients are 1, because this plant records angles in place of accelerations.
 HEALTHY: Mapping[str, float] = MappingProxyType({
     **IDEAL, "yaw_rate_bias": 0.0, "ins_noise": 1.0, "steering_sensor_noise": 0.0005, "roll_gradient": 1.0,
     "pitch_gradient": 1.0})
-"""Nothing hidden: the car of the package and ordinary noise."""
+"""Settings without a hidden effect: the car of the package, with normal noise."""
 
 
 def complete_settings(settings: Mapping[str, float]) -> dict[str, float]:
-    """All settings, the others as in HEALTHY. Raises ValueError for one this plant does not have."""
+    """HEALTHY with the given settings. Raises ValueError for one that this plant does not have."""
     strange = [name for name, value in settings.items() if name not in KNOWN_HERE and value != HEALTHY.get(name)]
     if strange:
         raise ValueError(f"the multi-body car has no {', '.join(strange)}")
@@ -82,8 +83,8 @@ def complete_settings(settings: Mapping[str, float]) -> dict[str, float]:
 
 
 class PerAxle(ExecutionLoader):
-    """Imports a module of the package with the tyre of each call named by axle, lines as they are. Nothing is kept
-    next to the package. Raises ImportError if its source is another one."""
+    """Imports a module of the package with separate tyres for each axle, without writing next to the package. Raises
+    ImportError for another version of the source."""
 
     def get_filename(self, fullname: str) -> str:
         return find_spec(fullname).origin
@@ -104,7 +105,7 @@ class PerAxle(ExecutionLoader):
 
 
 def per_axle(function: Callable) -> Callable:
-    """The same function of the package, from its module imported by `PerAxle`."""
+    """The function of the package, from its module as `PerAxle` imports it."""
     specification = spec_from_loader(function.__module__, PerAxle())
     module = module_from_spec(specification)
     specification.loader.exec_module(module)
@@ -119,7 +120,7 @@ def _fields(cls: type, *left_out: str) -> list[str]:
     return [f.name for f in dataclasses.fields(cls) if f.name not in left_out]
 
 
-# Named here, so that compiled code is found again by the next process. No trailer, and not the tyre of all wheels.
+# Defined here, so that another process finds the compiled code in the cache; without the trailer and the common tyre.
 Numbers = namedtuple("Numbers", [*_fields(package.VehicleParameters, "tire", "trailer"), "tire_front", "tire_rear"])
 TyreNumbers = namedtuple("TyreNumbers", _fields(package.TireParameters))
 SteeringNumbers = namedtuple("SteeringNumbers", _fields(package.SteeringParameters))
@@ -127,7 +128,7 @@ LongitudinalNumbers = namedtuple("LongitudinalNumbers", _fields(package.Longitud
 
 
 def _numbers(record: type, p: Any, **others: tuple) -> tuple:
-    """A dataclass of the package as a named tuple of floats; others: fields that are tuples themselves."""
+    """Converts a dataclass of the package to a named tuple of floats; others: fields that are tuples."""
     return record(**{name: others[name] if name in others else float(getattr(p, name)) for name in record._fields})
 
 
@@ -135,7 +136,7 @@ _as_packaged = lru_cache(package.setup_vehicle_parameters)
 
 
 def parameters_of(car: str, settings: Mapping[str, float]) -> Numbers:
-    """What the equations need, as a named tuple with `tire_front` and `tire_rear`."""
+    """The parameters of the equations, with `tire_front` and `tire_rear`."""
     s = complete_settings(settings)
     p = _as_packaged(CARS[car].number)
     mass, shift = s["mass_factor"], s["cg_shift"]
@@ -146,20 +147,20 @@ def parameters_of(car: str, settings: Mapping[str, float]) -> Numbers:
     p = dataclasses.replace(
         p, m=p.m * mass, m_s=p.m_s * mass, m_uf=p.m_uf * mass, m_ur=p.m_ur * mass, I_z=p.I_z * s["yaw_inertia_factor"],
         a=p.a - shift, b=p.b + shift)
-    steering = dataclasses.replace(p.steering, v_min=-FASTEST_STEERING, v_max=FASTEST_STEERING)
+    steering = dataclasses.replace(p.steering, v_min=-MAX_STEERING_RATE, v_max=MAX_STEERING_RATE)
     return _numbers(Numbers, p, steering=_numbers(SteeringNumbers, steering),
                     longitudinal=_numbers(LongitudinalNumbers, p.longitudinal),
                     tire_front=_numbers(TyreNumbers, front), tire_rear=_numbers(TyreNumbers, rear))
 
 
 def static_loads(p: Numbers) -> tuple[float, float]:
-    """Of one front and one rear tyre at rest [N]."""
+    """Loads of a front and a rear tyre at rest [N]."""
     wheelbase = p.a + p.b
     return (GRAVITY * (p.m_s * p.b / wheelbase + p.m_uf) / 2, GRAVITY * (p.m_s * p.a / wheelbase + p.m_ur) / 2)
 
 
 def rest_pitch(p: Numbers) -> float:
-    """Pitch of the standing car [rad], nose up +: the tyres give way, the springs are set level on them."""
+    """Pitch of the car at rest [rad], nose up +, due to the deflection of the tyres."""
     front, rear = static_loads(p)
     return (rear - front) / p.K_zt / (p.a + p.b)
 
@@ -170,20 +171,22 @@ def tyre_force(slip: float, load: float, tyre: TyreNumbers) -> float:
 
 
 def cornering_stiffness(load: float, tyre: TyreNumbers) -> float:
-    """-dF_y/dalpha [N/rad] of one tyre at no slip, by differences."""
+    """-dF_y/dalpha [N/rad] of one tyre at zero slip, as a difference quotient."""
     step = 1e-5
     return (tyre_force(-step, load, tyre) - tyre_force(step, load, tyre)) / (2 * step)
 
 
 FITTED = ("p_cy1", "p_dy1", "p_dy2", "p_ey1", "p_ey2", "p_ky1")
 STRAIGHT = {"p_ky2": 20.0, "p_ky4": 2.5}
-"""Nearly proportional to the load, as the stiffness of the package's tyre is; p_ky2 at its largest."""
+"""Stiffness nearly proportional to the load, as in the package; p_ky2 has its largest value."""
 
 
 @lru_cache(maxsize=64)
 def fit_tyre(load: float, tyre: TyreNumbers) -> tuple[MagicFormula, float]:
-    """The Magic Formula of the suite nearest to a tyre of the package (least squares over slip angles and loads), and
-    the root mean square of what is left, over `p_dy1` times the static load [1]. load: static, of one tyre [N]."""
+    """Fits the Magic Formula of the suite to a tyre of the package by least squares over slip angles and loads.
+
+    load: static load of one tyre [N]. Also returns the rms residual, over `p_dy1` times the static load [1].
+    """
     slips, loads = np.meshgrid(np.linspace(-SLIP_RANGE, SLIP_RANGE, 81), load * np.linspace(*LOAD_RANGE, 7))
     target = np.vectorize(lambda a, f: tyre_force(a, f, tyre))(slips, loads)
     size = tyre.p_dy1 * load
@@ -203,8 +206,9 @@ def fit_tyre(load: float, tyre: TyreNumbers) -> tuple[MagicFormula, float]:
 
 
 def vehicle_of(car: str, settings: Mapping[str, float] | None = None) -> VehicleParameters:
-    """The vehicle file of a car whose body, tyres, steering ratio and offset and INS point follow `settings` (None:
-    nothing hidden). Lags, sensors and surroundings are not part of a vehicle file.
+    """The vehicle file of a car with these settings of body, tyres, steering and INS point (None: HEALTHY).
+
+    Lags, sensors and environment are not part of a vehicle file.
     """
     s, choice = complete_settings(settings or {}), CARS[car]
     p = parameters_of(car, s)
@@ -223,7 +227,7 @@ def vehicle_of(car: str, settings: Mapping[str, float] | None = None) -> Vehicle
 
 @lru_cache
 def nominal_car(car: str) -> Car:
-    """The car as manoeuvres and sensors of the benchmark take it; nothing hidden."""
+    """The car without hidden effects, for the manoeuvres and sensors of the benchmark."""
     v = vehicle_of(car)
     names = [f.name for f in dataclasses.fields(Car) if not f.name.startswith("tyre_")]
     tyres = {name: Tyre(**{f.name: getattr(getattr(v, name), f.name) for f in dataclasses.fields(Tyre)})

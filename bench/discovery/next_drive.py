@@ -1,4 +1,4 @@
-"""The next drive suggested by a discovery, driven by the same car; then the discovery repeated with it."""
+"""Drives the next drive that a discovery suggests with the same car, and repeats the discovery with it."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,10 +14,10 @@ from .score import relevant_effects, stratum
 
 def try_suggestion(case: Case, drives: Drives, found: Discovery, settings: DiscoverySettings,
                    record: Mapping[str, Any]) -> dict[str, Any]:
-    """Whether the suggested drive settles what was hidden: then it is stated by its own name alone.
+    """Whether the suggested drive settles the case: the hidden effect is then stated without alternatives.
 
-    For cases with one hidden effect that matters, which is not yet settled, and with a suggested drive. record: of the
-    case so far.
+    Returns {} unless the case has one hidden effect that matters, is not yet settled, and has a suggested drive.
+    record: record of the case so far.
     """
     suggested = found.next_manoeuvre
     visible = relevant_effects(record) or stratum(record.get("detectability", 0.0)) != "invisible"

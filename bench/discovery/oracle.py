@@ -1,9 +1,9 @@
-"""What the truth would gain: the effects that are there, fitted to the suspect drives and judged on held-out ones.
+"""The oracle: the true effects, fitted to the suspect drives and judged on held-out drives.
 
     loss = mean over windows, points and channels of log(1 + z^2 / 4),   z = error / size
 
-size is the oracle's own, 68 % of its held-out errors are below it, for each channel and point of the horizon. Position
-is what the product reports: the mean error after 5 s over the windows of held-out drives.
+size: 68 % quantile of the held-out errors of the oracle, for each channel and point of the horizon. The position error
+is the mean error after 5 s over the windows of held-out drives, as `st discover` reports it.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -20,35 +20,33 @@ from st_core.vehicle import VehicleParameters
 
 BASE = "nonlinear"
 TAIL = 4.0
-LARGEST = 30.0
-"""Errors count as so many sizes at the most: one window that diverges must not be the whole sum."""
+MAX_SCALED_ERROR = 30.0
+"""Limit of the scaled errors, so that a window that diverges does not dominate the sum."""
 GAIN, GAIN_UNIT = 0.05, 0.05
-"""What the accelerometer shows more than the motion as the body rolls [1]: where a fit starts, and its unit."""
+"""Relative excess of the measured lateral acceleration due to body roll [1]: initial value of a fit, and scale."""
 ITERATIONS, REFITS, DAMPING = 8, 4, (1e-4, 1e-2, 0.3, 10.0)
-SETTLED = 1e-3
-"""Fall of the loss below which a fit is done."""
-STEP = 0.1
-"""Of the typical size of an effect: for difference quotients."""
+MIN_DECREASE = 1e-3  # decrease of the loss below which a fit ends
+STEP = 0.1  # of difference quotients, relative to the typical size of an effect
 
 Values = Mapping[str, Mapping[str, float]]
 
 
 @cache
 def null_model() -> AugmentedModel:
-    """Every effect of the library at null: one set of compiled functions for all fits."""
+    """The model with every effect of the library at null, so that all fits use the same compiled functions."""
     return set_effects_to_null(augment(BASE, [n for n in applicable(BASE) if not get_effect(n).signals]))
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A model and the gain of the accelerometer: what the judge looks at."""
+    """A model and the gain of the accelerometer."""
 
     model: AugmentedModel
     gain: float
 
 
 class Judge:
-    """Errors on held-out drives. size: of the loss, (k, c); taken from a point by `sized_by`."""
+    """Computes errors on held-out drives. size: scale of the loss (k, c), which `sized_by` sets."""
 
     def __init__(self, held_out: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self._windows = Windows(held_out, vehicle, settings)
@@ -65,11 +63,11 @@ class Judge:
         return float(np.mean(np.log1p(np.square(scale_errors(self.errors(at), self.size)) / TAIL)))
 
     def square(self, at: Point) -> float:
-        """Mean square of the errors over their sizes: gross ones count in full, up to LARGEST."""
+        """Mean square of the scaled errors."""
         return float(np.mean(np.square(scale_errors(self.errors(at), self.size))))
 
     def position(self, at: Point) -> float:
-        """Mean position error after 5 s [m]; a prediction that diverged counts 100 m."""
+        """Mean position error after 5 s [m]; a prediction that diverges counts 100 m."""
         last = self.errors(at)[:, -1, self._lateral:self._lateral + 2]
         return float(np.mean(np.minimum(np.nan_to_num(np.hypot(*last.T), nan=100.0, posinf=100.0), 100.0)))
 
@@ -79,16 +77,15 @@ def error_sizes(errors: np.ndarray) -> np.ndarray:
 
 
 def scale_errors(errors: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """One row; what diverged counts LARGEST."""
+    """Errors divided by their sizes, flattened and limited to MAX_SCALED_ERROR."""
     z = errors / size
-    return np.clip(np.where(np.isfinite(z), z, LARGEST), -LARGEST, LARGEST).ravel()
+    return np.clip(np.where(np.isfinite(z), z, MAX_SCALED_ERROR), -MAX_SCALED_ERROR, MAX_SCALED_ERROR).ravel()
 
 
 class Oracle:
-    """The named effects, fitted to drives by robust Gauss-Newton from `start`; the others stay as at `origin` (null
-    without one), and there is where the named ones are when they are not there.
+    """The named effects, fitted to drives by a robust Gauss-Newton method from `start`.
 
-    best: where it ends. without(names): the others fitted again with these not there, to the quadratic about the best.
+    The other effects, and removed ones, have their values at `origin`, by default null.
     """
 
     def __init__(self, drives: Sequence[DriveLog], vehicle: VehicleParameters, names: Collection[str], start: Values,
@@ -111,11 +108,12 @@ class Oracle:
 
     @property
     def base(self) -> Point:
-        """Nothing but the gain of the accelerometer."""
+        """The base model with the fitted gain of the accelerometer."""
         return self._at(np.append(self._null[:-1], self._x[-1]))
 
     def without(self, names: Collection[str]) -> Point:
-        """With the slopes about the best; a few evaluations, where a fit of its own takes a hundred."""
+        """The model without the named effects; the others are fitted again with the derivatives at the best point,
+        which takes a few evaluations instead of a hundred."""
         removed = np.array([n in names for n, _ in self._free] + [False])
         if not removed.any():
             return self.best
@@ -154,7 +152,7 @@ class Oracle:
         return float(np.log1p(np.square(self._z(x)) / TAIL).sum())
 
     def _fit(self) -> None:
-        """Levenberg's steps; the sizes of the errors are renewed in each round."""
+        """Fits by Levenberg-Marquardt steps; the sizes of the errors are updated in each iteration."""
         free = np.arange(len(self._x))
         for _ in range(ITERATIONS):
             at = self._at(self._x)
@@ -171,19 +169,19 @@ class Oracle:
 
     def _moved(self, x: np.ndarray, z: np.ndarray, hessian: np.ndarray, gradient: np.ndarray,
                free: np.ndarray) -> np.ndarray | None:
-        """A step that lowers the cost by more than SETTLED, or None."""
+        """A step that lowers the cost by more than MIN_DECREASE, or None."""
         before = np.log1p(np.square(z) / TAIL).sum()
         for damping in DAMPING:
             d = self._step(x, hessian + damping * np.diag(np.diag(hessian)), gradient, free)
             moved = x.copy()
             moved[free] += d * self._unit[free]
             moved = self._inside(moved)
-            if before - self._cost(moved) > SETTLED * len(z):
+            if before - self._cost(moved) > MIN_DECREASE * len(z):
                 return moved
         return None
 
     def _step(self, x: np.ndarray, hessian: np.ndarray, gradient: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """The minimum of the quadratic within the bounds, in typical sizes: what would leave them is held at them."""
+        """The minimum of the quadratic approximation within the bounds, in typical sizes."""
         low, high = (((side - x) / self._unit)[free] for side in (self._low, self._high))
         d, held = np.zeros(len(free)), np.zeros(len(free), bool)
         for _ in free:
@@ -196,7 +194,7 @@ class Oracle:
         return d
 
     def _differences(self, z: np.ndarray) -> np.ndarray:
-        """(p, n) minus the change of z per typical size."""
+        """(p, n) negative derivatives of z with respect to the parameters, in typical sizes."""
         slopes = np.zeros((len(self._x), len(z)))
         for i, unit in enumerate(self._unit):
             sign = 1.0 if self._x[i] + STEP * unit <= self._high[i] else -1.0

@@ -1,5 +1,4 @@
-"""The plants of the benchmark with one interface: drives of the virtual Leaf and of the multi-body car, and the correct
-vehicle file of each."""
+"""One interface for the plants of the benchmark, virtual Leaf and multi-body cars: their drives and vehicle files."""
 
 from dataclasses import dataclass, replace
 
@@ -22,14 +21,14 @@ from .sensing import make_log
 
 NOMINAL: Car = read_car(LEAF_FILE)
 LEAF = leaf()
-SLID_AWAY = 6.0
-"""m/s of sideways speed: the car has spun and the drive is not used."""
+MAX_LATERAL_VELOCITY = 6.0  # m/s; at a higher one the car has spun, and the drive is not used
 
 
 @dataclass(frozen=True)
 class Order:
-    """One run that is to be driven. settings: of plant and sensors. before: those until the share `from_` of it, None:
-    the same throughout. moved [m]: to the east, at another site. law: of `pushes`, not in the library."""
+    """A run to drive. settings: those of plant and sensors. before: settings until the fraction `from_` of the run,
+    None for the same settings throughout. factors: on speed and lateral acceleration. moved: distance of the site to
+    the east [m]. law: see `pushes`."""
 
     name: str
     seed: tuple[int, ...]
@@ -43,7 +42,8 @@ class Order:
 
 
 def record_run(plant: str, vehicle: VehicleParameters, order: Order) -> DriveLog:
-    """One run, read with the vehicle file; where the car spins or stops, the next attempt. Raises Stopped."""
+    """Drives a run, and repeats it with another seed if the car spins or stops. Raises Stopped after twenty
+    attempts."""
     for attempt in range(20):
         tried = (*order.seed, attempt)
         noise = int(np.random.default_rng(tried).integers(2**31))
@@ -53,9 +53,9 @@ def record_run(plant: str, vehicle: VehicleParameters, order: Order) -> DriveLog
             log = _record_once(plant, vehicle, order, programme, noise)
         except Stopped:
             continue
-        if np.abs(log.velocity_y).max() < SLID_AWAY:
+        if np.abs(log.velocity_y).max() < MAX_LATERAL_VELOCITY:
             return replace(log, x=log.x + order.moved)
-    raise Stopped(f"{order.name}: twenty attempts spun or stopped")
+    raise Stopped(f"{order.name}: the car spun or stopped in twenty attempts")
 
 
 def _record_once(plant: str, vehicle: VehicleParameters, order: Order, programme: Programme, noise: int) -> DriveLog:
@@ -70,8 +70,8 @@ def _record_once(plant: str, vehicle: VehicleParameters, order: Order, programme
 
 
 def _with_rear_curve(law: Law) -> Car:
-    """The virtual Leaf, with rear tyres of another shape if the law requires it, as stiff and as strong as they
-    were."""
+    """The virtual Leaf; for the law REAR_CURVE its rear tyres have another shape, with the same stiffness and
+    friction."""
     if law.kind != REAR_CURVE:
         return NOMINAL
     rear = NOMINAL.tyre_rear
@@ -84,7 +84,7 @@ def _select_known(settings: Settings) -> Settings:
 
 
 def vehicle_of(plant: str, settings: Settings) -> VehicleParameters:
-    """The vehicle file of exactly that car: what a file can hold is as the settings make it."""
+    """The vehicle file of the car with these settings."""
     if plant != cars.LEAF:
         return multibody_vehicle(plant, _select_known(settings))
     s = settings

@@ -1,8 +1,8 @@
-"""Programmes of steering and pedals, put together from the manoeuvres of `st_core`: what is driven in the cases.
+"""Programmes of steering and pedals for the drives of the cases, composed of the manoeuvres of `st_core`.
 
-Steering is open loop, so that the same programme can be driven by any car, except on roads, where the driver keeps the
-heading as a driver does. Sizes are given as the lateral acceleration the nominal car would reach. Drawn manoeuvres are
-shorter than those that are suggested.
+Steering is open loop, so that any car can drive the same programme, except on roads, where the driver keeps the
+heading. The size of a manoeuvre is the lateral acceleration that the nominal car would reach. Random manoeuvres are
+shorter than suggested ones.
 """
 
 from collections.abc import Callable
@@ -19,19 +19,15 @@ from .compiled import Programme
 
 DT = 0.01
 HEADING_GAIN = 0.3
-SPEED_CHANGE = 2.5
-"""m/s^2 between two manoeuvres."""
-STRAIGHT = 0.6
-"""s of straight driving before each manoeuvre."""
-INTO = 0.5
-"""s in which the hands go in where a manoeuvre begins in a bend."""
-TREMOR, TREMOR_TIME = 0.01, 0.4
-"""rad at the steering wheel and s: of a driver who is never still."""
+SPEED_CHANGE = 2.5  # m/s^2, acceleration between two manoeuvres
+STRAIGHT = 0.6  # s of straight driving before each manoeuvre
+INTO = 0.5  # s of steering into a manoeuvre that begins in a bend
+TREMOR, TREMOR_TIME = 0.01, 0.4  # standard deviation at the steering wheel [rad] and time constant [s] of the tremor
 
 
 @dataclass
 class Builder:
-    """Collects parts; road-wheel angles become hand-wheel angles of the nominal car."""
+    """Collects the parts of a programme, with steering wheel angles of the nominal car."""
 
     car: Car
     generator: np.random.Generator
@@ -40,7 +36,8 @@ class Builder:
     heading: float = 0.0
 
     def add(self, angle: np.ndarray, speed: np.ndarray | float | None = None, closed: bool = False) -> None:
-        """angle: of the road wheels [rad]; speed [m/s], the present one if not given; closed: hold the heading."""
+        """Adds a part. angle: road wheel angle [rad]; speed [m/s], by default the present one; closed: keep the
+        heading."""
         speeds = np.broadcast_to(self.speed if speed is None else speed, angle.shape)
         curvature = angle / (self.car.wheelbase + UNDERSTEER * speeds**2)
         turned = self.heading + np.cumsum(curvature * speeds) * DT
@@ -50,19 +47,19 @@ class Builder:
         self.speed, self.heading = float(speeds[-1]), float(turned[-1])
 
     def drive(self, manoeuvre: Manoeuvre, seconds: float | None = None) -> None:
-        """From the present speed, which is that of the manoeuvre. seconds: of it, one round if not given."""
+        """Adds a manoeuvre, whose speed is the present one. seconds: its duration, by default one period."""
         time = _time(manoeuvre.period if seconds is None else seconds)
         angle = manoeuvre.steering(time, self.car.wheelbase)
         if manoeuvre.profile(np.zeros(1))[0]:
             angle *= np.minimum(time / INTO, 1.0)
-        # Hands that are still while braking do not look.
+        # A driver who brakes with a constant steering angle does not control the heading.
         self.add(angle, manoeuvre.speed_at(time), closed=manoeuvre.closed_loop and not manoeuvre.pedals)
 
     def side(self) -> int:
         return int(self.generator.choice([-1, 1]))
 
     def go_to(self, speed: float) -> None:
-        """Straight on, to another speed."""
+        """Adds straight driving with a change of speed."""
         count = max(round(STRAIGHT / DT), round(abs(speed - self.speed) / SPEED_CHANGE / DT))
         ramp = self.speed + np.clip(np.arange(1, count + 1) * DT * SPEED_CHANGE, 0, abs(speed - self.speed)) * np.sign(
             speed - self.speed)
@@ -84,47 +81,47 @@ def _time(duration: float) -> np.ndarray:
 
 
 def sweep(b: Builder, lateral: float) -> None:
-    """Within 9 s."""
+    """Sine sweep of 9 s."""
     b.drive(standard.sweep(b.speed, lateral, 9.0, 0.0))
 
 
 def steps(b: Builder, lateral: float) -> None:
-    """To each side for 1.8 s."""
+    """Steps to both sides of 1.8 s each."""
     b.drive(standard.step(b.speed, b.side() * lateral, 1.8, 1.0))
 
 
 def slalom(b: Builder, lateral: float) -> None:
-    """Three waves of a frequency between 0.4 and 0.7 Hz."""
+    """Three periods of a random frequency between 0.4 and 0.7 Hz."""
     b.drive(standard.slalom(b.speed, lateral, b.generator.uniform(0.4, 0.7), 3))
 
 
 def weave(b: Builder, lateral: float) -> None:
-    """One wave and a half."""
+    """One and a half periods."""
     b.drive(standard.weave(b.speed, lateral, 1.5))
 
 
 def ramp_to_limit(b: Builder, lateral: float) -> None:
-    """To beyond the limit of one side in 5 s, back in 1 s."""
+    """Beyond the limit of friction on one side in 5 s, and back in 1 s."""
     b.drive(standard.ramp_to_limit(b.speed, b.side() * lateral, 5.0, 1.0, 0.0), 6.0)
 
 
 def brake_in_turn(b: Builder, lateral: float) -> None:
-    """2 s of circle, braking for 1.4 s, power for 1.6 s."""
+    """A circle for 2 s, braking for 1.4 s, acceleration for 1.6 s."""
     b.drive(standard.brake_in_turn(b.speed, b.side() * lateral, 2.0, 4.0, b.speed - 4.0 * 1.4, 2.5, 1.6))
 
 
 def circle(b: Builder, lateral: float) -> None:
-    """4 s of one side, in and out of it within 2 s."""
+    """A circle to one side for 4 s, entered and left within 2 s each."""
     b.drive(standard.circle(b.speed, b.side() * lateral, 4.0, 2.0), 8.0)
 
 
 def slow_circle(b: Builder, lateral: float) -> None:
-    """As slowly that the yaw rate hardly changes."""
+    """A circle that is entered so slowly that the yaw rate hardly changes."""
     b.drive(standard.circle(b.speed, b.side() * lateral, 2.0, 8.0), 18.0)
 
 
 def ordinary(b: Builder, lateral: float, duration: float = 6.0) -> None:
-    """A winding road: curvature as smooth noise, `lateral` its root mean square; speed up and down by a tenth."""
+    """A winding road with random smooth curvature and a speed that varies by a tenth. lateral: root mean square."""
     time = _time(duration)
     waves = [(b.generator.uniform(0.08, 0.35), b.generator.uniform(0, 2 * np.pi)) for _ in range(4)]
     noise = sum(np.sin(2 * np.pi * f * time + phase) for f, phase in waves) / np.sqrt(2.0)
@@ -134,7 +131,7 @@ def ordinary(b: Builder, lateral: float, duration: float = 6.0) -> None:
 
 @dataclass(frozen=True)
 class Part:
-    """One manoeuvre and the ranges its speed [m/s] and lateral acceleration [m/s^2] are drawn from."""
+    """A manoeuvre, and the ranges of its random speed [m/s] and lateral acceleration [m/s^2]."""
 
     drive: Callable[[Builder, float], None]
     speed: tuple[float, float]
@@ -160,14 +157,14 @@ def _whole(b: Builder, lateral: float, manoeuvre: Manoeuvre) -> None:
 
 
 def suggested_part(name: str) -> Part:
-    """A drive of the catalogue as suggested. Raises StopIteration for an unknown name."""
+    """A manoeuvre of the catalogue as it is suggested. Raises StopIteration for an unknown name."""
     one = next(m for m in CATALOGUE if m.name == name)
     return Part(partial(_whole, manoeuvre=one), (one.speed, one.speed), (one.lateral, one.lateral))
 
 
 def make_programme(car: Car, seed: tuple[int, ...], parts: tuple[Part, ...] | None = None, speed_factor: float = 1.0,
                    lateral_factor: float = 1.0) -> Programme:
-    """A run of about half a minute: the parts in random order and size. None: FULL and one of EXTRA."""
+    """A programme of about half a minute: parts in random order and size, by default FULL and one of EXTRA."""
     generator = np.random.default_rng(seed)
     if parts is None:
         parts = (*FULL, EXTRA[generator.integers(len(EXTRA))])

@@ -1,28 +1,27 @@
-"""Laws that are not in the library, as accelerations of a plant: the same few lines in both plants, compiled into their
-loops.
+"""Hidden laws, which are not in the library, as accelerations; the loops of both plants compile the same function.
 
     F_f / m = (l_r a_y + k^2 r_dot) / l,   F_r / m = (l_f a_y - k^2 r_dot) / l,   a_y = v_y_dot + v_x r,   k^2 = I_z / m
 
-are the forces that act; a law takes a share of them away, or adds a force or a moment of its own.
+are the axle forces; a law reduces them by a fraction, or adds a force or a moment.
 """
 
 from math import exp
 from typing import NamedTuple
 
 NOTHING, REAR_STEER, CAMBER, LIFT, AIR_MOMENT, TORQUE_STEER, WARM_UP, REAR_CURVE = range(8)
-WARM = 15.0
-"""s until 63 % of what cold tyres lack is there; minutes on the road, shortened to the length of these runs."""
+WARM_UP_TIME = 15.0  # s, time constant of the warm-up of tyres; shortened to the length of these runs
 
 
 class Law(NamedTuple):
-    """kind: of the numbers above; size: in the unit of the kind, see `hidden_relations`."""
+    """A law. kind: one of the constants above; size: in the unit of the kind, see `hidden_relations`."""
 
     kind: int = NOTHING
     size: float = 0.0
 
 
 class Car(NamedTuple):
-    """What the laws need of a car. radius_square [m^2]: k^2; rear: stiffness of the rear axle over mass [m/s^2/rad]."""
+    """Parameters of a car. to_front, to_rear: from the CG to the axles [m]; radius_square: k^2 [m^2]; rear: cornering
+    stiffness of the rear axle over mass [m/s^2/rad]."""
 
     to_front: float
     to_rear: float
@@ -31,7 +30,7 @@ class Car(NamedTuple):
 
 
 def law_accelerations(law, car, time, vx, r, ax, vy_dot, r_dot):
-    """(m/s^2 to the left, rad/s^2 to the left) a law adds to the rates there are. time: into the run [s]."""
+    """(lateral [m/s^2], yaw [rad/s^2]) accelerations of a law, left +. time: since the begin of the run [s]."""
     kind, size = law
     to_front, to_rear, square, rear = car
     a_y, wheelbase = vy_dot + vx * r, to_front + to_rear
@@ -50,6 +49,6 @@ def law_accelerations(law, car, time, vx, r, ax, vy_dot, r_dot):
     elif kind == TORQUE_STEER:
         moment = size * ax
     elif kind == WARM_UP:
-        f = -size * exp(-time / WARM) * front_force
-        b = -size * exp(-time / WARM) * rear_force
+        f = -size * exp(-time / WARM_UP_TIME) * front_force
+        b = -size * exp(-time / WARM_UP_TIME) * rear_force
     return f + b, (to_front * f - to_rear * b) / square + moment

@@ -1,8 +1,7 @@
-"""Sparse regression of residual accelerations, the way of SINDy: what a discovery is compared with.
+"""Sparse regression of residual accelerations (SINDy), with which the discovery is compared.
 
-STLSQ, sequentially thresholded least squares (Brunton et al. 2016), over a library of physical terms, on measured minus
-modelled accelerations. It is written here on numpy's lstsq: the algorithm is ten lines, PySINDy would bring a
-dependency for them.
+Sequentially thresholded least squares (STLSQ, Brunton et al. 2016) with a library of physical terms, applied to
+measured minus modelled accelerations. The algorithm has ten lines, so that PySINDy is not required.
 """
 
 from collections.abc import Sequence
@@ -13,15 +12,13 @@ from st_core.log import DriveLog
 from st_core.timeseries import filtered_derivative
 from st_core.vehicle import VehicleParameters
 
-THRESHOLD = 0.1
-"""Terms whose part of the residual's standard deviation is smaller are dropped."""
+THRESHOLD = 0.1  # terms with a smaller contribution, in standard deviations of the residual, are removed
 ITERATIONS = 10
-EVERY = 5
-"""Samples: 20 Hz are enough for what is left after a filter of 5 Hz."""
+STRIDE = 5  # samples; after a filter of 5 Hz, 20 Hz are enough
 EQUATIONS = ("velocity_y", "yaw_rate", "acceleration_y")
 TERMS = ("1", "angle", "angle rate", "slip front", "slip rear", "slip front^3", "slip rear^3", "r vx", "ay abs(ay)",
          "vx^2", "ax")
-# Largest standardised term -> what a person would call it.
+# Largest standardised term -> effects that a person would name.
 NAMED_BY = {
     "1": ("steering_offset", "road_bank", "crosswind", "lateral_acceleration_bias", "heading_misalignment"),
     "angle": ("steering_ratio", "front_stiffness", "steering_compliance", "roll_steer", "mass"),
@@ -35,9 +32,9 @@ NAMED_BY = {
 
 
 def fit_sparse(library: np.ndarray, target: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
-    """Coefficients of STLSQ: least squares, drop the terms below the threshold, again, until nothing drops.
+    """Coefficients of STLSQ: least squares is repeated without the terms below the threshold, until none is below it.
 
-    library: (n, terms), target: (n,), both standardised by the caller.
+    library: (n, terms), target: (n,), both standardised.
     """
     kept = np.ones(library.shape[1], bool)
     coefficients = np.zeros(library.shape[1])
@@ -54,7 +51,8 @@ def fit_sparse(library: np.ndarray, target: np.ndarray, threshold: float = THRES
 
 
 class Regression:
-    """Fitted on drives; coefficients: (equations, terms), in standard deviations of terms and residuals."""
+    """A regression fitted to drives. coefficients: (equations, terms), in standard deviations of terms and
+    residuals."""
 
     def __init__(self, drives: Sequence[DriveLog], vehicle: VehicleParameters, base: AugmentedModel):
         self._vehicle, self._base = vehicle, base
@@ -67,13 +65,14 @@ class Regression:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the largest term is called; empty when none survived."""
+        """Effects that the largest term suggests; empty without terms."""
         if not self.coefficients.any():
             return ()
         return NAMED_BY[TERMS[int(np.argmax(np.abs(self.coefficients).max(axis=0)))]]
 
     def residual_over_noise(self, runs: Sequence[DriveLog]) -> tuple[float, float]:
-        """Mean square of the residual accelerations on other drives, before and after, in sizes of the fitted ones."""
+        """Mean squares of the residual accelerations of other drives before and after the regression, in variances of
+        the fitted ones."""
         library, target = self._rows(runs)
         before = target / self._target_size
         after = before - self._standard(library) @ self.coefficients.T
@@ -109,7 +108,7 @@ class Regression:
         rear = (vy - car.cg_to_rear_axle * r) / np.maximum(vx, 3.0)
         library = np.stack([np.ones_like(vx), angle, angle_rate, front, rear, front**3, rear**3, r * vx,
                             a_y * np.abs(a_y), vx**2, signals["velocity_x_dot"]], axis=1)
-        inside = slice(100, -100, EVERY)
+        inside = slice(100, -100, STRIDE)
         return library[inside], target[inside]
 
 

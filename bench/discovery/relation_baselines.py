@@ -1,7 +1,7 @@
-"""What is done elsewhere with what a model leaves: regress the residual accelerations, and predict with that.
+"""Methods for comparison with a proposal: regressions of the residual accelerations.
 
-Measured minus modelled accelerations of the fitted drives, as a sparse regression (`regression`) or a Gaussian process
-of the same drives, are added to the model's own in the simulation of the held-out drives.
+The residual accelerations of the fitted drives are described by a sparse regression (`regression`) or a Gaussian
+process, and added to those of the model in the simulation of the held-out drives.
 """
 
 import warnings
@@ -21,17 +21,17 @@ from st_core.vehicle import VehicleParameters
 
 from .regression import TERMS, Regression
 
-HORIZON, FURTHEST = 5.0, 100.0
+HORIZON, MAX_ERROR = 5.0, 100.0  # s; m, error of a prediction that diverges
 SAMPLES, SEED = 250, 5
-"""Of the fitted drives, drawn for the Gaussian process: its cost grows with their cube."""
+"""Number of random samples for the Gaussian process, because its cost grows with their cube."""
 FEATURES = ("angle", "slip front", "slip rear", "speed", "yaw rate", "a_x")
 Push = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""(states (6, n), road wheel angle, forward acceleration) -> (v_y, yaw) accelerations added [m/s^2, rad/s^2]."""
+"""(states (6, n), road wheel angle, forward acceleration) -> additional (v_y, yaw) accelerations [m/s^2, rad/s^2]."""
 
 
 def compare_methods(drives: Sequence[DriveLog], held_out: Sequence[DriveLog], vehicle: VehicleParameters,
                     answer: AugmentedModel, settings: DiscoverySettings) -> dict[str, Any]:
-    """Held-out 5 s position [m] by method, simulated alike; what each names."""
+    """Held-out position error after 5 s [m] by method, and the names that the methods suggest."""
     windows = Windows(held_out, vehicle, settings)
     regression = Regression(drives, vehicle, answer)
     process, inputs = _fit_process(regression, drives, vehicle, answer)
@@ -42,7 +42,7 @@ def compare_methods(drives: Sequence[DriveLog], held_out: Sequence[DriveLog], ve
 
 
 def _features(states: np.ndarray, angle: np.ndarray, a_x: np.ndarray, car: VehicleParameters) -> np.ndarray:
-    """(n, features) as FEATURES."""
+    """The features (n, features) in the order of FEATURES."""
     _, _, vx, vy, _, r = states
     slow = np.maximum(vx, 3.0)
     return np.stack([angle, (vy + car.cg_to_front_axle * r) / slow - angle, (vy - car.cg_to_rear_axle * r) / slow, vx,
@@ -67,7 +67,7 @@ def _regression_push(regression: Regression, vehicle: VehicleParameters, answer:
 
 def _fit_process(regression: Regression, drives: Sequence[DriveLog], vehicle: VehicleParameters,
                  answer: AugmentedModel) -> tuple[Push, list[str]]:
-    """Two Gaussian processes, and the input each of their length scales finds shortest, in deviations of that input."""
+    """Fits two Gaussian processes; also returns the input with the shortest scaled length scale of each."""
     car = answer.effective_vehicle(vehicle)
     library, target = regression._rows(drives)
     rows = {name: library[:, k] for k, name in enumerate(TERMS)}
@@ -97,7 +97,8 @@ def _fit_process(regression: Regression, drives: Sequence[DriveLog], vehicle: Ve
 
 
 def _position_error(windows: Windows, vehicle: VehicleParameters, answer: AugmentedModel, push: Push) -> float:
-    """Mean position error after HORIZON [m] of the model with accelerations added: RK4, those held over each step."""
+    """Mean position error after HORIZON [m] of the model with additional accelerations, constant during each RK4
+    step."""
     signals = windows._batch.recording(answer).signals
     car, p = answer.effective_vehicle(vehicle), answer.parameters(vehicle)
     steps = round(HORIZON / STEP)
@@ -113,7 +114,7 @@ def _position_error(windows: Windows, vehicle: VehicleParameters, answer: Augmen
         x, y = cg_to_ins_position(state[0], state[1], state[4], car.cg_to_ins_x, car.cg_to_ins_y)
         there_x, there_y = windows.measured_at(times[:, -1], "x", "y")
         off = np.hypot(x - there_x, y - there_y)
-    return float(np.mean(np.minimum(np.nan_to_num(off, nan=FURTHEST, posinf=FURTHEST), FURTHEST)))
+    return float(np.mean(np.minimum(np.nan_to_num(off, nan=MAX_ERROR, posinf=MAX_ERROR), MAX_ERROR)))
 
 
 def _integrate_step(model: AugmentedModel, state: tuple, w: Sequence[tuple], p, aside, turning) -> tuple:

@@ -1,5 +1,4 @@
-"""Blocks L, M and N: a law that is not in the library, an effect taken out of the library, nothing left. Drives and
-truth."""
+"""Cases of blocks L, M and N: a relation outside the library, an effect removed from the library, and none."""
 
 from dataclasses import dataclass, replace
 
@@ -16,16 +15,17 @@ from .hidden_relations import LAWS, REMOVED, Hidden
 from .plants import Order, record_run, vehicle_of
 from .resimulated import resimulate
 
-EACH, NOTHING = 5, 60
-COUNTS = {"L": EACH * len(LAWS), "M": EACH * len(REMOVED), "N": NOTHING}
+CASES_EACH, CASES_WITHOUT = 5, 60
+COUNTS = {"L": CASES_EACH * len(LAWS), "M": CASES_EACH * len(REMOVED), "N": CASES_WITHOUT}
 RUNS, HELD_OUT = 4, 2
 WRONG = {"front_stiffness_factor": 1.15, "steering_ratio_factor": 0.94, "yaw_inertia_factor": 1.2}
-"""Half of block N: wrong values in the vehicle file instead; the library contains all of them."""
+"""Factors on the vehicle file in half of block N; the library describes all of them."""
 
 
 @dataclass(frozen=True)
 class LawCase:
-    """block: L, M or N; index: in it. hidden: None in N. car: healthy. scale: of what is hidden. wrong: the file is."""
+    """A case of block L, M or N. hidden: None in N. car: the healthy car. scale: factor on the size. wrong: of the
+    file."""
 
     set_: str
     block: str
@@ -41,7 +41,7 @@ class LawCase:
 
     @property
     def settings(self) -> DiscoverySettings:
-        """Of the discovery: without the effect that is taken out, and what is like it."""
+        """Settings of the discovery, without the removed effect and similar ones."""
         effects = None
         if self.hidden and self.hidden.removed:
             effects = tuple(n for n in applicable("nonlinear") if not is_similar(n, self.hidden.removed))
@@ -50,7 +50,7 @@ class LawCase:
 
 @dataclass(frozen=True)
 class LawDrives:
-    """suspect, held_out: of the car with the law. healthy, healthy_held_out: without it; () in block N."""
+    """Drives with the law (suspect, held_out), and without it (healthy, healthy_held_out; empty in block N)."""
 
     suspect: list[DriveLog]
     held_out: list[DriveLog]
@@ -60,7 +60,7 @@ class LawDrives:
 
 
 def cases_of(set_: str, block: str) -> list[LawCase]:
-    """All cases of a block: the laws in turn, so that the first ones hold each once."""
+    """All cases of a block, with the laws in turn."""
     return [_make_case(set_, block, i) for i in range(COUNTS[block])]
 
 
@@ -69,7 +69,7 @@ def _make_case(set_: str, block: str, index: int) -> LawCase:
     pool = {"L": LAWS, "M": REMOVED}.get(block)
     hidden = pool[index % len(pool)] if pool else None
     round_ = index // len(pool) if pool else index
-    # Half of the cases on the multi-body cars, in turn, where the plant has the switch.
+    # Half of the cases have the multi-body cars, in turn, if the plant has the setting.
     plant = PLANTS[1 + round_ % (len(PLANTS) - 1)] if (round_ + index) % 2 else LEAF
     if hidden and not all(has_setting(plant, name) for name in hidden.settings_in(plant)):
         plant = LEAF
@@ -78,7 +78,7 @@ def _make_case(set_: str, block: str, index: int) -> LawCase:
 
 
 def drives_of(case: LawCase) -> LawDrives:
-    """All drives of a case."""
+    """Drives the cars of a case."""
     car, hidden = case.car, case.hidden
     own = vehicle_of(car.plant, car.settings)
     file_values = {name: car.settings[name] * factor for name, factor in WRONG.items()} if case.wrong else {}

@@ -1,4 +1,4 @@
-"""Options of the blind test of proposals."""
+"""Command line of the blind test of proposals."""
 
 import argparse
 import json
@@ -17,16 +17,16 @@ from .run import key_of, read_files, read_records
 
 def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="st bench discovery --laws", description=(
-        "Laws that are not in the library, hidden in two plants: what is proposed, against the truth. Block L: "
-        "twelve laws, M: six effects taken out of the library, N: nothing left."))
+        "Compares proposals with the truth, for laws outside the library that are hidden in two plants. Block L: "
+        "twelve laws, M: six effects removed from the library, N: no law."))
     parser.add_argument("--set", default="development", help="development, sealed, sealed-2, or any other word")
-    parser.add_argument("--until", type=float, metavar="MINUTES", help="begin no case after this time")
-    parser.add_argument("--skip", type=int, default=0, metavar="CASES", help="leave out the first, opened before")
-    parser.add_argument("--plain", action="store_true", help="leave out oracle and baselines")
+    parser.add_argument("--until", type=float, metavar="MINUTES", help="start no case after this time")
+    parser.add_argument("--skip", type=int, default=0, metavar="CASES", help="leave out the first cases")
+    parser.add_argument("--plain", action="store_true", help="without oracle and baselines")
     parser.add_argument("--out", type=Path, default=Path("laws.jsonl"),
-                        help="file of JSON lines; cases in it are not computed again")
+                        help="file of JSON lines; cases that it contains are not run again")
     parser.add_argument("--tables", type=Path, nargs="+", metavar="FILE",
-                        help="run nothing: write the scores into docs/measurements/proposals.md from these files")
+                        help="only write the scores into docs/measurements/proposals.md from these files")
     chosen = parser.parse_args(arguments)
     if chosen.tables:
         relation_tables.write(read_files(chosen.tables))
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def interleave_cases(set_: str) -> list[LawCase]:
-    """Cases in an order in which all blocks advance at the same rate."""
+    """All cases, in an order in which all blocks advance at the same rate."""
     cases = [((k + 0.5) / count, block, case) for block, count in COUNTS.items()
              for k, case in enumerate(cases_of(set_, block))]
     return [case for *_, case in sorted(cases, key=lambda c: c[:2])]

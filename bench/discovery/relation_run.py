@@ -1,4 +1,4 @@
-"""One case of blocks L, M and N: answer, proposal, and their error on held-out drives."""
+"""Runs a case of blocks L, M and N: answer, proposal, and their errors on held-out drives."""
 
 import time
 from typing import Any
@@ -19,15 +19,14 @@ from .oracle import Oracle
 from .relation_cases import LawCase, drives_of
 
 Record = dict[str, Any]
-FURTHEST = 100.0
-"""m a prediction that diverged counts."""
+MAX_ERROR = 100.0  # m, error of a prediction that diverges
 ORACLE_LEFT_OUT = ("front_stiffness", "rear_stiffness")
-"""Of what is different in the plants: `tyre_stiffness` is both."""
+"""Differences of the plants that the oracle does not fit, because `tyre_stiffness` is their combination."""
 
 
 def run_case(case: LawCase, whole: bool = True) -> Record:
-    """Plain data. whole: with the oracle and the two baselines. A law is searched for where `st discover` does so by
-    default: where much is unexplained."""
+    """The record of a case. whole: with the oracle and the two baselines. As in `st discover`, a relation is searched
+    only if a large error is unexplained."""
     drives = drives_of(case)
     vehicle, settings = drives.vehicle, case.settings
     begin = time.process_time()
@@ -64,13 +63,13 @@ def proposed_model(search: RelationSearch) -> AugmentedModel | None:
 def position_error(windows: RunWindows, model: AugmentedModel) -> float:
     """Mean position error after 5 s [m]."""
     last = windows.errors(model)[:, -1, windows.columns.index("position_lateral"):][:, :2]
-    return float(np.mean(np.minimum(np.nan_to_num(np.hypot(*last.T), nan=FURTHEST, posinf=FURTHEST), FURTHEST)))
+    return float(np.mean(np.minimum(np.nan_to_num(np.hypot(*last.T), nan=MAX_ERROR, posinf=MAX_ERROR), MAX_ERROR)))
 
 
 def _oracle_error(case: LawCase, healthy: list[DriveLog], held_out: list[DriveLog],
                   vehicle: VehicleParameters) -> float:
-    """Residual error without the law: effects that are in the plant, fitted to the same programmes of the healthy car,
-    on the same held-out programmes."""
+    """Held-out error [m] without the law: the effects of the plant, fitted to the same programmes of the healthy
+    car."""
     names = {*SCATTER, *(n for n in plant_differences(case.car.plant) if members(n) == (n,))} - set(ORACLE_LEFT_OUT)
     best = Oracle(healthy, vehicle, names, {}, case.settings).best
     return position_error(RunWindows(held_out, vehicle, case.settings), best.model)

@@ -1,4 +1,4 @@
-"""Records of blocks L, M and N to scores."""
+"""Computes the scores of blocks L, M and N from their records."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -14,12 +14,10 @@ from .judge import plant_differences
 from .score import wilson
 
 Record = dict[str, Any]
-WORSE = 1.02
-"""Times the position error without a law: with it, that is worse."""
+WORSE = 1.02  # ratio of the position errors with and without a law above which the law is worse
 CLOSABLE = 0.02, 0.1
-"""m, and share of what the library leaves: the oracle must be so much better for a share of that to mean anything."""
-LENGTH = 300.0
-"""s of driving for which the time is reported."""
+"""Minimum gain of the oracle for a meaningful share of it: [m], and relative to the error with the library."""
+DURATION = 300.0  # s of driving for which the processor time is reported
 
 
 def hidden_of(r: Record) -> Hidden:
@@ -27,7 +25,7 @@ def hidden_of(r: Record) -> Hidden:
 
 
 def unexplained_error(r: Record) -> float:
-    """What the library leaves beyond the oracle [m]."""
+    """Error with the library minus that of the oracle [m]."""
     return r["position"]["found"] - r["position"]["oracle"]
 
 
@@ -37,12 +35,12 @@ def is_closable(r: Record) -> bool:
 
 
 def is_noticed(r: Record) -> bool:
-    """Whether the answer reports an effect that no known one explains; only then a law is searched for."""
+    """Whether the answer reports an effect that no known one explains; only then a law is searched."""
     return r["searched"]
 
 
 def is_proposed_or_unknown(r: Record) -> bool:
-    """Whether the answer has a law, or names nothing."""
+    """Whether the answer has a law, or its outcome is unknown."""
     return r["law"] is not None or r["outcome"] == "unknown"
 
 
@@ -56,7 +54,7 @@ def is_slot_right(r: Record) -> bool:
 
 
 def closed_share(r: Record, after: float | None = None) -> float:
-    """Share of the error left by the library that the proposal removes; 0 without one."""
+    """Share of the unexplained error that the proposal removes; 0 without a proposal."""
     return (r["position"]["found"] - (r["position"]["proposed"] if after is None else after)) / unexplained_error(r)
 
 
@@ -70,13 +68,13 @@ def list_places(r: Record) -> list[str]:
 
 
 def list_misnamed_by_library(r: Record) -> list[str]:
-    """Effects of the library stated alone that are neither in the car nor at the place of the law."""
+    """Effects of the library that are stated without alternatives, but neither in the car nor in a slot of the law."""
     fine = {*plant_differences(r["plant"]), *SCATTER}
     return [n for n in r["alone"] if n not in fine and get_effect(n).slot not in hidden_of(r).slots]
 
 
 def list_misnamed(r: Record) -> list[str]:
-    """Those of them that the proposal does not declare redundant."""
+    """Misnamed effects that the proposal does not declare redundant."""
     return [n for n in list_misnamed_by_library(r) if n not in r.get("redundant", ())]
 
 
@@ -85,8 +83,8 @@ def is_shape_right(r: Record) -> bool:
 
 
 def seconds(r: Record) -> float:
-    """For LENGTH of driving, one core."""
-    return sum(r["seconds"]) * LENGTH / r["driven"]
+    """Processor time for DURATION of driving [s]."""
+    return sum(r["seconds"]) * DURATION / r["driven"]
 
 
 def make_row(name: str, measured: str, required: str = "", goal: str = "") -> tuple[str, str, str, str]:
@@ -107,7 +105,7 @@ def format_counts(numbers: Iterable[int]) -> str:
 
 
 def format_spread(values: Sequence[float]) -> str:
-    """Median and 10th percentile, as shares."""
+    """Formats median and 10th percentile of shares."""
     if not len(values):
         return "no cases"
     return f"{np.median(values):.0%} / {np.quantile(values, 0.1):.0%} ({len(values)} cases)"
@@ -151,7 +149,7 @@ def score_rows(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
 
 
 def method_rows(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
-    """(method, gap closed, made worse, what it names) on the cases all were given."""
+    """(method, gap closed, made worse, names) for the cases of all methods."""
     given = [r for r in records if r.get("baselines") and is_closable(r)]
     everywhere = [r for r in records if r.get("baselines")]
 

@@ -1,4 +1,4 @@
-"""Blocks L, M and N as a part of docs/measurements/proposals.md: scores, other methods, every law, all that failed."""
+"""Writes the scores, other methods, laws and failures of blocks L, M and N to docs/measurements/proposals.md."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ def as_markdown(records: Sequence[Record]) -> str:
 
 
 def _methods(records: Sequence[Record]) -> list[str]:
-    """Nothing where no case was given to the other methods."""
+    """The table of other methods; empty if no case has them."""
     if not any(r.get("baselines") for r in records):
         return []
     return ["Other methods on the same cases, starting from the same answer of `st discover`, simulated the same way:",
@@ -85,7 +85,7 @@ def _failure_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
 
 
 def list_failures(r: Record) -> list[str]:
-    """What is wrong with an answer, in words; empty where nothing is."""
+    """Errors of an answer; empty for a right one."""
     if r["block"] == "N":
         return ["a proposal where nothing is left"] if r["law"] else []
     wrong = []

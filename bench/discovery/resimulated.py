@@ -1,4 +1,4 @@
-"""A drive as it would have been with the base model as the car: recorded inputs, the model's motion, sensor noise."""
+"""Simulates a recorded drive with the base model as the car: recorded inputs, motion of the model, sensor noise."""
 
 from dataclasses import replace
 
@@ -12,19 +12,16 @@ from st_sim.settings import REALISTIC
 from .oracle import BASE
 from .sensing import ROUNDING, select_noise
 
-MARGIN_NS = 700_000_000
-"""At both ends: the smoothed forward acceleration is known there."""
-STEERING_NOISE = REALISTIC["steering_sensor_noise"]
-"""rad at the steering wheel."""
-WIDTH = 15
-"""Samples of 10 ms a recorded angle is smoothed over: a hand turns the wheel more slowly."""
+MARGIN_NS = 700_000_000  # at both ends, where the smoothed forward acceleration is unknown
+STEERING_NOISE = REALISTIC["steering_sensor_noise"]  # rad, at the steering wheel
+WIDTH = 15  # samples of 10 ms for smoothing the recorded angle, because a driver steers more slowly
 
 
 def resimulate(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLog:
-    """From the first instant on to the end in one prediction, every 10 ms; noise and rounding as of the virtual INS.
+    """Simulates the whole drive in one prediction, every 10 ms, with noise and rounding of the virtual INS.
 
-    The speed is the recorded one's integral and the wheels follow the steering without the noise of its sensor, so
-    inputs and motion agree; the sensor reads that angle with noise of its own. Raises ValueError where the model spins.
+    The speed is the integral of the recorded acceleration, and the wheels follow the smoothed steering angle, so that
+    inputs and motion are consistent; the steering sensor has noise. Raises ValueError if the model spins.
     """
     log = replace(log, road_wheel_angle=_smooth(log.road_wheel_angle), steering_wheel_angle=None)
     time = log.ins_time_ns[(log.ins_time_ns > log.start_ns + MARGIN_NS) & (log.ins_time_ns < log.end_ns - MARGIN_NS)]
@@ -57,7 +54,7 @@ def resimulate(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLog
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:
-    """Without delay; the ends are held."""
+    """Smooths without delay; the ends are extended by constant values."""
     window = np.hanning(WIDTH + 2)[1:-1]
     padded = np.pad(values, WIDTH // 2, mode="edge")
     return np.convolve(padded, window / window.sum(), "valid")

@@ -1,5 +1,7 @@
-"""One case: drives, the answer of `discover`, and its comparison with the truth. Many cases: in an order that stays
-fair when time runs out, resumable."""
+"""Runs cases: their drives, the answer of `discover`, and its comparison with the truth.
+
+Many cases run in an order in which all blocks advance at the same rate, and an interrupted run can be continued.
+"""
 
 import json
 import time
@@ -23,14 +25,13 @@ from .effects import SCATTER
 from .judge import judge_answer
 from .next_drive import try_suggestion
 
-COMPARED = 3
-"""Every so many-th case of blocks A and B is given to the other methods as well."""
+BASELINE_INTERVAL = 3  # every third case of blocks A and B is also given to the other methods
 Record = dict[str, Any]
 Question = Case | EditCase
 
 
 def run_case(case: Question, limits: Limits | None = None, whole: bool = True) -> Record:
-    """Record of a case for the score, as plain data. whole: with baselines and suggested drives."""
+    """The record of a case for the score. whole: with baselines and suggested drives."""
     limits = limits or Limits()
     if isinstance(case, EditCase):
         logs, vehicle = edits.drives_of(case)
@@ -46,13 +47,13 @@ def run_case(case: Question, limits: Limits | None = None, whole: bool = True) -
               **describe_answer(found), **judge_answer(case, drives, found)}
     if whole:
         record |= try_suggestion(case, drives, found, settings, record)
-        if case.block in "AB" and case.index % COMPARED == 0:
+        if case.block in "AB" and case.index % BASELINE_INTERVAL == 0:
             record["baselines"] = baselines.compare_methods(case, drives)
     return record
 
 
 def describe_case(case: Question) -> Record:
-    """The part of a record that describes the question."""
+    """The part of a record that describes the case."""
     if isinstance(case, EditCase):
         return {"kind": case.name or "unedited", "size": case.size}
     return {"kind": case.kind, "plant": case.car.plant, "hidden": list(case.hidden), "words": case.words,
@@ -60,7 +61,7 @@ def describe_case(case: Question) -> Record:
 
 
 def _discover(suspect, vehicle, reference, settings: DiscoverySettings) -> tuple[Discovery, float]:
-    """As in `st discover`, with the estimates of the sensors by the checks."""
+    """Runs the discovery as `st discover` does, with the sensor estimates of the checks; also returns its time [s]."""
     begin = time.process_time()
     sensors = pool_estimates([{name: value for name, value in check(log, vehicle).estimates.items()
                                if np.isfinite(value).all()}
@@ -70,7 +71,7 @@ def _discover(suspect, vehicle, reference, settings: DiscoverySettings) -> tuple
 
 
 def describe_answer(found: Discovery) -> Record:
-    """What of an answer is kept."""
+    """The part of a record that describes the answer."""
     errors = found.errors.get("position_5s")
     return {
         "outcome": found.outcome,
@@ -98,10 +99,10 @@ def _values(effect: FoundEffect) -> dict[str, list[float]]:
 
 
 def interleave_cases(set_: str, counts: dict[str, int], part: tuple[int, int] = (0, 1)) -> Iterator[Question]:
-    """Cases of all blocks interleaved, so that all blocks are about equally complete when a run is stopped.
+    """Interleaves the cases of all blocks, so that all blocks are about equally complete when a run is stopped.
 
-    part: (k, n), every n-th group from the k-th on, for one of n processes. What shares a reference stays together; the
-    real drives as they are come first.
+    part: (k, n), every n-th group from the k-th on, for one of n processes. Cases with the same reference stay
+    together; the real drives as recorded come first.
     """
     groups = []
     for block, count in counts.items():
@@ -137,8 +138,10 @@ def read_files(files: Iterable[Path]) -> list[Record]:
 
 def run_all(cases: Iterable[Question], file: Path, until: float | None, report: Callable[[Record], None],
             limits: Limits | None = None, whole: bool = True) -> list[Record]:
-    """Records of all cases, appended to the file one by one; those in it are not computed again. until: no case begins
-    after this Unix time."""
+    """Records of all cases, which are appended to the file one by one; cases in the file are not run again.
+
+    until: Unix time after which no case starts.
+    """
     done, records = read_records(file), []
     file.parent.mkdir(parents=True, exist_ok=True)
     for case in cases:
@@ -158,7 +161,7 @@ def run_all(cases: Iterable[Question], file: Path, until: float | None, report: 
 
 
 def _try_case(case: Question, limits: Limits | None, whole: bool) -> Record:
-    # A discovery that raises is a wrong answer of the product, not the end of the benchmark.
+    # An exception in the discovery is a wrong answer, and does not end the benchmark.
     try:
         return run_case(case, limits, whole)
     except Exception as error:

@@ -1,4 +1,4 @@
-"""Records to scores: shares with 95 % Wilson intervals, and the required ones."""
+"""Computes scores from records: shares with 95 % Wilson intervals, with the required values and the goals."""
 
 import math
 from collections import defaultdict
@@ -23,8 +23,7 @@ WORSE = 1.02
 MIN_HIDDEN_LOSS_RATIO = 1.10
 """Block E: least ratio of the base's loss to its loss on drives of the healthy car for a hidden effect to count."""
 STRATA = (("strong", 0.5), ("medium", 0.25), ("weak", 0.1), ("invisible", -math.inf))
-ENOUGH = 4
-"""Cases of an effect for a promise of power to be compared with what was found."""
+MIN_CASES = 4  # cases of an effect for a comparison of its promised power with the results
 
 
 def wilson(hits: int, of: int, z: float = 1.959964) -> tuple[float, float]:
@@ -45,22 +44,23 @@ def stratum(detectability: float) -> str:
 
 
 def list_statements(r: Record) -> list[list[str]]:
-    """The statements of an answer: each its name followed by its alternatives."""
+    """The statements of an answer, each as its name followed by its alternatives."""
     return [_names(e) for e in r["effects"]]
 
 
 def is_covered(name: str, hidden: str) -> bool:
-    """Whether stating `name` states `hidden`: itself, or a composite it is part of."""
+    """Whether the statement `name` includes `hidden`: it is the same effect, or a composite of it."""
     return name == hidden or (name in EFFECTS and hidden in members(name))
 
 
 def is_stated(r: Record, hidden: str) -> bool:
-    """Alone or in a set."""
+    """Whether an answer states a hidden effect, alone or with alternatives."""
     return any(is_covered(name, hidden) for group in list_statements(r) for name in group)
 
 
 def is_false(r: Record, effect: Record) -> bool:
-    """Nothing in a statement is hidden, an effect confounded with it, or truly different between plant and model."""
+    """Whether no effect of a statement is hidden, similar to a hidden one, or a true difference between plant and
+    model."""
     true = {*plant_differences(r["plant"]), *r.get("mistaken", ())}
     if any(name in true or any(is_similar(name, h) for h in r["hidden"]) for name in _names(effect)):
         return False
@@ -84,7 +84,7 @@ def is_exact(r: Record) -> bool:
 
 
 def relevant_effects(r: Record) -> list[str]:
-    """Hidden effects that matter: without them the oracle is worse."""
+    """Hidden effects without which the oracle is worse."""
     return [n for n, ratio in r.get("worth", {}).items() if ratio >= MIN_LOSS_RATIO]
 
 
@@ -102,7 +102,7 @@ def values_inside(r: Record) -> list[tuple[str, bool]]:
 
 
 def closed_share(r: Record) -> float | None:
-    """Share of the oracle's gain in held-out 5 s position; None where the oracle gains too little to speak of."""
+    """Fraction of the oracle's reduction of the held-out 5 s position error; None if that reduction is too small."""
     p = r.get("position", {})
     if "oracle" not in p or p["base"] - p["oracle"] < max(CLOSABLE[0], CLOSABLE[1] * p["base"]):
         return None
@@ -120,7 +120,7 @@ def is_reported(r: Record) -> bool:
 
 
 def power_pairs(records: Iterable[Record]) -> list[tuple[str, float, bool]]:
-    """(effect, power promised for the size hidden, whether it was found) over cases with a certificate."""
+    """(effect, promised power for the hidden size, whether it was found) for cases with a certificate."""
     pairs = []
     for r in records:
         for name in r["hidden"]:
@@ -131,7 +131,7 @@ def power_pairs(records: Iterable[Record]) -> list[tuple[str, float, bool]]:
 
 
 def promised_power(r: Record, name: str) -> float | None:
-    """Power the certificate gives the true size of a hidden effect: straight lines over the logarithm of the size."""
+    """Power in the certificate for the true size of a hidden effect, interpolated over the logarithm of the size."""
     rows = [(p, abs(size), found) for e, p, size, found in r.get("powers", ()) if e == name]
     truth = r["truth"].get(name)
     if not rows or truth is None or rows[0][0] not in truth:
@@ -143,7 +143,7 @@ def promised_power(r: Record, name: str) -> float | None:
 
 
 def budget_misses(r: Record) -> list[float]:
-    """Estimated minus true share of the gap, each part added last."""
+    """Absolute errors of the estimated shares of the error, each part added last."""
     return [abs(r["budget"].get(part, [0.0])[0] - last) for part, (last, _) in r.get("shares", {}).items()]
 
 
@@ -163,7 +163,7 @@ def value_of(values: Iterable[float | None], how: Callable[[Sequence[float]], fl
 
 
 class Table:
-    """Rows of scores as they are added."""
+    """Collects rows of scores."""
 
     def __init__(self) -> None:
         self.rows: list[Record] = []
@@ -173,7 +173,7 @@ class Table:
 
 
 def score_rows(records: Sequence[Record]) -> list[Record]:
-    """[{name, required, goal, hits, of, share, low, high or value} ...] of everything."""
+    """All scores as dicts with name, required, goal, and hits, of, share, low, high or value."""
     blocks: dict[str, list[Record]] = defaultdict(list)
     for r in records:
         blocks[r["block"]].append(r)
@@ -204,7 +204,7 @@ def score_rows(records: Sequence[Record]) -> list[Record]:
 
 
 def _parameters_found(table: Table, rows: list[Record], who: str) -> None:
-    """Rows of blocks A and B. who: plant, for the rows' names."""
+    """Adds the rows of blocks A and B. who: prefix of their names."""
     slack = "within 6 points of " if who else ""
     table.add(f"{who}A and B: effects that matter, stated alone or in a set", slack + "90 %", "97 %",
               share_of([is_stated(r, n) for r in rows for n in relevant_effects(r)]))
@@ -262,16 +262,17 @@ def _edits(table: Table, rows: list[Record]) -> None:
 
 
 def _promises(rows: Iterable[Record]) -> Record:
-    """Mean over effects of |promised - found share|, both means over the effect's cases."""
+    """Mean over the effects of the difference between mean promised power and share of cases in which they were
+    found."""
     by: dict[str, list[tuple[float, bool]]] = defaultdict(list)
     for name, promised, found in power_pairs(rows):
         by[name].append((promised, found))
     return value_of([abs(float(np.mean([p for p, _ in v])) - float(np.mean([f for _, f in v])))
-                     for v in by.values() if len(v) >= ENOUGH])
+                     for v in by.values() if len(v) >= MIN_CASES])
 
 
 def format_result(row: Record) -> str:
-    """The value of a row of scores in words."""
+    """Formats the value of a row of scores."""
     if row.get("of") == 0:
         return "no cases"
     if "hits" in row:

@@ -1,7 +1,7 @@
-"""What the INS and the steering sensor make of a recording: st_sim's sensors for a whole drive at once, as a DriveLog.
+"""Simulates INS and steering sensor for a whole drive at once, and returns a DriveLog.
 
-The numbers are those of `st_sim.sensors`, noise included, drawn in the same order; then rounded as NCOM and CAN round
-them and turned into the axes of the suite as `st` reads files. Checked by: tests/bench/test_discovery_plants.py.
+The values, including noise, are those of `st_sim.sensors`, with random numbers in the same order. They are then rounded
+as on NCOM and CAN, and converted to the axes of the suite. Checked by: tests/bench/test_discovery_plants.py.
 """
 
 from collections.abc import Sequence
@@ -19,16 +19,16 @@ from st_sim.settings import Settings
 from .compiled import Recording
 
 PERIOD, STEERING_PHASE = 0.01, 0.002
-"""s, between samples, and from an INS sample to that of the steering."""
+"""Time between samples, and from an INS sample to the following steering sample [s]."""
 START_NS = 1_800_000_000_000_000_000
 CHANNELS = tuple(NOISE)
 ROUNDING = {"rate": 1e-5, "force": 1e-4, "angle": 1e-6, "velocity": 1e-4, "steering": np.radians(0.1)}
-"""rad/s, m/s^2, rad, m/s of NCOM; rad of the steering wheel on CAN."""
+"""Resolution of NCOM [rad/s, m/s^2, rad, m/s], and of the steering wheel angle on CAN [rad]."""
 
 
 def make_log(name: str, recording: Recording, car: Car, vehicle: VehicleParameters, settings: Settings, seed: int,
              later: tuple[Settings, int] | None = None) -> DriveLog:
-    """The recorded drive. car: of the plant; vehicle: what the reader of the files thinks it is. later: as in
+    """The log of a drive. car: that of the plant; vehicle: the vehicle file of the reader. later: as in
     `compiled.drive`, for faults of the sensors."""
     r = make_readings(recording, car, settings, seed, later)
     count = len(recording.rows)
@@ -65,7 +65,7 @@ def make_readings(recording: Recording, car: Car, settings: Settings, seed: int,
 
 
 def _noise_free_readings(rows: np.ndarray, bank: np.ndarray, grade: np.ndarray, car: Car, s: Settings) -> np.ndarray:
-    """(15, n), rows as CHANNELS: without noise, with the faults of the settings."""
+    """Channels (15, n) without noise, but with the sensor errors of the settings."""
     x, y, yaw, vx, vy, r, a_y, a_y_rate, a_x = rows[:, (X, Y, YAW, VX, VY, YAW_RATE, A_Y, A_Y_RATE, A_X)].T
     vx_dot, vy_dot, r_dot, climb = rows[:, STATES:].T
     roll, pitch = s["roll_gradient"] * a_y + bank, s["pitch_gradient"] * a_x + grade
@@ -83,7 +83,7 @@ def _noise_free_readings(rows: np.ndarray, bank: np.ndarray, grade: np.ndarray, 
         u, v = c * u + sine * v, c * v - sine * u
         force_x, force_y = c * force_x + sine * force_y, c * force_y - sine * force_x
         yaw = yaw + s["ins_misalignment"]
-    # Not in st_sim: the benchmark's own.
+    # An error that only this benchmark has.
     rates[2] += s.get("yaw_rate_bias", 0.0)
     scale = s["velocity_scale"]
     force_y = force_y + s["lateral_acceleration_bias"]
@@ -92,7 +92,7 @@ def _noise_free_readings(rows: np.ndarray, bank: np.ndarray, grade: np.ndarray, 
 
 
 def _noise(seed: int, count: int, speed: np.ndarray) -> np.ndarray:
-    """(15, n) of noise 1: white, more of it on a fast road for rates and forces, and a slow wander."""
+    """Noise (15, n) for `ins_noise` 1: white noise, for rates and forces larger at high speed, and slow noise."""
     kinds = len(CHANNELS)
     draws = _stream(np.random.default_rng([seed, 3]), kinds * (1 + 2 * count), 4096)
     first, draws = draws[:kinds], draws[kinds:].reshape(count, kinds, 2)
@@ -108,12 +108,12 @@ def _noise(seed: int, count: int, speed: np.ndarray) -> np.ndarray:
 
 
 def select_noise(seed: int, count: int, speed: np.ndarray, channels: Sequence[str]) -> np.ndarray:
-    """(channels, n) of the INS noise at the forward speeds [m/s]; channels: names of CHANNELS."""
+    """INS noise (channels, n) at the forward speeds [m/s]; channels: names in CHANNELS."""
     return _noise(seed, count, speed)[[CHANNELS.index(name) for name in channels]]
 
 
 def _stream(generator: np.random.Generator, count: int, block: int) -> np.ndarray:
-    """The first numbers `environment.normal_stream` hands out: blocks, each from its end."""
+    """The first numbers of `environment.normal_stream`, which takes blocks from their ends."""
     blocks = [generator.standard_normal(block)[::-1] for _ in range(-(-count // block))]
     return np.concatenate(blocks)[:count]
 

@@ -1,5 +1,4 @@
-"""The page docs/measurements/discovery_scores.md of records: scores, both plants, effects, other
-methods, limits, and all that failed."""
+"""Writes docs/measurements/discovery_scores.md: scores, both plants, effects, other methods, limits and failures."""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
@@ -66,7 +65,7 @@ def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
 
 
 def _origin(records: Sequence[Record]) -> str:
-    """Set, versions and numbers of cases, with a warning if the figures are not of the sealed set."""
+    """Set, versions and numbers of cases, with a warning if not all cases are from the sealed set."""
     counts = Counter(r["block"] for r in records if r["index"] >= 0)
     sets, versions = (sorted({r[key] for r in records}) for key in ("set", "version"))
     text = (f"Set: {', '.join(sets)}. Version {', '.join(versions)}. Cases: "
@@ -85,7 +84,7 @@ def _origin(records: Sequence[Record]) -> str:
 
 
 def _plants(records: Sequence[Record]) -> str:
-    """The rows of A to C, of each plant alone."""
+    """The scores of blocks A to C for each plant."""
     names, columns = [], []
     for leaf in (True, False):
         rows = score.score_rows([r for r in records if r["block"] in "ABC" and (r["plant"] == LEAF) == leaf])
@@ -155,7 +154,7 @@ def _ablation(records: Sequence[Record]) -> str:
 
 
 def _failure_tables(records: Sequence[Record]) -> list[str]:
-    """One table for each block: case, hidden effects, answer, errors."""
+    """A table for each block: case, hidden effects, answer, errors."""
     plain = next((r for r in records if r["block"] == "F" and r["index"] < 0), None)
     parts = []
     for block in "ABCDEF":
@@ -179,7 +178,7 @@ def format_answer(r: Record) -> str:
 
 
 def list_failures(r: Record, plain: Record | None) -> list[str]:
-    """What is wrong with an answer, in words; empty where nothing is."""
+    """Errors of an answer; empty for a right one."""
     if r["outcome"] == "error":
         return [r["error"]]
     block = r["block"]
