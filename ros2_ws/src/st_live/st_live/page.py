@@ -41,9 +41,9 @@ class PageServer(ThreadingHTTPServer):
         script = json.dumps(settings).replace("<", "\\u003c")  # so that no title can end the script
         self.page = PAGE.read_text(encoding="utf-8").replace("/*SETTINGS*/null", script).encode()
         self.ended = False
-        self._condition = threading.Condition()
+        self.condition = threading.Condition()
         self._frame, self._number = b"", 0
-        self.clients = 0  # number of open pages
+        self.clients = 0  # number of open pages, protected by `condition`
 
     @property
     def port(self) -> int:
@@ -52,35 +52,24 @@ class PageServer(ThreadingHTTPServer):
     def publish(self, frame: Mapping[str, Any]) -> None:
         """Send a frame to every client; a client that is slower than the frames receives only the newest."""
         data = b"data: " + json.dumps(frame, separators=(",", ":")).encode() + b"\n\n"
-        with self._condition:
+        with self.condition:
             self._frame, self._number = data, self._number + 1
-            self._condition.notify_all()
+            self.condition.notify_all()
 
     def next_frame(self, after: int) -> tuple[bytes, int]:
         """Newest frame and its number, once the number exceeds `after`; an empty comment after KEEP_ALIVE_PERIOD."""
-        with self._condition:
-            if self._condition.wait_for(lambda: self._number > after or self.ended, KEEP_ALIVE_PERIOD):
+        with self.condition:
+            if self.condition.wait_for(lambda: self._number > after or self.ended, KEEP_ALIVE_PERIOD):
                 return self._frame, self._number
             return b":\n\n", after
-
-    def add_client(self) -> bool:
-        """Count an additional client; False if there are MAX_CLIENTS already."""
-        with self._condition:
-            accepted = self.clients < MAX_CLIENTS
-            self.clients += accepted
-            return accepted
-
-    def remove_client(self) -> None:
-        with self._condition:
-            self.clients -= 1
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore errors of clients, which may disconnect at any time."""
 
     def stop(self) -> None:
-        with self._condition:
+        with self.condition:
             self.ended = True
-            self._condition.notify_all()
+            self.condition.notify_all()
         self.shutdown()
         self.server_close()
 
@@ -114,7 +103,11 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
     def _send_frames(self) -> None:
-        if not self.server.add_client():
+        server = self.server
+        with server.condition:
+            accepted = server.clients < MAX_CLIENTS
+            server.clients += accepted
+        if not accepted:
             self.send_error(503, f"{MAX_CLIENTS} pages are open already")
             return
         try:
@@ -124,13 +117,14 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header("Cache-Control", "no-store")
             self.end_headers()
             number = 0
-            while not self.server.ended:
-                data, number = self.server.next_frame(number)
+            while not server.ended:
+                data, number = server.next_frame(number)
                 self.wfile.write(data)
         except OSError:
             pass  # the client has left
         finally:
-            self.server.remove_client()
+            with server.condition:
+                server.clients -= 1
 
     def log_message(self, *_: object) -> None:
         """Do not log requests."""

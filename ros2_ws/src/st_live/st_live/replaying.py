@@ -4,7 +4,6 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -74,11 +73,10 @@ def describe_not_played(bag: Path, unknown: Sequence[str]) -> list[str]:
 def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mapping[str, Mapping[str, Any]], rate: float,
           console: Console, view: LiveView | None, options: Sequence[str]) -> Outcome:
     """topics: topic to play as input of the nodes, by message type. options: additional options of the player."""
-    chosen = read_domain_id()
-    reserved = claim_domain() if chosen is None else nullcontext(chosen)
     problem, interrupted = "", False
     predictor = parameters["predictor"]
-    with reserved as domain, Suite(folder, parameters, domain) as suite, Monitor(domain) as monitor:
+    with (claim_domain(read_domain_id()) as domain, Suite(folder, parameters, domain) as suite,
+          Monitor(domain) as monitor):
         start_nodes(suite, monitor, [("st_predictor", name) for name in REPLAY_NODES])
         if view:
             view.open(folder, domain, predictor, bag.name, console)

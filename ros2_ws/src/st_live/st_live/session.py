@@ -4,7 +4,7 @@ import signal
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -140,8 +140,7 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
     chosen = read_domain_id()
     if chosen is None and not source:
         chosen = 0
-    reserved = claim_domain() if chosen is None else nullcontext(chosen)
-    with _catch_signals() as stopped, reserved as domain, Monitor(domain) as monitor:
+    with _catch_signals() as stopped, claim_domain(chosen) as domain, Monitor(domain) as monitor:
         if chosen is not None:
             time.sleep(DISCOVERY_TIME)
             _check_no_other_suite(monitor, domain, allowed=0)

@@ -227,11 +227,14 @@ def loopback_environment(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 @contextmanager
-def claim_domain() -> Iterator[int]:
-    """A ROS domain that no process on this computer uses, reserved until the end of the block.
+def claim_domain(chosen: int | None = None) -> Iterator[int]:
+    """The chosen ROS domain, or one that no process on this computer uses, reserved until the end of the block.
 
     The first discovery port of the domain (DDS: 7400 + 250 * domain + 10) is bound; participants use the next ports.
     """
+    if chosen is not None:
+        yield chosen
+        return
     for domain in range(LAST_DOMAIN, 0, -1):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as claim:
             try:

@@ -10,8 +10,6 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,13 +42,13 @@ INPUTS = {"forecast": "held", "course": "of the course", "plan": "planned"}  # b
 TOPICS = {  # kind of message by topic
     "predictor/status": "status", "ins/status": "ins_status", "ins/odometry": "odometry",
     "vehicle/steering": "steering",
-    **{f"predictor/{model}/prediction": "prediction" for model in MODEL_COLOUR},
+    **{f"predictor/{model}/prediction": "forecast" for model in MODEL_COLOUR},
     **{f"predictor/{model}/{mode}": mode for mode in PLANNED_MODES for model in MODEL_COLOUR},
     "evaluator/errors": "error", "/diagnostics": "diagnostics",
 }
 PERIOD = 0.1  # s between frames
 TYPES = {"status": PredictorStatus, "ins_status": InsStatus, "odometry": Odometry, "steering": Steering,
-         "prediction": Prediction, "plan": PlannedPrediction, "course": PlannedPrediction, "error": PredictionError,
+         "forecast": Prediction, "plan": PlannedPrediction, "course": PlannedPrediction, "error": PredictionError,
          "diagnostics": DiagnosticArray}
 QUEUE_DEPTHS, DEFAULT_QUEUE_DEPTH = {"error": 200, "diagnostics": 50}, 3  # all scores of one instant arrive together
 
@@ -69,17 +67,33 @@ class PassengerFrames:
         self._reason = ""
         self._position_mode: tuple[str, float] = ("", 0.0)  # text, received [s]
         self._track: deque[tuple[float, float, float]] = deque()  # (measured s, x, y)
-        # By mode and model: time of arrival [s] with the message or the errors [m].
+        # By mode and model: time of arrival [s] with the message or the errors [m] and the horizon [s].
         self._predictions: dict[str, dict[str, tuple[float, Any]]] = {mode: {} for mode in INPUTS}
         self._errors: dict[str, dict[str, tuple[float, dict[str, float]]]] = {mode: {} for mode in INPUTS}
         self._health: dict[str, tuple[float, float, dict[str, tuple[int, str]]]] = {}  # received, timeout [s], checks
-        self._handlers: dict[str, Callable[[Any, float], None]] = {
-            name: partial(self._take_prediction, mode=name) if name in PLANNED_MODES
-            else getattr(self, f"_take_{name}") for name in set(TOPICS.values())}
 
     def take(self, topic: str, message: Any, now: float) -> None:
         """Process a message of one of TOPICS, received at `now`."""
-        self._handlers[TOPICS[topic]](message, now)
+        kind = TOPICS[topic]
+        if kind == "odometry":
+            self._take_odometry(message, now)
+        elif kind == "ins_status":
+            self._position_mode = message.position_mode_text, now
+        elif kind == "steering":
+            usable = message.valid and math.isfinite(message.road_wheel_angle)
+            self._steering = message.road_wheel_angle if usable else None, now
+        elif kind == "status":
+            self._reason = message.reason
+        elif kind == "diagnostics":
+            self._take_diagnostics(message, now)
+        elif kind == "error" and message.complete and message.mode in INPUTS:
+            self._errors[message.mode][message.model] = now, {  # at the end of the horizon
+                "longitudinal": round(message.longitudinal[-1], 2), "lateral": round(message.lateral[-1], 2),
+                "horizon": round(message.horizon[-1], 2)}
+        elif kind in self._predictions:
+            content = convert.read_trajectory(message)
+            if not isinstance(content, str) and np.isfinite(content[1].states).all():
+                self._predictions[kind][message.model] = now, message
 
     def frame(self, now: float) -> dict[str, Any]:
         """Content of the page, for JSON. `received`: time of the newest odometry, null before the first."""
@@ -148,28 +162,6 @@ class PassengerFrames:
             self._track.append((measured, *self._cg_position(sample)))
             while measured - self._track[0][0] > TRACK_SPAN:
                 self._track.popleft()
-
-    def _take_ins_status(self, message: Any, now: float) -> None:
-        self._position_mode = message.position_mode_text, now
-
-    def _take_steering(self, message: Any, now: float) -> None:
-        usable = message.valid and math.isfinite(message.road_wheel_angle)
-        self._steering = message.road_wheel_angle if usable else None, now
-
-    def _take_status(self, message: Any, now: float) -> None:
-        self._reason = message.reason
-
-    def _take_prediction(self, message: Any, now: float, mode: str = "forecast") -> None:
-        content = convert.read_trajectory(message)
-        if not isinstance(content, str) and np.isfinite(content[1].states).all():
-            self._predictions[mode][message.model] = now, message
-
-    def _take_error(self, message: Any, now: float) -> None:
-        """Store the errors [m] at the end of a horizon [s]."""
-        if message.complete and message.mode in INPUTS:
-            self._errors[message.mode][message.model] = now, {
-                "longitudinal": round(message.longitudinal[-1], 2), "lateral": round(message.lateral[-1], 2),
-                "horizon": round(message.horizon[-1], 2)}
 
     def _take_diagnostics(self, message: Any, now: float) -> None:
         for node in {status.name.partition(": ")[0] for status in message.status}:
