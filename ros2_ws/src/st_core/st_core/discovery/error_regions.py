@@ -35,8 +35,8 @@ from .result import LargeErrorRegion
 from .settings import DiscoverySettings
 from .windows import STEP, Windows
 
-STEERING_ANGLE = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)  # rad at the road wheels, magnitude
-FORWARD_ACCELERATION = (-math.inf, -2.0, -0.7, 0.7, 2.0)  # m/s^2
+ROAD_WHEEL_ANGLE_EDGES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)  # rad at the road wheels, magnitude
+FORWARD_ACCELERATION_EDGES = (-math.inf, -2.0, -0.7, 0.7, 2.0)  # m/s^2
 MIN_TURNING = 0.5  # m/s^2 of lateral acceleration; driving with less counts as straight
 MIN_BLOCKS = 4  # minimum number of blocks in a bin for an interval
 FALSE_DISCOVERY_RATE = 0.05  # among the significant bins or cells
@@ -131,9 +131,9 @@ def membership(samples: Samples) -> tuple[tuple[Range, ...], np.ndarray]:
     for quantity, unit, values, edges in (
             ("speed", "m/s", c["speed"], SPEED_EDGES),
             ("lateral acceleration", "m/s²", np.abs(lateral), LATERAL_ACCELERATION_EDGES),
-            ("steering angle", "rad", np.abs(c["steering_angle"]), STEERING_ANGLE),
+            ("steering angle", "rad", np.abs(c["steering_angle"]), ROAD_WHEEL_ANGLE_EDGES),
             ("steering rate", "rad/s", c["steering_rate"], STEERING_RATE_EDGES),
-            ("forward acceleration", "m/s²", c["forward_acceleration"], FORWARD_ACCELERATION)):
+            ("forward acceleration", "m/s²", c["forward_acceleration"], FORWARD_ACCELERATION_EDGES)):
         for low, high in zip(edges, (*edges[1:], math.inf), strict=True):
             ranges.append(Range(quantity, range_text(quantity, unit, low, high), low, high))
             columns.append((values >= low) & (values < high))
@@ -154,13 +154,14 @@ def range_text(quantity: str, unit: str, low: float, high: float) -> str:
 
 
 def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
-                   settings: DiscoverySettings, reference: Sequence[DriveLog] = (),
-                   noise: Mapping[str, float] | None = None, gain: float = 0.0) -> tuple[LargeErrorRegion, ...]:
+                       settings: DiscoverySettings, reference: Sequence[DriveLog] = (),
+                       noise: Mapping[str, float] | None = None,
+                       acceleration_gain: float = 0.0) -> tuple[LargeErrorRegion, ...]:
     """Conditions, times and places in which the errors of a model exceed those in the reference drives or, without a
-    reference, the sensor noise. noise: standard deviation by channel [unit], required without a reference. gain: see
-    `Windows.errors`. Channels that are not measured in the runs or in the reference are left out."""
-    samples = window_errors(runs, model, vehicle, settings, gain)
-    expected = window_errors(reference, model, vehicle, settings, gain) if reference else None
+    reference, the sensor noise. noise: standard deviation by channel [unit], required without a reference.
+    acceleration_gain: see `Discovery`. Channels that the runs or the reference do not measure are left out."""
+    samples = window_errors(runs, model, vehicle, settings, acceleration_gain)
+    expected = window_errors(reference, model, vehicle, settings, acceleration_gain) if reference else None
     if expected is not None:
         common = [c for c in samples.squares if c in expected.squares and np.isfinite(expected.squares[c]).any()]
         samples = replace(samples, squares={c: samples.squares[c] for c in common})
@@ -178,14 +179,15 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
 
 
 def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
-                  settings: DiscoverySettings, gain: float = 0.0) -> Samples:
+                  settings: DiscoverySettings, acceleration_gain: float = 0.0) -> Samples:
     """Errors and conditions of all windows of the runs: mean square errors over the first SHORT_HORIZON; for channels
     with accumulating errors, square errors at the end of the horizon."""
     windows = Windows(runs, vehicle, settings)
     short = windows.time <= max(SHORT_HORIZON, float(windows.time[0]))
+    errors = windows.errors(model, acceleration_gain)
     squares: dict[str, np.ndarray] = {}
-    for column, square in zip(windows.columns, np.moveaxis(np.square(windows.errors(model, gain)), -1, 0), strict=True):
-        channel = CHANNEL_OF_COLUMN[column]
+    for k, column in enumerate(windows.columns):
+        channel, square = CHANNEL_OF_COLUMN[column], np.square(errors[:, :, k])
         value = square[:, -1] if channel.accumulates else square[:, short].mean(axis=1)
         squares[channel.name] = squares.get(channel.name, 0.0) + value
     rows = [_places_of_run(log, windows.seconds[windows.run == number], float(windows.time[-1]))
