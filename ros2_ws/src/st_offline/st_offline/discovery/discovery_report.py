@@ -132,7 +132,7 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
     metres = quantities.format_metres
     channels = []
     for name, g in sorted(found.errors.items(), key=lambda item: item[1].augmented / max(item[1].base, 1e-12)):
-        up, unit = quantities.display_factor(g.unit), quantities.display_unit(g.unit)
+        up, unit = quantities.display_unit(g.unit)
         base, after, floor, worst, low, high = (f"{up * x:.3g}" for x in (
             g.base, g.augmented, g.floor, g.worst, *g.interval))
         channels.append((f"{quantities.channel_label(name)}, {unit}", base, after, f"{low} to {high}", floor,

@@ -149,8 +149,8 @@ def draw_maps(scene: Scene) -> PageFigure | None:
     if run is None:
         return None
     models = [("base model", scene.before)] + ([("complete model", scene.after)] if scene.after else [])
-    unit = UNITS[scene.channel]
-    largest = quantities.display_factor(unit) * max(float(np.nanmax(errors)), 1e-12)
+    factor, unit = quantities.display_unit(UNITS[scene.channel])
+    largest = factor * max(float(np.nanmax(errors)), 1e-12)
     with style():
         log = scene.runs[run]
         shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if _aspect_ratio(log) > MIN_ASPECT else 0.5
@@ -161,7 +161,7 @@ def draw_maps(scene: Scene) -> PageFigure | None:
             rows = np.flatnonzero(samples.run == run)
             rows = rows[:: max(1, len(rows) // 500)]
             x, y = samples.x[rows], samples.y[rows]
-            error = quantities.display_factor(unit) * np.sqrt(samples.squares[scene.channel][rows])
+            error = factor * np.sqrt(samples.squares[scene.channel][rows])
             axes.plot(log.x[::stride], log.y[::stride], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
             points = axes.scatter(x, y, c=error, s=14, cmap="cividis", zorder=2, linewidths=0, rasterized=True,
                                   vmin=0.0, vmax=largest)
@@ -171,7 +171,7 @@ def draw_maps(scene: Scene) -> PageFigure | None:
             axes.set_xlabel("east, m")
         panels[0][0].set_ylabel("north, m")
         bar = figure.colorbar(points, ax=list(panels[0]))
-        bar.set_label(f"{quantities.channel_label(scene.channel)} error, {quantities.display_unit(unit)}")
+        bar.set_label(f"{quantities.channel_label(scene.channel)} error, {unit}")
         title = f"{log.name}: {quantities.channel_label(scene.channel)} error on the map"
         caption = "Each point is one prediction, coloured by its error. All panels have the same colour scale."
         return save_figure(figure, scene.output, "map", title, caption)
@@ -287,4 +287,4 @@ def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
 
 def display_unit(unit: str) -> tuple[float, str]:
     """(factor from SI, unit) for the axis of a curve."""
-    return (100.0, "%") if unit == "1" else (quantities.display_factor(unit), quantities.display_unit(unit))
+    return (100.0, "%") if unit == "1" else quantities.display_unit(unit)

@@ -12,7 +12,7 @@ from st_core.vehicle import VehicleParameters
 
 MAX_DECIMALS = 6  # numbers that need more are written with an exponent
 BOUND_TOLERANCE = Limits().at_bound  # distance from a bound, divided by the typical size of the parameter
-_DISPLAY = {"rad": ("°", 57.29577951308232), "rad/s": ("°/s", 57.29577951308232)}
+_DISPLAY = {"rad": (57.29577951308232, "°"), "rad/s": (57.29577951308232, "°/s")}
 TERMS = {
     "front_steer": "steering of the front wheels", "rear_steer": "steering of the rear wheels",
     "front_force": "lateral force of the front axle", "rear_force": "lateral force of the rear axle",
@@ -38,14 +38,9 @@ SIGNS = {"acceleration_x": " (derivative of the forward speed, also where a bend
 """Positive direction of a quantity."""
 
 
-def display_factor(unit: str) -> float:
-    """Factor from an SI unit to the unit used in reports."""
-    return _DISPLAY.get(unit, ("", 1.0))[1]
-
-
-def display_unit(unit: str) -> str:
-    """Unit used in reports for an SI unit."""
-    return _DISPLAY.get(unit, (unit.replace("^2", "²"), 1.0))[0]
+def display_unit(unit: str) -> tuple[float, str]:
+    """(factor from an SI unit, unit) in reports."""
+    return _DISPLAY.get(unit, (1.0, unit.replace("^2", "²")))
 
 
 def channel_label(name: str) -> str:
@@ -60,13 +55,13 @@ def to_words(name: str) -> str:
 
 def append_unit(number: str, unit: str) -> str:
     """A number with the report unit that corresponds to an SI unit."""
-    text = "" if unit == "1" else display_unit(unit)
+    text = "" if unit == "1" else display_unit(unit)[1]
     return f"{number}{'' if not text or text.startswith('°') else ' '}{text}"
 
 
 def format_value(value: float, unit: str) -> str:
     """A value [SI] with its report unit."""
-    return append_unit(f"{value * display_factor(unit):.3g}", unit)
+    return append_unit(f"{value * display_unit(unit)[0]:.3g}", unit)
 
 
 def format_metres(value: float) -> str:
@@ -91,10 +86,11 @@ def format_parameter(p: FittedParameter, parameter: Parameter | None = None, int
     typical_size = abs(parameter.initial - parameter.null) if parameter else 0.0
     bounds = [] if parameter is None or parameter.shape else [
         bound for bound in parameter.bounds if bound not in (parameter.null, parameter.theory)]
-    half_width = 0.5 * (p.interval[1] - p.interval[0]) * display_factor(p.unit)
+    factor, _ = display_unit(p.unit)
+    half_width = 0.5 * (p.interval[1] - p.interval[0]) * factor
     known = math.isfinite(half_width) and half_width > 0.0
     decimals = max(1 - math.floor(math.log10(half_width) + 1e-6), 0) if known else 3  # second significant digit
-    number, *ends = (format_decimal(x * display_factor(p.unit), decimals) for x in (p.value, *p.interval))
+    number, *ends = (format_decimal(x * factor, decimals) for x in (p.value, *p.interval))
     text = f"× {number}" if p.unit == "1" and p.null == 1.0 else append_unit(number, p.unit)
     on_bound = " on its bound" if any(abs(p.value - bound) < BOUND_TOLERANCE * typical_size for bound in bounds) else ""
     return f"{text}{on_bound}{f' ({ends[0]} to {ends[1]})' if interval else ''}"
@@ -120,7 +116,7 @@ def format_fitted(name: str, numbers: Mapping[str, float]) -> str:
         unit, null = (known[key].unit, known[key].null) if key in known else ("1", 0.0)
         count = max(2, 1 - math.floor(math.log10(abs(number - null)))) if number != null else 2
         text = (f"× {number:.{count}f}" if (unit, null) == ("1", 1.0) else
-                append_unit(f"{float(f'{number * display_factor(unit):.2g}'):g}", unit))
+                append_unit(f"{float(f'{number * display_unit(unit)[0]:.2g}'):g}", unit))
         texts.append(f"{to_words(key) + ' ' if len(numbers) > 1 else ''}{text}")
     return ", ".join(texts)
 
