@@ -29,8 +29,7 @@ MAX_LATERAL_ACCELERATION = 9.0  # m/s^2; above it the simulation with the base m
 PERIOD = STEP / 2  # s, sampling period of the simulated log
 LEAD_TIME = 4.0  # s before a manoeuvre, to reach its initial steering angle
 
-Catalogue = Mapping[str, np.ndarray]
-"""Curvature (p, p) that each manoeuvre adds to the loss, by name."""
+Catalogue = Mapping[str, np.ndarray]  # curvature (p, p) that each manoeuvre adds to the loss, by name
 
 
 def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameters) -> DriveLog:

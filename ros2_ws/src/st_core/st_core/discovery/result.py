@@ -19,8 +19,7 @@ EFFECTIVE = "effective corrections"
 PARTS = (*EFFECT_KINDS, EFFECTIVE, "place or time", "unexplained")
 """Kinds of cause to which the baseline error is attributed (`BudgetLine`)."""
 Interval = tuple[float, float]
-MODELS = ("base", "model", "named")
-"""Fields of `Discovery` that are models and not part of discovery.json."""
+MODELS = ("base", "model", "named")  # fields of `Discovery` that are models and not part of discovery.json
 
 
 @dataclass(frozen=True)

@@ -199,8 +199,7 @@ HOOKS = tuple(name for name, value in vars(Effect).items() if value is None and 
 AUXILIARY_HOOKS = ("constants", "fold")
 EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "specific_force")
 EFFECTS: dict[str, type[Effect]] = {}
-UNLISTED: dict[str, type[Effect]] = {}
-"""Effects that are not in the library of a search, but that `get_effect` finds."""
+UNLISTED: dict[str, type[Effect]] = {}  # effects that are not in the library of a search, but that `get_effect` finds
 
 
 def register(effect: type[Effect], registry: dict[str, type[Effect]] = EFFECTS) -> type[Effect]:
