@@ -189,6 +189,14 @@ def test_latitude_and_longitude_decide_that_yaw_and_yaw_rate_count_clockwise(log
     assert check(cured(wrong, found.advice.entry, leaf), leaf, known).findings == ()
 
 
+def test_a_longitude_that_counts_west_is_no_compass_heading(log, leaf):
+    known = AuxiliaryData(geographic=True)
+    wrong = replace(log, x=-log.x)
+    (found,) = check(wrong, leaf, known).findings
+    assert found.name == "position_axes" and found.advice.entry == {"correct": {"x": {"scale": -1.0}}}
+    assert check(cured(wrong, found.advice.entry, leaf), leaf, known).findings == ()
+
+
 @pytest.mark.parametrize(("channels", "name"), [(POSITION, "position_scale"), (VELOCITY, "velocity_scale")])
 @pytest.mark.parametrize("factor", [1.05, 0.95])
 def test_wheels_decide_between_positions_and_velocity(log, leaf, channels, name, factor):

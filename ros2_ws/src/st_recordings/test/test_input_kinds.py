@@ -173,6 +173,21 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
      "utf-8", ""),
     ("topics.csv", lambda log: csv([[row[0], "99", "5", "6", *row[1:]] for row in rows(log)], ",".join(
         ("t", "engine.speed", "a/speed", "b/speed", *NAMES[1:])).replace("velocity_x", "ins/velocity_x")), "utf-8", ""),
+    ("sources.csv", lambda log: csv([[*row, "9", "9", "9", "9"] for row in rows(log)], ",".join((
+        "time", "Out/x [m]", "Out/y [m]", "egoYaw", "vx_raw", "Out/vy [m/s]", "Yaw rate IMU [in radians per second]",
+        "CAN1::EPS::Steering wheel angle", "acc.x", "Out/vx_max [m/s]", "σ_vx", "Δt"))), "utf-8", ""),
+    ("pitch.csv", lambda log: csv([[*row[:3], f"{np.pi / 2 - float(row[3]):.6f}", *row[4:], "0"] for row in rows(log)],
+                                  ",".join((*NAMES[:3], "heading", *NAMES[4:], "theta"))), "utf-8", ""),
+    ("twice_raw.csv", lambda log: csv([[*row, "9", "8"] for row in rows(log)],
+                                      ",".join((*NAMES, "ax_raw", "ax_filtered"))),
+     "utf-8", "columns ax_raw and ax_filtered may each be acceleration_x; none of them is used"),
+    ("quoted.csv", lambda log: csv([[*row, '"a, b"'] for row in rows(log)], ",".join((*NAMES, "note"))), "utf-8", ""),
+    ("line_ends.csv", lambda log: csv(rows(log), ",".join(f'"{name}\n[{unit}]"' for name, unit in zip(
+        NAMES, ["s", "m", "m", "rad", "m/s", "m/s", "rad/s", "rad"], strict=True))), "utf-8", ""),
+    ("compact.csv", lambda log: stamped(log, lambda s: f"20260504_{clock(43200 + s).replace(':', '')}"), "utf-8", ""),
+    ("clock_format.csv", lambda log: stamped(log, lambda s: clock(43200 + s)).replace("t,", "Time (HH:MM:SS.SS),", 1),
+     "utf-8", ""),
+    ("single_quotes.csv", lambda log: re.sub(r"[^,\n]+", r"'\g<0>'", csv(rows(log))), "utf-8", ""),
     ("unit.csv", lambda log: csv([[*row, "9"] for row in rows(log)], ",".join((*NAMES, "ax [mg]"))), "utf-8",
      "column ax .* is not used: 'mg' is not a unit of acceleration"),
 ]
@@ -208,7 +223,23 @@ def test_a_table_in_parts_is_one_run(tmp_path: Path, drive, kind: str) -> None:
         read(find_runs([tmp_path / "parts.run.yaml"])[0], CAR, WHEEL if kind == "vbo" else None)
 
 
+def over_ground(log: DriveLog, header: str) -> str:
+    """With the compass heading in degrees, and velocities to the north and east."""
+    yaw = log.yaw
+    north = log.velocity_x * np.sin(yaw) + log.velocity_y * np.cos(yaw)
+    east = log.velocity_x * np.cos(yaw) - log.velocity_y * np.sin(yaw)
+    return csv([[*row[:3], f"{90 - np.degrees(yaw[k]):.6f}", f"{north[k]:.6f}", f"{east[k]:.6f}", *row[6:]]
+                for k, row in enumerate(rows(log))], header)
+
+
 @pytest.mark.parametrize(("text", "error"), [
+    (lambda log: over_ground(log, ",".join((*NAMES[:4], "vn", "ve", *NAMES[6:]))),
+     "yaw agrees with the velocities to the east and north only as compass_heading in deg; declare it"),
+    (lambda log: csv(rows(log), "t,x,y,yaw,u,v,r,steering_wheel_angle"), "columns u and v may each be velocity_x"),
+    (lambda log: csv(rows(log)).replace(".", ","), "its rows have 16 cells, but its header has 8"),
+    (lambda log: csv(rows(log), "Zt;Ost;Nord;Kurs;Vor;Quer;Rate;Lenk", ";").replace(".", ","),
+     "its columns are Zt, Ost, Nord, Kurs, Vor, Quer, Rate, Lenk"),
+    (lambda log: csv(rows(log), ",".join(("Δt", *NAMES[1:]))), "no column was recognised as t;"),
     (lambda log: "PK\x03\x04" + csv(rows(log)), r"this is a compressed file \(zip, or a spreadsheet\); unpack it"),
     (lambda log: stamped(log, lambda s: "5.0"), r"1 of \d+ rows .* have a time later than all rows before"),
     (lambda log: csv(rows(log)[::-1]), r"1 of \d+ rows .* have a time later than all rows before them; sort its rows"),
@@ -221,7 +252,8 @@ def test_a_table_in_parts_is_one_run(tmp_path: Path, drive, kind: str) -> None:
      "its first line contains numbers instead of the names"),
     (lambda log: csv(rows(log), ",".join(NAMES).replace("yaw,", "yaw [?],")), r"column yaw \[\?\] is not used: '\?'"),
     (lambda log: stamped(log, lambda s: f"{s * 1e9:.0f}"), r"cannot be in s; .*units: \{t: ns\}"),
-    (lambda log: csv(rows(log), ",".join(NAMES).replace(",x,", ",a/pos_x,b/pos_x,")[:-21]), "was recognised as x"),
+    (lambda log: csv(rows(log), ",".join(NAMES).replace(",x,", ",a/pos_x,b/pos_x,")[:-21]),
+     "columns a/pos_x and b/pos_x may each be x; name the right one"),
     (lambda log: "timestamp,arbitration_id,dlc,data\n0.1,0x2,8,AAAA\n", "this is a CAN log as a table; export it as"),
     (lambda log: geographic(log).replace("latitude,longitude", "longitude,latitude"), "are interchanged: they agree"),
     (lambda log: in_radians(geographic(log)), r"are in radians: if read as degrees, they give 1/\d\d of the driven"),

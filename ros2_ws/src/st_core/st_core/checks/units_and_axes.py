@@ -225,15 +225,15 @@ def _correct_position_axes(motion: Motion) -> Corrected:
     r = ratios(motion)
     if not (is_near(r.yaw_course, -1.0, LIMITS.unit) and is_near(r.yaw_rate, 1.0, LIMITS.unit)):
         return motion, None
-    if motion.geographic:
+    measured, derived = _displacements(motion, *motion.velocity_map)
+    angle = np.angle(np.sum(measured * derived))
+    quarter = int(np.round(angle / (np.pi / 2))) % 4
+    if motion.geographic and quarter % 2:  # not a longitude that counts west, or a latitude that counts south
         text = ("yaw and yaw_rate count clockwise: is yaw a compass heading from north, and does the gyroscope's axis "
                 "point down? Expected: left positive, yaw from east")
         advice = _correct_channels({"yaw": {"scale": -1.0, "add": np.pi / 2}, "yaw_rate": {"scale": -1.0}})
         return replace(motion, yaw=np.pi / 2 - motion.yaw, yaw_rate=-motion.yaw_rate), _make_error(
             "yaw_convention", ("yaw", "yaw_rate"), text, r.yaw_course, advice)
-    measured, derived = _displacements(motion, *motion.velocity_map)
-    angle = np.angle(np.sum(measured * derived))
-    quarter = int(np.round(angle / (np.pi / 2))) % 4
     axes: dict[int, tuple[str, np.ndarray, np.ndarray, dict[str, Any]]] = {
         0: ("y is mirrored (it should count north)", motion.x, -motion.y, {"correct": {"y": {"scale": -1.0}}}),
         1: ("x and y are exchanged (x is east, y north)", motion.y, motion.x, {"columns": {"x": "y", "y": "x"}}),

@@ -2,52 +2,71 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+import unicodedata
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 
 from .errors import RunError
 
 # Kind of quantity -> unit -> (factor to SI, other spellings). The first unit is the default.
 UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
-    "time": {"s": (1.0, ("sec", "secs", "second", "seconds", "utc", "unix time")),
+    "time": {"s": (1.0, ("sec", "secs", "second", "seconds")),
              "ms": (1e-3, ("msec", "millis", "milliseconds")),
              "us": (1e-6, ("µs", "usec", "micros", "microseconds")),
              "ns": (1e-9, ("nsec", "nanos", "nanoseconds")), "min": (60.0, ("minute", "minutes")),
              "h": (3600.0, ("hr", "hour", "hours"))},
     "length": {"m": (1.0, ("meter", "meters", "metre", "metres")), "cm": (1e-2, ()), "mm": (1e-3, ()),
-               "km": (1e3, ()), "ft": (0.3048, ("feet", "foot")), "in": (0.0254, ("inch", "inches"))},
+               "km": (1e3, ("kilometer", "kilometers", "kilometre", "kilometres")), "ft": (0.3048, ("feet", "foot")),
+               "in": (0.0254, ("inch", "inches")), "mi": (1609.344, ("mile", "miles"))},
     "angle": {"rad": (1.0, ("rads", "radian", "radians")), "deg": (math.pi / 180, ("°", "degs", "degree", "degrees")),
               "mrad": (1e-3, ()), "gon": (math.pi / 200, ("gradian", "gradians"))},
     "latitude or longitude": {"deg": (math.pi / 180, ("°", "degs", "degree", "degrees")),
                               "min": (math.pi / 10800, ("arcmin", "minute", "minutes")), "rad": (1.0, ("radian",)),
                               "1e-7 deg": (math.pi / 180e7, ())},
-    "speed": {"m/s": (1.0, ("mps", "m s-1", "m per s", "m per sec", "ms-1")),
-              "km/h": (1 / 3.6, ("kph", "kmh", "kmph", "km per h")),
+    "speed": {"m/s": (1.0, ("mps", "m s-1")), "km/h": (1 / 3.6, ("kph", "kmph")),
               "mph": (0.44704, ("mi/h",)), "kn": (1852 / 3600, ("kt", "kts", "knot", "knots")),
               "ft/s": (0.3048, ("fps",)), "cm/s": (1e-2, ()), "mm/s": (1e-3, ())},
-    "angular rate": {"rad/s": (1.0, ("radps", "rps", "rad per s", "rad per sec", "rad s-1", "1/s")),
-                     "deg/s": (math.pi / 180, ("°/s", "dps", "degps", "deg per s", "deg per sec", "deg s-1")),
+    "angular rate": {"rad/s": (1.0, ("radps", "rps", "rad s-1", "1/s")),
+                     "deg/s": (math.pi / 180, ("dps", "degps", "deg s-1")),
                      "mrad/s": (1e-3, ())},
     "ratio": {"1": (1.0, ())},
-    "acceleration": {"m/s^2": (1.0, ("m/s2", "m/s²", "m/s/s", "mps2", "ms2", "m s-2", "m per s2", "m per s 2")),
+    "acceleration": {"m/s^2": (1.0, ("m/s/s", "mps2", "m s-2")),
                      "g": (9.80665, ("g0", "gs")), "ft/s^2": (0.3048, ("ft/s2",))},
 }
 
 
+_SPELLINGS = str.maketrans({
+    **dict.fromkeys("º˚⁰", "°"), **dict.fromkeys("µμ", "u"), **dict.fromkeys("äÄ", "ae"), **dict.fromkeys("öÖ", "oe"),
+    **dict.fromkeys("üÜ", "ue"), "ψ": "psi", "δ": "delta", "ω": "omega", "\u0307": "dot"})
+_CLOCK = re.compile(r"(?i)\b(gps|utc|gmt|local|unix|since|start|boot|epoch|of|day|week|time|in)\b"
+                    r"|[ymdt./ -]*h+:?m+:?s+[.:sfx\d]*")  # clocks, and formats such as HH:MM:SS.SS
+
+
+@cache
 def normalise(text: str) -> str:
-    """Normal form of a name or unit for comparison: only lower-case ASCII letters, digits and °."""
-    return re.sub(r"[^a-z0-9°]", "", text.lower().replace("µ", "u").replace("μ", "u").replace("²", "2")
-                  .replace("º", "°").replace("˚", "°"))
+    """Normal form of a name or unit for comparison: in lower case, without blanks and punctuation."""
+    text = unicodedata.normalize("NFKC", unicodedata.normalize("NFC", text).translate(_SPELLINGS)).lower()
+    return "".join(c for c in text if c.isalnum() or not (c.isascii() or c in "·⋅−∕‐–"))
 
 
 _UNIT_OF = {kind: {normalise(text): unit for unit, (_, others) in units.items() for text in (unit, *others)}
             for kind, units in UNITS.items()}
+_BASE_UNITS = {**_UNIT_OF["length"], **_UNIT_OF["angle"], **_UNIT_OF["time"]}
 
 
 def find_unit(kind: str, text: str) -> str | None:
-    """Finds the unit that a text denotes for a kind of quantity; None if it denotes none."""
-    return _UNIT_OF[kind].get(normalise(text))
+    """Finds the unit that a text denotes for a kind of quantity, also one such as "in degrees per sec". None if it
+    denotes none, "" if it only denotes a clock or a format of time."""
+    text = text.translate(_SPELLINGS)
+    if kind == "time" and normalise(text) and not normalise(_CLOCK.sub("", text)):
+        return ""
+    text = re.sub(r"(?i)^\W*in (?=.)", "", _CLOCK.sub("", text) if kind == "time" else text)
+    parts = (re.fullmatch(r"[^\w°]*(.*?)[^\w°]*([2²]|squared)?[^\w°]*", part) for part in re.split(
+        r"(?i)[/∕]|\bper\b", text.replace("_", " ")))
+    composed = "/".join(_BASE_UNITS.get(normalise(part[1]), part[1]) + "2" * bool(part[2]) for part in parts if part)
+    return _UNIT_OF[kind].get(normalise(text)) or _UNIT_OF[kind].get(normalise(composed))
 
 
 @dataclass(frozen=True)
@@ -65,27 +84,27 @@ def _words(text: str) -> tuple[str, ...]:
 
 COLUMNS: Mapping[str, Channel] = {
     "t": Channel("time", "time", _words(
-        "t time t_rt timestamp stamp elapsed elapsed_time unix_time utc_time gps_time gps_tow tow gps_seconds "
-        "time_of_week itow datetime epoch epoch_time zeit zeitstempel datum_zeit x_value")),
+        "t time t_rt timestamp timestamps stamp time_boot elapsed elapsed_time unix_time utc_time gps_time gps_tow "
+        "tow gps_seconds time_of_week itow datetime epoch epoch_time zeit zeitstempel datum_zeit x_value")),
     "x": Channel("length", "position of the INS point, east or along the map's x", _words(
         "x pos_x position_x x_pos x_position px east easting e_pos x_east x_enu x_map local_x utm_x utm_e utm_easting "
-        "pos_local_x car_tx pose_x pose_position_x pose_pose_position_x")),
+        "pos_local_x car_tx xo x_absolute location_x pose_x pose_position_x pose_pose_position_x")),
     "y": Channel("length", "position of the INS point, north or along the map's y", _words(
         "y pos_y position_y y_pos y_position py north northing n_pos y_north y_enu y_map local_y utm_y utm_n "
-        "utm_northing pos_local_y car_ty pose_y pose_position_y pose_pose_position_y")),
+        "utm_northing pos_local_y car_ty yo y_absolute location_y pose_y pose_position_y pose_pose_position_y")),
     "latitude": Channel("latitude or longitude", "north +; read with longitude if x and y are missing", _words(
-        "latitude lat gps_latitude gps_lat latitude_deg pos_lat")),
+        "latitude lat latitude_deg pos_lat breitengrad")),
     "longitude": Channel("latitude or longitude", "east +; the first row is the origin of the map", _words(
-        "longitude long lon lng gps_longitude gps_long gps_lon pos_lon")),
+        "longitude long lon lng pos_lon laengengrad")),
     "yaw": Channel("angle", "from east (the map's x), counter-clockwise", _words(
-        "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta phi gierwinkel")),
+        "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta phi pose_theta gierwinkel")),
     "compass_heading": Channel("angle", "clockwise from north; read if yaw is missing: yaw = 90° - heading", _words(
         "compass_heading heading heading_angle angle_heading heading_ned heading_north heading_true true_heading "
         "compass azimuth yaw_ned")),
     "course": Channel("angle", "direction of motion over ground, clockwise from north; replaces missing yaw or "
                       "velocity_y", _words(
-        "course course_over_ground course_angle gps_course course_gps gps_heading cog track track_angle "
-        "heading_of_motion bearing angle_track kurs_ueber_grund")),
+        "course course_over_ground course_angle gps_heading gnss_heading cog track track_angle heading_of_motion "
+        "bearing direction angle_track kurs_ueber_grund")),
     **{f"orientation_{axis}": Channel("ratio", "quaternion from body to map axes, read if yaw is missing", _words(
         f"orientation_{axis} q{axis} quat_{axis} pose_orientation_{axis} pose_pose_orientation_{axis}"))
        for axis in "xyzw"},
@@ -93,29 +112,28 @@ COLUMNS: Mapping[str, Channel] = {
         "velocity_x vx vel_x velocity_forward vel_forward v_forward forward_velocity forward_vel vel_fwd v_fwd "
         "velocity_longitudinal longitudinal_velocity v_longitudinal v_long vel_long v_lon vel_lon long_vel "
         "long_velocity speed_forward forward_speed longitudinal_speed twist_linear_x twist_twist_linear_x "
-        "linear_velocity_x laengsgeschwindigkeit längsgeschwindigkeit speed velocity vel v ground_speed "
-        "speed_over_ground gps_speed speed_gps geschwindigkeit")),
+        "linear_velocity_x x_velocity linear_vel_x linear_vels_x v_ego laengsgeschwindigkeit speed velocity vel v "
+        "ground_speed speed_over_ground geschwindigkeit")),
     "velocity_y": Channel("speed", "to the left, body axes, at the INS point; 0 if it is missing", _words(
         "velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity lateral_vel v_lat vel_lat "
         "lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y "
-        "linear_velocity_y quergeschwindigkeit")),
+        "linear_velocity_y y_velocity linear_vel_y linear_vels_y quergeschwindigkeit")),
     "velocity_east": Channel("speed", "read with velocity_north and yaw if velocity_y is missing", _words(
-        "velocity_east vel_east v_east east_velocity velocity_e vel_e ve")),
+        "velocity_east vel_east v_east east_velocity velocity_e vel_e vel_ned_e ve")),
     "velocity_north": Channel("speed", "as velocity_east", _words(
-        "velocity_north vel_north v_north north_velocity velocity_n vel_n vn")),
+        "velocity_north vel_north v_north north_velocity velocity_n vel_n vel_ned_n vn")),
     "yaw_rate": Channel("angular rate", "left turn +; if missing, the derivative of yaw", _words(
-        "yaw_rate yaw_rate_iso yaw_velocity yaw_vel yaw_speed yaw_dot psi_dot psi_p d_psi r wz omega_z omega "
-        "angular_velocity_z angular_rate_z angular_z rate_z gyro_z gyr_z twist_angular_z twist_twist_angular_z "
-        "gierrate giergeschwindigkeit")),
+        "yaw_rate yaw_rate_iso yaw_velocity yaw_vel yaw_speed yaw_dot psi_dot psi_p d_psi r avz wz omega_z omega "
+        "angular_velocity_z angular_rate_z z_angular_rate angle_rate_z ang_vel_z ang_vels_z angular_z rate_z gyro_z "
+        "gyr_z twist_angular_z twist_twist_angular_z gierrate giergeschwindigkeit")),
     "acceleration_x": Channel("acceleration", "forward, body axes", _words(
         "acceleration_x ax acc_x accel_x x_acc x_accel acceleration_forward acc_forward accel_forward "
         "acceleration_longitudinal longitudinal_acceleration longitudinal_accel acc_longitudinal a_longitudinal "
-        "a_long acc_long accel_long long_acc long_accel linear_acceleration_x "
-        "laengsbeschleunigung längsbeschleunigung")),
+        "a_long acc_long accel_long long_acc long_accel linear_acceleration_x laengsbeschleunigung")),
     "acceleration_y": Channel("acceleration", "to the left, body axes", _words(
-        "acceleration_y ay acc_y accel_y y_acc y_accel acceleration_left "
-        "acceleration_lateral lateral_acceleration lateral_accel acc_lateral accel_lateral a_lateral "
-        "a_lat acc_lat accel_lat lat_acc lat_accel linear_acceleration_y querbeschleunigung")),
+        "acceleration_y ay acc_y accel_y y_acc y_accel acceleration_left acceleration_lateral lateral_acceleration "
+        "lateral_accel acc_lateral accel_lateral a_lateral a_lat acc_lat accel_lat lat_acc lat_accel "
+        "linear_acceleration_y querbeschleunigung")),
     "road_wheel_angle": Channel("angle", "mean of the front wheels, left +", _words(
         "road_wheel_angle delta delta_f delta_front df rwa front_wheel_angle front_steering_angle front_steer_angle "
         "steering_angle_front steer_angle_front road_steering_angle steering_angle_road wheel_angle tire_angle "
@@ -123,7 +141,7 @@ COLUMNS: Mapping[str, Channel] = {
     "steering_wheel_angle": Channel("angle", "steering wheel, left +, offset not removed", _words(
         "steering_wheel_angle steering_wheel steering_wheel_position steering_wheel_pos steer_wheel_angle "
         "steering_wheel_angle_iso hand_wheel_angle hand_wheel handwheel_position swa delta_h delta_hand delta_sw "
-        "dm_steer_ang steer_whl_ang lenkradwinkel")),
+        "dm_steer_ang steer_whl_ang steer_sw lenkradwinkel")),
     "wheel_speed_front_left": Channel("speed", "rolling speed of a wheel; for checks", _words(
         "wheel_speed_front_left wheel_speed_fl ws_fl v_fl front_left_wheel_speed")),
     "wheel_speed_front_right": Channel("speed", "rolling speed", _words(
@@ -142,15 +160,28 @@ AMBIGUOUS = {normalise(name) for name in
 """Names that mean the steering wheel in some files and the road wheels in others."""
 
 MAX_NAME_LENGTH = 200
-"""Characters; a longer text is not the name of a column."""
+"""Characters; of a longer name, only the end counts."""
 PATH_RANK = 1000
-"""Added to the rank of a name at the end of a path, such as /ins/odometry/twist/twist/linear/x from PlotJuggler."""
-_OTHER_QUANTITY = re.compile(r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command|plan|pred|std|cov|var|err|max|min|"
-                             r"engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
+"""Added to the rank of a name at the end of a path, such as /ins/odometry/twist/twist/linear/x from PlotJuggler, or
+with the name of its source, such as ego_velocity_x."""
+DOUBTFUL_RANK = 500
+"""Rank of names that also denote roll and pitch: read if no other column is a heading."""
+_OTHER_QUANTITY = re.compile(
+    r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command|request|control|goal|limit|plan|pred|std|cov|var|err|max|min|"
+    r"engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
 """Words in a path which show that it does not lead to a measured quantity of this car."""
+_SOURCE = (r"(?:gps|gnss|ins|imu|ego|car|veh|vehicle|odom|odometry|can|chassis|state|est|estimated|meas|measured|act|"
+           r"actual|raw|filt|filtered|sensor)")  # words that say where a value comes from, not what it is
+_PATH = re.compile(rf"(?i)^{_SOURCE}[ _-]+|[/.]+|::")
+_CAMEL_CASE = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
+_SUFFIX = re.compile(rf"(?i)[ _-]+{_SOURCE}$")
 
-_CHANNEL_OF = {normalise(name): (channel, rank) for channel, about in COLUMNS.items()
-               for rank, name in enumerate(about.names)}
+_STEERING = "steering"  # of the steering wheel or of the road wheels
+_KIND_OF = {**{channel: about.kind for channel, about in COLUMNS.items()}, _STEERING: "angle"}
+_CHANNEL_OF = {**dict.fromkeys(AMBIGUOUS, (_STEERING, 0)),
+               **{normalise(name): (channel, rank) for channel, about in COLUMNS.items()
+                  for rank, name in enumerate(about.names)},
+               **dict.fromkeys(("theta", "phi"), ("yaw", DOUBTFUL_RANK))}
 
 
 @dataclass(frozen=True)
@@ -179,21 +210,11 @@ class ColumnSource:
 
 def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, ColumnSource]:
     """Finds the channels in a header. Raises RunError if a column that the layout names is missing."""
-    found: dict[str, tuple[int, ColumnSource]] = {}
-    ambiguous: set[str] = set()  # channels for which two topics have equally ranked columns
-    for number, name in enumerate(names):
-        if meaning := _identify_channel(name):
-            channel, rank, unit = meaning
-            if channel not in found or rank < found[channel][0]:
-                found[channel] = rank, _make_source(number, name, channel, unit)
-                ambiguous.discard(channel)
-            elif rank == found[channel][0] >= PATH_RANK:
-                ambiguous.add(channel)
-    found = {channel: best for channel, best in found.items() if channel not in ambiguous}
-    sources = {channel: source for channel, (_, source) in found.items()}
+    found = {channel: sources[0] for channel, sources in _find_best_columns(names).items() if len(sources) == 1}
+    sources = dict(found)
     for channel, named in layout.columns.items():
         if named not in names and named in found:  # a channel instead of a column: {x: y, y: x} interchanges the axes
-            column: int | None = found[named][1].column
+            column: int | None = found[named].column
         else:
             column = _find_column(names, named)
         if column is None:
@@ -207,6 +228,35 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
         sources.pop("yaw", None)
     return apply_units(file, sources, layout)
+
+
+def _find_best_columns(names: Sequence[str]) -> dict[str, list[ColumnSource]]:
+    """The columns of each channel with the best name; several if their names do not show which one is meant."""
+    paths = {meaning[3] for name in names if (meaning := _identify_channel(name))} - {""}
+    found: dict[str, list[ColumnSource]] = {}
+    ranks: dict[str, int] = {}
+    for number, name in enumerate(names):
+        channel, rank, unit, _ = _identify_channel(name, paths) or (_STEERING, 0, None, "")
+        if channel == _STEERING:
+            continue
+        if rank < ranks.get(channel, 2 * PATH_RANK):
+            found[channel], ranks[channel] = [], rank
+        if not found[channel] or (rank == ranks[channel] >= DOUBTFUL_RANK and name != found[channel][-1].name):
+            found[channel].append(_make_source(number, name, channel, unit))
+    headings = found.keys() & {"compass_heading", "course", "orientation_w"}
+    if headings and ranks.get("yaw", 0) % PATH_RANK == DOUBTFUL_RANK:
+        del found["yaw"]
+    forward = found.get("velocity_x", [])
+    if [_without_unit(source.name) for source in forward] == ["v"] and "u" in (plain := [*map(_without_unit, names)]):
+        number = plain.index("u")  # u and v may be the forward and the lateral velocity
+        forward.insert(0, _make_source(number, names[number], "velocity_x", None))
+    return found
+
+
+def find_rivals(names: Sequence[str]) -> dict[str, list[str]]:
+    """Channel -> columns, for the channels that have several columns with equally good names."""
+    return {channel: [source.name for source in sources] for channel, sources in _find_best_columns(names).items()
+            if len(sources) > 1}
 
 
 def find_stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
@@ -224,7 +274,7 @@ def find_stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
 def _find_column(names: Sequence[str], named: str) -> int | None:
     """Finds the index of a column by its name: an exact match, or else one that ignores case, then also punctuation,
     then also the unit. Returns None without a match."""
-    for form in (str, str.lower, normalise, lambda name: normalise(_split_name_and_unit(name)[0][0])):
+    for form in (str, str.lower, normalise, _without_unit):
         for number, name in enumerate(names):
             if form(name) == form(named):
                 return number
@@ -243,8 +293,7 @@ def apply_units(file: Path, sources: dict[str, ColumnSource], layout: Layout) ->
 
 def find_ambiguous_steering(names: Sequence[str]) -> str | None:
     """Finds the first column that may be the steering wheel or the road wheel angle; None if there is none."""
-    return next((name for name in names if any(normalise(base) in AMBIGUOUS for base, _ in _split_name_and_unit(name))),
-                None)
+    return next((name for name in names if (meaning := _identify_channel(name)) and meaning[0] == _STEERING), None)
 
 
 def _make_source(number: int, name: str, channel: str, unit: str | None) -> ColumnSource:
@@ -252,22 +301,34 @@ def _make_source(number: int, name: str, channel: str, unit: str | None) -> Colu
     return ColumnSource(number, name, kind, unit or next(iter(UNITS[kind])), unit is not None)
 
 
-def _identify_channel(name: str) -> tuple[str, int, str | None] | None:
-    """(channel, rank of the name among the names of the channel, stated unit) of a column; None for other columns."""
+def _identify_channel(name: str, paths: Collection[str] = ()) -> tuple[str, int, str | None, str] | None:
+    """(channel, rank of the name among the names of the channel, stated unit, path before it) of a column; None for
+    other columns. A single letter after a path denotes a channel only if the path is one of `paths`: state.x is a
+    position if there is a state.yaw, acceleration.x is not."""
     # "%time" and "field.x" from `rostopic echo -p`, "vx\\CCP:1" from ETAS, "Speed (m/s) *gps" from RaceChrono
-    name = re.sub(r"\\.*$| \*\w+$", "", name.lstrip("%# ").removeprefix("field."))
-    for base, unit in _split_name_and_unit(name):
-        if normalise(base) in _CHANNEL_OF:
-            channel, rank = _CHANNEL_OF[normalise(base)]
-            known = find_unit(COLUMNS[channel].kind, unit)
-            if known or not unit:
-                return channel, rank, known
-    end = re.match(r"[^\W\d][^/.(\[]*[/.](..+)|/(..+)", name[:MAX_NAME_LENGTH])  # end of a path, not of 0.123
-    rest = end[1] or end[2] if end else ""
-    if len(normalise(re.split(r"[(\[]", rest)[0])) > 1 and not _OTHER_QUANTITY.search(name) and (
-            meaning := _identify_channel(rest)) and meaning[0] != "t":
-        return meaning[0], meaning[1] % PATH_RANK + PATH_RANK, meaning[2]
+    name = re.sub(r"\\.*$| \*\w+$", "", name.lstrip("%# ").removeprefix("field."))[-MAX_NAME_LENGTH:]
+    name = _CAMEL_CASE.sub("_", name)
+    for start in _find_starts(name):
+        for base, unit in _split_name_and_unit(name[start:]):
+            for form in (base, _SUFFIX.sub("", base)):
+                channel, rank = _CHANNEL_OF.get(normalise(form), ("", 0))
+                known = find_unit(_KIND_OF[channel], unit) if channel else None
+                if not channel or (unit and known is None):
+                    continue
+                if start == 0 and form == base:
+                    return channel, rank, known or None, ""
+                if channel != "t" and (len(normalise(form)) > 1 or name[:start] in paths) and not (
+                        _OTHER_QUANTITY.search(name)):
+                    return channel, rank + PATH_RANK, known or None, name[:start]
     return None
+
+
+def _find_starts(name: str) -> Iterator[int]:
+    """Indices at which the name of a channel may start: the first, and each after a separator of a path."""
+    yield 0
+    path = re.split(r"[(\[{]", name)[0]
+    if re.match(r"[^\W\d]|/", path):  # not a number such as 0.123
+        yield from (mark.end() for mark in _PATH.finditer(path))
 
 
 def describe_unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSource]) -> dict[str, str]:
@@ -277,7 +338,7 @@ def describe_unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSou
         base, unit = _split_name_and_unit(name)[0]
         channel, _ = _CHANNEL_OF.get(normalise(base), ("", 0))
         if unit and channel and channel not in sources and not _identify_channel(name):
-            kind = COLUMNS[channel].kind
+            kind = _KIND_OF[channel]
             messages[channel] = (f"column {name} is not used: {unit!r} is not a unit of {kind} (known units are "
                                  f"{', '.join(UNITS[kind])})")
     return messages
@@ -286,12 +347,14 @@ def describe_unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSou
 def _split_name_and_unit(name: str) -> list[tuple[str, str]]:
     """All ways to split the name of a column into a name and a unit, the whole name first. One way to split
     yaw_rate_deg_s is yaw_rate, deg_s."""
-    if len(name) > MAX_NAME_LENGTH:  # splitting takes quadratic time
-        return [(name, "")]
     bracketed = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]\s*", name)
     if bracketed:
         base, unit = bracketed.groups()
         return [(base, "" if unit.strip() in ("", "-") else unit)]
-    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name)
+    words = _CAMEL_CASE.sub("_", name)
     marks = [m.start() for m in re.finditer(r"[\s_,/.-]+", words)]
     return [(name, ""), *((words[:at], words[at:]) for at in marks if at)]
+
+
+def _without_unit(name: str) -> str:
+    return normalise(_split_name_and_unit(name)[0][0])

@@ -11,7 +11,14 @@ from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.types import wrap_angle
 from st_core.vehicle import VehicleParameters
 
-from .columns import Layout, describe_unknown_units, find_ambiguous_steering, find_columns
+from .columns import (
+    UNITS,
+    Layout,
+    describe_unknown_units,
+    find_ambiguous_steering,
+    find_columns,
+    find_rivals,
+)
 from .csv_table import Table, all_finite, differentiate_yaw, join_tables, read_header, read_table
 from .errors import RunError, format_share
 from .ins_log import SPEEDS, InsLog, build_planar_ins_log, compute_car_speed, is_mostly_known, yaw_from_quaternion
@@ -31,6 +38,9 @@ MIN_COURSE_SPEED = 1.0
 """Lowest speed [m/s] at which the course is used; here, velocity noise of 0.05 m/s is a course noise of 3 degrees."""
 MIN_DISTANCE_SAMPLES = 20
 """Minimum number of samples for comparing the distance between positions with the integrated speed."""
+AGREEING_ANGLE, OTHER_ANGLE = 0.1, 0.3
+"""[rad]. A heading and a course agree if their median difference, due to sideslip and noise, is smaller than the first
+limit; above the second, the heading has another unit or direction."""
 MAX_HELD_SHARE = 0.3
 """If the position repeats the previous one in a larger fraction of the rows in which the car moves, its rate is lower
 than the rate of the rows."""
@@ -181,6 +191,9 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
     if text := next((unclear[name] for name in candidates if name in unclear), ""):
         raise RunError(table.file, text, "export it in another unit; or name the column in a run.yaml under "
                        "`columns:`, and convert it with `correct:`")
+    if missing and (channel := next((name for name in candidates if name in (rivals := find_rivals(table.names))), "")):
+        raise RunError(table.file, f"columns {' and '.join(rivals[channel])[:200]} may each be {channel}",
+                       f"name the right one in a run.yaml, as columns: {{{channel}: NAME}}")
     if missing:
         texts = [f"{name} (or {STEERING_WHEEL})" if name == ROAD_WHEEL else name for name in missing]
         raise RunError(table.file, f"no column was recognised as {', '.join(texts)}; its columns are "
@@ -214,6 +227,8 @@ def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarr
         columns[COURSE] = _replace_course_when_slow(table, columns, notes)
         columns["yaw"] = np.pi / 2 - columns[COURSE]
     if "velocity_y" not in columns and columns.keys() >= {"yaw", "velocity_east", "velocity_north"}:
+        _check_yaw(table, np.arctan2(columns["velocity_north"], columns["velocity_east"]), np.hypot(
+            columns["velocity_north"], columns["velocity_east"]))
         c, s = np.cos(columns["yaw"]), np.sin(columns["yaw"])
         east, north = columns["velocity_east"], columns["velocity_north"]
         columns["velocity_x"], columns["velocity_y"] = c * east + s * north, c * north - s * east
@@ -237,6 +252,29 @@ def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarr
     _interpolate_lower_rates(table, columns, notes)
     _interpolate_held_positions(table, columns, notes)
     return columns, origin
+
+
+def _check_yaw(table: Table, course: np.ndarray, speed: np.ndarray) -> None:
+    """Raises RunError if the yaw or compass heading agrees with the course [rad, from east, counter-clockwise] only in
+    another unit or direction; the velocities in body axes would be wrong."""
+    read = next((name for name in ("yaw", COMPASS) if name in table.sources), "")
+    if not read or table.sources[read].unit not in ("rad", "deg"):
+        return
+    cells = table.columns[read] / table.sources[read].factor
+    rows = table.used & np.isfinite(cells) & (speed > MIN_COURSE_SPEED)
+    if rows.sum() < MIN_DISTANCE_SAMPLES:
+        return
+    errors: dict[tuple[str, str], float] = {}
+    for unit in ("rad", "deg"):
+        angle = cells[rows] * UNITS["angle"][unit][0]
+        for name, yaw in (("yaw", angle), (COMPASS, np.pi / 2 - angle)):
+            errors[name, unit] = float(np.median(np.abs(wrap_angle(course[rows] - yaw))))
+    name, unit = min(errors, key=lambda reading: errors[reading])
+    if errors[read, table.sources[read].unit] > OTHER_ANGLE and errors[name, unit] < AGREEING_ANGLE:
+        column = table.sources[read].name
+        raise RunError(table.file, f"column {column} agrees with the velocities to the east and north only as {name} "
+                       f"in {unit}", f"declare it in a run.yaml, as columns: {{{name}: '{column}'}} and units: "
+                       f"{{{name}: {unit}}}")
 
 
 def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: np.ndarray,
@@ -277,9 +315,9 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
         raise RunError(table.file, f"{names[0]} and {names[1]} are in radians: if read as degrees, they give 1/"
                        f"{1.0 / ratio:.0f} of the driven distance",
                        "declare the unit in a run.yaml, as units: {latitude: rad, longitude: rad}")
-    if abs(ratio - 1.0) > 0.05 and angle > 0.3 and np.abs(longitude[rows]).max() < np.pi / 2:
+    if abs(ratio - 1.0) > 0.05 and angle > OTHER_ANGLE and np.abs(longitude[rows]).max() < np.pi / 2:
         ratio, angle = compare(longitude, latitude)
-        if abs(ratio - 1.0) < 0.02 and angle < 0.1:
+        if abs(ratio - 1.0) < 0.02 and angle < AGREEING_ANGLE:
             raise RunError(table.file, f"{names[0]} and {names[1]} are interchanged: they agree with the driven "
                            "distance and the heading only the other way round", "interchange them in a run.yaml, as "
                            f"columns: {{latitude: '{names[1]}', longitude: '{names[0]}'}}")

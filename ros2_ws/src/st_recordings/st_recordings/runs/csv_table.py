@@ -20,6 +20,7 @@ from .columns import (
     Layout,
     describe_unknown_units,
     find_columns,
+    find_rivals,
     find_stamp_columns,
     find_unit,
     normalise,
@@ -39,6 +40,7 @@ _NUMERIC = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
                     r"(?:0 days )?(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
                     r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
+_COMPACT_STAMP = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T_ -](\d\d)[:-]?(\d\d)[:-]?(\d\d)(?!\d)")  # 20260504T101112.5
 _SLASHED = re.compile(r"(?<!\d)(\d\d?)/(\d\d?)/(\d{4})(?!\d)")
 _NAMED_MONTH = re.compile(r"(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4})(?!\d)")  # 04-May-2026, as MATLAB writes it
 _WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-].*)")  # 0.02 sec, 12 km/h
@@ -50,6 +52,7 @@ ROLLOVER_STEP = 60.0  # s, longest gap between two rows across midnight or acros
 _DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # (day number of 1970-01-01, program)
 _PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
+_LINE_END_IN_CELL = re.compile(r'"[^",;|\t]{0,80}\n[^",;|\t]{1,80}"(?=[,;|\t\n])')
 _THOUSANDS_SPACES = re.compile(r"[\u00a0\u202f\u2009'](?<=\d.)(?=\d{3}(?!\d))")
 
 
@@ -78,7 +81,8 @@ def read_text(file: Path, size: int = -1) -> str:
 
     size: number of bytes to read, -1 for all. Raises RunError for a binary file.
     """
-    return _decode(file, size).replace("\r\n", "\n").replace("\r", "\n")
+    text = _decode(file, size).replace("\r\n", "\n").replace("\r", "\n")
+    return _LINE_END_IN_CELL.sub(lambda cell: cell[0].replace("\n", " "), text)
 
 
 def _decode(file: Path, size: int) -> str:
@@ -209,6 +213,8 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
             and not sources.keys() & {"velocity_x", "yaw_rate", "yaw"}):
         raise RunError(file, "this is a CAN log as a table", "export it as .asc, .blf, .trc, .mf4 or .log of candump")
     warnings += [f"{file}: {sentence}" for sentence in describe_unknown_units(names, sources).values()]
+    warnings += [f"{file}: columns {' and '.join(rivals)} may each be {channel}; none of them is used"
+                 for channel, rivals in find_rivals(names).items() if channel not in sources]
     first = _split_first_row(body, delimiter)[:1]
     if "t" not in sources and names[:1] == [""] and first and _parse_stamp(first[0]):
         sources["t"] = ColumnSource(0, "(without a name)", "time", "s", stated=True)
@@ -283,16 +289,15 @@ def _guess_time_unit(times: np.ndarray) -> str:
 
 
 def _find_header_line(lines: list[str], layout: Layout | None = None) -> int:
-    """Index of the line that names the most channels. If no line names two channels, index of the first line with the
-    most frequent number of cells."""
-    counts, widths = [], []
+    """Index of the first line that names the most channels. If no line names two, of the line with the most words."""
+    counts, words = [], []
     for line in lines[:MAX_HEADER_LINES]:
         names, _ = _split_header(line)
         of_layout = set(layout.columns.values()).intersection(names) if layout else ()
         counts.append(len(find_columns(Path(), names, Layout())) + len(of_layout) if len(names) > 1 else 0)
-        widths.append(len(names))
-    best = max(counts, default=0)
-    return counts.index(best) if best >= 2 else widths.index(max(widths, key=widths.count)) if widths else 0
+        words.append(sum(bool(name) and not _NUMERIC.fullmatch(name) for name in names))
+    counts = counts if max(counts, default=0) > 1 else words
+    return counts.index(max(counts)) if counts else 0
 
 
 def _split_header(header: str) -> tuple[list[str], str]:
@@ -305,7 +310,7 @@ def _split_header(header: str) -> tuple[list[str], str]:
         names = next(csv.reader([header.strip("\r\n")], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error:
         names = header.split(delimiter)
-    return [name.strip() for name in names], delimiter
+    return [name.strip(" '") for name in names], delimiter
 
 
 def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequence[str], body: str, delimiter: str,
@@ -316,7 +321,7 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
     types or sources. Raises RunError if there are such rows below the names but no row of units.
     """
     def texts(line: str) -> dict[str, str]:
-        cells = [cell.strip(' \r"') for cell in line.split(delimiter)]
+        cells = [cell.strip(' \r"\'') for cell in line.split(delimiter)]
         found = {channel: text for channel, source in sources.items() if source.column < len(cells)
                  and (text := cells[source.column].strip("[]() ")).lower() not in MISSING}
         is_data = any(np.isfinite(_parse_number(cell.replace(",", "."))) for cell in cells) or any(
@@ -361,7 +366,7 @@ def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter:
     for channel, text in found.items():
         for row in rows:
             if (column := sources[channel].column) < len(row):
-                row[column] = row[column].strip(' \r"').removesuffix(text)
+                row[column] = row[column].strip(' \r"\'').removesuffix(text)
     return _apply_units(sources, found, layout), "\n".join(map(delimiter.join, rows))
 
 
@@ -374,7 +379,7 @@ def _split_unit(channel: str, cell: str) -> str:
 def _split_first_row(body: str, delimiter: str) -> list[str]:
     """Cells of the first row that is not blank."""
     row = next((line.split(delimiter) for line in body.split("\n", 20) if line.strip()), [])
-    return [cell.strip(' \r"') for cell in row]
+    return [cell.strip(' \r"\'') for cell in row]
 
 
 def times_to_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], tuple[float, float] | None]) -> str:
@@ -388,7 +393,7 @@ def times_to_seconds(body: str, delimiter: str, column: int, clock: Callable[[st
     for row in rows:
         if len(row) <= column or not "".join(row).strip():
             continue
-        time = clock(row[column].strip(' \r"'))
+        time = clock(row[column].strip(' \r"\''))
         if time is None:
             row[column] = "nan"
             continue
@@ -419,7 +424,7 @@ def _replace_month_name(date: re.Match[str]) -> str:
 def _parse_stamp(text: str) -> tuple[float, float] | None:
     """(seconds since 1970, midnight or the full hour; period [s] after which they restart, 0 if never) of a time.
     A time without time zone is UTC. None for a text that is not a time."""
-    match = _STAMP.fullmatch(text)
+    match = _STAMP.fullmatch(_COMPACT_STAMP.sub(r"\1-\2-\3 \4:\5:\6", text))
     if match is None:
         return None
     year, month, day, day_2, month_2, year_2, hour, minute, second, am_pm, sign, hours, minutes = match.groups()
@@ -491,7 +496,7 @@ def _use_decimal_points(file: Path, body: str, delimiter: str) -> str:
     if not quoted and "." not in body and not _GROUPED_CELL.search(body):
         return body.replace(",", ".")
     table = _split_cells(file, io.StringIO(body), delimiter)
-    cells = {cell.strip(' \r"') for row in table for cell in row}
+    cells = {cell.strip(' \r"\'') for row in table for cell in row}
     commas = {cell for cell in cells if "," in cell}
     points = {cell for cell in cells if "." in cell}
     # If a cell contains both marks, as 1.234,5 does, the last one is the decimal mark.
@@ -508,13 +513,13 @@ def _use_decimal_points(file: Path, body: str, delimiter: str) -> str:
         why = "the file has decimal commas and decimal points" if marks else "no other cell shows which"
         raise RunError(file, f"{doubtful[0]} may be a number with a decimal mark or with a thousands separator: {why}",
                        "export it without thousands separators")
-    if len(marks) > 1:  # every cell has at most one mark, and it is decimal
-        return "\n".join(delimiter.join(cell.replace(",", ".") for cell in row) for row in table)
     decimal = next(iter(marks), ",")
     separator = "." if decimal == "," else ","
+    if len(marks) > 1:  # every cell has at most one mark, and it is decimal
+        decimal, separator = ",", ""
     return "\n".join(
-        delimiter.join(cell.replace(separator, "").replace(decimal, ".") if _NUMERIC.fullmatch(cell) else cell
-                       for cell in row) for row in table)
+        delimiter.join(cell.replace(separator, "").replace(decimal, ".") if _NUMERIC.fullmatch(cell)
+                       else cell.replace(delimiter, " ") for cell in row) for row in table)
 
 
 def _split_cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[str]]:
@@ -535,7 +540,10 @@ def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: 
     widths = [len(row) for row in _split_cells(file, lines, delimiter)]
     complete = [line for line, count in zip(lines, widths, strict=False) if count in (width, width + 1)]
     lost = len(lines) - len(complete)
-    if complete and 2 * lost < len(lines):
+    if not complete:
+        raise RunError(file, f"its rows have {max(widths, key=widths.count)} cells, but its header has {width}",
+                       "export it with one delimiter that is not the decimal mark, and one name for each column")
+    if 2 * lost < len(lines):
         try:
             rows = _parse_rows(complete, delimiter, width)
             what = "the last row is truncated and was left out" if lost == 1 and widths[-1] != width else (
@@ -569,7 +577,7 @@ def _is_comment(line: str, delimiter: str) -> bool:
 
 def _parse_number(text: str) -> float:
     try:
-        return float(text)
+        return float(text.strip(" '"))
     except ValueError:
         return float("nan")
 

@@ -103,7 +103,7 @@ def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout
             continue  # "heading" and "_heading" are the course, which _STANDARD_CHANNELS contains
         stated = find_unit(source.kind, units.get(source.name, ""))
         sources[channel] = replace(source, unit=stated or _DEFAULT_UNITS.get(source.kind, source.unit),
-                                   stated=stated is not None)
+                                   stated=bool(stated))
     for number, name in enumerate(names):
         is_first = names.index(name) == number  # among columns with the same name
         if is_first and (standard := _STANDARD_CHANNELS.get(name.lower())) and standard[0] not in layout.columns:
