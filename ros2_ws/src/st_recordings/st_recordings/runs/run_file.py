@@ -223,7 +223,8 @@ def _parse_units(path: Path, value: Any) -> dict[str, str]:
         if unit is None:
             raise RunError(path, f"units: {channel}: {str(text)[:40]!r} is not a unit of {kind}",
                            f"known units are {', '.join(UNITS[kind])}")
-        units |= {channel: unit} if unit else {}  # "" for a clock such as UTC
+        if unit:  # "" for a clock such as UTC
+            units[channel] = unit
     return units
 
 
