@@ -503,12 +503,10 @@ def include_effects(c: result.Combination, effects: Sequence[result.FoundEffect]
 
 
 def find_parameter_across_bound(effect: result.FoundEffect) -> str:
-    """Name of a parameter with an interval that crosses a bound; "" if there is none. Ignores bounds that equal the
-    null or the theoretical value, and bounds of shape parameters."""
+    """Name of a parameter with an interval that crosses one of its `hard_bounds`; "" if there is none."""
     for p in get_effect(effect.name).parameters:
         fitted = effect.parameters.get(p.name)
-        if fitted is not None and not p.shape and any(
-                edge not in (p.null, p.theory) and fitted.interval[0] < edge < fitted.interval[1] for edge in p.bounds):
+        if fitted is not None and any(fitted.interval[0] < edge < fitted.interval[1] for edge in p.hard_bounds):
             return p.name
     return ""
 

@@ -244,18 +244,10 @@ def error_reductions(reduction: np.ndarray, condition: Partition | None) -> tupl
 
 
 def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
-    """Distance of the effect's values to their nearest bound, in parameter scales. Ignores bounds that equal the null
-    or the theoretical value, and bounds of shape parameters."""
-    space, nearest = problem.space, np.inf
-    for i in space.indices(effect):
-        null, shape = next((p.null, p.shape) for p in get_effect(effect).parameters
-                           if p.name == space.free[i].parameter)
-        if shape:
-            continue
-        for edge in (space.low[i], space.high[i]):
-            if edge not in (null, space.free[i].theory):
-                nearest = min(nearest, abs(fit.vector[i] - edge) / space.scale[i])
-    return float(nearest)
+    """Distance of the effect's values to their nearest `Parameter.hard_bounds`, in parameter scales."""
+    space, hard = problem.space, {p.name: p.hard_bounds for p in get_effect(effect).parameters}
+    return min((float(abs(fit.vector[i] - edge) / space.scale[i]) for i in space.indices(effect)
+                for edge in hard[space.free[i].parameter]), default=np.inf)
 
 
 def against_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:

@@ -77,6 +77,11 @@ class Parameter:
             if not str(getattr(self, key)).strip():
                 raise ConfigurationError(f"parameter {self.name}: {key} is empty")
 
+    @property
+    def hard_bounds(self) -> tuple[float, ...]:
+        """Bounds other than null and theoretical value; none for a shape parameter, which may be on its bound."""
+        return () if self.shape else tuple(bound for bound in self.bounds if bound not in (self.null, self.theory))
+
     def check(self, value: float, key: str) -> float:
         """The value as a float. Raises ConfigurationError, naming key and limit, for a value outside the bounds."""
         low, high = self.bounds

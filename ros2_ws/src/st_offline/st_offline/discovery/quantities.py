@@ -84,8 +84,7 @@ def format_parameter(p: FittedParameter, parameter: Parameter | None = None, int
     """Value and 95 % interval; a parameter with the neutral value 1 is written as a factor. parameter: definition of
     `p`, needed to report a value on a bound. The interval may cross a bound."""
     typical_size = abs(parameter.initial - parameter.null) if parameter else 0.0
-    bounds = [] if parameter is None or parameter.shape else [
-        bound for bound in parameter.bounds if bound not in (parameter.null, parameter.theory)]
+    bounds = parameter.hard_bounds if parameter else ()
     factor, _ = display_unit(p.unit)
     half_width = 0.5 * (p.interval[1] - p.interval[0]) * factor
     known = math.isfinite(half_width) and half_width > 0.0
