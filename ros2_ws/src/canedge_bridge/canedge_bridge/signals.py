@@ -10,6 +10,7 @@ from typing import Any, cast
 import cantools
 from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
+from st_core.yaml_text import suggest_key
 
 from .checks import RULES, Field, Mode, Rule
 from .extraction import EXTENDED
@@ -36,12 +37,14 @@ _SIGNAL_ATTRIBUTE = re.compile(r"^(?:SIG_VALTYPE_|SG_MUL_VAL_) +(?P<id>\d+) .*;"
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFFFFFF
 # UNITS: unit -> (SI unit, factor). _SPELLINGS: unit -> other spellings in DBC files, case ignored.
 UNITS = {
-    "": ("", 1.0), "deg": ("rad", math.pi / 180), "rad": ("rad", 1.0), "deg/s": ("rad/s", math.pi / 180),
+    "": ("", 1.0), "deg": ("rad", math.pi / 180), "rad": ("rad", 1.0), "mrad": ("rad", 1e-3),
+    "deg/s": ("rad/s", math.pi / 180), "mrad/s": ("rad/s", 1e-3),
     "rad/s": ("rad/s", 1.0), "km/h": ("m/s", 1 / 3.6), "m/s": ("m/s", 1.0), "mph": ("m/s", 0.44704), "s": ("s", 1.0),
     "ms": ("s", 1e-3), "min": ("min", 1.0), "h": ("h", 1.0),
 }
 _SPELLINGS = {
     "": ("-", "none", "unitless", "1"), "deg": ("degree", "degrees", "degs", "°"), "rad": ("rads", "radian", "radians"),
+    "mrad": ("milliradian",), "mrad/s": (),
     "deg/s": ("deg/sec", "degree/s", "degrees/s", "degrees/sec", "°/s", "dps"), "rad/s": ("rad/sec", "radians/s"),
     "km/h": ("kph", "kmh", "kmph", "km/hr", "kilometers/hour"), "m/s": ("mps", "m/sec"), "mph": ("mi/h", "mile/h"),
     "s": ("sec", "seconds"), "ms": ("msec",), "min": ("minutes",), "h": ("hours",),
@@ -165,7 +168,8 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
         if name in known:
             messages[name] = replace(_read_message(row, known[name], dbc_path), needed=is_needed)
         elif is_needed:
-            raise TableError(f"{dbc_path}: has no message {name}, which {table_path} marks as needed")
+            raise TableError(f"{dbc_path}: has no message {name}, which {table_path} marks as needed"
+                             f"{suggest_key(name, known)}")
         else:
             absent.append(name)
     return SignalTable(dbc_path, table_path, database, messages, tuple(absent))

@@ -111,6 +111,13 @@ def test_a_sensor_that_counts_the_other_way_is_not_nonsense(changed_dbc, signals
 def test_a_dbc_without_the_needed_message_is_refused(changed_dbc, signals_file):
     with pytest.raises(TableError, match=r"has no message Leaf_Steering, which .* marks as needed"):
         load_table(changed_dbc("BO_ 2 Leaf_Steering:", "BO_ 2 Something_Else:"), signals_file)
+    with pytest.raises(TableError, match=r"marks as needed, did you mean leaf_steering\?"):
+        load_table(changed_dbc("BO_ 2 Leaf_Steering:", "BO_ 2 leaf_steering:"), signals_file)
+
+
+def test_milliradians_are_no_degrees(changed_dbc, signals_file):
+    with pytest.raises(TableError, match=r"SteeringWheelAngle.unit: 'deg', but .* gives 'mrad'"):
+        load_table(changed_dbc(ANGLE, ANGLE.replace('"deg"', '"mrad"')), signals_file)
 
 
 def test_a_dbc_without_the_needed_signal_is_refused(changed_dbc, signals_file):

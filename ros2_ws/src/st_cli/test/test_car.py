@@ -1,5 +1,6 @@
 """A car in one folder, and the options that replace a part of it."""
 
+import re
 import shutil
 
 import pytest
@@ -66,7 +67,8 @@ def test_the_default_leaf_is_reported(capsys):
 @pytest.mark.parametrize(("text", "message"), [
     ("steering_sign: 2\n", "neither 1 nor -1"), ("steering_latency: 3\n", "not 0 to 1 s"),
     ("steering_latency: true\n", "not 0 to 1 s"), ("mass: 1500\n", "mass: unknown"), ("- 1\n", "not a YAML mapping"),
-    ("steering_sign: [\n", "not YAML")])
+    ("steering_sign: [\n", "not valid YAML"), ("steering_sign: true\n", "neither 1 nor -1"),
+    ("steering_sign: 1\nsteering_sign: -1\n", "given twice")])
 def test_an_invalid_car_is_refused(folder, text, message):
     (folder / "car.yaml").write_text(text)
     with pytest.raises(RunError, match=message) as error:
@@ -102,6 +104,13 @@ def test_a_speed_that_the_table_does_not_use_is_pointed_out(folder):
     table.write_text(head + rest[rest.index("  # The INS on CAN"):])
     (line,) = [line for line in list_remarks(str(folder)) if "vehicle_speed" in line]
     assert "can.dbc has " in line and "Leaf_WheelSpeedFront.WheelSpeedFR" in line and "RT_" not in line
+
+
+def test_an_unknown_unit_of_the_dbc_is_pointed_out(folder):
+    dbc = folder / "can.dbc"
+    dbc.write_text(re.sub(r'(SG_ SteeringWheelAngle .*)"deg"', r'\1"Grad"', dbc.read_text()))
+    (line,) = [line for line in list_remarks(str(folder)) if "unknown unit" in line]
+    assert "SteeringWheelAngle: can.dbc gives the unknown unit 'Grad'; the unit 'deg' of the table is used" in line
 
 
 @pytest.mark.parametrize("name", ["align", "calibrate", "check", "discover", "effects", "evaluate", "export",

@@ -239,8 +239,14 @@ class VehicleParameters:
         """The car with lambda_ky of these tyres derived from the cornering stiffness of the axle (see `from_yaml`)."""
         axles = {"tyre_front": (self.cornering_stiffness_front, self.static_tyre_load_front),
                  "tyre_rear": (self.cornering_stiffness_rear, self.static_tyre_load_rear)}
-        changes = {name: getattr(self, name)._replace(lambda_ky=stiffness_scale(*axles[name], getattr(self, name)))
-                   for name in tyres}
+        scales = {name: stiffness_scale(*axles[name], getattr(self, name)) for name in tyres}
+        limits = TYRE_QUANTITIES["lambda_ky"]
+        for name, scale in scales.items():
+            if not limits.minimum <= scale <= limits.maximum:
+                raise ConfigurationError(
+                    f"cornering_stiffness_{name.removeprefix('tyre_')}: {axles[name][0]:g} N/rad is {scale:.3g} times "
+                    f"the stiffness of two tyres of {name} (limit {limits.limit()}); check its value and unit")
+        changes = {name: getattr(self, name)._replace(lambda_ky=scale) for name, scale in scales.items()}
         return replace(self, **changes, sources={**self.sources, **{f"{name}.lambda_ky": DERIVED for name in tyres}})
 
     def with_values(self, values: Mapping[str, float]) -> "VehicleParameters":

@@ -181,6 +181,12 @@ def test_steering_that_does_not_follow_the_motion(log, leaf):
     assert list(found) == ["steering_unrelated"]
 
 
+@pytest.mark.parametrize("seconds", [2.0, -3.0, 6.0])
+def test_steering_with_the_stamps_of_another_clock(log, leaf, seconds):
+    late = replace(log, steering_time_ns=log.steering_time_ns + round(seconds * 1e9))
+    assert {"steering_lag", "steering_unrelated"} & findings(late, leaf).keys()
+
+
 def test_latitude_and_longitude_decide_that_yaw_and_yaw_rate_count_clockwise(log, leaf):
     known = AuxiliaryData(geographic=True)
     wrong = replace(compass()(log), yaw_rate=-log.yaw_rate)

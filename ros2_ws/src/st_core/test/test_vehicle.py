@@ -132,6 +132,8 @@ def test_a_derived_scale_follows_the_stiffness_of_a_saved_file(leaf):
     (changed("mass", "1590.0", "15900000.0"), "mass: 1.59e+07 is outside 50 to 60000 kg; check value and unit"),
     (changed("mass", "1590.0", ".nan"), "mass: nan is outside 50 to 60000 kg"),
     (changed("mass", "1590.0", "heavy"), "mass: 'heavy' is not a number"),
+    (changed("cornering_stiffness_front", "70000.0", "1221.7"),
+     "cornering_stiffness_front: 1221.7 N/rad is 0.00738 times the stiffness of two tyres of tyre_front"),
     (changed("mass", "1590.0", "true"), "mass: True is not a number"),
     (changed("steering_wheel_offset", "-2.7", "-270.0"), "offset: -4.71239 is outside -3.14159 to 3.14159 rad"),
     (changed("p_ky1", "-20.0", "20.0"), "tyre_front.p_ky1: 20 is outside -200 to -1; check"),

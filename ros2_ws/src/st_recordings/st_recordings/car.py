@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
+from st_core import yaml_text
+from st_core.errors import ConfigurationError
 from st_core.vehicle import VehicleParameters
 
 from .paths import config
-from .runs.errors import RunError, check_readable, shorten
+from .runs.errors import RunError, shorten
 
 STEERING_DEFAULTS = {"steering_sign": 1, "steering_latency": 0.0}
 """Keys of car.yaml and their defaults."""
@@ -57,7 +58,7 @@ def load_car(text: str) -> Car:
     if unknown:
         raise RunError(file, f"{', '.join(sorted(unknown))}: unknown", f"known keys are {', '.join(STEERING_DEFAULTS)}")
     values = {**STEERING_DEFAULTS, **table}
-    if values["steering_sign"] not in (1, -1):
+    if isinstance(values["steering_sign"], bool) or values["steering_sign"] not in (1, -1):
         raise RunError(file, f"steering_sign: {values['steering_sign']!r} is neither 1 nor -1")
     latency = values["steering_latency"]
     if isinstance(latency, bool) or not isinstance(latency, int | float) or not 0.0 <= latency <= 1.0:
@@ -80,11 +81,12 @@ def read_vehicle(file: Path) -> VehicleParameters:
 
 def read_yaml_mapping(file: Path) -> dict:
     """Reads the mapping in a YAML file; {} for an empty file. Raises RunError."""
-    check_readable(file)
     try:
-        table = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise RunError(file, f"not YAML: {shorten(error)}") from None
+        table = yaml_text.load(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RunError(file, f"cannot be read: {error.strerror}") from None
+    except (ConfigurationError, UnicodeDecodeError) as error:
+        raise RunError(file, f"invalid YAML: {shorten(error)}") from None
     if not isinstance(table, dict | None):
         raise RunError(file, "not a YAML mapping")
     return table or {}

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from canedge_bridge.signals import find_unit as find_dbc_unit
 from canedge_bridge.signals import load_table
 from canedge_bridge.table_reader import TableError
 from st_core.errors import StCoreError
@@ -144,7 +145,7 @@ def list_remarks(folder: str) -> list[str]:
     """Lists remarks on a valid car: values that are unusual for a road car, and the uncertainties in use."""
     car = load_car(folder)
     vehicle = read_vehicle(car.vehicle)
-    return [*(f"{car.vehicle}: unusual: {text}" for text in objections(vehicle)), *_suggest_speed_signals(car),
+    return [*(f"{car.vehicle}: unusual: {text}" for text in objections(vehicle)), *_list_bus_remarks(car),
             "uncertainty of each quantity, one standard deviation (the prior of st discover):",
             *(f"  {line}" for line in list_uncertainties(vehicle))]
 
@@ -222,19 +223,22 @@ def _find_bus_problems(car: Car) -> list[str]:
     return []
 
 
-def _suggest_speed_signals(car: Car) -> list[str]:
-    """A line that suggests speed signals of the DBC, if the signal table names none."""
+def _list_bus_remarks(car: Car) -> list[str]:
+    """A line on each unknown unit in the DBC, and one that suggests its speed signals if the table names none."""
     if not car.signals.exists():
         return []
     table = load_table(car.dbc, car.signals)
-    if any(signal.name in SPEEDS for message in table.messages.values() for signal in message.signals):
-        return []
+    used = [signal for message in table.messages.values() for signal in message.signals]
+    notes = [f"{car.signals}: {signal.dbc.name}: {car.dbc.name} gives the unknown unit {signal.dbc.unit!r}; the unit "
+             f"{signal.unit!r} of the table is used" for signal in used if find_dbc_unit(signal.dbc.unit) is None]
+    if any(signal.name in SPEEDS for signal in used):
+        return notes
     unused = [f"{message.name}.{signal.name}" for message in table.database.messages for signal in message.signals
               if "speed" in signal.name.lower() and find_unit("speed", signal.unit or "") and
               not message.name.startswith("RT_")]
-    return [f"{car.signals}: it has no speed signal, but {car.dbc.name} has {', '.join(unused[:4])}: name one "
+    return [*notes, f"{car.signals}: it has no speed signal, but {car.dbc.name} has {', '.join(unused[:4])}: name one "
             "vehicle_speed (or wheel_speed_rear_left, ...); it aligns the clocks of INS and CAN log better than the "
-            "steering"] if unused else []
+            "steering"] if unused else notes
 
 
 def _find_unfilled_keys(document: Any, top_key: str = "") -> Iterator[str]:

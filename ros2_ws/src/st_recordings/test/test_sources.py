@@ -63,6 +63,8 @@ def test_what_has_no_partner_says_so(tmp_path: Path) -> None:
     assert all("give them the same name, or list the files of each run" in str(run.problem) for run in runs)
     alone = find_runs(touch(tmp_path / "alone", "d.log"))
     assert "no INS recording (.ncom, .csv, .vbo, bag) belongs to this CAN log" in str(alone[0].problem)
+    raw = find_runs(touch(tmp_path / "raw", "d.log", "d.rd"))
+    assert any("d.rd: this is raw data of an OxTS unit: convert it to NCOM" in str(run.problem) for run in raw)
     lonely = find_runs(touch(tmp_path / "lonely", "e.ncom"))
     assert "no CAN log has the same stem" in str(lonely[0].problem)
 

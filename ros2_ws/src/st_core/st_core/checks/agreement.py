@@ -42,11 +42,12 @@ class Agreement:
 
 def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray,
                    cutoff: float, derived_is_angle: bool = False, biased: bool = True,
-                   expected_lag: float = 0.0) -> Agreement | None:
+                   expected_lag: float = 0.0, accepted_lag: float = MAX_LAG) -> Agreement | None:
     """Agreement of two estimates of a quantity; None if they overlap by less than MIN_COMMON_TIME or are constant.
 
     time, measured_time: ascending [s]; values NaN where unknown. cutoff: of the low-pass filter [Hz]. derived_is_angle:
     whether to compare the rate of `derived`. biased: whether to estimate a bias. expected_lag: lag without a fault [s].
+    accepted_lag: largest result of the fit [s], which may leave the searched range.
     """
     if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > MAX_SPAN:
         return None
@@ -59,7 +60,7 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
         solution, *others = _best_offsets(pair, cutoff)
     except (ValueError, np.linalg.LinAlgError):
         return None
-    if not abs(solution.offset) <= MAX_LAG:
+    if not abs(solution.offset) <= accepted_lag:
         return None
     degrees_of_freedom = max(len(reference.time) * STEP / 10.0 - 1.0, 1.0)
     lag = Estimate(-solution.offset, solution.offset_deviation,

@@ -16,7 +16,7 @@ import numpy as np
 from ..handling import MAX_UNDERSTEER, linear_system, rear_slip_coefficient, stability_factor
 from ..tyres import GRAVITY
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
-from .agreement import ZERO, Agreement, compare_series
+from .agreement import MAX_LAG, MIN_COMMON_TIME, ZERO, Agreement, compare_series
 from .finding import HORIZON, LIMITS, SYSTEMATIC, Advice, Comparison, Finding, Severity
 from .inertial import CheckResult, format_alternative_lags, format_magnitude
 from .motion import MOVING, Motion, has_varying_speed, windows
@@ -43,7 +43,8 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     derived = np.arctan(vehicle.wheelbase * curvature)
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
     response = response_time(vehicle, speed)
-    found = compare_series(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, expected_lag=-response)
+    found = compare_series(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, expected_lag=-response,
+                           accepted_lag=2.0 * MAX_LAG)
     gain = _estimate_steering_gain(motion, derived)
     # Understeer K increases the steering of this drive by the mean of 1 + K v^2, weighted with the square of the angle:
     # for K of the vehicle file (the factor is 1 for a car that oversteers), and for the largest K of road cars.
@@ -52,14 +53,9 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     largest = max(expected, MAX_UNDERSTEER / DEGREE / (vehicle.wheelbase * GRAVITY))
     understeer = 1.0 + expected * square, 1.0 + largest * square
     if found is None or abs(found.correlation) < LIMITS.correlation:
-        if found is not None and min(found.spread, float(np.std(found.measured))) > MIN_UNRELATED_SPREAD:
-            text = (f"the steering does not follow the car's motion (correlation {found.correlation:.2f}): is it "
-                    "another signal, the steering of another drive, or does its sign change during the drive?")
-            advice = "compare steering and yaw rate over time; predictions with this steering are invalid"
-            return [Finding("steering_unrelated", Severity.WARNING, ("road_wheel_angle",), text, found.correlation,
-                            advice=Advice("look", advice))], {}, None
-        unit = gain and _unit_finding(gain, understeer, vehicle, wheel_measured)
-        return [unit] if unit else [], {}, None
+        cause = _unrelated_finding(motion, derived) or (
+            gain and _unit_finding(gain, understeer, vehicle, wheel_measured))
+        return [cause] if cause else [], {}, None
     # In one long bend, gain and offset are confounded.
     if gain is not None and (found.scale.deviation > 0.2 * abs(found.scale.value)
                              or abs(float(found.derived.mean())) > found.spread):
@@ -78,6 +74,24 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
                        "from yaw rate and speed", found.time, found.measured, found.derived,
                        ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
     return [finding for finding in findings if finding], estimates, panel
+
+
+def _unrelated_finding(motion: Motion, derived: np.ndarray) -> Finding | None:
+    """Finding of steering that is not correlated with curvature; None if it is, or if either hardly varies."""
+    angle = motion.steering_at_ins()
+    known = np.isfinite(derived) & np.isfinite(angle)
+    if known.sum() * float(np.median(np.diff(motion.time))) < MIN_COMMON_TIME or (
+            min(np.std(angle[known]), np.std(derived[known])) <= MIN_UNRELATED_SPREAD):
+        return None
+    correlation = float(np.corrcoef(angle[known], derived[known])[0, 1])
+    if abs(correlation) >= LIMITS.correlation:
+        return None
+    text = (f"the steering does not follow the car's motion (correlation {correlation:.2f}): is it another signal, the "
+            f"steering of another drive, stamped more than {MAX_LAG:g} s too early or too late, or does its sign "
+            "change during the drive?")
+    return Finding("steering_unrelated", Severity.WARNING, ("road_wheel_angle",), text, correlation,
+                   advice=Advice("look", "compare steering and yaw rate over time; predictions with this steering are "
+                                 "invalid"))
 
 
 def _estimate_steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | None:

@@ -179,7 +179,8 @@ def _parse_latency(path: Path, value: Any) -> tuple[float, float]:
 
 def _parse_number(path: Path, key: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise RunError(path, f"{key}: {str(value)[:40]!r} is not a number")
+        raise RunError(path, f"{key}: {str(value)[:40]!r} is not a number",
+                       "write it without quotes and unit, as -0.5 or 1.0e-2")
     return float(value)
 
 

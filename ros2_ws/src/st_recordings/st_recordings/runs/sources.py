@@ -193,6 +193,8 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
         advice = "give both, or list the files of the run in a run.yaml"
         if tables:
             advice += f"; the run.yaml can also name unknown columns of {tables[0]}, as columns: {{x: NAME, ...}}"
+        advice += "".join(f"; {f.name}: {UNKNOWN_ADVICE[f.suffix.lower()]}" for f in sorted(file.parent.iterdir())
+                          if f.name.split(".")[0] == file.stem and f.suffix.lower() in UNKNOWN_ADVICE)
         yield _make_unusable(file, "no INS recording (.ncom, .csv, .vbo, bag) belongs to this CAN log", advice)
 
 

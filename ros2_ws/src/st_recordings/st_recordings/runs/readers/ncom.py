@@ -19,4 +19,4 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
     return read_raw_run(source, vehicle, settings)
 
 
-register(Reader("ncom", "ins", (".ncom", ".xcom", ".pcap", ".pcapng"), read, read_ins, lacks_steering=None))
+register(Reader("ncom", "ins", (".ncom", ".xcom", ".pcap", ".pcapng", ".cap"), read, read_ins, lacks_steering=None))
