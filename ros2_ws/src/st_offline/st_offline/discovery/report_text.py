@@ -370,14 +370,15 @@ def recommend(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     if found.outcome == "ambiguous" and found.next_manoeuvre is not None:
         lines.append("record the next drive and add it to the runs")
     if not all(c.is_time for c in found.known_together):
-        use = "" if found.effects or found.model is None else "predict with model.yaml; "
+        use = "" if found.effects or found.minor or found.model is None else "predict with model.yaml; "
         lines.append(f"{use}weigh the car and compare its tyres with those of the vehicle file")
     if found.minor and found.effects:
         minor = ", ".join(name_with_alternatives(found, e) for e in found.minor)
         lines.append(f"model.yaml also contains {minor}: part of the fit, but not named as properties of the car")
     elif found.minor:
         minor = ", ".join(to_words(e.name) for e in found.minor)
-        lines.append(f"model.yaml contains {minor}: part of the fit, but not named as properties of the car")
+        lines.append(f"predict with model.yaml, which contains {minor}: part of the fit, but not named as properties "
+                     "of the car")
     return lines or ["nothing"]
 
 
