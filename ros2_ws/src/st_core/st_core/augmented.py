@@ -188,9 +188,8 @@ def _compose(base: Model, effects: tuple[type[Effect], ...], values: Values) -> 
         return AugmentedParameters(base_parameters, tuple(
             e.Theta(**values[e.name], constants=e.constants(vehicle) if e.constants else ()) for e in composed.active))
 
-    model = AugmentedModel(
-        "augmented", parameters, composed.inputs, composed.rhs, composed.extra_states, composed.start, composed.signals,
-        axles=None, base=base, effects=effects, values=values)
+    model = AugmentedModel("augmented", parameters, composed.inputs, composed.rhs, composed.extra_states,
+                           composed.start, composed.signals, axles=None, base=base, effects=effects, values=values)
     return model
 
 

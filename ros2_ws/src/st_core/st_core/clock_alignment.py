@@ -238,8 +238,7 @@ def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.n
 
 
 def _fit_robust_line(time: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """((offset [s], drift), residuals [s], their scale [s], covariance of offset and drift), by reweighted least
-    squares."""
+    """((offset [s], drift), residuals [s], their scale [s], covariance of both), by reweighted least squares."""
     design = np.stack([np.ones_like(time), time], axis=1)
     weight = np.ones_like(time)
     for _ in range(20):
@@ -267,7 +266,10 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     o0, r0 = int(other_time_ns[0]), int(reference_time_ns[0])
     time = (other_time_ns - o0) * 1e-9 - latency
     offset = (reference_time_ns - r0) * 1e-9 - time
-    time, offset = _medians_per_second(time, offset)
+    second = np.floor(time - time[0]).astype(np.int64)
+    edges = np.nonzero(np.diff(second, prepend=second[0] - 1, append=second[-1] + 1))[0]
+    if len(edges) - 1 <= 0.5 * len(time):
+        time, offset = (np.array([np.median(row[a:b]) for a, b in pairwise(edges)]) for row in (time, offset))
     middle = float(time[0] + time[-1]) / 2
     solution, residual, scale, covariance = _fit_robust_line(time - middle, offset)
     # Truncation to the resolution does not average out if the frame interval is nearly a multiple of the resolution.
@@ -291,12 +293,3 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     if abs(result.drift_ppm) - 2.0 * (result.drift_deviation or 0.0) > UNUSUAL_DRIFT_PPM:
         doubts.append(f"a drift of {result.drift_ppm:.0f} ppm exceeds that of quartz clocks")
     return result.with_doubts(*doubts)
-
-
-def _medians_per_second(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    second = np.floor(time - time[0]).astype(np.int64)
-    edges = np.nonzero(np.diff(second, prepend=second[0] - 1, append=second[-1] + 1))[0]
-    if len(edges) - 1 > 0.5 * len(time):
-        return time, value
-    groups = list(pairwise(edges))
-    return np.array([np.median(time[a:b]) for a, b in groups]), np.array([np.median(value[a:b]) for a, b in groups])

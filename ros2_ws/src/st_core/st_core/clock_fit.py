@@ -17,6 +17,10 @@ DECIMATION = 5  # filtered signals contain nothing above a few hertz, so 20 Hz s
 STEP = DECIMATION / RATE  # s, between the samples of a resampled signal
 MAX_GAP = 0.15  # s, longest gap that is interpolated
 FILTER_SETTLING = 0.5  # periods of the cut-off frequency, masked on both sides of a gap
+DRIFT_PRIOR_PPM = 100.0  # two quartz clocks differ by 20 to 50 ppm
+PEAK_DISTANCE = 2.0  # s, minimum distance of the second peak of the correlation from the first
+BLOCK = 5.0  # s; residuals further apart than this count as independent
+ITERATIONS = 12
 
 
 @dataclass(frozen=True)
@@ -69,8 +73,8 @@ def masked_correlation(reference: Resampled, other: Resampled, minimum_overlap: 
     """
     m1, m2 = reference.known.astype(float), other.known.astype(float)
     # Removing the mean first keeps the rounding errors of the transforms far below the sums.
-    f = np.where(reference.known, reference.values - _mean(reference), 0.0)
-    g = np.where(other.known, other.values - _mean(other), 0.0)
+    f, g = (np.where(s.known, s.values - (s.values[s.known].mean() if s.known.any() else 0.0), 0.0)
+            for s in (reference, other))
     total = len(f) + len(g) - 1
     size = next_fast_len(total, real=True)
     mf1, mf2, ff, gf = rfft(m1, size), np.conj(rfft(m2, size)), rfft(f, size), np.conj(rfft(g, size))
@@ -91,16 +95,6 @@ def masked_correlation(reference: Resampled, other: Resampled, minimum_overlap: 
     r[usable] = covariance[usable] / np.sqrt(variance_f[usable] * variance_g[usable])
     lags = (np.arange(len(n)) - (len(g) - 1)) * STEP + reference.origin - other.origin
     return lags, np.clip(r, -1.0, 1.0)
-
-
-def _mean(signal: Resampled) -> float:
-    return float(signal.values[signal.known].mean()) if signal.known.any() else 0.0
-
-
-DRIFT_PRIOR_PPM = 100.0  # two quartz clocks differ by 20 to 50 ppm
-PEAK_DISTANCE = 2.0  # s, minimum distance of the second peak of the correlation from the first
-BLOCK = 5.0  # s; residuals further apart than this count as independent
-ITERATIONS = 12
 
 
 @dataclass(frozen=True)

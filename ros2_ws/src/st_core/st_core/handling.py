@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -57,11 +56,6 @@ class Range:
                 f"{self.high:g}{unit} ({self.source})")
 
 
-def _stiffness_per_load(axle: str, car: VehicleParameters) -> float:
-    """Cornering stiffness of an axle divided by its static load [1/rad]."""
-    return float(getattr(car, f"cornering_stiffness_{axle}") / (2.0 * getattr(car, f"static_tyre_load_{axle}")))
-
-
 _INERTIA, _TYPICAL = "NHTSA inertia measurements, SAE 1999-01-1336", "typical vehicle parameters, SAE 840561"
 MAX_UNDERSTEER = 8.0  # deg/g
 PLAUSIBLE = (
@@ -76,8 +70,9 @@ PLAUSIBLE = (
     Range("steering_ratio", "steering ratio", "1", 9.0, 26.0, lambda car: car.steering_ratio,
           "steering systems of passenger cars 11 to 22, vans to 25"),
     *(Range(f"cornering_stiffness_{axle}", f"ratio of cornering stiffness to load of the {axle} axle", "1/rad", 4.0,
-            30.0, partial(_stiffness_per_load, axle), f"{_TYPICAL}; compliance halves, racing tyres double it")
-      for axle in ("front", "rear")),
+            30.0, value, f"{_TYPICAL}; compliance halves, racing tyres double it") for axle, value in (
+                ("front", lambda car: car.cornering_stiffness_front / (2.0 * car.static_tyre_load_front)),
+                ("rear", lambda car: car.cornering_stiffness_rear / (2.0 * car.static_tyre_load_rear)))),
 )
 
 

@@ -22,8 +22,7 @@ def rk4(derivative: Derivative, state: tuple, grid: Sequence[Any], p: Any, step:
     return states
 
 
-def rk4_step(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, w_end: Any, p: Any,
-             step: Any) -> tuple:
+def rk4_step(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, w_end: Any, p: Any, step: Any) -> tuple:
     """The state after one step; w at its start, middle and end. Any number of states."""
     half, sixth = 0.5 * step, step / 6.0
     a = derivative(state, w_start, p)

@@ -181,9 +181,8 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
 
     log: a drive, or its precomputed signals. starts_ns: increasing; default: every `interval` of the drive from its
     first INS sample; starts that cannot be predicted are skipped and counted. progress(done, total): called after each
-    block of starts. on_block(starts_ns, block): called with the errors of each block. future_inputs: inputs of modes
-    plan and course; where they are unknown, inputs are held. Source: paper, section on the comparison. Checked by:
-    test_log_evaluation.py, against the live classes.
+    block of starts. on_block(starts_ns, block): called with the errors of each block. future_inputs: of plan and
+    course, held where they are unknown. Source: paper, comparison. Checked by: test_log_evaluation.py.
     """
     settings = settings or EvaluationSettings()
     chosen = [get_model(model) for model in models]

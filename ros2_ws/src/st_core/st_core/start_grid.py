@@ -106,8 +106,7 @@ def _plan_shared(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int,
     group: list[tuple] = []
     number = 0
     for piece in pieces:
-        if group and (group[0][1] != piece[1] or sum(_width(p, instants_ns) for p in (*group, piece))
-                         > SHARED_BLOCK):
+        if group and (group[0][1] != piece[1] or sum(_width(p, instants_ns) for p in (*group, piece)) > SHARED_BLOCK):
             yield _join_pieces(number, group, instants_ns, lanes)
             group, number = [], number + 1
         group.append(piece)

@@ -7,8 +7,7 @@
     offsets: (2 * steps + 1,); column i has w[:, offsets[k] + i] at time k * step / 2. points: step numbers, increasing.
     out: (len(points), 6, n), states at these steps. NaN in a column makes only that column NaN.
 
-numpy_batch needs only numpy; numba_lanes needs numba, which is imported only when used, and is five to twenty times
-faster.
+numpy_batch needs only numpy; numba_lanes needs numba (imported when used) and is five to twenty times faster.
 """
 
 import importlib.util

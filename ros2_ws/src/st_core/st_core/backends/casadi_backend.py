@@ -56,8 +56,7 @@ class SymbolicModel:
         start(x_six, u) -> x                initial state: the six states and the extra ones
 
     If `parameters` is not empty, each function has p as last argument: the free parameters, then the signals of the
-    model. left_out: effects of the model that are not in these functions, because they act on recorded steering or on
-    the sensors.
+    model. left_out: effects of the model that are not included, because they act on recorded steering or on sensors.
     """
 
     name: str
@@ -77,8 +76,7 @@ class SymbolicModel:
         return self.dynamics, self.step, self.dynamics_jacobian, self.step_jacobian, self.start
 
 
-def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1,
-          free: Iterable[str] = ()) -> SymbolicModel:
+def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1, free: Iterable[str] = ()) -> SymbolicModel:
     """The functions of a model with the parameters of a car, named after the model.
 
     substeps: RK4 steps within h. free: parameters that remain an argument, such as "road_bank.angle"; only effects that

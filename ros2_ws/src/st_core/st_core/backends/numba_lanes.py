@@ -181,11 +181,8 @@ def _parameters(shape):
 def _scratch(count: int):
     @intrinsic
     def scratch(_):
-        """Stack memory for `count` numbers, aligned to cache lines.
-
-        This aligns the stack as well; otherwise a vector that is spilled to it may occupy two cache lines, and the
-        speed varies by a third between processes.
-        """
+        """Stack memory for `count` numbers, aligned to cache lines. This aligns the stack as well; otherwise a spilled
+        vector may occupy two cache lines, and the speed varies by a third between processes."""
         def generate(context, builder, signature, arguments):
             memory = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), count))
             memory.align = CACHE_LINE

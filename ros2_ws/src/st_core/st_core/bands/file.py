@@ -6,8 +6,7 @@
     seen: {starts: [[...]], most: [...]}                 calibration domain
     bands: {linear: {configuration_hash: "...", hindsight: {...}, forecast: {...}}}
 
-Floors are in m, m and rad; coefficients, factors and ratios are dimensionless. A file that does not match its hash was
-edited and is rejected.
+Floors are in m, m, rad; coefficients, factors and ratios are dimensionless. An edited file is rejected by its hash.
 """
 
 import hashlib

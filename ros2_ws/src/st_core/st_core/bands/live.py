@@ -48,8 +48,7 @@ class LiveBands:
     """Computes the half-widths of `Bands.half_widths` for all models, modes and levels together.
 
     models: names of the models, which must all be in the bands (see `Bands.check`). domain: conditions with a band.
-    levels: the LEVELS that are in the file. half_widths: by model, from the last call inside the domain; every call
-    overwrites the same arrays.
+    levels: the LEVELS that are in the file. half_widths: by model, overwritten by each call inside the domain.
     """
 
     def __init__(self, bands: Bands, models: Iterable[str]):
@@ -97,8 +96,7 @@ class AdaptiveBands:
     time: (points,) ahead, without the start [s]. bands: calibrated bands of forecast and hindsight. Without them, and
     for the modes plan and course, bands are estimated from the scores alone and are issued after `adaptive.WARM_UP`.
 
-    half_widths: as in `LiveBands`. counts: by (model, mode), number of scored windows, and number of these with the
-    whole path inside by level.
+    half_widths: as in `LiveBands`. counts: by (model, mode), scored windows, and those completely inside by level.
     """
 
     def __init__(self, time: np.ndarray, models: Sequence[str], modes: Sequence[str] = MODES,

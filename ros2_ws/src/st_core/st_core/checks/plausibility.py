@@ -123,8 +123,7 @@ def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
     """(mask (n,) of the samples of one channel to leave out, the findings).
 
     name: a key of CHANNELS. time: (n,) ascending [s], with the zero of the times in the findings. values: (n,), NaN
-    where unknown; yaw unwrapped. moving: (n,) whether the car moves. The mask is False throughout if more than
-    half the samples are implausible.
+    where unknown; yaw unwrapped. moving: (n,) whether the car moves. The mask is False if over half would be left out.
     """
     bad = np.zeros(len(values), bool)
     rows = np.flatnonzero(np.isfinite(values))

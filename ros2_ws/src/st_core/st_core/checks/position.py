@@ -55,8 +55,8 @@ UNIT = {"yaw_offset": "rad", "position_lag": "s", "velocity_lag": "s", "position
 MIN_REPORTED = {"s": LIMITS.lag, "m": LIMITS.mounting, "m/s": MIN_VELOCITY_BIAS}
 CHANNELS = {"x_scale": ("x",), "y_scale": ("y",), "map_shear": ("x",), "yaw_offset": ("yaw",),
             "velocity_scale": ("velocity_x", "velocity_y"), "position_lag": ("x", "y"),
-            "velocity_lag": ("velocity_x", "velocity_y"),
-            "position_reference": ("x", "y"), "velocity_x_bias": ("velocity_x",), "velocity_y_bias": ("velocity_y",)}
+            "velocity_lag": ("velocity_x", "velocity_y"), "position_reference": ("x", "y"),
+            "velocity_x_bias": ("velocity_x",), "velocity_y_bias": ("velocity_y",)}
 
 
 def residual_regression(motion: Motion) -> Regression:
@@ -71,8 +71,7 @@ def residual_regression(motion: Motion) -> Regression:
     zero = np.zeros(len(over))
     columns = {
         "x_scale": (displacement[0], zero), "y_scale": (zero, displacement[1]), "map_shear": (displacement[1], zero),
-        "velocity_scale": displacement,
-        "yaw_offset": (displacement[1], -displacement[0]),
+        "velocity_scale": displacement, "yaw_offset": (displacement[1], -displacement[0]),
         "position_lag": (-velocity_change[0], -velocity_change[1]),
         "velocity_lag": (velocity_change[0] - turning[0], velocity_change[1] - turning[1]),
         "position_reference": (over.change(cosine), over.change(sine)),

@@ -36,8 +36,7 @@ MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering i
 
 
 def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: bool) -> CheckResult:
-    """Compare steering with curvature. wheel_measured: whether the steering wheel angle was recorded; its offset is
-    in the vehicle file."""
+    """Compare steering with curvature. wheel_measured: whether the steering wheel angle was recorded."""
     moving = motion.velocity_x > MIN_SPEED
     curvature = np.where(moving, motion.yaw_rate / np.maximum(motion.velocity_x, MOVING), np.nan)
     derived = np.arctan(vehicle.wheelbase * curvature)
@@ -251,8 +250,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     motion_of_axle = sum(found[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
     panel = Comparison("velocity_y", "lateral velocity: measured versus derived from the rear axle", "m/s",
                        "velocity_y", "rear axle at the distance of the vehicle file", over.time[use], lateral,
-                       declared * rate + motion_of_axle,
-                       ("heading_misaligned", "measuring_point"))
+                       declared * rate + motion_of_axle, ("heading_misaligned", "measuring_point"))
     return findings, {"heading_misaligned": heading, "measuring_point": point}, panel
 
 

@@ -93,15 +93,12 @@ def find_interval_end(residuals: Residuals, fit: CurveFit, index: int, side: flo
     others = np.arange(len(fit.values)) != index
     slope = fit.covariance[others, index] / error**2 if error > 0.0 else np.zeros(int(others.sum()))
     start = fit.values[others] + slope * side * distance
-
-    def with_fixed(fixed: float, free: np.ndarray) -> np.ndarray:
-        return residuals(np.insert(free, index, fixed, axis=-1))
-
     previous = (0.0, 0.0)  # distance, and root of the relative increase of S
     for _ in range(MAX_STEPS):
         # At an end of the interval, S is larger by about 5 %, so a tolerance of 0.01 % is sufficient.
-        found = _solve(partial(with_fixed, value + side * distance), start, fit.lower[others], fit.upper[others],
-                       1e-4, 60)
+        remaining = partial(lambda fixed, free: residuals(np.insert(free, index, fixed, axis=-1)),
+                            value + side * distance)
+        found = _solve(remaining, start, fit.lower[others], fit.upper[others], 1e-4, 60)
         start = found.x
         root = math.sqrt(max(2.0 * found.cost - minimum, 0.0) / threshold)
         if distance >= to_bound and root < 1.0:

@@ -203,8 +203,7 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     if np.linalg.cond(total / np.outer(size, size)) > MAX_CONDITION:
         raise IdentificationError(f"the drives do not determine {', '.join(names)} together: drive more different "
                                   "speeds and bends, or fit fewer parameters")
-    # Ratio of the curvature of the loss to its Gauss-Newton approximation, which is too large and would underestimate
-    # the influence of each block.
+    # Ratio of the curvature of the loss to its Gauss-Newton approximation, which is too large.
     ratio = np.clip((np.diag(problem.loss.curvature(rows, slopes)) / np.diag(total)).mean(), MIN_CURVATURE_RATIO, 1.0)
     influence = group.leave_out(ratio * hessian, gradient)
 

@@ -8,8 +8,7 @@ value depends on the slip range, which the interval includes (`slip_range_uncert
 Steering ratio, if no turntables are available:    L kappa + K v^2 kappa = delta = (delta_h - o) / i
 
 Slow bends determine the ratio i, fast bends the understeer K, straights the offset o. Dead time and relaxation are
-fitted too, since a lag would be mistaken for another ratio. An error of 1 % of the wheelbase causes an error of 1 % of
-the ratio.
+fitted too, since a lag would be mistaken for another ratio. An error of the wheelbase changes it in proportion.
 
 Yaw inertia, from transients:    I_z r_dot = l_f F_f cos(delta) - l_r F_r
 

@@ -121,9 +121,8 @@ STIFFNESS_PARAMETERS = ("p_ky1", "p_ky2", "p_ky4")
 FITTED_PARAMETERS = ("p_cy1", "p_dy1", "p_dy2", "p_ey1", "p_ey2", "p_ky1", "p_ky2", "p_ky4")
 STARTS = ((1.1, -0.5), (1.3, 0.2), (1.6, -0.5), (1.3, -3.0))  # start values (C, E) of the fit at the nominal load
 MEANING = {"p_cy1": "shape", "p_dy1": "peak friction", "p_dy2": "load dependence of peak friction",
-           "p_ey1": "curvature",
-           "p_ey2": "load dependence of curvature", "p_ky1": "stiffness", "p_ky2": "load at maximum stiffness",
-           "p_ky4": "curvature of stiffness versus load"}
+           "p_ey1": "curvature", "p_ey2": "load dependence of curvature", "p_ky1": "stiffness",
+           "p_ky2": "load at maximum stiffness", "p_ky4": "curvature of stiffness versus load"}
 
 
 @dataclass(frozen=True)

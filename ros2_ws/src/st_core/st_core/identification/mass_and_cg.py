@@ -83,8 +83,7 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
 
 
 def describe_swapped_axles(found: Identification, wheelbase: float, expected: float) -> str:
-    """A sentence if front and rear readings seem to be exchanged, else "". expected: cg_to_front_axle of the vehicle
-    file [m]."""
+    """A sentence if front and rear readings seem exchanged, else "". expected: cg_to_front_axle of the file [m]."""
     front = found["cg_to_front_axle"].value
     if abs(front - expected) > 0.05 * wheelbase and abs(wheelbase - front - expected) < 0.02 * wheelbase:
         return (f"cg_to_front_axle is estimated as {front:.3f} m, the vehicle file has {expected:.3f} m; with front "

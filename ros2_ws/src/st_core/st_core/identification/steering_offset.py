@@ -42,9 +42,8 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     values = np.concatenate([w[:, 1] for w in windows])
     if len(values) < MIN_WINDOWS:
         raise IdentificationError(
-            f"too little straight driving: {len(values)} windows of {WINDOW:g} s are straighter than "
-            f"R = {MIN_RADIUS:g} m and faster than {SETTINGS.minimum_speed:g} m/s, with constant steering; "
-            f"{MIN_WINDOWS} are needed")
+            f"too little straight driving: {len(values)} windows of {WINDOW:g} s are straighter than R = {MIN_RADIUS:g}"
+            f" m and faster than {SETTINGS.minimum_speed:g} m/s, with constant steering; {MIN_WINDOWS} are needed")
     # Without smoothing, road noise would cause an error of 0.02 deg at the steering wheel after four minutes.
     smooth = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, 0.1, "zero_phase")[0])
               for log in logs]

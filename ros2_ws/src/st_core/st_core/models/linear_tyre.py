@@ -12,8 +12,7 @@ from ._base import Axles, Model, axle_slip_angles, motion, motion_of, slip_angle
 
 
 class Parameters(NamedTuple):
-    """mass [kg], yaw_inertia [kg m^2], distances [m], cornering stiffness per axle [N/rad, > 0], minimum_slip_speed
-    [m/s]."""
+    """mass [kg], yaw_inertia [kg m^2], lengths [m], stiffness per axle [N/rad, > 0], minimum_slip_speed [m/s]."""
 
     mass: float
     yaw_inertia: float
@@ -35,8 +34,7 @@ def inputs(road_wheel_angle, velocity_x_dot, p: Parameters):
 
 def forces(slip_front, slip_rear, w, p: Parameters):
     """Lateral forces (front, rear) of the axles [N], left +."""
-    return (linear_force(slip_front, p.cornering_stiffness_front),
-            linear_force(slip_rear, p.cornering_stiffness_rear))
+    return linear_force(slip_front, p.cornering_stiffness_front), linear_force(slip_rear, p.cornering_stiffness_rear)
 
 
 def rhs(state, w, p: Parameters):
