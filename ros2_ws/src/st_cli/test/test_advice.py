@@ -92,7 +92,7 @@ def test_evaluate_advises(tmp_path):
         write_drive(tmp_path / "runs" / f"weave_{k}.csv", weave(24.0, 7.0 + 0.2 * k, 0.02))
     write_vehicle(tmp_path / "car.yaml", ROOT / "config" / "vehicle" / "leaf.yaml")
     words = ["evaluate", tmp_path / "runs", "--vehicle", tmp_path / "car.yaml", "--model", "kinematic", "--model",
-             "linear", "--advise", "0.5", "--figures", "png", "--output", tmp_path / "o"]
+             "linear", "--advise", "0.5", "--figures", "", "--output", tmp_path / "o"]
     result = CliRunner().invoke(app, list(map(str, words)), env={"COLUMNS": "240"})
     assert result.exit_code == 0, result.output
     assert "step with a lateral error within 0.5 m" in result.output and "6 to 9 m/s" in result.output

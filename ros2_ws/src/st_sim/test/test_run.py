@@ -122,6 +122,8 @@ class Live:
         port = self.udp.getsockname()[1]
         channel = f"239.74.{100 + port % 50}.{1 + port % 250}:{port}"
         self.bus = open_bus("udp_multicast", channel)
+        with socket.socket(fileno=os.dup(self.bus.fileno())) as receiver:  # holds all while this process waits its turn
+            receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
         command = [sys.executable, "-m", "st_sim.run", "--vehicle", str(LEAF), "--output", str(folder), "--ncom-port",
                    str(port), "--can-interface", "udp_multicast", "--can-channel", channel, *arguments]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
