@@ -86,7 +86,7 @@ class Receiver:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread and close the bus; returns when both are done. May be called twice."""
+        """Ends the thread and closes the bus; returns when both are done. It may be called twice."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -184,7 +184,7 @@ class Receiver:
             self._set_state(BusState.SILENT, f"no frame for more than {self._silence:g} s")
 
     def _handle_failure(self, error: Exception) -> None:
-        """Report a failure and wait. A socket recovers when its network is up; other failures need a new socket."""
+        """Reports a failure and waits. A socket recovers when its network is up again; other failures need a new one."""
         with self._lock:
             self._status.failures += 1
         if _error_number(error) == errno.ENETDOWN and self._bus is not None:

@@ -108,7 +108,7 @@ class LoopbackMulticastBus(can.BusABC):
         sender.bind(("127.0.0.1", 0))
 
     def _apply_filters(self, filters: Any) -> None:
-        """Look up exact identifiers in a set; filters with another mask are left to python-can."""
+        """Stores exact identifiers in a set for `_unpack`; python-can applies filters with another mask."""
         self._accepted = None
         if filters and all("extended" in f and f["can_mask"] in (0x7FF, 0x1FFFFFFF) for f in filters):
             self._accepted = frozenset((f["can_id"], bool(f["extended"])) for f in filters)

@@ -1,5 +1,6 @@
 """Synchronises a growing file with the disk in a separate thread, so that a power failure loses only its last data."""
 
+import contextlib
 import os
 import threading
 import time
@@ -68,7 +69,10 @@ class Syncer:
             try:
                 os.fdatasync(self._descriptor)
                 while self._folders:
-                    _sync_folder(self._folders[0])
+                    with contextlib.suppress(FileNotFoundError):  # renamed or deleted, which the writer reports
+                        descriptor = os.open(self._folders[0], os.O_RDONLY | os.O_DIRECTORY)
+                        os.fsync(descriptor)
+                        os.close(descriptor)
                     self._folders = self._folders[1:]
             except OSError as error:
                 self.error = error.strerror or str(error)
@@ -76,14 +80,3 @@ class Syncer:
                 self._syncing_since = None
                 self.count, self.longest = self.count + 1, max(self.longest, time.monotonic() - began)
         os.close(self._descriptor)
-
-
-def _sync_folder(folder: Path) -> None:
-    try:
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except FileNotFoundError:
-        return  # renamed or deleted: the writer detects and reports that
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -117,7 +117,11 @@ def select_usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list
     lost = n - len(rows)
     notes = []
     back = -np.diff(time_ns)[np.diff(time_ns) < 0] * 1e-9
-    longest = _find_longest_stretch(time_ns) if len(back) and lost > max(MAX_LOST_SHARE * n, 1) else rows[:0]
+    longest = rows[:0]
+    if len(back) and lost > max(MAX_LOST_SHARE * n, 1):
+        parts = np.split(np.arange(n), np.flatnonzero(np.diff(time_ns) < 0) + 1)
+        longest = max(parts, key=len)
+        longest = longest[is_newer(time_ns[longest])]
     if len(longest) and n - len(longest) <= lost + MAX_LOST_SHARE * n:
         rows = longest
         times = f"{len(back)} times, first " if len(back) > 1 else ""
@@ -136,11 +140,3 @@ def select_usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list
         notes.append(f"the first of {n} {what} is {steps[0] * 1e-9:.3f} s before the next one; it was left out")
         rows = rows[1:]
     return rows, notes
-
-
-def _find_longest_stretch(time_ns: np.ndarray) -> np.ndarray:
-    """Indices of rows with ascending times in the longest part without a backward step."""
-    edges = np.concatenate(([0], np.flatnonzero(np.diff(time_ns) < 0) + 1, [len(time_ns)]))
-    longest = int(np.argmax(np.diff(edges)))
-    rows = np.arange(edges[longest], edges[longest + 1])
-    return rows[is_newer(time_ns[rows])]
