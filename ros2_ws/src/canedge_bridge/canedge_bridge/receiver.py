@@ -184,7 +184,7 @@ class Receiver:
             self._set_state(BusState.SILENT, f"no frame for more than {self._silence:g} s")
 
     def _handle_failure(self, error: Exception) -> None:
-        """Reports a failure and waits. A socket recovers when its network is up again; other failures need a new one."""
+        """Reports a failure and waits. A socket recovers when its network is up; other failures need a new socket."""
         with self._lock:
             self._status.failures += 1
         if _error_number(error) == errno.ENETDOWN and self._bus is not None:
