@@ -121,6 +121,8 @@ def test_a_delay_from_one_effect_is_as_uncertain_as_this_effect_and_has_its_alte
     assert found.effects == ("steering_delay", "steering_lag", "tyre_relaxation")
     other = replace(one, name="steering_lag", alternatives=())  # what one loses, the other gains: the sum is certain
     assert include_effects(delay, (one, other)).interval == delay.interval
+    stiffness = Combination("front cornering stiffness over mass", "N/(rad kg)", 35.0, (34.0, 36.0), 40.0, ("mass",))
+    assert include_effects(stiffness, (replace(one, name="mass"),)) == stiffness  # yaw inertia does not change it
 
 
 def test_rules_are_asked_in_their_order():

@@ -491,13 +491,14 @@ def _noise_ratios(position: result.ChannelError | None, floor: Mapping[str, floa
 
 
 def include_effects(c: result.Combination, effects: Sequence[result.FoundEffect]) -> result.Combination:
-    """The combination with the alternatives to the effects of the model that change it. A delay from a single effect is
-    as uncertain as the value of this effect."""
+    """The combination; a delay also has the alternatives to the effects of the model that change it, such as tyre
+    relaxation, and a delay from a single effect is as uncertain as the value of this effect."""
     own = [e for e in effects if e.name in c.effects]
+    if not c.is_time:
+        return c
     low, high = c.interval
-    if c.is_time and len(own) == 1:
-        for p in own[0].parameters.values():
-            low, high = min(low, p.interval[0]), max(high, p.interval[1])
+    for p in own[0].parameters.values() if len(own) == 1 else ():
+        low, high = min(low, p.interval[0]), max(high, p.interval[1])
     names = dict.fromkeys((*c.effects, *(other for e in own for other in e.alternatives)))
     return replace(c, interval=(low, high), effects=tuple(names))
 

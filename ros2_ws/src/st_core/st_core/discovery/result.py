@@ -101,8 +101,8 @@ class Assumed:
 @dataclass(frozen=True)
 class Combination:
     """A combination of vehicle parameters that determines predictions: value, 95 % interval and value of the vehicle
-    file [unit]. effects: names of the effects that change it, and of alternatives to those of the model; the drives
-    alone do not separate them."""
+    file [unit]. effects: names of the effects that change it, for a delay also of their alternatives; the drives alone
+    do not separate them."""
 
     name: str
     unit: str
