@@ -148,6 +148,9 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
     ("twice.csv", lambda log: csv([[*row, "9"] for row in rows(log)], ",".join((*NAMES, "vx"))), "utf-8",
      "column vx occurs 2 times; the first is used"),
     ("units.csv", lambda log: degrees(log, ",".join(NAMES) + "\ns,m,m,deg,m/s,m/s,deg/s,deg"), "utf-8", ""),
+    ("channel_numbers.csv", lambda log: degrees(
+        log, ",".join(NAMES) + "\n1,2,3,4,5,6,7,8\ns,m,m,deg,m/s,m/s,deg/s,deg"),
+     "utf-8", ""),
     ("big_endian.csv", lambda log: csv(rows(log)), "utf-16-be", ""),
     ("tabs.txt", lambda log: csv(rows(log), "\t".join(NAMES), "\t"), "utf-8", ""),
     ("savetxt.dat", lambda log: csv(rows(log), "# " + " ".join(NAMES), " "), "utf-8", ""),

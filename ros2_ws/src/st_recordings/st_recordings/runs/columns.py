@@ -84,8 +84,9 @@ def _words(text: str) -> tuple[str, ...]:
 
 COLUMNS: Mapping[str, Channel] = {
     "t": Channel("time", "time", _words(
-        "t time t_rt timestamp timestamps stamp time_boot elapsed elapsed_time unix_time utc_time gps_time gps_tow "
-        "tow gps_seconds time_of_week itow datetime epoch epoch_time zeit zeitstempel datum_zeit x_value")),
+        "t time t_rt timestamp timestamps stamp time_boot sim_time log_time relative_time elapsed elapsed_time "
+        "unix_time utc_time gps_time gps_tow tow gps_seconds time_of_week itow datetime epoch epoch_time zeit "
+        "zeitstempel datum_zeit x_value")),
     "x": Channel("length", "position of the INS point, east or along the map's x", _words(
         "x pos_x position_x x_pos x_position px east easting e_pos x_east x_enu x_map local_x utm_x utm_e utm_easting "
         "pos_local_x car_tx xo x_absolute location_x pose_x pose_position_x pose_pose_position_x")),

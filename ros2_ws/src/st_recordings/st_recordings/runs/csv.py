@@ -239,7 +239,8 @@ def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarr
             if np.isfinite(columns[name]).any() and (median := np.degrees(np.nanmedian(np.abs(columns[name])))) > limit:
                 raise RunError(table.file, f"{name} (column {table.sources[name].name}) is about {median:.6g} deg, "
                                "which is impossible", "export decimal degrees, not degrees and minutes such as "
-                               f"5206.123; or declare the unit in a run.yaml, as units: {{{name}: 1e-7 deg}}")
+                               f"5206.123; or declare the unit in a run.yaml, as units: {{{name}: 1e-7 deg}}; or "
+                               "interchange latitude and longitude")
         has_fix = (latitude != 0.0) | (longitude != 0.0)  # loggers write zeros before the first fix
         if not has_fix.all():
             without = format_share(int((~has_fix).sum()), len(has_fix), "rows")

@@ -332,10 +332,12 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
         return [channel for channel, text in found.items()
                 if channel not in layout.units and find_unit(COLUMNS[channel].kind, text) is None]
 
-    below, lines = list[dict[str, str]](), body.split("\n", MAX_UNIT_ROWS)
-    while len(lines) > 1 and (not lines[0].strip() or texts(lines[0])):
-        if found := texts(lines.pop(0)):
-            below.append(found)
+    lines = body.split("\n", MAX_UNIT_ROWS)
+    rows = [texts(line) for line in lines[:-1]]
+    first = next((k for k, found in enumerate(rows) if lines[k].strip() and not found), len(rows))
+    # Numbers of channels may be between the names and the units.
+    first = max(first, *(k + 1 for k, found in enumerate(rows) if len(found) > 1 and not invalid(found)), 0)
+    below = [found for found in rows[:first] if found]
     labelled = [{c: text for c, text in texts(line).items() if c != "t"} for line in above]
     units = next((found for found in [*below, *(one for one in labelled if len(one) > 1)] if not invalid(found)), None)
     if units is None and below:
@@ -345,7 +347,7 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
         raise RunError(
             file, f"unit row: {units[channel][:40]!r} of column {sources[channel].name} is not a unit of {kind}",
             f"known units are {', '.join(UNITS[kind])}; or set it in a run.yaml, as units: {{{channel}: ...}}")
-    return _apply_units(sources, units or {}, layout), "\n".join(lines)
+    return _apply_units(sources, units or {}, layout), "\n".join(lines[first:])
 
 
 def _apply_units(sources: dict[str, ColumnSource], texts: Mapping[str, str], layout: Layout) -> dict[str, ColumnSource]:
