@@ -152,18 +152,15 @@ def read_definition(type_name: str) -> str:
 
     Raises UnknownTypeError.
     """
-    text = _find_interface_file(type_name, ".msg").read_text()
-    parts, seen = [text.rstrip("\n") + "\n"], {type_name.replace("/msg/", "/")}
-    waiting = _list_types_used(type_name, text)
+    texts: dict[str, str] = {}
+    waiting = [type_name]
     while waiting:
         used = waiting.pop(0)
-        if used in seen:
-            continue
-        seen.add(used)
-        text = _find_interface_file(used, ".msg").read_text()
-        parts.append(f"{TYPE_SEPARATOR}\nMSG: {used}\n{text.rstrip(chr(10))}\n")
-        waiting += _list_types_used(used, text)
-    return "".join(parts)
+        if used not in texts:
+            texts[used] = _find_interface_file(used, ".msg").read_text().rstrip("\n") + "\n"
+            waiting += _list_types_used(used, texts[used])
+    return "".join(text if used == type_name else f"{TYPE_SEPARATOR}\nMSG: {used}\n{text}"
+                   for used, text in texts.items())
 
 
 def _list_types_used(owner: str, text: str) -> list[str]:

@@ -176,8 +176,11 @@ def _find_vehicle_problems(file: Path) -> list[str]:
     try:
         document = read_yaml_mapping(file)
         if empty := set(_find_unfilled_keys(document)):
-            return [f"{file}: {key}: not filled in{_describe_missing_value(key)}" for key in map(str, document)
-                    if key in empty]
+            entries = {key: "value, source and uncertainty" if key in DEFAULT_UNCERTAINTIES else "value and source"
+                       for key in VEHICLE_QUANTITIES}
+            return [f"{file}: {key}: not filled in"
+                    + (f", {entries[key]}; {VEHICLE_QUANTITIES[key].limit()}" if key in entries else "")
+                    for key in map(str, document) if key in empty]
         vehicle = read_vehicle(file)
     except (RunError, StCoreError) as error:
         return [str(error)]
@@ -191,13 +194,6 @@ def _find_vehicle_problems(file: Path) -> list[str]:
         return []
     return [f"{file}: minimum_slip_speed: {vehicle.minimum_slip_speed:g} m/s is too low for integration steps of "
             f"{1e3 * step:g} ms; {needed:g} m/s or more is stable"]
-
-
-def _describe_missing_value(key: str) -> str:
-    if key not in VEHICLE_QUANTITIES:
-        return ""
-    entries = "value, source and uncertainty" if key in DEFAULT_UNCERTAINTIES else "value and source"
-    return f", {entries}; {VEHICLE_QUANTITIES[key].limit()}"
 
 
 def _find_bus_problems(car: Car) -> list[str]:

@@ -199,7 +199,8 @@ class BagWriter:
 
     def _close_moved_file(self) -> None:
         self.moved = True
-        folder = self._file.current_folder()
+        current = Path(os.readlink(f"/proc/self/fd/{self._file.descriptor}"))
+        folder = current.parent if self._file.is_at(current) else None
         state = "deleted" if folder is None else f"renamed to {folder}"
         self.error = f"recording stopped: {self.directory} was {state}"
         if folder is None:
@@ -270,8 +271,3 @@ class _LockedFile:
             return os.path.samestat(os.stat(path), os.fstat(self.descriptor))
         except OSError:
             return False
-
-    def current_folder(self) -> Path | None:
-        """The folder in which the file is now; None for a deleted file."""
-        path = Path(os.readlink(f"/proc/self/fd/{self.descriptor}"))
-        return path.parent if self.is_at(path) else None
