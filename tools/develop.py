@@ -23,13 +23,13 @@ def test(
     pytest = [sys.executable, "-m", "pytest", "-rfEs", "-q"]
     fast_only = "not slow and " if fast else ""
     # By file, in the order of testpaths: the longest files come first. One worker more than cores, because some tests
-    # wait. Timing tests mostly wait: three run at a time, after all others, and only their files are imported.
+    # wait. Timing tests mostly wait: two run at a time, after all others, and only their files are imported.
     by_file = ["--dist", "loadfile", "--no-loadscope-reorder"]
     timed = [str(file) for folder in ("tests", "ros2_ws/src") for file in sorted((root / folder).rglob("test_*.py"))
              if "mark.timing" in file.read_text(encoding="utf-8")]
     parts = [
         [*pytest, "-n", str(len(os.sched_getaffinity(0)) + 1), *by_file, "-m", f"{fast_only}not timing"],
-        [*pytest, "-n", "3", *by_file, "-m", f"{fast_only}timing", *timed],
+        [*pytest, "-n", "2", *by_file, "-m", f"{fast_only}timing", *timed],
     ]
     if context.args:
         parts = [[*pytest, *(["-m", "not slow"] if fast else []), *context.args]]
