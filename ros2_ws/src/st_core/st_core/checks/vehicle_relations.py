@@ -79,7 +79,7 @@ def _unrelated_finding(motion: Motion, derived: np.ndarray) -> Finding | None:
     """Finding of steering that is not correlated with curvature; None if it is, or if either hardly varies."""
     angle = motion.steering_at_ins()
     known = np.isfinite(derived) & np.isfinite(angle)
-    if known.sum() * float(np.median(np.diff(motion.time))) < MIN_COMMON_TIME or (
+    if known.sum() < 2 or known.mean() * np.ptp(motion.time) < MIN_COMMON_TIME or (
             min(np.std(angle[known]), np.std(derived[known])) <= MIN_UNRELATED_SPREAD):
         return None
     correlation = float(np.corrcoef(angle[known], derived[known])[0, 1])
