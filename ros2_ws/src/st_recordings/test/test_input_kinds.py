@@ -148,6 +148,8 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
     ("twice.csv", lambda log: csv([[*row, "9"] for row in rows(log)], ",".join((*NAMES, "vx"))), "utf-8",
      "column vx occurs 2 times; the first is used"),
     ("units.csv", lambda log: degrees(log, ",".join(NAMES) + "\ns,m,m,deg,m/s,m/s,deg/s,deg"), "utf-8", ""),
+    ("elapsed.csv", lambda log: csv([[clock(43200 + k * 0.01)[:8], *row] for k, row in enumerate(rows(log))],
+                                    ",".join(("Time", "elapsed", *NAMES[1:]))), "utf-8", ""),
     ("channel_numbers.csv", lambda log: degrees(
         log, ",".join(NAMES) + "\n1,2,3,4,5,6,7,8\ns,m,m,deg,m/s,m/s,deg/s,deg"),
      "utf-8", ""),

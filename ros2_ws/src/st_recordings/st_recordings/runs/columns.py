@@ -254,6 +254,12 @@ def _find_best_columns(names: Sequence[str]) -> dict[str, list[ColumnSource]]:
     return found
 
 
+def find_times(names: Sequence[str]) -> list[ColumnSource]:
+    """Finds all columns with times."""
+    return [_make_source(number, name, "t", meaning[2]) for number, name in enumerate(names)
+            if (meaning := _identify_channel(name)) and meaning[0] == "t"]
+
+
 def find_rivals(names: Sequence[str]) -> dict[str, list[str]]:
     """Channel -> columns, for the channels that have several columns with equally good names."""
     return {channel: [source.name for source in sources] for channel, sources in _find_best_columns(names).items()

@@ -22,12 +22,14 @@ from .columns import (
     find_columns,
     find_rivals,
     find_stamp_columns,
+    find_times,
     find_unit,
     normalise,
 )
 from .errors import RunError, check_readable, format_share, shorten
 from .ins_log import LATEST_TIME, select_usable_rows
 
+ROWS_OF_TIMES = 500  # number of rows in which the time columns of a table are compared
 MAX_UNIT_ROWS = 5  # largest number of rows without numbers (units, sources, types) below the header
 MAX_HEADER_LINES = 60  # lines at the start of the file searched for the header; loggers write metadata before it
 MISSING = frozenset(("", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "none", "inf", "-inf", "+inf", "nil"))
@@ -215,6 +217,15 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
     warnings += [f"{file}: {sentence}" for sentence in describe_unknown_units(names, sources).values()]
     warnings += [f"{file}: columns {' and '.join(rivals)} may each be {channel}; none of them is used"
                  for channel, rivals in find_rivals(names).items() if channel not in sources]
+    rows = [line.split(delimiter) for line in body.split("\n", ROWS_OF_TIMES)[:ROWS_OF_TIMES]]
+
+    def count_times(source: ColumnSource) -> int:
+        return len({row[source.column] for row in rows if source.column < len(row)})
+
+    if "t" in sources and not {"t"} & {*layout.columns, *layout.units} and find_stamp_columns(names) is None:
+        finest = max(find_times(names), key=count_times, default=sources["t"])
+        if 2 * count_times(sources["t"]) < count_times(finest):  # whole seconds, and fractions in another column
+            sources["t"] = finest
     first = _split_first_row(body, delimiter)[:1]
     if "t" not in sources and names[:1] == [""] and first and _parse_stamp(first[0]):
         sources["t"] = ColumnSource(0, "(without a name)", "time", "s", stated=True)
