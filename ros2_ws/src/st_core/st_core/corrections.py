@@ -18,9 +18,7 @@ from .types import body_to_map, map_to_body
 from .vehicle import VehicleParameters
 
 MAXIMUM_GAP = 0.25  # longest gap across which a signal shifted in time is interpolated [s]
-
 MAX_VALUES = {"scale": 1e12, "add": 1e12, "earlier": 60.0, "ahead": 100.0}  # largest magnitude of each field
-
 STEERING = ("road_wheel_angle", "steering")
 _COMPONENTS = {"position": ("x", "y"), "velocity": ("velocity_x", "velocity_y")}
 _FIELDS = ("scale", "add", "earlier")
@@ -30,7 +28,6 @@ CHANNELS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("yaw_rate", *OPTIONAL_INS_SIGNALS, *STEERING), _FIELDS),
 }
 """Channels that can be corrected, each with the applicable fields of Correction."""
-
 UNITS: Mapping[str, str] = {
     **dict.fromkeys(("x", "y", "position"), "m"), **dict.fromkeys(("velocity_x", "velocity_y", "velocity"), "m/s"),
     "yaw_rate": "rad/s", **dict.fromkeys(("acceleration_x", "acceleration_y"), "m/s^2"),

@@ -16,7 +16,6 @@ from .types import InputSequence, InsSample, Trajectory, VehicleState, pose_erro
 from .vehicle import VehicleParameters
 
 _NEVER = -(2**62)  # ns, before all stamps
-
 Mode = Literal["forecast", "hindsight", "plan", "course"]
 """Inputs over the horizon: forecast = held at their values at the start; hindsight = measured over the horizon; plan =
 from a motion planner; course = from earlier drives at the same place."""

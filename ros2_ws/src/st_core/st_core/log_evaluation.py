@@ -32,9 +32,7 @@ AXES = ("longitudinal", "lateral", "yaw")
 BLOCK = 1024  # starts predicted together; each model and mode then takes 7 MB
 PREFETCHED_BLOCKS = 2  # blocks computed in advance, each in a thread
 CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate", "heading_change")
-
 ALL_ROWS = slice(None)
-
 Progress = Callable[[int, int], None]
 Planned = tuple[np.ndarray, ...]
 BlockCallback = Callable[[np.ndarray, "Block"], None]

@@ -16,7 +16,6 @@ from functools import cached_property
 import numpy as np
 
 UNDERSTEER = 0.004  # understeer gradient K assumed for an unknown car [rad s^2/m]
-
 Shape = Callable[[np.ndarray], np.ndarray]  # lateral acceleration / its target, -1 to 1, at times [s] in a period
 
 

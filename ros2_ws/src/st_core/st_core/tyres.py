@@ -10,7 +10,6 @@ from typing import NamedTuple
 from .ops import absolute, atan, maximum, minimum, sign, sin
 
 GRAVITY = 9.81  # m/s^2, as in the paper
-
 MINIMUM_LOAD = 1.0  # N, of one tyre; the load is a divisor, and a jump of the speed can imply a lifted axle
 
 

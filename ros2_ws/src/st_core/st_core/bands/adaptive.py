@@ -30,7 +30,6 @@ SCALE_FORGETTING = 120.0  # s; two minutes contain most manoeuvres of a driver o
 DEFAULT_SCALE = (0.3, 0.3, 0.02)  # m, m, rad at 1 s ahead, proportional to the squared time; errors soon replace it
 WARM_UP = 120.0  # s of scored driving before a band without a calibration is issued
 MAX_WEIGHT = 1.0  # s; longest time that one score represents, also after a pause
-
 MAX_WAITING = 10_000  # number of predictions stored until their scores arrive
 
 

@@ -16,7 +16,6 @@ from .conditions import conditions_at
 from .scale import evenly_spaced
 
 STARTS_PER_RUN = 1000  # more predictions overlap more and need 1.2 kB each per model and mode
-
 ModelMode = tuple[str, str]  # (model, mode); errors in hindsight are due to the model, in a forecast also to the driver
 
 

@@ -199,7 +199,6 @@ class Limits:
 
 
 LIMITS = Limits()
-
 SYSTEMATIC = {
     "lag": 0.005, "velocity_lag": 0.01, "acceleration_x_lag": 0.01, "acceleration_y_lag": 0.01, "steering_lag": 0.04,
     "wheel_speed_lag": 0.02, "scale": 0.001, "acceleration_x_scale": 0.01, "acceleration_y_scale": 0.01,

@@ -14,7 +14,7 @@ import numpy as np
 
 from .agreement import Agreement, compare_series
 from .finding import HORIZON, LIMITS, WHEEL_SCALE, Advice, Comparison, Finding, Severity
-from .motion import MOVING, Motion
+from .motion import MOVING, Motion, is_near
 from .regression import Estimate, with_systematic
 
 
@@ -54,8 +54,12 @@ def judge_agreement(found: Agreement | None, tolerances: Tolerances, removed_sca
     # Regression on a noisy quantity yields between r^2 and 1 times the true slope (Fuller 1987, Measurement Error
     # Models, 1.1), so noise of the derived quantity may explain a scale below 1.
     explained_by_noise = scale.value < 1.0 and scale.value / found.correlation**2 + scale.half > 1.0
-    factor = None if explained_by_noise else _unit_factor(scale.value, tolerances)
-    findings = []
+    findings: list[Finding] = []
+    factor: float | None = None  # the factor of a unit or sign that explains the scale, or else the scale itself
+    if not explained_by_noise and not is_near(scale.value, 1.0, LIMITS.channel_unit):
+        factors = [sign * size for size in (1.0, *tolerances.factors) for sign in (1.0, -1.0)][1:]
+        near = [f for f in factors if is_near(scale.value, f, LIMITS.channel_unit)]
+        factor = min(near, key=lambda f: abs(np.log(scale.value / f)), default=scale.value)
     if factor is not None:
         findings.append(_unit_finding(scale, factor, tolerances))
     elif (abs(scale.value - 1.0) >= tolerances.scale and scale.shifted(-1.0).significant and not explained_by_noise):
@@ -101,15 +105,6 @@ def format_alternative_lags(found: Agreement, response: float = 0.0) -> str:
     others = sorted(lag + response for lag in found.other_lags)
     text = " or ".join(f"{'lags' if lag > 0.0 else 'leads'} by {abs(lag):.2f} s" for lag in others)
     return f" (or {text}, which fits equally well: the drive repeats itself)" if text else ""
-
-
-def _unit_factor(scale: float, tolerances: Tolerances) -> float | None:
-    """The factor of a unit or sign that explains a scale, or the scale itself if none does; None for a scale near 1."""
-    if 1.0 / LIMITS.channel_unit < scale < LIMITS.channel_unit:
-        return None
-    factors = [sign * factor for factor in (1.0, *tolerances.factors) for sign in (1.0, -1.0)][1:]
-    near = [f for f in factors if f * scale > 0.0 and 1.0 / LIMITS.channel_unit < scale / f < LIMITS.channel_unit]
-    return min(near, key=lambda f: abs(np.log(scale / f)), default=scale)
 
 
 def _unit_finding(scale: Estimate, factor: float, tolerances: Tolerances) -> Finding:
@@ -160,7 +155,6 @@ SPEED_SPREAD = 0.5  # m/s; minimum standard deviation; at constant speed, only s
 WHEEL_LAG = 0.15  # s; wheel speed signals are averaged over time
 ACCELERATION_FACTORS = {1.0 / GRAVITY: "is its unit g"}
 SPEED_FACTORS = {3.6: "is its unit km/h", 2.23694: "is its unit mph", 1.0 / 3.6: "was it divided by 3.6 twice"}
-
 CheckResult = tuple[list[Finding], dict[str, Estimate], Comparison | None]
 """(findings, estimates by name of the finding, panel of the figure or None)."""
 

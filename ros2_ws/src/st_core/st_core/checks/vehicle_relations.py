@@ -88,9 +88,8 @@ def _unrelated_finding(motion: Motion, derived: np.ndarray) -> Finding | None:
     text = (f"the steering does not follow the car's motion (correlation {correlation:.2f}): is it another signal, the "
             f"steering of another drive, stamped more than {MAX_LAG:g} s too early or too late, or does its sign "
             "change during the drive?")
-    return Finding("steering_unrelated", Severity.WARNING, ("road_wheel_angle",), text, correlation,
-                   advice=Advice("look", "compare steering and yaw rate over time; predictions with this steering are "
-                                 "invalid"))
+    advice = Advice("look", "compare steering and yaw rate over time; predictions with this steering are invalid")
+    return Finding("steering_unrelated", Severity.WARNING, ("road_wheel_angle",), text, correlation, advice=advice)
 
 
 def _estimate_steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | None:
@@ -142,8 +141,7 @@ def _unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle: Vehi
                   wheel_measured: bool) -> Finding | None:
     """Finding of a steering gain that only a wrong unit or sign explains; None for a plausible gain.
 
-    understeer: expected and largest plausible gain; since the stiffnesses of a vehicle file may be rough, a gain of 1
-    is plausible as well.
+    understeer: expected and largest plausible gain; since stiffnesses may be rough, a gain of 1 is plausible as well.
     """
     (expected, largest), value, limit = understeer, gain.value, LIMITS.steering_unit
     if abs(value) < MIN_GAIN or (gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * largest):

@@ -42,7 +42,6 @@ MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
 BOUND_TOLERANCE = 1e-3  # distance within which a value is at its bound, as a fraction of the range of both bounds
 MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
 MIN_CURVATURE_RATIO = 0.2  # of the loss to its Gauss-Newton approximation; 0.7 for the assumed distribution of errors
-
 Values = Mapping[str, float]
 
 

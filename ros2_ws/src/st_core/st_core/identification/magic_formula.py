@@ -238,12 +238,11 @@ def _fit_load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[st
         unscaled = magic_formula_stiffness(first.nominal_load, changed._replace(p_ky1=-1.0))
         return changed._replace(p_ky1=-stiffness / unscaled)
 
-    low, high = _get_bounds(free)
-    start = {"p_dy2": -0.1, "p_ey2": 0.0, "p_ky2": 2.0, "p_ky4": 2.0}
-
     def residuals(values: np.ndarray) -> np.ndarray:
         return tyre_force(data.slip, data.load, tyre(np.moveaxis(values, -1, 0)[..., None])) - data.force
 
+    low, high = _get_bounds(free)
+    start = {"p_dy2": -0.1, "p_ey2": 0.0, "p_ky2": 2.0, "p_ky4": 2.0}
     return tyre(fit_curve(residuals, [[start[k] for k in free]], low, high).values.tolist())
 
 

@@ -29,7 +29,6 @@ NAMES = ("steering_wheel_offset", "steering_ratio", "stiffness_scale")
 UNITS = ("rad", "1", "1")
 STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
 FITTED = ("steering_wheel_offset", "steering_ratio", *STIFFNESSES, MISALIGNMENT, DELAY, RELAXATION)
-
 SETTINGS = DrivingFitSettings(interval=1.0, min_windows=20)
 BUFFER, SPACING_NS = 400.0, 19_000_000  # s of driving stored; ns between stored samples: 20 ms minus jitter
 FIT_INTERVAL = 15.0  # s of usable driving
