@@ -6,17 +6,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from _drawn_bands import SETTINGS, TIME
 from st_core.bands import Band, CalibrationDomain, ErrorSamples, calibrate, conditions_at, error_samples
 from st_core.bands.live import CoverageMonitor
 from st_core.evaluation import make_score
 from st_core.log import DriveLog
-from st_core.log_evaluation import EvaluationSettings, evaluate_blocks, regular_starts, usable_starts
+from st_core.log_evaluation import evaluate_blocks, regular_starts, usable_starts
 from st_core.models import get_model
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import project_root
 
-SETTINGS = EvaluationSettings()
-TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
 MODELS, MODES = ("linear", "nonlinear"), ("hindsight", "forecast")
 SEED, CALIBRATION_DRIVES, HEALTHY_DRIVES, CHANGED_DRIVES = 22, 24, 2, 5
 # Number of manoeuvres, of about 8 s each: an hour, four minutes, one minute.

@@ -17,11 +17,11 @@ from _band_page import PAGE, write_rows
 from _band_ways import LEVELS, METHODS, SEED
 from _cars import MORE_DRIVES, NINE_DRIVES
 from _cars import genesis as genesis_vehicle
+from _drawn_bands import SETTINGS, TIME
 from _pages import format_records, replace_part
 from st_core.bands import Band, CalibrationDomain, ErrorSamples, calibrate, error_samples, highest_level, join_runs
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
-from st_core.log_evaluation import EvaluationSettings
 from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
 from st_offline.bands.bands_report import share_rows, sum_shares, summarise_shares
@@ -29,8 +29,6 @@ from st_offline.bands.scoring import pool_sums, sum_band_scores, summarise_bands
 from st_recordings.paths import project_root
 from st_recordings.runs import find_runs, read
 
-SETTINGS = EvaluationSettings()
-TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
 MODELS, MODES = ("kinematic", "linear", "nonlinear"), ("hindsight", "forecast")
 # Days of recording, from the web page of the data; for low_speed_f to _h only the campaign is known.
 DAYS = {

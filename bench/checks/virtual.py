@@ -17,12 +17,11 @@ from st_sim.simulation import SimulatedCar
 from st_sim.stream import STEERING_SCHEDULE, TICK_MS, WHEEL_SCHEDULE
 
 from .._cars import LEAF_FILE, leaf
+from ..discovery.sensing import round_to_resolution
 from .recording import Recording, with_good_quality
 
 START_NS = 1_756_900_800_000_000_000
 INS_MS = 10
-ROUNDING = {"angle": 1e-6, "velocity": 1e-4, "rate": 1e-5, "force": 1e-4, "steering": np.radians(0.1), "wheel": 0.01}
-"""Resolution of NCOM [rad, m/s, rad/s, m/s^2], and of steering wheel angle [rad] and wheel speeds [m/s] on CAN."""
 
 
 def drive_name(scenario: str) -> str:
@@ -49,7 +48,7 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
             wheels.append((now / 1000, sum(read_wheel_speeds(source.truth(), settings)[0][2:]) / 2))
     log = _make_log(drive_name(scenario), readings, np.array(steering), vehicle)
     times, speeds = np.array(wheels).T
-    auxiliary = AuxiliaryData(wheel_speed=Series(_to_nanoseconds(times), _round(speeds, "wheel")))
+    auxiliary = AuxiliaryData(wheel_speed=Series(_to_nanoseconds(times), round_to_resolution(speeds, "wheel")))
     return with_good_quality(Recording(log, vehicle, False, auxiliary, _true_deviations(settings, readings, exact)))
 
 
@@ -80,21 +79,17 @@ def _true_deviations(settings: Settings, readings: list[InsReading], exact: list
 def _make_log(name: str, readings: list, steering: np.ndarray, vehicle: VehicleParameters) -> DriveLog:
     def column(field: str) -> np.ndarray:
         return np.array([getattr(reading, field) for reading in readings], float)
-    yaw, pitch, roll = (_round(column(field), "angle") for field in ("yaw", "pitch", "roll"))
+    yaw, pitch, roll = (round_to_resolution(column(field), "angle") for field in ("yaw", "pitch", "roll"))
     cosine, sine = np.cos(column("yaw")), np.sin(column("yaw"))
     forward, left = column("velocity_x"), column("velocity_y")
     level = np.stack([cosine * forward - sine * left, sine * forward + cosine * left, column("velocity_z")])
-    velocity = rotate_to_body(_round(level, "velocity"), yaw, -pitch, roll)
-    angle = _round(steering[:, 1], "steering")
-    force = _round(column("specific_force"), "force")
+    velocity = rotate_to_body(round_to_resolution(level, "velocity"), yaw, -pitch, roll)
+    angle = round_to_resolution(steering[:, 1], "steering")
+    force = round_to_resolution(column("specific_force"), "force")
     return DriveLog(name, _to_nanoseconds(column("stamp")), column("x"), column("y"), np.unwrap(yaw), velocity[0],
                     velocity[1],
-                    _round(column("rates")[:, 2], "rate"), _to_nanoseconds(steering[:, 0]),
+                    round_to_resolution(column("rates")[:, 2], "rate"), _to_nanoseconds(steering[:, 0]),
                     vehicle.road_wheel_angle(angle), angle, force[:, 0], force[:, 1])
-
-
-def _round(values: np.ndarray, kind: str) -> np.ndarray:
-    return np.round(values / ROUNDING[kind]) * ROUNDING[kind]
 
 
 def _to_nanoseconds(seconds: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from st_core.vehicle import VehicleParameters
 from st_sim.settings import REALISTIC
 
 from .oracle import BASE
-from .sensing import ROUNDING, select_noise
+from .sensing import round_to_resolution, select_noise
 
 MARGIN_NS = 700_000_000  # at both ends, where the smoothed forward acceleration is unknown
 STEERING_NOISE = REALISTIC["steering_sensor_noise"]  # rad, at the steering wheel
@@ -39,11 +39,11 @@ def resimulate(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLog
         seed, len(x), v_x, ("x", "y", "velocity_x", "velocity_y", "yaw", "rate_z", "force_y")), strict=True))
 
     def read(values: np.ndarray, what: str, rounding: str) -> np.ndarray:
-        return np.round((values + noise[what]) / ROUNDING[rounding]) * ROUNDING[rounding]
+        return round_to_resolution(values + noise[what], rounding)
 
     steering = log.road_wheel_angle * vehicle.steering_ratio + vehicle.steering_wheel_offset
     steering = steering + STEERING_NOISE * np.random.default_rng([seed, 4]).standard_normal(len(steering))
-    steering = np.round(steering / ROUNDING["steering"]) * ROUNDING["steering"]
+    steering = round_to_resolution(steering, "steering")
     return replace(
         log, road_wheel_angle=vehicle.road_wheel_angle(steering), steering_wheel_angle=steering,
         ins_time_ns=time[0] + np.round(np.arange(steps + 1) * step * 1e9).astype(np.int64),

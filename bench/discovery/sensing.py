@@ -22,8 +22,8 @@ PERIOD, STEERING_PHASE = 0.01, 0.002
 """Time between samples, and from an INS sample to the following steering sample [s]."""
 START_NS = 1_800_000_000_000_000_000
 CHANNELS = tuple(NOISE)
-ROUNDING = {"rate": 1e-5, "force": 1e-4, "angle": 1e-6, "velocity": 1e-4, "steering": np.radians(0.1)}
-"""Resolution of NCOM [rad/s, m/s^2, rad, m/s], and of the steering wheel angle on CAN [rad]."""
+RESOLUTION = {"rate": 1e-5, "force": 1e-4, "angle": 1e-6, "velocity": 1e-4, "steering": np.radians(0.1), "wheel": 0.01}
+"""Resolution of NCOM [rad/s, m/s^2, rad, m/s], and of steering wheel angle [rad] and wheel speeds [m/s] on CAN."""
 
 
 def make_log(name: str, recording: Recording, car: Car, vehicle: VehicleParameters, settings: Settings, seed: int,
@@ -34,20 +34,20 @@ def make_log(name: str, recording: Recording, car: Car, vehicle: VehicleParamete
     count = len(recording.rows)
     stamp = PERIOD * np.arange(count)
     rates, forces = np.stack([r["rate_x"], r["rate_y"], r["rate_z"]]), np.stack([r["force_x"], r["force_y"]])
-    yaw, roll, pitch = (_round(r[key], "angle") for key in ("yaw", "roll", "pitch"))
+    yaw, roll, pitch = (round_to_resolution(r[key], "angle") for key in ("yaw", "roll", "pitch"))
     cosine, sine = np.cos(r["yaw"]), np.sin(r["yaw"])
     level = np.stack([cosine * r["velocity_x"] - sine * r["velocity_y"], sine * r["velocity_x"] +
                       cosine * r["velocity_y"], r["velocity_z"]])
-    velocity = rotate_to_body(_round(level, "velocity"), yaw, -pitch, roll)
+    velocity = rotate_to_body(round_to_resolution(level, "velocity"), yaw, -pitch, roll)
     steering = recording.steering_wheel + car.steering_wheel_offset
     if settings["steering_sensor_noise"]:
         steering = steering + settings["steering_sensor_noise"] * _stream(np.random.default_rng([seed, 4]), count, 256)
-    steering = _round(steering, "steering")
+    steering = round_to_resolution(steering, "steering")
     late = STEERING_PHASE + settings["steering_sensor_latency"]
     return DriveLog(
         name, _to_nanoseconds(stamp + settings["ins_time_error"]), r["x"], r["y"], yaw, velocity[0], velocity[1],
-        _round(rates, "rate")[2], _to_nanoseconds(stamp + late), vehicle.road_wheel_angle(steering), steering,
-        *_round(forces, "force"))
+        round_to_resolution(rates, "rate")[2], _to_nanoseconds(stamp + late), vehicle.road_wheel_angle(steering),
+        steering, *round_to_resolution(forces, "force"))
 
 
 def make_readings(recording: Recording, car: Car, settings: Settings, seed: int,
@@ -118,8 +118,9 @@ def _stream(generator: np.random.Generator, count: int, block: int) -> np.ndarra
     return np.concatenate(blocks)[:count]
 
 
-def _round(values: np.ndarray, kind: str) -> np.ndarray:
-    return np.round(values / ROUNDING[kind]) * ROUNDING[kind]
+def round_to_resolution(values: np.ndarray, kind: str) -> np.ndarray:
+    """Rounds as NCOM and CAN do. kind: key of RESOLUTION."""
+    return np.round(values / RESOLUTION[kind]) * RESOLUTION[kind]
 
 
 def _to_nanoseconds(seconds: np.ndarray) -> np.ndarray:
