@@ -28,6 +28,14 @@ def test_resolution_of_rounded_values(step):
     assert resolution(time, values) == 0.0
 
 
+@pytest.mark.parametrize(("rate", "expected"), [(1.0, True), (5.0, True), (10.0, False), (20.0, False)])
+def test_a_recording_that_is_too_slow_for_predictions_is_named(leaf, rate, expected):
+    found = [one.text for one in check(exact_drive(leaf, seconds=120.0, rate=rate), leaf).findings
+             if one.name == "time_gaps"]
+    assert bool(found) == expected and all("predictions need one in 0.1 s: nothing is scored" in t for t in found)
+
+
+
 def test_an_even_motion_is_not_rounded():
     time = np.arange(0.0, 20.0, 0.01)
     assert resolution(time, 12.3 * time) == 0.0

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..prediction import PredictionSettings
 from ..regression import white_noise
 from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Channel, Finding, InsQuality, Severity, merge_findings
 from .motion import MAX_GAP, Motion, spans, stretches
@@ -16,6 +17,8 @@ STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # chan
 MIN_HELD_SHARE = 0.7  # minimum fraction of a held channel's samples that lie in runs of the usual length
 MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, and by 0.5 m on average
 NOTE_SHARE = 0.01  # largest fraction of faulty rows that is reported as a note only
+PREDICTION_GAP = PredictionSettings().maximum_gap
+MAX_PREDICTION_GAP = 1.2 * PREDICTION_GAP  # s; stamps of a recording with one sample per PREDICTION_GAP vary
 MAX_GAP_SHARE = 0.05  # fraction of the time in gaps above which whole driving conditions may be missing
 MIN_ROWS_PER_SAMPLE = 1.5  # minimum sampling interval, in rows, of a sensor that is slower than the rows
 SPACING_TOLERANCE = 0.05  # largest relative error of such a sensor's mean sampling interval; gaps increase the mean
@@ -158,12 +161,17 @@ def _check_gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, f
     if len(time) < 2:
         return []
     spacing = np.diff(time)
-    # In a slow recording, every sampling interval may exceed MAX_GAP.
-    long = np.flatnonzero(spacing > max(MAX_GAP, 1.5 * float(np.median(spacing))))
+    typical = float(np.median(spacing))
+    if typical > MAX_PREDICTION_GAP:
+        text = (f"the {signal} has one sample in {typical:.3g} s; predictions need one in {PREDICTION_GAP:g} s: "
+                "nothing is scored")
+        return [Finding("time_gaps", Severity.WARNING, STAMPED_CHANNELS[signal], text, typical, "s",
+                        advice=Advice("look", f"record the {signal} at a higher rate"))]
+    long = np.flatnonzero(spacing > MAX_GAP)
     long = np.array([k for k in long if not any(time[k] < begin and end < time[k + 1] for begin, end in left_out)], int)
     if not len(long):
         return []
-    missing = float((spacing[long] - np.median(spacing)).sum())
+    missing = float((spacing[long] - typical).sum())
     where = tuple((float(time[k]), float(time[k + 1])) for k in long)
     share = missing / max(float(time[-1] - time[0]), 1e-9)
     severity = Severity.WARNING if share > MAX_GAP_SHARE else Severity.NOTE
