@@ -2,10 +2,11 @@
 
 A manoeuvre is defined by its speed and its target lateral acceleration, so that any car can drive it:
 
-    curvature(t) = lateral profile(t) / speed^2,    road wheel angle(t) = (L + K speed^2) curvature(t)
+    curvature(t) = lateral profile(t) / speed^2            profile: -1 to 1
+    road wheel angle(t) = (L + K speed^2) curvature(t)     L: wheelbase, K: understeer gradient
 
-profile: -1 to 1; L: wheelbase; K: understeer gradient. Left is positive everywhere; a negative `lateral` is the
-mirrored manoeuvre. Checked by: test_manoeuvres.py, tests/bench/test_discovery_manoeuvres.py.
+Left is positive everywhere; a negative `lateral` is the mirrored manoeuvre. Checked by: test_manoeuvres.py,
+tests/bench/test_discovery_manoeuvres.py.
 """
 
 import math

@@ -6,9 +6,12 @@ integrated velocity does not explain,
     d = p_k - p_{k-1} - dt (v_{k-1} + v_k) / 2,   v = R(yaw) (v_x, v_y)
 
 Frozen steering angle: the sensor repeats one value while the yaw motion changes. The steady-state steering angle
-delta' = l (1 + K v^2) r / v is, after a low-pass, nearly constant at any speed if the steering angle is constant. The
-bounds are wide because bank, wind, braking and tyres at their limit also change delta'.
-Checked by: test_measurement_history.py, test_position_jumps.py, test_frozen_steering.py.
+
+    delta' = l (1 + K v^2) r / v
+
+is, after a low-pass, nearly constant at any speed if the steering angle is constant. The bounds are wide because bank,
+wind, braking and tyres at their limit also change delta'. Checked by: test_measurement_history.py,
+test_position_jumps.py, test_frozen_steering.py.
 """
 
 import math

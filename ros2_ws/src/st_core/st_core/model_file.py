@@ -2,13 +2,15 @@
 
     base: nonlinear
     vehicle: {name: "Nissan Leaf ZE0", hash: "..."}             and, if embedded, parameters: {a vehicle file}
-    effects: {steering_lag: {time_constant: {value: 0.08, unit: "s", interval: [0.07, 0.09], source: "..."}}}
+    effects:
+      steering_lag:
+        time_constant: {value: 0.08, unit: "s", interval: [0.07, 0.09], source: "..."}
     provenance: {date: "2026-11-21", version: "0.1.0", data: {"run.ncom": "sha256 ..."}, note: "..."}
     hash: "..."
 
 The values are valid for one car, identified by `vehicle.hash`. A value with `effective: true` improves the prediction
 but is not a property of the car. An interval is a 95 % confidence interval, null if unknown. The hash covers base,
-values and vehicle: a file that does not match its hash is refused as edited.
+values and vehicle: a file that does not match its hash is refused as edited; a file without one is not checked.
 """
 
 import hashlib

@@ -3,14 +3,15 @@
 Neighbouring samples share slow errors of INS and road, so treating them as independent would underestimate the
 uncertainty considerably. With the influence psi_c of block c on the estimate, and k blocks,
 
-    covariance = k / (k - 1) sum_c psi_c psi_c^T * sqrt(f f^T),       f = sum_ij rho^|i - j| / k
+    covariance = k / (k - 1) sum_c psi_c psi_c^T * sqrt(f f^T)
     least squares:  psi_c = (k - 1) / k (A - A_c)^-1 g_c,   A_c = J_c^T J_c,   g_c = J_c^T e_c
+    f = sum_ij rho^|i - j| / k,    i, j: blocks of the same run
 
 psi_c is the change of the estimate when block c is left out. The covariance is the limit of a bootstrap of the blocks;
 `Blocks.bootstrap` draws one for strongly nonlinear estimators. f accounts for even slower errors within one run: rho is
 the correlation of psi between adjacent blocks, pooled over the runs and corrected for its bias -(1 + 3 rho) / k
-(Marriott and Pope, 1954); i, j are blocks of one run. Student's t has k / f - 1 degrees of freedom. Source: Cameron and
-Miller, A practitioner's guide to cluster-robust inference, 2015 (the jackknife CR3). Checked by: test_blocks.py.
+(Marriott and Pope, 1954). Student's t has k / f - 1 degrees of freedom. Source: Cameron and Miller, A practitioner's
+guide to cluster-robust inference, 2015 (the jackknife CR3). Checked by: test_blocks.py.
 """
 
 import math

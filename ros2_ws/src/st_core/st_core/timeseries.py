@@ -1,9 +1,10 @@
 """Signals in time: samples sorted by their stamps, interpolation except in gaps, and forward acceleration from speed.
 
-The acceleration is the derivative of the speed after a first-order Butterworth low-pass, tau y_dot = u - y with tau =
-1 / (2 pi f_c), solved exactly for a speed u that is linear between its samples. It uses the actual spacing dt of each
-pair of samples, so uneven spacing adds no noise:
+The acceleration is the derivative of the speed u after a first-order Butterworth low-pass, solved exactly for a speed
+that is linear between its samples. It uses the actual spacing dt of each pair of samples, so uneven spacing adds no
+noise:
 
+    tau y_dot = u - y,   tau = 1 / (2 pi f_c)
     x = dt / tau,  e = exp(-x),  g = (1 - e) / x,   y_k = e y_{k-1} + (g - e) u_{k-1} + (1 - g) u_k
     y_dot_k = (y_k - y_{k-1}) / dt
 

@@ -110,10 +110,10 @@ def road_wheel_angle(steering_wheel_angle: Number, offset: Number, ratio: Number
 class VehicleParameters:
     """One car, in SI units. Raises ConfigurationError, naming the key and the limit, for impossible values.
 
-    Optional quantities: track_width of both axles; drive_front, brake_front, load_transfer_front: fraction of the drive
-    force, brake force and lateral load transfer on the front axle (rear-wheel drive: drive_front 0); side_area: side
-    force coefficient times its reference area, C_y A; side_force_arm: its distance ahead of the CG. sources and
-    provenance are by key, such as "tyre_front.p_cy1".
+    Optional quantities: track_width of both axles [m]; drive_front, brake_front, load_transfer_front: fraction of the
+    drive force, brake force and lateral load transfer on the front axle [1] (rear-wheel drive: drive_front 0);
+    side_area: side force coefficient times its reference area, C_y A [m^2]; side_force_arm: its distance ahead of the
+    CG [m]. sources and provenance are by key, such as "tyre_front.p_cy1".
     """
 
     name: str

@@ -6,9 +6,12 @@ For one model, mode and level with half-widths c s(t), and the score S = max ove
 
 c_issued is the factor that was issued with the prediction. For any distribution of the errors, if c stays within
 [MIN, MAX] for T seconds, the fraction of this time outside the band differs from 1 - level by no more than
-(log(MAX / MIN) + g D) / (g T), with the horizon D. This guarantees the coverage in the long run, but not for the next
-prediction or a single minute. The gain g decreases from START_GAIN to GAIN with the time constant SETTLING. Without a
-calibrated scale, the exponentially weighted root mean square of the errors is used (SCALE_FORGETTING).
+
+    (log(MAX / MIN) + g D) / (g T),         D: horizon [s]
+
+This guarantees the coverage in the long run, but not for the next prediction or a single minute. The gain g decreases
+from START_GAIN to GAIN with the time constant SETTLING. Without a calibrated scale, the exponentially weighted root
+mean square of the errors is used (SCALE_FORGETTING).
 Source: Gibbs and Candes, Adaptive conformal inference under distribution shift, NeurIPS 2021; as a quantile tracker:
 Angelopoulos, Candes and Tibshirani, Conformal PID control for time series prediction, NeurIPS 2023. Checked by:
 test_bands_adaptive.py.

@@ -1,7 +1,9 @@
 """Conditions at the start of a prediction, which determine the width of its band and are known in advance.
 
-    speed |v_x| [m/s],    lateral_acceleration |v_x r| [m/s^2],    forward_acceleration |velocity_x_dot| [m/s^2],
-    steering_activity: root mean square of d(delta)/dt over the ACTIVITY_SPAN before the start [rad/s]
+    speed                 |v_x| [m/s]
+    lateral_acceleration  |v_x r| [m/s^2]
+    forward_acceleration  |velocity_x_dot| [m/s^2]
+    steering_activity     root mean square of d(delta)/dt over the ACTIVITY_SPAN before the start [rad/s]
 
 All are magnitudes at the INS point; delta is the road wheel angle. Checked by: test_bands_live.py.
 """

@@ -1,10 +1,13 @@
 """The file bands.yaml: the bands of one car, its models and one configuration, with the recordings used.
 
+    schema: 2
     vehicle: {name: "...", hash: "..."}
     settings: {horizon: 5.0, step: 0.05, ...}            settings of the predictions; SI
     recordings: {"run.csv": "sha256 ..."}
+    runs: 12
     seen: {starts: [[...]], most: [...]}                 calibration domain
     bands: {linear: {configuration_hash: "...", hindsight: {...}, forecast: {...}}}
+    hash: "..."
 
 Floors are in m, m, rad; coefficients, factors and ratios are dimensionless. An edited file is rejected by its hash.
 """

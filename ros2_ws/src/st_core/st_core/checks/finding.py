@@ -151,7 +151,7 @@ class InsQuality:
 class AuxiliaryData:
     """Data recorded in addition to the drive, all optional.
 
-    stamps: time stamps of "INS" and "steering" as recorded, before rows were left out. missing: number of rows left out
+    stamps: of "INS" and "steering" [int64 ns] as recorded, before rows were left out. missing: number of rows left out
     without a usable value, by channel. ins_speed: from CAN frames, or from NCOM packets in addition to an odometry.
     """
 

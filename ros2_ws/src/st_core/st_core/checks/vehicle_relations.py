@@ -4,9 +4,11 @@ Steering: the road wheel angle of a car without slip is atan(L r / v_x). Errors 
 about ten per cent, understeer at 20 m/s may nearly double it, and a wrong unit makes it 57 times as large.
 
 Rear axle: at low speed it moves in the direction of the heading, so the lateral velocity at the INS point is
-v_y = -a v_x + d r - s v_x^2 r - e d(v_x r)/dt, with the misalignment a [rad], + if the heading points too far left; the
-distance d of the point ahead of the rear axle [m]; and, per lateral acceleration, the slip s of the rear axle [s^2/m]
-and the lateral shift e of the point by body roll [s^2].
+
+    v_y = -a v_x + d r - s v_x^2 r - e d(v_x r)/dt
+
+a: misalignment [rad], + if the heading points too far left; d: distance of the point ahead of the rear axle [m]; s, e:
+slip of the rear axle [s^2/m] and lateral shift of the point by body roll [s^2] per lateral acceleration.
 """
 
 from dataclasses import replace

@@ -4,9 +4,10 @@ The car rests on free-rolling wheels with locked suspension, so each ground forc
 centre of its wheel. Moments about the front wheel centres, with pitch theta (nose up), wheelbase l, and, for the level
 car, the height r of the line between the wheel centres at the CG:
 
-    m_r(theta) = m_r(0) + m (h - r) / l tan(theta),    r = r_front (1 - l_f / l) + r_rear l_f / l
+    m_r(theta) = m_r(0) + m (h - r) / l tan(theta)
     one pitch:   h = r + l (m_r(theta) - m_r(0)) / (m tan(theta))          (ISO 10392)
     all:         h = r + l b / m,  b: slope of m_r versus tan(theta), with a separate intercept for each lift
+    r = r_front (1 - l_f / l) + r_rear l_f / l
     u(h)^2 = (l / m)^2 u(b)^2 + (h - r)^2 (u(m)^2 / m^2 + u(l)^2 / l^2) + u(r)^2
 
 The radii are those of the level car, because h is its CG height. The deflection of the rear tyres when lifted does not

@@ -5,12 +5,16 @@ Stiffness: the nonlinear model yields the slope at small slip at the static load
 file, and the linear model the secant that predicts best in the driven slip range. For a tyre with another curve the
 value depends on the slip range, which the interval includes (`slip_range_uncertainty`).
 
-Steering ratio, if no turntables are available:    L kappa + K v^2 kappa = delta = (delta_h - o) / i
+Steering ratio, if no turntables are available:
+
+    L kappa + K v^2 kappa = delta,    delta = (delta_h - o) / i
 
 Slow bends determine the ratio i, fast bends the understeer K, straights the offset o. Dead time and relaxation are
 fitted too, since a lag would be mistaken for another ratio. An error of the wheelbase changes it in proportion.
 
-Yaw inertia, from transients:    I_z r_dot = l_f F_f cos(delta) - l_r F_r
+Yaw inertia, from transients:
+
+    I_z r_dot = l_f F_f cos(delta) - l_r F_r
 
 Steering dynamics, wrong time stamps and tyre relaxation delay the response as inertia does, so dead time and relaxation
 length are fitted too. The delay between an angle and its time stamp, up to one sampling interval T, differs between the

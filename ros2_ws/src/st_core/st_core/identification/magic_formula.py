@@ -1,7 +1,7 @@
 """Identification of one tyre's Magic Formula from flat-plank tables: lateral force versus slip angle at several loads.
 
 The equations are in `tyres.py`, with scale factors lambda of 1 and p_ey3 from the vehicle file (0 in the paper). A
-shift of the slip angle, common to all loads, absorbs conicity and plysteer and is then dropped.
+shift added to the slip angle, common to all loads, absorbs conicity and plysteer and is then dropped.
 
 Stage 1, at the load nearest to nominal_load, fits p_cy1, p_dy1, p_ey1 and the stiffness K. Stage 2 fixes these and fits
 their load dependence p_dy2, p_ey2, p_ky2, p_ky4 (p_ky1 follows from K), as in the paper. Stage 2 would treat the values
