@@ -52,14 +52,16 @@ class Recording:
 class LogBatch:
     """Starts in one drive, sampled once, to be predicted with any models, cars and values.
 
-    starts_ns: any instants [ns]. Starts that are multiples of half an integration step apart are fastest, because they
-    share the quantities that depend only on the inputs. horizon, step [s]. inputs: measured = inputs of the log over
-    the horizon (hindsight); held = inputs at the start; or planned road wheel angles [rad], velocity_x_dot [m/s^2] and,
-    for a path, slip-free angles [rad], each (n, 2 * steps + 1) on the half-step grid. points [s]: times in the horizon,
-    multiples of step; None: 0, step, ... horizon. substeps: integration steps per step; auto = the smallest stable
-    number at the speeds of the log. Warns once if a given number is unstable. backend: lanes or numpy; None: the
-    fastest available. maximum_gap [s], filter_cutoff [Hz], acceleration: as in LogSignals; ignored if `log` is a
-    LogSignals. signals: (time [ns], values), by name, of the signals that a model needs in addition to its inputs.
+    starts_ns: any instants [ns]. Starts that are multiples of half an integration step apart are fastest: quantities
+    that depend only on the inputs are then computed once for the log, not for each start.
+    horizon, step [s]. inputs: measured = inputs of the log over the horizon (hindsight); held = inputs at the start; or
+    planned road wheel angles [rad], velocity_x_dot [m/s^2] and, for a path, slip-free angles [rad], each
+    (n, 2 * steps + 1) on the half-step grid.
+    points [s]: times in the horizon, multiples of step; None: 0, step, ... horizon. substeps: integration steps per
+    step; auto = the smallest stable number at the speeds of the log. Warns once if a given number is unstable.
+    backend: lanes or numpy; None: the fastest available. maximum_gap [s], filter_cutoff [Hz], acceleration: as in
+    LogSignals; ignored if `log` is a LogSignals. signals: (time [ns], values), by name, of the signals that a model
+    needs in addition to its inputs.
     Raises ConfigurationError for a horizon or points that are not whole numbers of steps, a missing signal, invalid
     substeps and an unknown backend. Checked by: test_batch.py, against Evaluator and `predict`.
     """

@@ -201,8 +201,15 @@ def _both_sides(*parts: tuple[float, float, float]) -> PiecewiseLinear:
 
 
 CATALOGUE = (
-    sweep(14.0, 3.09), step(12.0, 3.96), ramp_to_limit(11.0, 15.2), brake_in_turn(math.sqrt(4.0 * 30.0), 4.0),
-    lane_change(12.0, 4.48), slalom(12.0, 4.0), weave(14.0, 1.0), circle(6.5, 3.6), there_and_back(8.0, 3.0),
+    sweep(14.0, 3.09),
+    step(12.0, 3.96),
+    ramp_to_limit(11.0, 15.2),
+    brake_in_turn(math.sqrt(4.0 * 30.0), 4.0),
+    lane_change(12.0, 4.48),
+    slalom(12.0, 4.0),
+    weave(14.0, 1.0),
+    circle(6.5, 3.6),
+    there_and_back(8.0, 3.0),
     figure_eight(),
 )
 """Manoeuvres that `st discover` suggests and the virtual car drives by name."""

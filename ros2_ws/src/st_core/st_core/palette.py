@@ -9,10 +9,21 @@ OTHER_COLOUR = "#d55e00"  # any other model
 # Where along its path a model is labelled [s after the start]; different times, so that labels do not overlap.
 LABEL_AT = {"kinematic": 5.0, "linear": 4.3, "nonlinear": 3.6, "augmented": 2.9}
 OTHER_LABEL_AT = 2.2
-RC: dict[Any, Any] = {  # settings of matplotlib (rcParams) for all figures
-    "figure.dpi": 100, "savefig.dpi": 160, "figure.constrained_layout.use": True, "font.size": 9,
-    "axes.titlesize": 10, "axes.titlelocation": "left", "axes.spines.top": False, "axes.spines.right": False,
-    "axes.grid": True, "grid.color": "#e6e6e6", "grid.linewidth": 0.6, "lines.linewidth": 1.4, "legend.frameon": False,
+# Settings of matplotlib (rcParams) for all figures.
+RC: dict[Any, Any] = {
+    "figure.dpi": 100,
+    "savefig.dpi": 160,
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e6e6e6",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "figure.constrained_layout.use": True,
 }
 
 

@@ -40,31 +40,44 @@ def _quantity(unit: str, minimum: float, maximum: float, required: bool = True, 
 
 # The limits are wide, from a go-kart to a loaded truck: they only detect a wrong unit or a misplaced digit.
 OPTIONAL_QUANTITIES = {
-    "track_width": _quantity("m", 0.3, 4.0, default=1.54), "drive_front": _quantity("1", 0.0, 1.0, default=1.0),
+    "track_width": _quantity("m", 0.3, 4.0, default=1.54),
+    "drive_front": _quantity("1", 0.0, 1.0, default=1.0),
     "brake_front": _quantity("1", 0.0, 1.0, default=0.65),
     "load_transfer_front": _quantity("1", 0.0, 1.0, default=0.55),
-    "side_area": _quantity("m^2", 0.1, 60.0, default=2.5), "side_force_arm": _quantity("m", -5.0, 5.0, default=0.25),
+    "side_area": _quantity("m^2", 0.1, 60.0, default=2.5),
+    "side_force_arm": _quantity("m", -5.0, 5.0, default=0.25),
 }
 """Quantities that only some effects need. The defaults describe a front-wheel-drive passenger car."""
 VEHICLE_QUANTITIES = {
-    "mass": _quantity("kg", 50.0, 60000.0), "yaw_inertia": _quantity("kg m^2", 10.0, 1.0e6),
-    "wheelbase": _quantity("m", 0.5, 15.0), "cg_to_front_axle": _quantity("m", 0.1, 14.0),
-    "cg_height": _quantity("m", 0.0, 4.0), "cg_to_ins_x": _quantity("m", -15.0, 15.0),
-    "cg_to_ins_y": _quantity("m", -3.0, 3.0), "steering_ratio": _quantity("1", 1.0, 60.0),
+    "mass": _quantity("kg", 50.0, 60000.0),
+    "yaw_inertia": _quantity("kg m^2", 10.0, 1.0e6),
+    "wheelbase": _quantity("m", 0.5, 15.0),
+    "cg_to_front_axle": _quantity("m", 0.1, 14.0),
+    "cg_height": _quantity("m", 0.0, 4.0),
+    "cg_to_ins_x": _quantity("m", -15.0, 15.0),
+    "cg_to_ins_y": _quantity("m", -3.0, 3.0),
+    "steering_ratio": _quantity("1", 1.0, 60.0),
     "steering_wheel_offset": Quantity({"rad": 1.0, "deg": math.pi / 180.0}, -math.pi, math.pi),
     "cornering_stiffness_front": _quantity("N/rad", 1000.0, 5.0e6),
-    "cornering_stiffness_rear": _quantity("N/rad", 1000.0, 5.0e6), "minimum_slip_speed": _quantity("m/s", 0.1, 20.0),
-    "length": _quantity("m", 0.5, 30.0), "width": _quantity("m", 0.3, 4.0),
+    "cornering_stiffness_rear": _quantity("N/rad", 1000.0, 5.0e6),
+    "minimum_slip_speed": _quantity("m/s", 0.1, 20.0),
+    "length": _quantity("m", 0.5, 30.0),
+    "width": _quantity("m", 0.3, 4.0),
     **OPTIONAL_QUANTITIES,
 }
 TYRE_QUANTITIES = {
-    "nominal_load": _quantity("N", 100.0, 1.0e5), "p_cy1": _quantity("1", 0.5, 3.0),
-    "p_dy1": _quantity("1", 0.05, 3.0), "p_dy2": _quantity("1", -1.0, 1.0),
-    "p_ey1": _quantity("1", -20.0, 1.0), "p_ey2": _quantity("1", -20.0, 20.0),
+    "nominal_load": _quantity("N", 100.0, 1.0e5),
+    "p_cy1": _quantity("1", 0.5, 3.0),
+    "p_dy1": _quantity("1", 0.05, 3.0),
+    "p_dy2": _quantity("1", -1.0, 1.0),
+    "p_ey1": _quantity("1", -20.0, 1.0),
+    "p_ey2": _quantity("1", -20.0, 20.0),
     "p_ey3": _quantity("1", -5.0, 5.0),
     "p_ky1": _quantity("1", -200.0, -1.0),  # negative, as in SAE axes
-    "p_ky2": _quantity("1", 0.1, 20.0), "p_ky4": _quantity("1", 0.1, 4.0),
-    "lambda_ky": _quantity("1", 0.01, 10.0, required=False), "lambda_cy": _quantity("1", 0.1, 10.0, required=False),
+    "p_ky2": _quantity("1", 0.1, 20.0),
+    "p_ky4": _quantity("1", 0.1, 4.0),
+    "lambda_ky": _quantity("1", 0.01, 10.0, required=False),
+    "lambda_cy": _quantity("1", 0.1, 10.0, required=False),
     "lambda_muy": _quantity("1", 0.01, 10.0, required=False),
 }
 TYRES = ("tyre_front", "tyre_rear")

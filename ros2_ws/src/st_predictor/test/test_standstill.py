@@ -31,7 +31,7 @@ def node() -> Iterator[PredictorNode]:
 
 def drive(node: PredictorNode) -> tuple[int, list[str]]:
     """10 s at 10 m/s, 2 s of braking, 15 s of standstill: (predictions, final texts of the checks plan and course)."""
-    before, x = node._counter.predicted, 0.0
+    before, x = node._counter.as_dict()["predicted"], 0.0
     for k in range(2700):
         speed = min(10.0, max(0.0, 10.0 - 0.05 * (k - 1000)))
         time_ns, x = BEGIN_NS + k * 10_000_000, x + 0.01 * speed
@@ -40,7 +40,7 @@ def drive(node: PredictorNode) -> tuple[int, list[str]]:
         if k % 10 == 0:
             node.get_clock().set_ros_time_override(Time(nanoseconds=time_ns, clock_type=node.get_clock().clock_type))
             node._tick()
-    return node._counter.predicted - before, [c.message for c in node._checks() if c.name in ("plan", "course")]
+    return node._counter.as_dict()["predicted"] - before, [c.message for c in node._checks() if c.name in ("plan", "course")]
 
 
 def test_predictions_that_end_in_standstill_are_scored(node: PredictorNode) -> None:
