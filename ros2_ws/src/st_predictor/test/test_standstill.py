@@ -40,7 +40,8 @@ def drive(node: PredictorNode) -> tuple[int, list[str]]:
         if k % 10 == 0:
             node.get_clock().set_ros_time_override(Time(nanoseconds=time_ns, clock_type=node.get_clock().clock_type))
             node._tick()
-    return node._counter.as_dict()["predicted"] - before, [c.message for c in node._checks() if c.name in ("plan", "course")]
+    texts = [c.message for c in node._checks() if c.name in ("plan", "course")]
+    return node._counter.as_dict()["predicted"] - before, texts
 
 
 def test_predictions_that_end_in_standstill_are_scored(node: PredictorNode) -> None:
