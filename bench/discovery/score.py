@@ -29,7 +29,7 @@ MIN_CASES = 4  # cases of an effect for a comparison of its promised power with 
 def wilson(hits: int, of: int, z: float = 1.959964) -> tuple[float, float]:
     """95 % interval of a share: (p + z^2/2n +- z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n). (0, 1) for no cases.
 
-    Source: Wilson, JASA 22 (1927). Checked by: test_discovery_score.py.
+    Source: Wilson, JASA 22 (1927).
     """
     if not of:
         return 0.0, 1.0

@@ -61,7 +61,7 @@ class Alignment:
     verdict: Verdict
     reasons: tuple[str, ...] = ()
     signals: tuple[SignalLag, ...] = ()
-    peak: tuple[float, float] | None = None  # (offset [s], correlation) of the coarse search
+    peak: tuple[float, float] | None = None  # (offset [s], correlation) of the coarse search; None without one
     second_peak: tuple[float, float] | None = None
     overlap: float = 0.0  # common time [s]
 

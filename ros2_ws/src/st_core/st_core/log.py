@@ -34,8 +34,8 @@ class DriveLog:
     steering_time_ns: np.ndarray  # as ins_time_ns, on the clock of the INS
     road_wheel_angle: np.ndarray  # mean of the front axle [rad], left +
     steering_wheel_angle: np.ndarray | None = None  # as measured, with its offset [rad], left +
-    acceleration_x: np.ndarray | None = None  # as the source defines it [m/s^2]
-    acceleration_y: np.ndarray | None = None  # NaN at samples without a value
+    acceleration_x: np.ndarray | None = None  # as the source defines it [m/s^2], NaN at samples without a value
+    acceleration_y: np.ndarray | None = None  # as acceleration_x
     sideslip_measured: bool = True  # False: velocity_y and yaw are from the vehicle file (`sideslip`)
 
     def __post_init__(self) -> None:

@@ -55,7 +55,7 @@ def draw_offset(found: Identification, output: FigureOutput) -> PageFigure:
 
 
 def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
-    """Draw the ratio of lateral to forward velocity, corrected for slip, versus curvature, and the residuals."""
+    """Draw v_y / v_x, corrected for slip, versus curvature (slope: INS ahead of the rear axle [m]), and residuals."""
     data = found.figure
     with style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
