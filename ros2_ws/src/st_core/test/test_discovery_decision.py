@@ -216,6 +216,8 @@ def test_every_partition_has_a_name():
 @pytest.mark.parametrize(("rival", "rule"), [
     (EQUAL, "alternative"),
     (replace(EQUAL, share=0.4), "explains less"),
+    (replace(EQUAL, added=0.3), "alternative"),
+    (replace(EQUAL, added=0.5), "explains less"),  # it explains other errors: most of its gain remains beside the first
     (WORSE, "explains less"),
     (AMONG, "alternative"),  # worse by less than nothing describes
     (replace(AMONG, deficit=0.3), "explains less"),

@@ -39,7 +39,8 @@ class Rival:
     """An effect that could replace the effect `replaces` in the model. share [1]: ratio of its gain to the gain of the
     replaced effect. p_no_worse [1]: p-value of the hypothesis that it is as good. deficit [1]: gain of the replaced
     effect minus gain of the rival, per residual. evidence, values: those of the rival in place of the replaced effect.
-    shared: whether both are in the model and the rival explains a part of the replaced effect."""
+    shared: whether both are in the model and the rival explains a part of the replaced effect. added [1]: ratio of the
+    gain of the rival in addition to the replaced effect, from other errors, to the gain of the replaced effect."""
 
     name: str
     replaces: str
@@ -49,6 +50,7 @@ class Rival:
     evidence: Evidence
     values: Mapping[str, float] = field(default_factory=dict)
     shared: bool = False
+    added: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -247,14 +249,15 @@ def varies_relevantly(e: Evidence, limits: Limits) -> bool:
 def judge_alternative(rival: Rival, limits: Limits) -> Reason:
     """Whether another effect is an alternative to an effect of the final model."""
     verdict = judge(rival.evidence, limits)
-    figures = {"share": rival.share, "p_no_worse": rival.p_no_worse, "deficit": rival.deficit,
+    figures = {"share": rival.share, "added": rival.added, "p_no_worse": rival.p_no_worse, "deficit": rival.deficit,
                "min_rival_gain": limits.min_rival_gain, "undecided_p": limits.undecided_p,
                "unexplained_share": limits.unexplained_share}
     unexplained = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.unexplained_share
     gain = f"in place of {rival.replaces.replace('_', ' ')} it achieves {rival.share:.0%} of its error reduction"
+    gain += f", {rival.added:.0%} also in addition to it" if rival.added >= 0.005 else ""
     no_worse = f"p = {rival.p_no_worse:.2g} for the hypothesis that it is as good"
     worse = rival.p_no_worse < limits.undecided_p
-    if rival.share < limits.min_rival_gain or (worse and not unexplained):
+    if rival.share - rival.added < limits.min_rival_gain or (worse and not unexplained):
         return Reason("explains less", rival.name, figures, f"{gain}; {no_worse}")
     if rival.shared:
         gain = f"together with {rival.replaces.replace('_', ' ')} it gains no more than that effect alone"

@@ -89,8 +89,16 @@ class Search:
         found = self._exchange_until_accepted(self._select([a for a in candidates if a]))
         found.order = sorted(found.fit.names, key=lambda n: -found.evidence[n].gain)
         found.near = self._near_sets(found)
+        found.rivals = {name: [replace(r, added=self._added_share(found, r)) for r in rivals]
+                        for name, rivals in found.rivals.items()}
         self._add_partial_rivals(found)
         return found
+
+    def _added_share(self, found: Found, rival: Rival) -> float:
+        """`Rival.added`: an effect that gains as much in addition to another as in its place explains other errors."""
+        added = found.scores.gains.get(rival.name, (np.zeros(1), None))[0]
+        gain = self._gain(found.without[rival.replaces], found.fit)
+        return max(float(added.sum()), 0.0) / max(gain, 1e-12)
 
     def _add_partial_rivals(self, found: Found) -> None:
         """Add a load as a rival of lower tyre stiffness, since drives show only the ratio of stiffness to mass. Unless

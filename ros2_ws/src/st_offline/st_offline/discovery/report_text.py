@@ -221,8 +221,8 @@ def list_inseparable(found: Discovery) -> str:
     names = [" or ".join(map(to_words, (e.name, *e.alternatives))) for e in found.effects if e.alternatives]
     pairs = [f"{to_words(e.name)} with {', '.join(map(to_words, e.joint))} (they compensate for each other)"
              for e in found.effects if e.joint]
-    limits = (f" (each has at least {100 * LIMITS.min_rival_gain:g} % of the first one's gain, and is not "
-              f"significantly worse, p >= {LIMITS.undecided_p:g}, or worse by less than "
+    limits = (f" (each has at least {100 * LIMITS.min_rival_gain:g} % of the first one's gain, without what it gains "
+              f"in addition, and is not significantly worse, p >= {LIMITS.undecided_p:g}, or worse by less than "
               f"{100 * LIMITS.unexplained_share:g} % of a residual above {LIMITS.max_noise_ratio:g} times the noise)"
               ) if names else ""
     return f"not separable: {'; '.join((*names, *pairs))}{limits}" if names or pairs else ""
