@@ -192,6 +192,12 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
     ("compact.csv", lambda log: stamped(log, lambda s: f"20260504_{clock(43200 + s).replace(':', '')}"), "utf-8", ""),
     ("clock_format.csv", lambda log: stamped(log, lambda s: clock(43200 + s)).replace("t,", "Time (HH:MM:SS.SS),", 1),
      "utf-8", ""),
+    ("week.csv", lambda log: csv([["2300", *row, "99"] for row in rows(log)], ",".join(
+        ("Time [week]", "TOW [s]", "x", "y", "yaw", "velocity_mpers", "vy [m⁄s]", "“yaw_rate”", NAMES[7],
+         "speed_gps"))), "utf-8", ""),
+    ("clock_name.csv", lambda log: csv(rows(log), ",".join(("time_utc", *NAMES[1:]))), "utf-8", ""),
+    ("two_speeds.csv", lambda log: csv([[*row, "99"] for row in rows(log)], ",".join(NAMES).replace(
+        "velocity_x", "Speed (GPS)(m/s)") + ",Speed (OBD)(m/s)"), "utf-8", ""),
     ("single_quotes.csv", lambda log: re.sub(r"[^,\n]+", r"'\g<0>'", csv(rows(log))), "utf-8", ""),
     ("unit.csv", lambda log: csv([[*row, "9"] for row in rows(log)], ",".join((*NAMES, "ax [mg]"))), "utf-8",
      "column ax .* is not used: 'mg' is not a unit of acceleration"),

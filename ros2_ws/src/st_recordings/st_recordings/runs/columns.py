@@ -25,11 +25,11 @@ UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
     "latitude or longitude": {"deg": (math.pi / 180, ("°", "degs", "degree", "degrees")),
                               "min": (math.pi / 10800, ("arcmin", "minute", "minutes")), "rad": (1.0, ("radian",)),
                               "1e-7 deg": (math.pi / 180e7, ())},
-    "speed": {"m/s": (1.0, ("mps", "m s-1")), "km/h": (1 / 3.6, ("kph", "kmph")),
+    "speed": {"m/s": (1.0, ("mps", "m per s", "m s-1")), "km/h": (1 / 3.6, ("kph", "kmph")),
               "mph": (0.44704, ("mi/h",)), "kn": (1852 / 3600, ("kt", "kts", "knot", "knots")),
               "ft/s": (0.3048, ("fps",)), "cm/s": (1e-2, ()), "mm/s": (1e-3, ())},
-    "angular rate": {"rad/s": (1.0, ("radps", "rps", "rad s-1", "1/s")),
-                     "deg/s": (math.pi / 180, ("dps", "degps", "deg s-1")),
+    "angular rate": {"rad/s": (1.0, ("radps", "rps", "rad per s", "rad s-1", "1/s")),
+                     "deg/s": (math.pi / 180, ("dps", "degps", "deg per s", "deg s-1")),
                      "mrad/s": (1e-3, ())},
     "ratio": {"1": (1.0, ())},
     "acceleration": {"m/s^2": (1.0, ("m/s/s", "mps2", "m s-2")),
@@ -48,7 +48,8 @@ _CLOCK = re.compile(r"(?i)\b(gps|utc|gmt|local|unix|since|start|boot|epoch|of|da
 def normalise(text: str) -> str:
     """Normal form of a name or unit for comparison: in lower case, without blanks and punctuation."""
     text = unicodedata.normalize("NFKC", unicodedata.normalize("NFC", text).translate(_SPELLINGS)).lower()
-    return "".join(c for c in text if c.isalnum() or not (c.isascii() or c in "·⋅−∕‐–"))
+    return "".join(c for c in text if c.isalnum() or (
+        unicodedata.category(c)[0] in "MS" and not c.isascii() and c not in "⋅−∕⁄"))
 
 
 _UNIT_OF = {kind: {normalise(text): unit for unit, (_, others) in units.items() for text in (unit, *others)}
@@ -59,12 +60,13 @@ _BASE_UNITS = {**_UNIT_OF["length"], **_UNIT_OF["angle"], **_UNIT_OF["time"]}
 def find_unit(kind: str, text: str) -> str | None:
     """Finds the unit that a text denotes for a kind of quantity, also one such as "in degrees per sec". None if it
     denotes none, "" if it only denotes a clock or a format of time."""
-    text = text.translate(_SPELLINGS)
-    if kind == "time" and normalise(text) and not normalise(_CLOCK.sub("", text)):
-        return ""
+    text = text.translate(_SPELLINGS).replace("_", " ")
+    words = set(re.findall("[a-z]+", text.lower())) - {"start", "time", "in"}
+    if kind == "time" and words and not normalise(_CLOCK.sub("", text)):
+        return None if words & {"day", "week"} and "of" not in words else ""  # a count of days or weeks is no clock
     text = re.sub(r"(?i)^\W*in (?=.)", "", _CLOCK.sub("", text) if kind == "time" else text)
     parts = (re.fullmatch(r"[^\w°]*(.*?)[^\w°]*([2²]|squared)?[^\w°]*", part) for part in re.split(
-        r"(?i)[/∕]|\bper\b", text.replace("_", " ")))
+        r"(?i)[/∕⁄]|\bper\b", text))
     composed = "/".join(_BASE_UNITS.get(normalise(part[1]), part[1]) + "2" * bool(part[2]) for part in parts if part)
     return _UNIT_OF[kind].get(normalise(text)) or _UNIT_OF[kind].get(normalise(composed))
 
@@ -114,7 +116,7 @@ COLUMNS: Mapping[str, Channel] = {
         "velocity_longitudinal longitudinal_velocity v_longitudinal v_long vel_long v_lon vel_lon long_vel "
         "long_velocity speed_forward forward_speed longitudinal_speed twist_linear_x twist_twist_linear_x "
         "linear_velocity_x x_velocity linear_vel_x linear_vels_x v_ego laengsgeschwindigkeit speed velocity vel v "
-        "ground_speed speed_over_ground geschwindigkeit")),
+        "ground_speed speed_over_ground gps_speed speed_gps geschwindigkeit")),
     "velocity_y": Channel("speed", "to the left, body axes, at the INS point; 0 if it is missing", _words(
         "velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity lateral_vel v_lat vel_lat "
         "lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y "
