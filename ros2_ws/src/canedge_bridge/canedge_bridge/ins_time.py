@@ -1,4 +1,4 @@
-"""Converts between GPS time in the two time frames of an OxTS unit on CAN (0x600 and 0x630) and UTC."""
+"""Converts between UTC and the GPS time that an OxTS unit sends in CAN frames 0x600 and 0x630."""
 
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta

@@ -88,7 +88,7 @@ class AugmentedModel(Model):
         return cached[1]
 
     def lean(self) -> "AugmentedModel":
-        """The model without the costly effects that are at null; its predictions are bit-identical."""
+        """The model without costly effects that have no influence (null values); its predictions are bit-identical."""
         return self.only(e for e in self.effects if e in self.active or not e.costly)
 
     def only(self, effects: Iterable[type[Effect]]) -> "AugmentedModel":
@@ -135,7 +135,7 @@ class AugmentedModel(Model):
 
     @cached_property
     def active(self) -> tuple[type[Effect], ...]:
-        """Effects that are not at null; those at null leave predictions bit-identical."""
+        """Effects with a parameter that differs from its null value; the others leave predictions bit-identical."""
         return tuple(e for e in self.effects
                      if any(p.fit and self.values[e.name][p.name] != p.null for p in e.parameters))
 
@@ -223,5 +223,5 @@ def fold(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Va
 
 
 def set_effects_to_null(model: AugmentedModel) -> AugmentedModel:
-    """The model with all its effects at null."""
+    """The model with all parameters of its effects at their null values, so that they have no influence."""
     return model.with_values({e.name: {p.name: p.null for p in e.parameters} for e in model.effects})

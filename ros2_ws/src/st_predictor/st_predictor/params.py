@@ -117,7 +117,7 @@ def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile
 
 
 def read_file(values: SimpleNamespace, parameter: str, parse: Callable[[str, str], T]) -> T | None:
-    """The parsed file that a parameter names; None if it is empty. Raises ConfigurationError naming parameter and file.
+    """Parsed file that a parameter names; None for an empty name. Raises ConfigurationError naming parameter and file.
 
     parse: function of the text and the name of the file.
     """

@@ -100,7 +100,7 @@ class OnDemandPublisher:
         self._has_subscribers = False
 
     def has_subscribers(self, now: float) -> bool:
-        """Whether it had subscribers at the last count, SUBSCRIBER_COUNT_PERIOD ago at most. now: monotonic [s]."""
+        """Whether it had subscribers at the last count, at most SUBSCRIBER_COUNT_PERIOD ago. now: monotonic [s]."""
         if self._publisher is not None and now - self._counted_at > SUBSCRIBER_COUNT_PERIOD:
             self._counted_at = now
             self._has_subscribers = self._publisher.get_subscription_count() > 0

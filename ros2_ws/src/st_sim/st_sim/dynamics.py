@@ -165,7 +165,7 @@ def air_force(still_air: bool, drag_area: float, yaw: float, vx: float, vy: floa
 
 
 def bring_to_rest(s: Sequence[float], step: float) -> tuple[float, ...]:
-    """The state with zero velocity and slip, and with roll and pitch that decay within a time step [s]."""
+    """The state with zero velocity and slip; roll and pitch decay with PITCH_TIME over one time step [s]."""
     values = list(s)
     for i in (VX, VY, YAW_RATE, COMPLIANCE_ANGLE, S_FL, S_FR, S_RL, S_RR):
         values[i] = 0.0

@@ -210,7 +210,7 @@ def reads_recordings(*names: str, **changed: Any) -> Callable[[Callable[..., Any
 
 
 def expand_options(group: type, *names: str, **changed: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator that replaces the parameter of type `group`, a dataclass of options, of a command by these options.
+    """Decorator that replaces the parameter of type `group` (a dataclass) of a command by one option per field.
 
     names: fields to use, default all. changed: annotations that differ, by field.
     """

@@ -7,7 +7,7 @@ Each scored window contributes its log likelihood ratio:
     S <- max(0, S + w l),     warning if S >= log(HORIZONS)
 
 Overlapping windows are not independent, so the weight w of a window is the fraction of a horizon by which it starts
-later than the previous one. S is then a mean over all selections of windows a whole horizon apart, which does not
+later than the previous one. S is then a mean over all sequences of windows spaced by a whole horizon, which does not
 exceed the log of their mean likelihood ratio (Jensen's inequality): the test is an e-detector. If every window stays
 inside with probability p or more given the past, the mean time to a false warning is at least HORIZONS horizons.
 Source: Shin, Ramdas and Rinaldo, E-detectors, New England Journal of Statistics in Data Science 2023 (CUSUM type).

@@ -1,4 +1,4 @@
-"""Load dependence of the cornering stiffness of both axles, with an unchanged stiffness at the static load of the file.
+"""Load dependence of the cornering stiffness of both axles; the stiffness at static load is as in the vehicle file.
 
     K(F_z) = K_0 sin(p_ky4 atan(F_z / (factor p_ky2 F_z0))),   K_0 keeps K at the static load of one tyre unchanged
 

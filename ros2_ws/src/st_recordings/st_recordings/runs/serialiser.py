@@ -20,7 +20,7 @@ UNKNOWN_VARIANCE = 1e6
 """As in oxts_bridge.convert: large enough that filters ignore the value, but finite so that they do not fail."""
 MAP_FRAME, INS_FRAME = "map", "ins_link"
 CAN_PERIOD_NS = 20_000_000
-"""Period of the can/frames messages, as in the live bridge."""
+"""Duration of the frames in one can/frames message [ns]; 0.1 s in the live bridge."""
 
 
 class Covariances:

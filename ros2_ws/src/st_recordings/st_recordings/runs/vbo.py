@@ -95,12 +95,12 @@ def _read_column_names(sections: dict[str, str]) -> list[str]:
 
 
 def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout: Layout) -> dict[str, ColumnSource]:
-    """Finds the standard channels, and the channels in columns with the names of CSV columns."""
+    """Finds the standard channels, and further channels by the column names that are known for CSV files."""
     units = _read_units(names, sections)
     sources = {}
     for channel, source in find_columns(file, names, Layout(layout.columns, {}, layout.source)).items():
         if normalise(source.name) == "heading" and channel not in layout.columns:
-            continue  # "heading" and "_heading" are the course, which _STANDARD_CHANNELS contains
+            continue  # not the yaw angle: "heading" is the course, which is added below from _STANDARD_CHANNELS
         stated = find_unit(source.kind, units.get(source.name, ""))
         sources[channel] = replace(source, unit=stated or _DEFAULT_UNITS.get(source.kind, source.unit),
                                    stated=bool(stated))
