@@ -119,11 +119,7 @@ class LogBatch:
         for name in model.signals:
             if name not in self.extra_signals:
                 raise ConfigurationError(f"model {model.name} needs the signal {name}, which was not given")
-        count = self._substeps
-        if count == "auto":
-            count = stability.substeps_needed(model, vehicle, self._speeds, self.step)
-        else:
-            stability.warn_if_too_long(model, vehicle, self._speeds, self.step / count)
+        count = self._count_substeps(model, vehicle)
         car, p = model.effective_vehicle(vehicle), model.parameters(vehicle)
         recording = self.recording(model)
         separate = not isinstance(self._inputs, str) or (self._inputs == "held" and has_steering_memory(model))
@@ -142,6 +138,13 @@ class LogBatch:
         half = np.round(self.points * (self.step / NANOSECOND)).astype(np.int64)
         measured = self.signals.ins_at(self.starts_ns[:, None] + half, "x", "y", "yaw")
         return reading_errors(prediction.model, prediction.vehicle, prediction.states, *measured)
+
+    def _count_substeps(self, model: Model, vehicle: VehicleParameters) -> int:
+        """Integration steps per step; `discovery.windows.Batch` overrides it without a check of stability."""
+        if self._substeps == "auto":
+            return stability.substeps_needed(model, vehicle, self._speeds, self.step)
+        stability.warn_if_too_long(model, vehicle, self._speeds, self.step / self._substeps)
+        return self._substeps
 
     def _blocks(self, count: int, separate: bool) -> Iterable[Block]:
         """Blocks of all starts; cached if there is only one."""

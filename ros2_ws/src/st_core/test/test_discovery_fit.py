@@ -1,5 +1,6 @@
 """The loss and the joint fits: against scipy, against finite differences, and against values that were put in."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -339,6 +340,17 @@ def test_effects_of_a_simulated_drive_are_recovered(leaf, values):
     for name, parameters in values.items():
         for parameter, value in parameters.items():
             assert model.values[name][parameter] == pytest.approx(value, rel=0.02)
+
+
+def test_a_fit_does_not_check_the_stability_of_each_trial_model(leaf):
+    """A search predicts with thousands of trial values: the command checks the step, not the windows."""
+    stiff = replace(leaf, yaw_inertia=0.1 * leaf.yaw_inertia, minimum_slip_speed=0.1)
+    settings = DiscoverySettings(windows=50)
+    windows = Windows(recorded(leaf, {}, 1, ("step",)), stiff, settings)
+    windows._batch._speeds = (0.2, 0.2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        windows.errors(Space("linear", settings).model)
 
 
 def test_held_out_loss_is_not_below_the_loss_of_the_fit(leaf):
