@@ -8,7 +8,7 @@ import pytest
 from oxts_bridge.ncom import Packet, encode
 from oxts_bridge.packet_time import MINUTE_MS
 from scipy.signal import butter, lfilter
-from st_core.leap_seconds import GPS_EPOCH_UNIX, at_gps
+from st_core.leap_seconds import GPS_EPOCH_UNIX, leap_seconds_at_gps
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import find_runs, read
 from support import ROOT
@@ -28,7 +28,7 @@ def motion(seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def write_ncom(file: Path, seconds: np.ndarray, speed: np.ndarray, rate: np.ndarray) -> None:
     start_ms = (int(START.timestamp()) - GPS_EPOCH_UNIX) * 1000
-    start_ms += at_gps(start_ms // 1000) * 1000
+    start_ms += leap_seconds_at_gps(start_ms // 1000) * 1000
     yaw = np.cumsum(rate) / RATE
     heading = (np.pi / 2 - yaw + np.pi) % (2 * np.pi) - np.pi
     packet = Packet(navigation_status=4, acceleration=(0.0, 0.0, -9.81), latitude=0.8, longitude=0.3, altitude=100.0,

@@ -5,11 +5,11 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
-from st_core.leap_seconds import GPS_EPOCH_UNIX, at_all_gps, at_unix
+from st_core.leap_seconds import GPS_EPOCH_UNIX, leap_seconds_at_gps_times, leap_seconds_at_utc
 
 DATE_TIME_PARTS = ("gps_year_of_century", "gps_century", "gps_month", "gps_day", "gps_hour", "gps_minute", "gps_second",
                    "gps_second_fraction")
-MILLI_TIME_PARTS = ("gps_time", "gps_utc_offset")
+GPS_SECONDS_PARTS = ("gps_time", "gps_utc_offset")
 
 
 def replace_gps_time(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -18,7 +18,7 @@ def replace_gps_time(values: Mapping[str, Any]) -> dict[str, Any]:
     values: numbers or arrays by canonical name. The time is NaN where the unit has no valid time yet.
     """
     if "gps_time" in values:
-        unix = _from_milli_time(np.asarray(values["gps_time"]), np.abs(np.asarray(values["gps_utc_offset"])))
+        unix = _from_gps_seconds(np.asarray(values["gps_time"]), np.abs(np.asarray(values["gps_utc_offset"])))
     elif "gps_century" in values:
         unix = _from_date_time({name: np.asarray(values[name]) for name in DATE_TIME_PARTS})
     else:
@@ -27,7 +27,7 @@ def replace_gps_time(values: Mapping[str, Any]) -> dict[str, Any]:
     return {**others, "ins_unix_time": unix if unix.ndim else float(unix)}
 
 
-def _from_milli_time(gps: np.ndarray, offset: np.ndarray) -> np.ndarray:
+def _from_gps_seconds(gps: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """UTC [s since 1970] of GPS time [s since 1980-01-06]; NaN at 0, which means that the time is unknown.
 
     offset: leap seconds as sent by the unit; 0: the leap-second table is used. The caller passes the magnitude, because
@@ -48,7 +48,7 @@ def _from_date_time(parts: Mapping[str, np.ndarray]) -> np.ndarray:
 
 def _to_utc(gps_as_unix: np.ndarray) -> np.ndarray:
     """UTC [s since 1970] of GPS time given in seconds since 1970."""
-    return gps_as_unix - at_all_gps(gps_as_unix - GPS_EPOCH_UNIX)
+    return gps_as_unix - leap_seconds_at_gps_times(gps_as_unix - GPS_EPOCH_UNIX)
 
 
 def _day_number(year: np.ndarray, month: np.ndarray, day: np.ndarray) -> np.ndarray:
@@ -62,7 +62,7 @@ def _day_number(year: np.ndarray, month: np.ndarray, day: np.ndarray) -> np.ndar
 
 def split_unix_time(unix_time: float, names: frozenset[str]) -> dict[str, float]:
     """GPS time signals in `names` for UTC [s since 1970]; a date and time are rounded to 0.01 s."""
-    leap = at_unix(unix_time)
+    leap = leap_seconds_at_utc(unix_time)
     if "gps_time" in names:
         # Sign as in NCOM: UTC - GPS time, which is negative.
         return {"gps_time": unix_time + leap - GPS_EPOCH_UNIX, "gps_utc_offset": float(-leap)}

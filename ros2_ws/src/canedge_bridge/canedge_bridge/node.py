@@ -43,7 +43,7 @@ _INS = {
 PARAMETERS = (
     Parameter("interface", "socketcan", "python-can interface: socketcan, udp_multicast (loopback only), ..."),
     Parameter("channel", "can0", "can0 for socketcan, group or group:port for udp_multicast"),
-    Parameter("bitrate", 0, "of interfaces that python-can configures; 0: their default", "bit/s", 0, 8_000_000),
+    Parameter("bitrate", 0, "for interfaces that python-can configures; 0: their default", "bit/s", 0, 8_000_000),
     Parameter("dbc_file", "", "DBC of the bus"),
     Parameter("signals_file", "", "table from DBC signals to canonical names, signs, units and checks"),
     Parameter("vehicle_file", "", "vehicle parameters, for steering_ratio and steering_wheel_offset"),

@@ -14,7 +14,7 @@ from st_core.yaml_text import suggest_key
 
 from .checks import RULES, Field, Mode, Rule
 from .extraction import EXTENDED
-from .ins_time import DATE_TIME_PARTS, MILLI_TIME_PARTS
+from .ins_time import DATE_TIME_PARTS, GPS_SECONDS_PARTS
 from .table_reader import Entry, TableError, one_line, read_document
 
 # Canonical signal name -> SI unit. Angles in ANGLES are wrapped to [-pi, pi).
@@ -230,8 +230,8 @@ def _read_message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
     signals = tuple(_read_signal(rows.entry(name), dbc, _find_signal(dbc, name, dbc_path, row), dbc_path)
                     for name in rows)
     parts = {s.name for s in signals if s.name.startswith("gps_")}
-    if parts and parts not in (set(DATE_TIME_PARTS), set(MILLI_TIME_PARTS)):
-        raise TableError(f"{rows.origin}: {rows.path}: GPS time needs all of {', '.join(MILLI_TIME_PARTS)} "
+    if parts and parts not in (set(DATE_TIME_PARTS), set(GPS_SECONDS_PARTS)):
+        raise TableError(f"{rows.origin}: {rows.path}: GPS time needs all of {', '.join(GPS_SECONDS_PARTS)} "
                          f"or all of {', '.join(DATE_TIME_PARTS)}")
     counter = row.optional("counter")
     checksum = row.optional("checksum")

@@ -4,14 +4,14 @@ import math
 
 import pytest
 from canedge_bridge.ins_time import DATE_TIME_PARTS, replace_gps_time, split_unix_time
-from st_core.leap_seconds import at_unix
+from st_core.leap_seconds import leap_seconds_at_utc
 
 
 @pytest.mark.parametrize(("unix_time", "leap"), [
     (1_136_073_600, 14), (1_230_767_999, 14), (1_230_768_000, 15), (1_341_100_800, 16), (1_435_708_800, 17),
     (1_483_228_799, 17), (1_483_228_800, 18), (1_900_000_000, 18), (1_000_000_000, 13), (0, 0)])
 def test_leap_seconds(unix_time, leap):
-    assert at_unix(unix_time) == leap
+    assert leap_seconds_at_utc(unix_time) == leap
 
 
 def test_the_packet_of_the_ncom_notes():

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from st_core.leap_seconds import GPS_EPOCH_UNIX, at_all_gps
+from st_core.leap_seconds import GPS_EPOCH_UNIX, leap_seconds_at_gps_times
 
 from . import ncom, packet_time
 from .channels import FIELDS, TRIGGER_CHANNELS, UTC_CHANNEL, trigger_nanoseconds, utc_offset
@@ -241,7 +241,7 @@ def _utc_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray, gps_ns:
     UTC - GPS as sent by the unit applies from that packet on; before the first one, the leap-second table is used.
     """
     known = gps_ns != UNKNOWN_TIME
-    offset = -at_all_gps(np.where(known, gps_ns // 1_000_000_000, 0))
+    offset = -leap_seconds_at_gps_times(np.where(known, gps_ns // 1_000_000_000, 0))
     carriers = np.flatnonzero((channel == UTC_CHANNEL) & _SETS_CLOCK[status])
     sent = _UTC_OFFSET[raw[carriers, BATCH_S.stop - 1]]
     carriers, sent = carriers[sent != _INVALID_UTC_OFFSET], sent[sent != _INVALID_UTC_OFFSET]

@@ -4,7 +4,7 @@ GPS time counts from 1980-01-06T00:00:00 without leap seconds: gps = minutes * 6
 Source: NCOM manual 260702. Checked by: test_packet_time.py, tests/golden/test_ncom_vectors.py.
 """
 
-from st_core.leap_seconds import GPS_EPOCH_UNIX, at_gps
+from st_core.leap_seconds import GPS_EPOCH_UNIX, leap_seconds_at_gps
 
 MINUTE_MS = 60_000
 WEEK_MS = 604_800_000
@@ -32,7 +32,7 @@ def unix_nanoseconds(gps_nanoseconds: int, utc_offset: int | None = None) -> int
     utc_offset: UTC - GPS as sent by the unit [s], negative; None: leap-second table.
     """
     if utc_offset is None:
-        utc_offset = -at_gps(gps_nanoseconds // 1_000_000_000)
+        utc_offset = -leap_seconds_at_gps(gps_nanoseconds // 1_000_000_000)
     return gps_nanoseconds + (GPS_EPOCH_UNIX + utc_offset) * 1_000_000_000
 
 
@@ -42,7 +42,7 @@ def host_minute(received_ns: int, milliseconds: int) -> int:
     Correct if the host's clock is within half a minute of UTC.
     """
     gps_ms = received_ns // 1_000_000 - GPS_EPOCH_UNIX * 1000
-    gps_ms += at_gps(gps_ms // 1000) * 1000
+    gps_ms += leap_seconds_at_gps(gps_ms // 1000) * 1000
     return round((gps_ms - milliseconds) / MINUTE_MS)
 
 

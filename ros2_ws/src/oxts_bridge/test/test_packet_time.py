@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oxts_bridge.file_decoder import packet_times
 from oxts_bridge.packet_time import LATE, LATE_RUN, NEW, SAME, GpsClock, host_minute, unix_nanoseconds
-from st_core.leap_seconds import at_gps
+from st_core.leap_seconds import leap_seconds_at_gps
 
 SECOND = 1_000_000_000
 MINUTE = 24_015_600
@@ -35,12 +35,12 @@ def gps_seconds(*date):
     ],
 )
 def test_leap_seconds_by_date(date, leap):
-    assert at_gps(gps_seconds(*date)) == leap
+    assert leap_seconds_at_gps(gps_seconds(*date)) == leap
 
 
 def test_leap_second_changes_at_utc_midnight():
     midnight = gps_seconds(2017, 1, 1) + 18
-    assert (at_gps(midnight - 1), at_gps(midnight)) == (17, 18)
+    assert (leap_seconds_at_gps(midnight - 1), leap_seconds_at_gps(midnight)) == (17, 18)
 
 
 def test_worked_example():

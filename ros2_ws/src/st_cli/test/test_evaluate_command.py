@@ -133,7 +133,7 @@ def test_wrong_options_say_so_in_one_line(folder, tmp_path, arguments, words):
 @pytest.mark.parametrize(("run", "words"), [
     ("none.csv", "none.csv: the file or folder does not exist"),
     ("empty", "this folder contains no recording"),
-    ("data/notes.odt", "no kind of recording has the extension .odt"),
+    ("data/notes.odt", "recordings with the extension .odt are not supported"),
 ])
 def test_nothing_to_evaluate_leaves_nothing(folder, tmp_path, run, words):
     base, _ = folder

@@ -57,7 +57,7 @@ class AugmentedModel(Model):
         return _compose(self.base, self.effects, {**self.values, **_check_all_values(changed, merged)})
 
     @property
-    def has_steering_memory(self) -> bool:
+    def has_steering_dynamics(self) -> bool:
         """Whether `steering` changes a recording."""
         return any(effect.steering for effect in self.active)
 
@@ -87,7 +87,7 @@ class AugmentedModel(Model):
             cached = self._vehicles[id(vehicle)] = vehicle, changed
         return cached[1]
 
-    def lean(self) -> "AugmentedModel":
+    def without_null_effects(self) -> "AugmentedModel":
         """The model without costly effects that have no influence (null values); its predictions are bit-identical."""
         return self.only(e for e in self.effects if e in self.active or not e.costly)
 

@@ -20,7 +20,7 @@ from .log_signals import Acceleration, LogSignals, share_memory
 from .models import Model, get_model
 from .planned_inputs import SLIP_FREE
 from .prediction import step_count
-from .readings import correct_log, has_steering_memory, reading_errors, wheel_angles_ahead
+from .readings import correct_log, has_steering_dynamics, reading_errors, wheel_angles_ahead
 from .start_grid import Block, plan_blocks
 from .timeseries import NANOSECOND, half_step_grid
 from .types import STATE_NAMES
@@ -122,7 +122,7 @@ class LogBatch:
         count = self._count_substeps(model, vehicle)
         car, p = model.effective_vehicle(vehicle), model.parameters(vehicle)
         recording = self.recording(model)
-        separate = not isinstance(self._inputs, str) or (self._inputs == "held" and has_steering_memory(model))
+        separate = not isinstance(self._inputs, str) or (self._inputs == "held" and has_steering_dynamics(model))
         signals = recording.signals
         result = np.full((len(self.points), len(STATE_NAMES), len(self._unique)), np.nan)
         for block in self._blocks(count, separate):
@@ -196,7 +196,7 @@ class LogBatch:
             if path and model.axles is None:
                 angle = path[0]
         angle, acceleration = (np.broadcast_to(v, times.shape) for v in (angle, acceleration))
-        if has_steering_memory(model):
+        if has_steering_dynamics(model):
             angle = np.array([wheel_angles_ahead(model, raw.steering_time_ns, raw.road_wheel_angle, *column,
                                                  signals.maximum_gap)
                               for column in zip(times.T, angle.T, strict=True)]).T

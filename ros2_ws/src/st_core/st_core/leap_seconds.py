@@ -21,16 +21,16 @@ UNIX_STARTS = tuple(timegm((*date, 1, 0, 0, 0)) for date, _ in _DATES)  # UTC [s
 GPS_STARTS = tuple(start - GPS_EPOCH_UNIX + leap for start, leap in zip(UNIX_STARTS, LEAP_SECONDS, strict=True))
 
 
-def at_unix(unix_time: float) -> int:
+def leap_seconds_at_utc(unix_time: float) -> int:
     """GPS - UTC [s] at a UTC time [s since 1970]; the last entry of the table applies from its date on."""
     return LEAP_SECONDS[max(bisect_right(UNIX_STARTS, unix_time) - 1, 0)]
 
 
-def at_gps(gps_seconds: float) -> int:
+def leap_seconds_at_gps(gps_seconds: float) -> int:
     """GPS - UTC [s] at a GPS time [s since 1980-01-06]."""
     return LEAP_SECONDS[max(bisect_right(GPS_STARTS, gps_seconds) - 1, 0)]
 
 
-def at_all_gps(gps_seconds: np.ndarray) -> np.ndarray:
-    """`at_gps` for each element; for NaN the newest value."""
+def leap_seconds_at_gps_times(gps_seconds: np.ndarray) -> np.ndarray:
+    """`leap_seconds_at_gps` for each element; for NaN the newest value."""
     return np.array(LEAP_SECONDS)[np.maximum(np.searchsorted(GPS_STARTS, gps_seconds, side="right") - 1, 0)]

@@ -37,7 +37,7 @@ class ModelView:
         self.car = model.effective_vehicle(vehicle)
         self._vehicle = vehicle
         self.plain = not isinstance(model, AugmentedModel)
-        self.has_steering_memory = readings.has_steering_memory(model)
+        self.has_steering_dynamics = readings.has_steering_dynamics(model)
         self.corrects_samples = isinstance(model, AugmentedModel) and model.has_sensor_effects
         self._history = shared.for_corrected_samples() if self.corrects_samples else shared
         self.ahead_ns = readings.required_lookahead_ns(model)
@@ -45,7 +45,7 @@ class ModelView:
     @staticmethod
     def span(models: Sequence[Model], span: float) -> float:
         """Length of the history [s] for a time span [s]; models with steering memory need a longer one."""
-        return span + readings.MEMORY if any(readings.has_steering_memory(model) for model in models) else span
+        return span + readings.MEMORY if any(readings.has_steering_dynamics(model) for model in models) else span
 
     def add_ins(self, sample: InsSample) -> None:
         """Correct an INS sample and add it to the history of a model with `corrects_samples`."""
@@ -64,7 +64,7 @@ class ModelView:
         if sample is None or now is None:
             raise StCoreError(f"model {self.model.name}: state or inputs not known at {time_ns} ns")
         state = ins_to_cg(sample, self.car.cg_to_ins_x, self.car.cg_to_ins_y)
-        if not self.has_steering_memory:
+        if not self.has_steering_dynamics:
             return state, now
         series, grid = self._history.steering, half_step_grid(time_ns, steps, step)
         held = np.full(len(grid), now.road_wheel_angle)
@@ -75,7 +75,7 @@ class ModelView:
     def measured(self, times_ns: np.ndarray) -> InputSequence:
         """Measured inputs at increasing times [ns]; NaN where not known."""
         acceleration = self._history.ins.sample(times_ns)[:, DERIVATIVE]
-        if not self.has_steering_memory:
+        if not self.has_steering_dynamics:
             return InputSequence(self._history.steering.sample(times_ns)[:, 0], acceleration)
         series = self._history.steering
         gap_ns = series.maximum_gap_ns

@@ -14,7 +14,7 @@ import numpy as np
 from .errors import StCoreError
 from .handling import stability_factor
 from .models import Model
-from .readings import has_steering_memory, wheel_angles_ahead
+from .readings import has_steering_dynamics, wheel_angles_ahead
 from .timeseries import NANOSECOND, half_step_grid, interpolate
 from .types import ControlInput, InputSequence, VehicleState
 from .vehicle import VehicleParameters
@@ -180,7 +180,7 @@ def wheel_sequence(model: Model, planned: InputSequence, start_ns: int, step: fl
                    road_wheel_angle: np.ndarray, maximum_gap: float) -> InputSequence:
     """`model_inputs` on the half-step grid from start_ns, with delay, play and lag of the model's steering."""
     planned = model_inputs(model, planned)
-    if not has_steering_memory(model):
+    if not has_steering_dynamics(model):
         return planned
     grid = half_step_grid(start_ns, len(planned.road_wheel_angle) // 2, step)
     wheels = wheel_angles_ahead(model, steering_time_ns, road_wheel_angle, grid, planned.road_wheel_angle, maximum_gap)

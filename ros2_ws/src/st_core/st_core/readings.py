@@ -50,7 +50,7 @@ def correct_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
 
     maximum_gap [s]: after a longer gap the effects restart.
     """
-    if not isinstance(model, AugmentedModel) or not model.has_steering_memory or not len(time_ns):
+    if not isinstance(model, AugmentedModel) or not model.has_steering_dynamics or not len(time_ns):
         return time_ns, angle
     seconds = (time_ns - time_ns[0]) * NANOSECOND
     begins = np.diff(time_ns, prepend=time_ns[0]) > round(maximum_gap / NANOSECOND)
@@ -60,9 +60,9 @@ def correct_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
     return time_ns + np.round((later - seconds) / NANOSECOND).astype(np.int64), angle
 
 
-def has_steering_memory(model: Model) -> bool:
+def has_steering_dynamics(model: Model) -> bool:
     """Whether the angle of the wheels depends on earlier steering."""
-    return isinstance(model, AugmentedModel) and model.has_steering_memory
+    return isinstance(model, AugmentedModel) and model.has_steering_dynamics
 
 
 def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, ahead: np.ndarray,
@@ -72,7 +72,7 @@ def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, gri
     time_ns [ns], angle [rad]: recorded steering. Its last MEMORY seconds before the first instant are used, because
     the wheels still follow it with delay, play or lag. After the last instant the last angle is held. maximum_gap [s].
     """
-    if not has_steering_memory(model):
+    if not has_steering_dynamics(model):
         return ahead
     before = slice(*np.searchsorted(time_ns, (grid_ns[0] - MEMORY_NS, grid_ns[0])).tolist())
     gap_ns, spacing = round(maximum_gap / NANOSECOND), int(grid_ns[1] - grid_ns[0])
@@ -88,7 +88,7 @@ def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, gri
 
 def required_lookahead_ns(model: Model) -> int:
     """Time after an instant [ns] until which steering must be known to compute the wheel angle; > 0 for late stamps."""
-    if not isinstance(model, AugmentedModel) or not model.has_steering_memory:
+    if not isinstance(model, AugmentedModel) or not model.has_steering_dynamics:
         return 0
     time, _ = model.steering(np.zeros(1), np.zeros(1), np.ones(1, bool))
     return max(0, round(-float(time[0]) / NANOSECOND))
@@ -111,7 +111,7 @@ def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveL
         true = model.correct(Measured(*(zeros if getattr(log, n) is None else getattr(log, n)
                                         for n in Measured._fields)))
         parts |= {name: getattr(true, name) for name in names if getattr(log, name) is not None}
-    if model.has_steering_memory:
+    if model.has_steering_dynamics:
         time_ns, angle = correct_steering(model, log.steering_time_ns, log.road_wheel_angle, maximum_gap)
         parts |= {"steering_time_ns": time_ns, "road_wheel_angle": angle, "steering_wheel_angle": None}
     return replace(log, **parts) if parts else log

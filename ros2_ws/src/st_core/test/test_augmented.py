@@ -119,13 +119,13 @@ def test_one_set_of_functions_serves_every_choice_of_effects(leaf, base):
     everything = set_effects_to_null(augment(base, applicable(base)))
     plain = predict(base, leaf, STATE, HELD)
     np.testing.assert_array_equal(predict(everything, leaf, STATE, HELD).states, plain.states)
-    assert not everything.has_steering_memory and not everything.has_sensor_effects
+    assert not everything.has_steering_dynamics and not everything.has_sensor_effects
     assert everything.effective_vehicle(leaf) is leaf
     for name in applicable(base):
         alone = augment(base, [name])
         chosen = everything.with_values({name: alone.values[name]})
         assert chosen.rhs is everything.rhs
-        assert chosen.has_steering_memory == alone.has_steering_memory
+        assert chosen.has_steering_dynamics == alone.has_steering_dynamics
         assert chosen.has_sensor_effects == alone.has_sensor_effects
         np.testing.assert_allclose(predict(chosen, leaf, STATE, HELD).states, predict(alone, leaf, STATE, HELD).states,
                                    rtol=1e-13, atol=1e-13)
@@ -134,7 +134,7 @@ def test_one_set_of_functions_serves_every_choice_of_effects(leaf, base):
 def test_without_costly_effects_at_null_the_same_is_predicted(leaf):
     everything = set_effects_to_null(augment("nonlinear", applicable("nonlinear")))
     chosen = everything.with_values({"mass": {"factor": 1.1}, "steering_compliance": {"compliance": 1e-6}})
-    lean = chosen.lean()
+    lean = chosen.without_null_effects()
     left_out = {e.name for e in chosen.effects} - {e.name for e in lean.effects}
     assert left_out == {"lateral_load_transfer", "longitudinal_load_transfer"}  # the compliance is not at null
     np.testing.assert_array_equal(predict(lean, leaf, STATE, HELD).states, predict(chosen, leaf, STATE, HELD).states)
@@ -143,11 +143,11 @@ def test_without_costly_effects_at_null_the_same_is_predicted(leaf):
 
 def test_a_linear_car_does_without_tyres_that_saturate_at_null(leaf):
     everything = set_effects_to_null(augment("linear", applicable("linear"))).with_values({"mass": {"factor": 1.1}})
-    lean = everything.lean()
+    lean = everything.without_null_effects()
     assert {e.name for e in everything.effects} - {e.name for e in lean.effects} >= {"tyre_saturation"}
     states = [predict(model, leaf, STATE, HELD).states for model in (lean, everything)]
     np.testing.assert_array_equal(*states)
-    saturated = everything.with_values({"tyre_saturation": {"share": 0.5}}).lean()
+    saturated = everything.with_values({"tyre_saturation": {"share": 0.5}}).without_null_effects()
     assert "tyre_saturation" in {e.name for e in saturated.effects}
 
 

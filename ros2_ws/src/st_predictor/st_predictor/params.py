@@ -41,8 +41,8 @@ PREDICTOR = (
     Parameter("horizon", _DEFAULTS.horizon, "duration of a prediction; a whole number of steps", "s", 0.01, 60.0),
     Parameter("step", _DEFAULTS.step, "integration step and spacing of the published points", "s", 0.001, 1.0),
     Parameter("rate", 10.0, "ticks per second, on the node's clock", "Hz", 0.1, 100.0),
-    Parameter("sample_wait", 0.015, "longest wait of a tick, from its due time, for a new sample of each input; "
-              "at most half a period; not in simulated time; 0: no wait", "s", 0.0, 0.1),
+    Parameter("sample_wait", 0.015, "maximum time that a tick waits after its due time for a new sample of each "
+              "input; at most half a period; not used in simulated time; 0: no wait", "s", 0.0, 0.1),
     Parameter("compiled", True, "models as machine code if numba is installed; false: interpreted Python"),
     Parameter("minimum_speed", _DEFAULTS.minimum_speed, "no prediction below this speed", "m/s", 0.0, 50.0),
     Parameter("stale_after", _DEFAULTS.stale_after, "no prediction from inputs older than this", "s", 0.001, 10.0),

@@ -19,7 +19,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 UNRESOLVED_PREFIX = "_NODE_NAME"  # prefix of the placeholder name of a node before discovery has resolved it
-UNRESOLVED_NODE = "a node without a name yet"  # text shown for such a node
+UNRESOLVED_NODE = "a node whose name is not known yet"  # text shown for such a node
 SUBSCRIBER_COUNT_PERIOD = 0.05  # s between counts of subscribers; a count takes as long as filling a message
 SAMPLE_QOS = QoSProfile(depth=1000)  # 4 s at 250 Hz, so that a briefly blocked subscriber loses no message
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # late subscribers get the last message

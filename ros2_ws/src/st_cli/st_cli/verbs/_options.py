@@ -30,9 +30,9 @@ CarName = Annotated[str | None, typer.Option(
     "--car", help="The car: a name in config/car, or a folder with vehicle.yaml, can.dbc, signals.yaml and car.yaml. "
     "--vehicle, --dbc, --signals and --steering-... each replace a part of it.")]
 VehicleFile = Annotated[Path | None, typer.Option(
-    "--vehicle", help="Vehicle file; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
+    "--vehicle", help="Vehicle file; default: that of --car, else that of the Leaf.", exists=True, dir_okay=False)]
 VehicleOfBag = Annotated[Path | None, typer.Option(
-    "--vehicle", help="Vehicle file; default that of --car, else the one in the recording, else the Leaf's.",
+    "--vehicle", help="Vehicle file; default: that of --car, else the one in the recording, else that of the Leaf.",
     exists=True, dir_okay=False)]
 Models = Annotated[list[str], typer.Option(
     "--model", help="kinematic, linear, nonlinear, or a model file (augmented); repeatable.")]
@@ -41,7 +41,7 @@ EffectsOfFile = Annotated[Path | None, typer.Option(
 EffectsOfModel = Annotated[Path | None, typer.Option(
     "--effects", help="Folder of your own effects that --model uses.", exists=True, file_okay=False)]
 Filtering = Annotated[Literal["causal", "zero-phase"], typer.Option(
-    "--acceleration", help="Filter of the forward speed before its derivative; live, only causal is possible.")]
+    "--acceleration", help="Filter of the forward speed before it is differentiated; live, only causal is possible.")]
 Inputs = Annotated[Literal["interpolate", "hold"], typer.Option(
     "--inputs", help="Measured inputs within an integration step: interpolated, or held over it.")]
 Horizon = Annotated[float, typer.Option(help="Length of a prediction, s; a whole number of steps.")]
@@ -52,9 +52,9 @@ Offset = Annotated[float | None, typer.Option(
 InsCanLatency = Annotated[tuple[float, float] | None, typer.Option(
     help="Latency of the INS's own CAN frames and its standard deviation, s; default 0.002 0.002.")]
 Dbc = Annotated[Path | None, typer.Option(
-    help="DBC of the CAN logs; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
+    help="DBC of the CAN logs; default: that of --car, else that of the Leaf.", exists=True, dir_okay=False)]
 Signals = Annotated[Path | None, typer.Option(
-    help="Signal table for the DBC; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
+    help="Signal table for the DBC; default: that of --car, else that of the Leaf.", exists=True, dir_okay=False)]
 SteeringSign = Annotated[int | None, typer.Option(
     callback=_check_sign, help="1 if the sensor, as decoded by DBC and table, is positive to the left; -1: to the "
     "right. Default that of --car, else 1; live: else that of config/nodes.yaml.")]
@@ -62,11 +62,11 @@ SteeringTopic = Annotated[str | None, typer.Option(
     "--steering-topic", help="Bags of other recorders: the topic with the steering angle, of any type defined in the "
     "bag. Default: the one of type st_msgs/Steering.")]
 SteeringPath = Annotated[str | None, typer.Option(
-    "--steering-field", help="Field of its messages with the steering angle: data (default), drive.steering_angle, ... "
+    "--steering-field", help="Message field with the steering angle: data (default), drive.steering_angle, ... "
     "Without --steering-topic: the column of a CSV or VBO.")]
 SteeringIs = Annotated[Literal["road", "wheel"], typer.Option(
-    "--steering-is", help="Which angle it is: that of the front road wheels (road), or of the steering wheel (wheel), "
-    "which is converted with ratio and offset of the vehicle file.")]
+    "--steering-is", help="Meaning of this angle: road wheel angle (road) or steering wheel angle (wheel), which is "
+    "converted with ratio and offset of the vehicle file.")]
 SteeringUnit = Annotated[Literal["rad", "deg"] | None, typer.Option(
     "--steering-unit", help="Unit of this angle; default: rad in a topic, the unit of the header in a table.")]
 OdometryTopic = Annotated[str | None, typer.Option(

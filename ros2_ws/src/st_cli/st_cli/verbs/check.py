@@ -11,17 +11,17 @@ from . import _options as shared
 def check(
     runs: shared.Runs,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/check-<time>."),
-    json: Path | None = typer.Option(None, "--json", help="File for all numbers; default check.json in that folder.",
+    json: Path | None = typer.Option(None, "--json", help="JSON file of the results; default check.json in --output.",
                                      dir_okay=False),
     propose_correction: Path | None = typer.Option(
         None, "--propose-correction", "--propose-cure", dir_okay=False,
-        help="Write a run.yaml that corrects the findings; for a single run."),
+        help="Write a run.yaml that corrects the errors found; for a single run."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Find errors in recordings: units, signs, clocks, axes, projections, reference points, sensors.
 
-    Nothing is corrected; each finding names its correction. Exit status: 0 no error found, 1 an error was found or a
-    run could not be read, 2 nothing could be read.
+    Nothing is corrected; each finding states how to correct it. Exit status: 0 no error found, 1 an error was found or
+    a run could not be read, 2 nothing could be read.
     """
     from rich.console import Console
     from st_offline.checking.check_command import CheckJob, run_command

@@ -25,7 +25,7 @@ def export(
 ) -> None:
     """Write a model as functions: dynamics, Runge-Kutta step, Jacobians; with names, units and bounds.
 
-    acados and other CasADi users load the .casadi files as they are; see examples/mpc.
+    acados and other tools based on CasADi load the .casadi files directly; see examples/mpc.
     """
     from st_core.bands import Bands
     from st_core.effects import load_folder

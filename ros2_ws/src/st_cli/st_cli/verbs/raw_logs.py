@@ -56,7 +56,7 @@ def describe_alignment(alignment, start_ns: int, absolute: bool) -> str:
     offset = (f"offset {_seconds(alignment.offset_at_ns(start_ns))} s" if absolute
               else f"CAN log starts at INS time {_seconds(alignment.to_reference_ns(start_ns))} s")
     if alignment.method == "by hand":
-        return f"{offset}, by hand"
+        return f"{offset}, set by hand"
     return (f"{offset} ± {alignment.offset_deviation * 1e3:.1f} ms, drift {alignment.drift_ppm:+.1f} ± "
             f"{alignment.drift_deviation:.1f} ppm, {alignment.verdict}")
 
@@ -68,7 +68,7 @@ def print_alignment(pair, console) -> None:
 
     alignment = pair.alignment
     style = VERDICT_STYLE[alignment.verdict]
-    how = {"by hand": "by hand", "none": ""}.get(alignment.method, f"by {alignment.method}")
+    how = {"by hand": "set by hand", "none": ""}.get(alignment.method, f"by {alignment.method}")
     console.print(f"[bold]{pair.name}[/bold]  [{style}]{alignment.verdict}[/{style}] {how}", highlight=False)
     if alignment.method != "none":
         start = pair.can.start_ns
@@ -95,7 +95,7 @@ def print_alignment(pair, console) -> None:
     if alignment.signals:
         table = Table(box=None, padding=(0, 2))
         table.add_column("signal")
-        for name in ("difference alone, ms", "correlation", "residual / standard deviation"):
+        for name in ("own minus common offset, ms", "correlation", "residual / standard deviation"):
             table.add_column(name, justify="right")
         for row in alignment.signals:
             difference = f"{round(row.difference * 1e3, 2) + 0.0:+.2f} ± {row.deviation * 1e3:.2f}"
@@ -200,7 +200,7 @@ def ncom(
 def recover(
     path: Path = typer.Argument(..., help="A bag directory or an .mcap file that was not closed.", exists=True),
     output: Path | None = typer.Option(
-        None, help="Path of the repaired recording; default: in place; the damaged file is kept."),
+        None, help="Path of the repaired recording; default: in place, and the damaged file is renamed."),
 ) -> None:
     """Repair a recording cut off by a crash or power loss; a complete recording is not changed."""
     from st_recordings import mcap

@@ -67,7 +67,7 @@ class Errors:
         """(n, m) measured minus predicted, all points and columns of a window in one row; NaN where unknown."""
         key = vector.tobytes()
         if key not in self._cache:
-            values = self.windows.errors(self.space.at(vector).lean(), float(vector[-1]))
+            values = self.windows.errors(self.space.at(vector).without_null_effects(), float(vector[-1]))
             while len(self._cache) >= ERROR_CACHE_SIZE:
                 self._cache.pop(next(iter(self._cache)), None)
             self._cache[key] = values.reshape(len(values), -1)

@@ -12,13 +12,13 @@ from ..tyres import magic_formula_stiffness
 from ..vehicle import TYRE_QUANTITIES
 from ._base import Effect, Parameter, register
 
-STIFFEST_LOAD, SCALE = TYRE_QUANTITIES["p_ky2"], TYRE_QUANTITIES["lambda_ky"]
+PEAK_STIFFNESS_LOAD, SCALE = TYRE_QUANTITIES["p_ky2"], TYRE_QUANTITIES["lambda_ky"]
 
 
-def _with_stiffest_load(tyre, static_load, factor):
+def _scale_peak_stiffness_load(tyre, static_load, factor):
     """One tyre with the load of maximum stiffness multiplied by `factor`, within the limits of a vehicle file, and with
     K at static_load [N] unchanged."""
-    stiffest = min(max(tyre.p_ky2 * factor, STIFFEST_LOAD.minimum), STIFFEST_LOAD.maximum)
+    stiffest = min(max(tyre.p_ky2 * factor, PEAK_STIFFNESS_LOAD.minimum), PEAK_STIFFNESS_LOAD.maximum)
     changed = tyre._replace(p_ky2=stiffest)
     ratio = magic_formula_stiffness(static_load, tyre) / magic_formula_stiffness(static_load, changed)
     return changed._replace(lambda_ky=min(max(tyre.lambda_ky * ratio, SCALE.minimum), SCALE.maximum))
@@ -27,7 +27,7 @@ def _with_stiffest_load(tyre, static_load, factor):
 @register
 class TyreLoadSensitivity(Effect):
     name = "tyre_load_sensitivity"
-    physics = "K(F_z) with factor p_ky2 on both axles, K at the static load unchanged; > 1: K more proportional to F_z"
+    physics = "K(F_z) with p_ky2 times factor, K at static load unchanged, both axles; > 1: K more proportional to F_z"
     excited_by = "braking and power in turns; a load transfer of at least 10 %"
     kind, slot = "vehicle parameters", "both axles"
     confounded_with = ("longitudinal_load_transfer", "lateral_load_transfer", "mass")
@@ -36,12 +36,12 @@ class TyreLoadSensitivity(Effect):
     parameters = (
         Parameter("factor", "1", null=1.0, initial=1.8, bounds=(0.5, 5.0),
                   meaning="ratio of the load at maximum stiffness to the file's",
-                  source="published passenger tyres: p_ky2 1.0 to 2.8; 5 is proportional to load within 5 %",
+                  source="published passenger tyres: p_ky2 1.0 to 2.8; at 5, K is proportional to load within 5 %",
                   shape=True),
     )
 
     @staticmethod
     def vehicle(vehicle, theta):
-        front = _with_stiffest_load(vehicle.tyre_front, vehicle.static_tyre_load_front, theta.factor)
-        rear = _with_stiffest_load(vehicle.tyre_rear, vehicle.static_tyre_load_rear, theta.factor)
+        front = _scale_peak_stiffness_load(vehicle.tyre_front, vehicle.static_tyre_load_front, theta.factor)
+        rear = _scale_peak_stiffness_load(vehicle.tyre_rear, vehicle.static_tyre_load_rear, theta.factor)
         return replace(vehicle, tyre_front=front, tyre_rear=rear)

@@ -125,7 +125,7 @@ class EvaluatorNode(Node):
         horizon = trajectory.step * (len(trajectory.states) - 1)
         predicted = predict(view.model, self._vehicle, start, inputs, horizon, trajectory.step)
         # A model with memory also depends on earlier steering angles, which the message does not contain.
-        self._configuration_mismatch[key] = not view.has_steering_memory and not np.allclose(
+        self._configuration_mismatch[key] = not view.has_steering_dynamics and not np.allclose(
             predicted.states, trajectory.states, rtol=0.0, atol=TRAJECTORY_TOLERANCE, equal_nan=True)
 
     def _publish_scores(self, scores: list[Score]) -> None:

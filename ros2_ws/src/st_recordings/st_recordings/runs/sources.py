@@ -169,7 +169,7 @@ def _group_files(files: Sequence[Path], given: bool) -> list[RunSource]:
 def _reject_unknown_file(file: Path) -> RunSource:
     known = sorted({*CAN_EXTENSIONS, *(e for reader in READERS.values() for e in reader.extensions)})
     advice = UNKNOWN_ADVICE.get(file.suffix.lower(), f"give files with {', '.join(known)}, bag folders, or run.yaml")
-    return _make_unusable(file, f"no kind of recording has the extension {file.suffix or '(none)'}", advice)
+    return _make_unusable(file, f"recordings with the extension {file.suffix or '(none)'} are not supported", advice)
 
 
 def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],

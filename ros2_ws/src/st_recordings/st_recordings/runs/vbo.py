@@ -46,7 +46,7 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     text = read_text(file)
     sections = _split_sections(text)
     if not {"column names", "data"} <= sections.keys():
-        raise RunError(file, "this is not a VBO file: sections [column names] and [data] are missing",
+        raise RunError(file, "this is not a VBO file: section [column names] or [data] is missing",
                        "correct its extension")
     names = _read_column_names(sections)
     if len({*re.findall(r"(?mi)^\[column names\]\s*\n(.*)", text)}) > 1:

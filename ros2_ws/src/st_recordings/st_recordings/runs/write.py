@@ -31,7 +31,7 @@ TIME_MARGIN_NS = 60 * 10**9
 
 
 @dataclass(frozen=True)
-class Imported:
+class ImportResult:
     """Result of an import."""
 
     directory: Path  # of the bag
@@ -44,7 +44,7 @@ class Imported:
 
 def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, settings: ReadSettings,
                check: Callable[[LoadedRun], Sequence[Finding]], progress: Callable[[float], None] | None = None
-               ) -> Imported:
+               ) -> ImportResult:
     """Reads and checks a run of NCOM packets and CAN frames, and writes it as a bag.
 
     check: returns the findings on a drive; raises RunError for a drive that must not be written. progress: called with
@@ -82,7 +82,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     if drive.auxiliary.corrected:
         warnings.append(f"{directory}: the bag contains uncorrected data; copy the corrections of the run.yaml to a "
                         "run.yaml of the bag (bag: ...)")
-    return Imported(directory, counts, (blocks.end_ns - blocks.start_ns) * 1e-9, run, tuple(warnings), findings)
+    return ImportResult(directory, counts, (blocks.end_ns - blocks.start_ns) * 1e-9, run, tuple(warnings), findings)
 
 
 class _MessageBlocks:
