@@ -169,6 +169,12 @@ def test_compressed_messages_without_metadata_are_read(tmp_path: Path) -> None:
     check(next(folder.glob("*.db3")))
 
 
+def test_messages_that_are_sent_several_times_keep_their_stamps(tmp_path: Path) -> None:
+    sent = [(time_ns + part * 1_000_000, data) for time_ns, data in OURS["/ins/odometry", ODOMETRY]
+            for part in range(6)]
+    check(write_ours(tmp_path / "drive", {**OURS, ("/ins/odometry", ODOMETRY): sent}))
+
+
 def wheels(k: int, front: bool, valid: bool = True) -> tuple[int, bytes]:
     """Each axle has a frame of its own; what is not in a frame is NaN."""
     time_ns = START_NS + k * 20_000_000

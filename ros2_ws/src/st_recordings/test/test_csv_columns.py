@@ -8,7 +8,7 @@ import pytest
 from st_core.log import INS_SIGNALS, DriveLog
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, columns, find_runs, read
-from st_recordings.runs.columns import COLUMNS, UNITS, Layout, normalise
+from st_recordings.runs.columns import COLUMNS, UNITS, Layout, find_columns, normalise
 from st_recordings.runs.csv import has_drive_columns, read_csv
 from support import ROOT
 
@@ -377,3 +377,7 @@ def test_channels_of_lower_rates_are_interpolated(tmp_path: Path, own_stamps: bo
     for channel in ("x", "y", "yaw", "velocity_x", "yaw_rate"):
         expected = np.interp(at - 0.004 * own_stamps * (channel not in slow), values()["t"], values()[channel])
         np.testing.assert_allclose(getattr(drive.log, channel), expected, atol=2e-3, err_msg=channel)
+
+
+def test_a_driving_direction_is_no_course() -> None:
+    assert not {"course", "velocity_y"} & find_columns(Path("d.csv"), ["t", "v", "yaw", "direction"], Layout()).keys()

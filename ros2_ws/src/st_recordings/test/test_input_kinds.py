@@ -198,6 +198,11 @@ TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
     ("clock_name.csv", lambda log: csv(rows(log), ",".join(("time_utc", *NAMES[1:]))), "utf-8", ""),
     ("two_speeds.csv", lambda log: csv([[*row, "99"] for row in rows(log)], ",".join(NAMES).replace(
         "velocity_x", "Speed (GPS)(m/s)") + ",Speed (OBD)(m/s)"), "utf-8", ""),
+    ("date.txt", lambda log: stamped(log, lambda s: f"2026-05-04 {clock(43200 + s)}").replace("t,", "Date Time,", 1),
+     "utf-8", ""),
+    ("start.txt", lambda log: "; Start time: 2026-05-04\n" + csv(rows(log)), "utf-8", "the header is in line 2"),
+    ("control.csv", lambda log: csv([[*row, "0"] for row in rows(log)], ",".join((*NAMES[:4], "v", *NAMES[5:], "u"))),
+     "utf-8", ""),
     ("single_quotes.csv", lambda log: re.sub(r"[^,\n]+", r"'\g<0>'", csv(rows(log))), "utf-8", ""),
     ("unit.csv", lambda log: csv([[*row, "9"] for row in rows(log)], ",".join((*NAMES, "ax [mg]"))), "utf-8",
      "column ax .* is not used: 'mg' is not a unit of acceleration"),

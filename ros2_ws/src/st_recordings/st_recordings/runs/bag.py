@@ -172,13 +172,17 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
     """Replaces meaningless stamps by the times of reception; returns a note on each replacement.
 
     A driver or simulator may leave header.stamp at a constant value such as 0, write whole seconds, or stamp two topics
-    with unrelated clocks. The times of reception are correct nevertheless.
+    with unrelated clocks. The times of reception are correct nevertheless. Messages that are sent several times with
+    the same values and stamp have correct stamps.
     """
     notes = []
     for kind, topic in topics.items():
         stamps = columns[kind]["header.stamp"]
         repeated = int((np.diff(stamps) == 0).sum())
-        if repeated > MAX_REPEATED_STAMPS * len(stamps) or (len(stamps) == 2 and repeated):
+        values = [np.nan_to_num(np.asarray(v, float)) for name, v in columns[kind].items() if name != "header.stamp"]
+        changed = np.any([np.diff(value) != 0 for value in values], axis=0)
+        resent = 2 * int((changed & (np.diff(stamps) == 0)).sum()) < int(changed.sum())
+        if (repeated > MAX_REPEATED_STAMPS * len(stamps) and not resent) or (len(stamps) == 2 and repeated):
             columns[kind]["header.stamp"] = _read_log_times(storage, topic, columns[kind])
             count = (f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s" if repeated == len(stamps) - 1
                      else f"{format_share(repeated, len(stamps), 'stamps')} of {topic} repeat the previous one")

@@ -29,6 +29,8 @@ _SCREEN_LINE = re.compile(
 UNSTAMPED_LINE = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
 """A line of candump without -l and without -t."""
 _ASC_LINE = re.compile(rb"^\s*\d+[.,]\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+[dr]\s", re.MULTILINE)
+_TRC_LINE = re.compile(rb"^\s*\d+\)\s", re.MULTILINE)
+_ASC_DATE = re.compile(rb"(?i)date \S+ \S+ +\d+ +\d")  # not "Date Time;x;y" of a table
 _ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)(?=\s)")
 # Name of an error handler that decodes Windows-1252 bytes in a text that is otherwise UTF-8
 _CP1252_FALLBACK = "single_track_cp1252"
@@ -239,8 +241,8 @@ def _is_candump(head: bytes) -> bool:
 
 def _is_asc(head: bytes) -> bool:
     text = head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe" + b" \t\r\n")
-    return text[:5].lower() == b"date " or any(part in text for part in (b"\nbase hex", b"\nbase dec")) or (
-        _ASC_LINE.search(text) is not None)
+    return any(part in text for part in (b"\nbase hex", b"\nbase dec")) or bool(
+        _ASC_DATE.match(text) or _ASC_LINE.search(text))
 
 
 FORMATS = (
@@ -250,7 +252,8 @@ FORMATS = (
     Format("Vector ASC", (".asc",), _is_asc, _make_text_reader(_read_asc, _AscLines, "\n")),
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _read_blf),
     Format("PEAK trace", (".trc",), lambda head: b";$FILEVERSION" in head or (
-        head.lstrip().startswith(b";") and (b"Start time:" in head or b"Message Number" in head)),
+        head.lstrip().startswith(b";") and (b"Message Number" in head or (
+            b"Start time:" in head and _TRC_LINE.search(head) is not None))),
            _make_text_reader(_read_trc)),
 )
 SHARED_EXTENSIONS = (".log", ".txt", "")

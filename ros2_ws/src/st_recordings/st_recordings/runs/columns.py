@@ -107,7 +107,7 @@ COLUMNS: Mapping[str, Channel] = {
     "course": Channel("angle", "direction of motion over ground, clockwise from north; replaces missing yaw or "
                       "velocity_y", _words(
         "course course_over_ground course_angle gps_heading gnss_heading cog track track_angle heading_of_motion "
-        "bearing direction angle_track kurs_ueber_grund")),
+        "bearing angle_track kurs_ueber_grund")),
     **{f"orientation_{axis}": Channel("ratio", "quaternion from body to map axes, read if yaw is missing", _words(
         f"orientation_{axis} q{axis} quat_{axis} pose_orientation_{axis} pose_pose_orientation_{axis}"))
        for axis in "xyzw"},
@@ -250,7 +250,8 @@ def _find_best_columns(names: Sequence[str]) -> dict[str, list[ColumnSource]]:
     if headings and ranks.get("yaw", 0) % PATH_RANK == DOUBTFUL_RANK:
         del found["yaw"]
     forward = found.get("velocity_x", [])
-    if [_without_unit(source.name) for source in forward] == ["v"] and "u" in (plain := [*map(_without_unit, names)]):
+    if [_without_unit(source.name) for source in forward] == ["v"] and "u" in (
+            plain := [*map(_without_unit, names[:forward[0].column])]):
         number = plain.index("u")  # u and v may be the forward and the lateral velocity
         forward.insert(0, _make_source(number, names[number], "velocity_x", None))
     return found
