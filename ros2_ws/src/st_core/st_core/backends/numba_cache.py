@@ -1,4 +1,4 @@
-"""Cache of compiled kernels between processes.
+"""Cache of compiled kernels on disk, shared by all processes.
 
 Each kernel has a folder, named by a hash of all its dependencies: sources and values of all equations and plug-ins,
 these backend modules, numba, numpy, Python and the CPU. The cache of numba checks only the file of the kernel, so it

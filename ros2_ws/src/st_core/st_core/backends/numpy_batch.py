@@ -9,7 +9,7 @@ from ..models import Model
 from ..types import STATE_NAMES
 
 LANES = 1
-BLOCK = 4096  # columns per call: a small overhead per call, and they fit in the second-level cache
+BLOCK = 4096  # columns per call: enough to amortise the overhead of a call, few enough for the L2 cache
 
 
 def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.ndarray, step: float,

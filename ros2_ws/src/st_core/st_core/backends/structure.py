@@ -55,7 +55,7 @@ class UnhashableError(Exception):
 def fingerprint(function: FunctionType, stop: frozenset[str] = frozenset()) -> str:
     """sha256 (hex) of a function, of all functions that it can reach, and of their values and source files.
 
-    The same in every process. Raises UnhashableError for a value other than numbers, texts, tuples and functions.
+    The same in every process. Raises UnhashableError for a value such as an array, a list, a dict or an instance.
     """
     digest = hashlib.sha256()
     functions = reachable(function, stop)

@@ -82,14 +82,14 @@ def error_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: 
 
 
 def join_runs(runs: Sequence[ErrorSamples]) -> ErrorSamples:
-    """Join similar runs, for example of one day or place, into one."""
+    """Join dependent runs, for example of one day or place, into one."""
     errors = {pair: np.concatenate([run.errors[pair] for run in runs]) for pair in runs[0].errors}
     return ErrorSamples(", ".join(run.name for run in runs), np.concatenate([run.conditions for run in runs]), errors)
 
 
 def _is_measured(models: Sequence[Model], signals: LogSignals, starts_ns: np.ndarray,
                  settings: EvaluationSettings) -> np.ndarray:
-    """Mask (n,) of starts with a completely measured horizon, including after time shifts of signals by the models."""
+    """Mask (n,) of starts with a completely measured horizon, also after the models' own corrections of the drive."""
     known = np.ones(len(starts_ns), bool)
     times = starts_ns[:, None] + half_step_grid(0, settings.prediction.steps, settings.prediction.step)
     own_logs = [correct_log(model, signals.log, signals.maximum_gap) for model in models]

@@ -29,7 +29,7 @@ class RunComparison:
     between: float  # standard deviation between runs in excess of their uncertainties
     lowest: float
     highest: float
-    consistent: bool  # whether the runs differ within their intervals, or little (MAX_RELATIVE_SPREAD)
+    consistent: bool  # whether the runs agree within their intervals, or differ little (MAX_RELATIVE_SPREAD)
 
     @property
     def text(self) -> str:

@@ -152,7 +152,7 @@ class AuxiliaryData:
     """Data recorded in addition to the drive, all optional.
 
     stamps: of "INS" and "steering" [int64 ns] as recorded, before rows were left out. missing: number of rows left out
-    without a usable value, by channel. ins_speed: from CAN frames, or from NCOM packets in addition to an odometry.
+    without a usable value, by channel. ins_speed: from CAN frames, or from NCOM packets recorded with odometry.
     """
 
     stamps: Mapping[str, np.ndarray] = field(default_factory=dict)

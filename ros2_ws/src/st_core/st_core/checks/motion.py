@@ -160,7 +160,7 @@ def spans(mask: np.ndarray) -> list[tuple[int, int]]:
 MIN_TURN, MIN_DISTANCE = 0.02, 0.5  # rad, m; minimum motion in a window
 MIN_WINDOWS = 5
 MIN_RATIO = 1e-10  # smallest ratio of two varying channels; nanoseconds read as seconds cause a ratio of 1e-9
-SAME_RATIO_FACTOR = 1.2  # factor by which equal ratios may differ
+SAME_RATIO_FACTOR = 1.2  # ratios that differ by less than this factor are taken as equal
 
 
 class Ratios(NamedTuple):

@@ -95,7 +95,7 @@ def find_interval_end(residuals: Residuals, fit: CurveFit, index: int, side: flo
     start = fit.values[others] + slope * side * distance
     previous = (0.0, 0.0)  # distance, and root of the relative increase of S
     for _ in range(MAX_STEPS):
-        # At an end of the interval, S is larger by about 5 %, so a tolerance of 0.01 % is sufficient.
+        # At an end of the interval, S is larger by F / (n - k), 5 % for n - k = 80; 0.01 % is a sufficient tolerance.
         remaining = partial(lambda fixed, free: residuals(np.insert(free, index, fixed, axis=-1)),
                             value + side * distance)
         found = _solve(remaining, start, fit.lower[others], fit.upper[others], 1e-4, 60)

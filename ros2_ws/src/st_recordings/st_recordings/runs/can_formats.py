@@ -13,7 +13,7 @@ from .errors import COMPRESSED_MARKS, format_share, shorten
 from .mf4 import VENDOR_SUFFIXES
 
 MF4_EXTENSIONS = (".mf4", ".mdf")
-_BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", length of the head, version, length of the object, kind
+_BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 # First letters of month names -> number; Vector's tools write month names in the language of the computer.
@@ -257,7 +257,7 @@ FORMATS = (
            _make_text_reader(_read_trc)),
 )
 SHARED_EXTENSIONS = (".log", ".txt", "")
-"""Extensions of CAN logs and of files of other programs."""
+"""Extensions that CAN logs share with files of other programs."""
 EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *VENDOR_SUFFIXES}
 
 

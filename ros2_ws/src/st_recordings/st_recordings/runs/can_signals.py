@@ -17,7 +17,7 @@ from .frames import ERROR, EXTENDED, REMOTE, Frames
 from .ins_log import SPEEDS, compute_car_speed, make_series
 
 J1939_GROUP = EXTENDED | 0x03FFFF00
-"""Bits of an identifier that J1939 uses for the group of parameters."""
+"""Mask of the J1939 parameter group number (PGN) in an identifier, and of the 29-bit flag."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
 
     Frames are checked as by the live decoder (canedge_bridge.decode): length, checksum, counter, range and rate. Of
     several frames with the same time, only the first is used. If several buses carry the identifier of a message and
-    their frames do not fit together, only the bus with the most usable frames is used.
+    its frames fail a check when taken together, only the bus with the most usable frames is used.
     """
     signals: dict[tuple[str, str], Signal] = {}
     faults: dict[str, str] = {}
