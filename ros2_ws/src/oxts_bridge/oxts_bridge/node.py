@@ -78,7 +78,8 @@ class OxtsBridge(LifecycleNode):
         if self._settings.autostart:
             for transition in (self.trigger_configure, self.trigger_activate):
                 if transition() != _SUCCESS:
-                    raise ConfigurationError(f"{self.get_name()}.{self._problem or 'cannot be activated'}")
+                    problem = f".{self._problem}" if self._problem else ": cannot be activated"
+                    raise ConfigurationError(f"{self.get_name()}{problem}")
 
     def _reset(self) -> None:
         s = self._settings

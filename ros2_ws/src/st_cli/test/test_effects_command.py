@@ -54,7 +54,7 @@ def test_own_effects_are_listed_with_their_folder(law):
 def test_a_proposed_file_meets_all_requirements(law):
     result = st("effects", "check", law / "effects" / "proposed_rear_steer.py")
     assert result.exit_code == 0 and "proposed_rear_steer: all requirements met" in result.output, result.output
-    assert result.output.count("yes") == 8
+    assert result.output.count("  ok   ") == 8
 
 
 def test_a_file_of_the_library_is_checked_as_one_of_your_own():
@@ -66,7 +66,7 @@ def test_a_violated_requirement_is_reported_with_an_exit_status(law):
     file = law / "effects" / "proposed_rear_steer.py"
     file.write_text(file.read_text().replace("theta.share * relation(", "theta.share + relation("))
     result = st("effects", "check", file)
-    assert result.exit_code == 1 and "no   at null it changes nothing, to the last bit: at null" in result.output
+    assert result.exit_code == 1 and "FAIL at null it changes nothing, to the last bit: at null" in result.output
 
 
 @pytest.mark.parametrize(("arguments", "words"), [

@@ -35,7 +35,7 @@ def test_a_late_channel_is_still_found_and_the_other_answers_are_named(leaf, sec
     assert one.interval[0] < seconds < one.interval[1]
     said, other = ("lags", "leads by 0.70 s") if seconds > 0.0 else ("leads", "lags by 0.70 s")
     assert one.text.startswith(f"acceleration_x {said} velocity by ") and f" (or {other}" in one.text
-    assert one.text.endswith(", which fits equally well: the drive repeats itself)")
+    assert one.text.endswith(", which fits equally well: the motion is periodic)")
 
 
 def test_what_repeats_but_once_in_a_while_differs_keeps_its_one_lag():

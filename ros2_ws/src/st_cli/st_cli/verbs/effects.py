@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from st_core.vehicle import VehicleParameters
 
 HOOK_LABELS = {
-    "vehicle": "car", "steering": "recorded steering", "inputs": "steering angle, forward acceleration",
+    "vehicle": "vehicle parameters", "steering": "recorded steering", "inputs": "steering angle, forward acceleration",
     "slip_angles": "slip angles", "axle_forces": "axle forces", "acceleration": "accelerations",
     "rates": "additional states", "specific_force": "accelerations", "observe": "sensor readings"}
 
@@ -80,7 +80,7 @@ def _check_contracts(files: Sequence[Path], car: "VehicleParameters", console: C
         all_met &= not violated
         verdict = f"{len(violated)} of {len(results)} requirements violated" if violated else "all requirements met"
         lines = [f"{effect.name}: {verdict}"]
-        lines += [f"  no   {text}: {results[text]}" for text in violated]
-        lines += [f"  yes  {text}" for text in results if files and text not in violated]
+        lines += [f"  FAIL {text}: {results[text]}" for text in violated]
+        lines += [f"  ok   {text}" for text in results if files and text not in violated]
         console.print("\n".join(lines), markup=False, highlight=False)
     return all_met

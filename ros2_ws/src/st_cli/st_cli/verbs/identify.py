@@ -34,7 +34,7 @@ def identify(
 
     console = Console()
     if what is None:
-        table = Table("what", "identifies", "from", box=None)
+        table = Table("experiment", "identifies", "data", box=None)
         for experiment in EXPERIMENTS.values():
             table.add_row(experiment.name, experiment.what, experiment.files)
         console.print(table)

@@ -101,6 +101,7 @@ class CalibrationDomain:
                 return f"{name.replace('_', ' ')} is unknown"
         for name, value, limit in zip(CONDITIONS[2:], condition[2:], self.largest, strict=True):
             if value > limit:
-                return f"{name.replace('_', ' ')} {value:.3g} {UNITS[name]} exceeds the calibrated {limit:.3g}"
+                text = name.replace("_", " ").replace("forward acceleration", "|forward acceleration|")
+                return f"{text} {value:.3g} {UNITS[name]} exceeds the calibrated {limit:.3g}"
         return (f"{condition[0]:.1f} m/s with {condition[1]:.1f} m/s^2 lateral acceleration was driven in fewer than "
                 f"{MIN_RUNS} calibration runs")

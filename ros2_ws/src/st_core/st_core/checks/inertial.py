@@ -104,7 +104,7 @@ def format_alternative_lags(found: Agreement, response: float = 0.0) -> str:
     """Text on other lags that fit equally well; "" if there are none. response: lag of the car, added to them [s]."""
     others = sorted(lag + response for lag in found.other_lags)
     text = " or ".join(f"{'lags' if lag > 0.0 else 'leads'} by {abs(lag):.2f} s" for lag in others)
-    return f" (or {text}, which fits equally well: the drive repeats itself)" if text else ""
+    return f" (or {text}, which fits equally well: the motion is periodic)" if text else ""
 
 
 def _unit_finding(scale: Estimate, factor: float, tolerances: Tolerances) -> Finding:

@@ -14,7 +14,7 @@ from .mf4 import VENDOR_SUFFIXES
 
 MF4_EXTENSIONS = (".mf4", ".mdf")
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
-_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+_UTF16_BOMS = (b"\xff\xfe", b"\xfe\xff")
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 # First letters of month names -> number; Vector's tools write month names in the language of the computer.
 _MONTHS = {"jan": 1, "gen": 1, "feb": 2, "fév": 2, "fev": 2, "mar": 3, "mär": 3, "mrz": 3, "apr": 4, "avr": 4, "abr": 4,
@@ -48,7 +48,7 @@ class Lines:
             head = stream.read(1 << 16)
         # Comments and dates may contain Windows-1252 characters, even after the first 64 KiB.
         is_utf8 = head.startswith(head.decode("utf-8", "ignore").encode())
-        codec = "utf-16" if head[:2] in _UTF16_MARKS else "utf-8-sig" if is_utf8 else "cp1252"
+        codec = "utf-16" if head[:2] in _UTF16_BOMS else "utf-8-sig" if is_utf8 else "cp1252"
         self._stream = file.open(encoding=codec, errors=_CP1252_FALLBACK)
         self.position, self.last = 0, ""
 
