@@ -166,7 +166,8 @@ def _check_gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, f
         text = (f"the {signal} has one sample in {typical:.3g} s; predictions need one in {PREDICTION_GAP:g} s: "
                 "nothing is scored")
         return [Finding("time_gaps", Severity.WARNING, STAMPED_CHANNELS[signal], text, typical, "s",
-                        advice=Advice("look", f"record the {signal} at a higher rate"))]
+                        advice=Advice("look", f"record the {signal} at a higher rate, or find why most of its samples "
+                                      "are not used"))]
     long = np.flatnonzero(spacing > MAX_GAP)
     long = np.array([k for k in long if not any(time[k] < begin and end < time[k + 1] for begin, end in left_out)], int)
     if not len(long):
