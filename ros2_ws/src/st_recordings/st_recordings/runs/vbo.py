@@ -20,8 +20,9 @@ from .columns import (
     find_unit,
     normalise,
 )
-from .csv_table import DAY, Table, differentiate_yaw, parse_table, read_text, times_to_seconds
+from .csv_table import Table, differentiate_yaw, parse_table, read_text
 from .errors import RunError, check_readable
+from .table_times import DAY, times_to_seconds
 
 _SECTION = re.compile(r"^\[([^\]]*)\][ \t]*\n", re.MULTILINE)
 _CREATED = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)

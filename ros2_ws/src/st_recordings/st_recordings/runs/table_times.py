@@ -1,0 +1,178 @@
+"""Reads the times of a table: dates and times of day, seconds of a day or week, and times since 1970 in any unit."""
+
+import re
+from collections.abc import Callable
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+
+from .can_formats import month_number
+from .columns import UNITS, ColumnSource
+from .errors import RunError
+from .ins_log import LATEST_TIME, select_usable_rows
+
+# 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12.5 PM. Spreadsheets
+# write minutes and seconds as 11:12.5. A date such as 05/04/2026 is ignored, because it may be in April or in May.
+_STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
+                    r"(?:0 days )?(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
+                    r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
+_COMPACT_STAMP = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T_ -](\d\d)[:-]?(\d\d)[:-]?(\d\d)(?!\d)")  # 20260504T101112.5
+_SLASHED = re.compile(r"(?<!\d)(\d\d?)/(\d\d?)/(\d{4})(?!\d)")
+_NAMED_MONTH = re.compile(r"(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4})(?!\d)")  # 04-May-2026, as MATLAB writes it
+ROLLOVER_STEP = 60.0  # s, longest gap between two rows across midnight or across the end of a GPS week
+_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # (day number of 1970-01-01, program)
+_PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
+DAY, HOUR = 86400.0, 3600.0  # s
+
+
+def read_stamps(file: Path, body: str, delimiter: str, column: int, first: str,
+                warnings: list[str]) -> tuple[str, str]:
+    """(rows with dates and times of day as seconds, first time as text). first: cell of the column in the first row."""
+    if (named := _NAMED_MONTH.search(first)) and month_number(named[2]):
+        body = _NAMED_MONTH.sub(_replace_month_name, body)
+        first = _replace_month_name(named) + first[named.end():]
+    if parse_stamp(first):
+        if "/" in first:
+            body = _order_dates(file, body, warnings)
+        body = times_to_seconds(body, delimiter, column, parse_stamp)
+    return body, first
+
+
+def times_to_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], tuple[float, float] | None]) -> str:
+    """Converts the times of the rows to seconds; a time of day continues past midnight.
+
+    clock: converts a cell to (seconds, period [s] after which they restart at zero, or 0 if they never do); None for an
+    invalid cell.
+    """
+    rows = [line.split(delimiter) for line in body.split("\n")]
+    offset, before = 0.0, 0.0
+    for row in rows:
+        if len(row) <= column or not "".join(row).strip():
+            continue
+        time = clock(row[column].strip(' \r"\''))
+        if time is None:
+            row[column] = "nan"
+            continue
+        seconds, period = time
+        if period and before - seconds > period / 2:
+            offset += period
+        before = seconds
+        row[column] = f"{offset + seconds:.6f}"
+    return "\n".join(map(delimiter.join, rows))
+
+
+def _order_dates(file: Path, body: str, warnings: list[str]) -> str:
+    """Converts dates such as 25/04/2026 to 2026-04-25 if at least one date shows which number is the day."""
+    pairs = {(int(a), int(b)) for a, b, _ in _SLASHED.findall(body) if int(a) <= 31 and int(b) <= 31}
+    day_first, month_first = any(a > 12 for a, _ in pairs), any(b > 12 for _, b in pairs)
+    if day_first != month_first:
+        return _SLASHED.sub(r"\3-\2-\1" if day_first else r"\3-\1-\2", body)
+    if pairs:
+        warnings.append(f"{file}: the order of day and month in its dates is ambiguous, so only the time of day is "
+                        "used; export dates such as 2026-04-25")
+    return body
+
+
+def _replace_month_name(date: re.Match[str]) -> str:
+    return f"{date[3]}-{month_number(date[2]) or 0:02d}-{date[1]}"
+
+
+def parse_stamp(text: str) -> tuple[float, float] | None:
+    """(seconds since 1970, midnight or the full hour; period [s] after which they restart, 0 if never) of a time.
+    A time without time zone is UTC. None for a text that is not a time."""
+    match = _STAMP.fullmatch(_COMPACT_STAMP.sub(r"\1-\2-\3 \4:\5:\6", text))
+    if match is None:
+        return None
+    year, month, day, day_2, month_2, year_2, hour, minute, second, am_pm, sign, hours, minutes = match.groups()
+    if not hour and (year or year_2 or not re.search("[.,]", second)):
+        return None  # 10:11 is hours and minutes, 11:12.5 minutes and seconds
+    seconds = int(hour or 0) * 3600 + int(minute) * 60 + float(re.sub("[,:]", ".", second))
+    if am_pm:
+        seconds = seconds % (DAY / 2) + (DAY / 2 if am_pm in "Pp" else 0.0)
+    if sign:
+        seconds -= float(f"{sign}1") * (int(hours) * 3600 + int(minutes) * 60)
+    if not (year or year_2):
+        return seconds, DAY if hour else HOUR
+    try:
+        dated = date(int(year or year_2), int(month or month_2), int(day or day_2))
+    except ValueError:
+        return None
+    return seconds + (dated - date(1970, 1, 1)).days * DAY, 0.0
+
+
+def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list[str]) -> np.ndarray:
+    """Converts times to seconds, by the stated unit or an inferred format: HHMMSS, days, or ms, us or ns since 1970."""
+    finite = times[np.isfinite(times)]
+    median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
+    steps = steps[steps > 0.0]  # a coarse clock repeats its times
+    meanings: list[tuple[float, float, str]] = []
+    if not source.stated and _is_hhmmss(finite):
+        warnings.append(f"{file}: times of column {source.name} were read as HHMMSS, a time of day")
+        seconds = times // 10000 * HOUR + times // 100 % 100 * 60 + times % 100
+        known = np.isfinite(seconds)
+        seconds[known] += DAY * np.cumsum(np.diff(seconds[known], prepend=seconds[known][0]) < -DAY / 2)
+        return seconds
+    if median > LATEST_TIME:
+        meanings = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
+    elif len(steps) and np.median(steps) < 2e-5:  # faster than any logger
+        meanings = [(origin, DAY, f"days of {tool} (UTC)") for origin, tool in _DAY_COUNTS]
+    for origin, factor, meaning in meanings if not source.stated else ():
+        if _PLAUSIBLE_EPOCH[0] <= (median - origin) * factor <= _PLAUSIBLE_EPOCH[1]:
+            warnings.append(f"{file}: times of column {source.name} were read as {meaning}")
+            return (times - origin) * factor
+    seconds = times * source.factor
+    known = np.flatnonzero(np.isfinite(seconds))
+    for period in (DAY, 7 * DAY):  # seconds of a day or of a GPS week
+        back = np.diff(seconds[known]) < -period + ROLLOVER_STEP
+        if back.any() and seconds[known].min() >= 0.0 and seconds[known].max() <= period + 1.0:
+            seconds[known[1:]] += period * np.cumsum(back)
+    return seconds
+
+
+def _is_hhmmss(times: np.ndarray) -> bool:
+    """Whether numbers are HHMMSS.ss: minutes and seconds are below 60, and the step to a new minute is larger by 40."""
+    if len(times) < 3 or times.min() < 0.0 or times.max() >= 240000.0 or (times % 100 >= 60.0).any() or (
+            times // 100 % 100 >= 60).any():
+        return False
+    steps = np.diff(times)
+    median = float(np.median(np.abs(steps)))
+    return bool(median < 5.0 and (np.abs(steps % 4000 - 40.0 - median) < median + 0.01).any())
+
+
+def select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_time: str | None,
+                         warnings: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(whether each row has a time, the times [ns], whether each is used). Raises RunError if no time is readable."""
+    has_time = np.abs(seconds) <= LATEST_TIME
+    if first_time is not None and len(seconds) and not np.isfinite(seconds).any():
+        raise RunError(file, f"no time in column {source.name} can be read; the first is {first_time!r}",
+                       "export seconds, or date and time with seconds such as 2026-05-04 10:11:12.3")
+    known = np.abs(seconds[np.isfinite(seconds)])
+    if len(known) and has_time.sum() < 0.5 * len(known):
+        unit = _guess_time_unit(seconds)
+        raise RunError(file, f"times such as {known.max():.3g} in column {source.name} cannot be in {source.unit}",
+                       f"declare their unit in a run.yaml, as units: {{t: {unit}}}" if unit else "export seconds")
+    # A float of seconds since 1970 resolves microseconds only.
+    time_ns = np.round(seconds[has_time] * 1e6).astype(np.int64) * 1000
+    usable, notes = select_usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
+    used = np.zeros(len(time_ns), dtype=bool)
+    used[usable] = True
+    warnings += [f"{file}: {note}" for note in notes]
+    if 2 * used.sum() < len(used) and not (time_ns % 10**9).any():
+        warnings.append(f"{file}: column {source.name} has only whole seconds, each in many rows; export fractions of "
+                        "a second")
+    if not source.stated and used.sum() > 2 and (step := float(np.median(np.diff(time_ns[used])) * 1e-9)) > 1.0:
+        warnings.append(f"{file}: its times are {step:g} s apart; if they are not in seconds, declare their unit in a "
+                        f"run.yaml, as units: {{t: {_guess_time_unit(seconds) or 'ms'}}}")
+    return has_time, time_ns, used
+
+
+def _guess_time_unit(times: np.ndarray) -> str:
+    """The unit with which the times are plausible and their median step is 0.5 ms to 0.5 s; empty if there is none."""
+    times = times[np.isfinite(times)]
+    step = np.abs(np.diff(times))
+    median_step = float(np.median(step[step > 0.0])) if step.any() else 0.0
+    largest = float(np.abs(times).max())
+    factors = {unit: UNITS["time"][unit][0] for unit in ("ms", "us", "ns")}
+    return next((unit for unit, factor in factors.items()
+                 if 5e-4 <= median_step * factor < 0.5 and largest * factor <= LATEST_TIME), "")
