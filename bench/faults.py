@@ -15,8 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from _pages import format_row, format_table, read_part, replace_part
 from faults.car import Drive, WindingRoad
 from faults.catalogue import DRIVING, FAULTS, LONG, Fault
-from faults.measure import Recorded, Row, row
-from faults.measure import run as inject_all
+from faults.measure import Recorded, Row, evaluate, inject_all
 from faults.rig import running
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "measurements" / "reliability.md"
@@ -50,7 +49,7 @@ def measure(faults: tuple[Fault, ...], drive: Drive | None) -> list[Row]:
         with running(folder, drive=drive) as rig:
             windows = inject_all(rig, faults, lambda text: print(text, file=sys.stderr, flush=True))
         recorded = Recorded(folder)
-        return [row(window, rig, recorded) for window in windows]
+        return [evaluate(window, rig, recorded) for window in windows]
 
 
 def assess(found: Row) -> str:
@@ -69,7 +68,7 @@ def write_table(rows: list[Row]) -> None:
         notice = "-" if math.isnan(r.notice) else f"{r.notice:.1f}"
         lines[r.fault.name] = format_row((r.fault.name, r.fault.expected, notice, f"{r.recover:.1f}", r.ticks_lost,
                                           r.packets_lost, assess(r).replace("|", "/")))
-    head = ("fault", "what is to happen", "noticed after, s", "predictions back after, s", "predictions not in the bag",
-            "packets not in the bag", "verdict")
+    head = ("fault", "required behaviour", "noticed after, s", "predictions back after, s",
+            "predictions not in the bag", "packets not in the bag", "verdict")
     replace_part(PAGE, "fault table", "\n".join([
         format_table(head, ()), *(lines[fault.name] for fault in ALL if fault.name in lines)]))

@@ -97,7 +97,7 @@ def run_with_faults(rig: Rig, minutes: float, seed: int) -> tuple[Samples, Count
         elif not undo and now >= next_fault and now < end - MAX_FAULT_DURATION - FINAL_PAUSE:
             fault = choose_fault(rng)
             try:
-                undo, until = fault.put(rig), now + fault.seconds
+                undo, until = fault.inject(rig), now + fault.seconds
                 faults[fault.name] += 1
                 when.append(((now - began) / 60, (until - began) / 60))
             except (StopIteration, ProcessLookupError):  # the node is already being restarted
@@ -189,7 +189,7 @@ def run() -> dict:
             began_ns = time.time_ns()
             ticks = rig.monitor.state.ticks
             samples, faults, when = run_with_faults(rig, minutes, seed)
-            ill, restarts = rig.ill(), rig.supervisor.restarts
+            problems, restarts = rig.problems(), rig.supervisor.restarts
             rig.car.ins.change = rig.car.can.change = lambda data: ()  # stop sending, so that all sent data can arrive
             rig.run(2.0)
             sent, frames_sent = np.array(rig.car.ins.sent_ns), len(rig.car.can.sent_ns)
@@ -202,7 +202,7 @@ def run() -> dict:
     half = len(ages) // 2
     return {
         "minutes": samples.minutes[-1], "faults": sum(faults.values()), "kinds": len(faults), "restarts": restarts,
-        "statuses at the end": {k: v for k, v in statuses.items() if v}, "not well at the end": ill,
+        "statuses at the end": {k: v for k, v in statuses.items() if v}, "problems at the end": problems,
         "ncom sent": len(sent), "ncom recorded": len(found["packet_ns"]),
         "ncom lost without a fault": count_unexplained_losses(sent, found["packet_ns"], began_ns, when,
                                                                samples.minutes[-1]),

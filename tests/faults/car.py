@@ -1,6 +1,6 @@
-"""A car as it looks on the wires: NCOM at the rate of the unit, CAN frames with counters and checksums.
+"""A simulated car that sends NCOM packets at the rate of the unit, and CAN frames with counters and checksums.
 
-It costs a few per cent of a core, so that what is measured is the suite.
+It uses a few per cent of a core, so that it hardly loads the measured suite.
 """
 
 import math
@@ -28,17 +28,17 @@ class Drive(Protocol):
     """t: seconds after the start."""
 
     def reading(self, t: float) -> InsReading:
-        """At the INS point."""
+        """Measurement at the INS point."""
 
     def steering_wheel(self, t: float) -> float:
-        """As the sensor says, left + [rad]."""
+        """Steering wheel angle, left positive [rad]."""
 
 
 class Circle:
-    """A left turn from the origin towards east, exact, that never ends."""
+    """An endless left turn without noise that starts at the origin towards east."""
 
     RADIUS, SPEED = 30.0, 8.0  # m, m/s
-    STEERING_WHEEL = 1.55  # rad, about what the circle takes
+    STEERING_WHEEL = 1.55  # rad, approximately that of the circle
 
     def reading(self, t: float) -> InsReading:
         radius, speed = self.RADIUS, self.SPEED
@@ -75,7 +75,7 @@ class WindingRoad:
 
 
 class Car(threading.Thread):
-    """Sends until it is closed. extra: more CAN datagrams every tick. `behind`: the latest departure so far [s]."""
+    """Sends until it is closed. extra: further CAN datagrams in every tick. behind: largest delay so far [s]."""
 
     def __init__(self, ins: Wire, can: Wire, drive: Drive, ncom_rate: int = 100, full_bus: bool = False):
         super().__init__(name="car", daemon=True)
@@ -116,7 +116,7 @@ class Car(threading.Thread):
 
 
 class _Frames:
-    """All frames of the bus. What else is on it is packed once: nothing in it changes."""
+    """All frames of the bus. The constant frames of other control units are packed once."""
 
     def __init__(self, wires: CanWire, drive: Drive, full: bool):
         self._wires, self._drive = wires, drive
@@ -124,7 +124,7 @@ class _Frames:
         self._others = [_packed(background.frames(ms)) for ms in range(100)] if background else []
 
     def at(self, now: int) -> Iterator[bytes]:
-        """now: even milliseconds since the start; what is due in this one and the next."""
+        """Frames that are due in two milliseconds. now: the first of them, an even number since the start."""
         if now % STEERING_PERIOD == 2:
             yield from _packed(self._wires.steering(self._drive.steering_wheel(now / 1000), 0.0))
         if now % WHEEL_PERIOD == 6:

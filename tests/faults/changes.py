@@ -1,4 +1,4 @@
-"""What happens to a datagram on its way: packets and frames as bytes in, bytes out."""
+"""Alterations of datagrams on their way: bytes of packets and frames in, bytes out."""
 
 import random
 import struct
@@ -27,7 +27,7 @@ def twice(data: bytes) -> Sequence[bytes]:
 
 
 def signed(packet: bytearray) -> bytes:
-    """With its three checksums."""
+    """Updates the three checksums of a packet."""
     packet[22] = sum(packet[1:22]) & 0xFF
     packet[61] = sum(packet[1:61]) & 0xFF
     packet[71] = sum(packet[1:71]) & 0xFF
@@ -35,7 +35,7 @@ def signed(packet: bytearray) -> bytes:
 
 
 def position_mode(mode: int) -> Change:
-    """Channel 0 carries the modes."""
+    """Sets the position mode in status channel 0."""
 
     def change(data: bytes) -> Sequence[bytes]:
         packet = bytearray(data)
@@ -47,7 +47,7 @@ def position_mode(mode: int) -> Change:
 
 
 def moved(latitude: float) -> Change:
-    """Another place: radians further north."""
+    """Moves the position to the north [rad]."""
 
     def change(data: bytes) -> Sequence[bytes]:
         packet = bytearray(data)
@@ -58,7 +58,7 @@ def moved(latitude: float) -> Change:
 
 
 def at_latitude(latitude: float) -> Change:
-    """Latitude [rad], whether there is such a place or not."""
+    """Sets the latitude [rad], which may be impossible."""
 
     def change(data: bytes) -> Sequence[bytes]:
         packet = bytearray(data)
@@ -82,7 +82,7 @@ def yaw_rate_times(factor: float) -> Change:
 
 
 def yaw_rate_late(packets: int) -> Change:
-    """That of so many packets before; until there are as many, the first."""
+    """Delays the yaw rate by a number of packets; the first packets get the first value."""
     rates: deque[bytes] = deque(maxlen=packets + 1)
 
     def change(data: bytes) -> Sequence[bytes]:
@@ -95,7 +95,7 @@ def yaw_rate_late(packets: int) -> Change:
 
 
 def shifted(milliseconds: int) -> Change:
-    """GPS time of every packet, the minute of channel 0 included."""
+    """Shifts the GPS time of every packet, including the minutes in status channel 0."""
 
     def change(data: bytes) -> Sequence[bytes]:
         packet = bytearray(data)
@@ -110,7 +110,7 @@ def shifted(milliseconds: int) -> Change:
 
 
 class Restart:
-    """A unit switched off and on: silent, then initialising, then locking [s since the first packet]."""
+    """A unit that is switched off and on: silent, then initialising, then locking [s since the first packet]."""
 
     SILENT, INITIALISING = 2.0, 4.0
 
@@ -128,8 +128,7 @@ class Restart:
 
 
 class Refix:
-    """The fix is lost for a while and found again elsewhere: RTK float drifts off to the north, RTK integer is back
-    where it was."""
+    """A lost and regained fix: RTK float drifts to the north, then RTK integer returns to the true position."""
 
     FLOAT, DRIFT = 2.0, 0.4  # s, m/s
     RTK_FLOAT = 5
@@ -157,7 +156,7 @@ class Random:
         return _NONE if self._random.random() < self._probability else (data,)
 
     def corrupt(self, data: bytes) -> Sequence[bytes]:
-        """Two bytes of the northern velocity, so that the final sum is as it was."""
+        """Changes two bytes of the north velocity such that the final checksum stays valid."""
         if self._random.random() >= self._probability:
             return (data,)
         packet = bytearray(data)
@@ -166,7 +165,7 @@ class Random:
 
 
 class Swap:
-    """Every pair of packets in the wrong order."""
+    """Swaps every pair of packets."""
 
     def __init__(self) -> None:
         self._held = b""
@@ -180,7 +179,7 @@ class Swap:
 
 
 class Burst:
-    """Held back and let go together, every so many seconds."""
+    """Holds packets back, and sends them together once per period [s]."""
 
     def __init__(self, period: float):
         self._period, self._held, self._since = period, [], time.monotonic()
@@ -194,7 +193,7 @@ class Burst:
 
 
 class Once:
-    """One datagram instead of all others."""
+    """Sends one datagram in place of all others."""
 
     def __init__(self, instead: bytes):
         self._instead: list[bytes] = [instead]
@@ -210,7 +209,7 @@ def _decoder() -> Decoder:
 
 
 class Steering:
-    """Faults of the steering sensor; all other frames pass."""
+    """Faults of the steering sensor; all other frames pass unchanged."""
 
     def __init__(self) -> None:
         table = _decoder().table

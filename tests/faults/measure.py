@@ -1,4 +1,4 @@
-"""What a fault did: from what was seen at the terminal while it ran, and from the recordings afterwards."""
+"""Measures the consequences of a fault, from the diagnostics during the run and from the recordings afterwards."""
 
 import time
 from bisect import bisect_left
@@ -9,33 +9,31 @@ import numpy as np
 from bags import nanoseconds, read_messages
 from st_recordings.mcap import recover
 
-from .catalogue import GO_ON, STOP, Fault
+from .catalogue import CONTINUE, STOP, Fault
 from .rig import Rig
 
 RATE = 10.0  # predictions per second
-# A prediction that starts so long after the last good input came from no input [s].
-GRACE = 0.1
-# Where predictions are to go on there has to be one so soon, whatever else the machine does [s].
-LATEST = 3.0
-AFTER, AFTER_RESTART = 1.5, 4.0  # s
-RESTART = 30.0  # s
+MAX_INPUT_AGE = 0.1  # s; a prediction that starts later after the last good input has no input
+MAX_PREDICTION_GAP = 3.0  # s; predictions that are expected to continue do so within this time, even on a busy machine
+DELAY, DELAY_AFTER_RESTART = 1.5, 4.0  # s; checks publish once a second, a restarted recorder first finds its topics
+RESTART_TIMEOUT = 30.0  # s
 
 
 @dataclass(frozen=True)
 class Window:
-    """When a fault was in, and when all was well again [ns]."""
+    """Period of a fault, and the time of recovery [ns]."""
 
     fault: Fault
     begin_ns: int
     end_ns: int
-    well_ns: int
+    recovered_ns: int
     restarts: dict[str, int]
-    is_well: bool
+    is_healthy: bool
 
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table; times in s, NaN: none. clear: from the end of the fault until its check is well."""
+    """One row of the table; times [s], NaN if there is none. clear: from the end of the fault until its check is OK."""
 
     fault: Fault
     notice: float
@@ -46,26 +44,25 @@ class Row:
     problems: tuple[str, ...]
 
 
-def put(rig: Rig, fault: Fault, until_told: bool = False) -> Window:
+def inject(rig: Rig, fault: Fault, until_reported: bool = False) -> Window:
     before = dict(rig.supervisor.restarts)
-    begin = time.time_ns()  # a fault that takes time to be put in may be told meanwhile
-    undo = fault.put(rig)
-    rig.run(fault.seconds, lambda: until_told and rig.says(fault.check, fault.words))
+    begin = time.time_ns()  # a fault may be reported before its injection has ended
+    undo = fault.inject(rig)
+    rig.run(fault.seconds, lambda: until_reported and rig.reports(fault.check, fault.words))
     undo()
     end = time.time_ns()
-    wanted = before.get(fault.restarts, 0) + 1
-    rig.run(RESTART, lambda: not fault.restarts or rig.supervisor.restarts.get(fault.restarts, 0) >= wanted)
-    # Checks speak once a second; a recorder that was started again has to find its topics first.
-    rig.run(AFTER_RESTART if fault.restarts else AFTER)
-    is_well = rig.run(fault.settles, rig.is_well)
-    rig.run(AFTER)
-    well = time.time_ns()
+    count = before.get(fault.restarts, 0) + 1
+    rig.run(RESTART_TIMEOUT, lambda: not fault.restarts or rig.supervisor.restarts.get(fault.restarts, 0) >= count)
+    rig.run(DELAY_AFTER_RESTART if fault.restarts else DELAY)
+    is_healthy = rig.run(fault.recovery_timeout, rig.is_healthy)
+    rig.run(DELAY)
+    recovered = time.time_ns()
     new = {name: n - before.get(name, 0) for name, n in rig.supervisor.restarts.items() if n > before.get(name, 0)}
-    return Window(fault, begin, end, well, new, is_well)
+    return Window(fault, begin, end, recovered, new, is_healthy)
 
 
 class Recorded:
-    """The bags of a run, those that were cut mended first. Times in ns."""
+    """Times [ns] in the bags of a run; bags that were not closed are recovered first."""
 
     def __init__(self, folder: Path):
         issued, starts, sent = set(), set(), []
@@ -81,50 +78,50 @@ class Recorded:
         self.starts = np.array(sorted(starts))
 
 
-def between(times: np.ndarray, begin: int, end: int) -> int:
+def count_between(times: np.ndarray, begin: int, end: int) -> int:
     return bisect_left(times, end) - bisect_left(times, begin)
 
 
-def row(window: Window, rig: Rig, recorded: Recorded) -> Row:
+def evaluate(window: Window, rig: Rig, recorded: Recorded) -> Row:
     fault, problems = window.fault, []
     notice = next(((s.time_ns - window.begin_ns) * 1e-9 for s in rig.seen
-                   if s.time_ns >= window.begin_ns and s.time_ns <= window.well_ns and s.name == fault.check
+                   if s.time_ns >= window.begin_ns and s.time_ns <= window.recovered_ns and s.name == fault.check
                    and s.level and fault.words in s.message), float("nan"))
     if fault.check and np.isnan(notice):
-        said = [s for s in rig.seen if window.begin_ns <= s.time_ns <= window.well_ns and s.level]
-        problems.append(f"{fault.check} did not say {fault.words!r}; said: {[(s.name, s.message) for s in said][:6]}")
+        reports = [s for s in rig.seen if window.begin_ns <= s.time_ns <= window.recovered_ns and s.level]
+        problems.append(f"{fault.check} did not report {fault.words!r}, but "
+                        f"{[(s.name, s.message) for s in reports][:6]}")
     clear = next(((s.time_ns - window.end_ns) * 1e-9 for s in rig.seen
                   if s.time_ns >= window.end_ns and s.name == fault.check and not s.level), float("nan"))
     after = recorded.issued[recorded.issued >= window.end_ns]
-    first_after = int(after[0]) if len(after) else window.well_ns
+    first_after = int(after[0]) if len(after) else window.recovered_ns
     if not len(after):
         problems.append("no prediction afterwards")
-    if not window.is_well:
-        problems.append("not well afterwards")
-    got = between(recorded.issued, window.begin_ns, first_after)
+    if not window.is_healthy:
+        problems.append("a check still reports a problem afterwards")
     due = (first_after - window.begin_ns) * 1e-9 * RATE
-    lost = max(0, round(due - got))
-    grace = round(GRACE * 1e9)
-    inside = between(recorded.starts, window.begin_ns + grace, window.end_ns - grace)
+    lost = max(0, round(due - count_between(recorded.issued, window.begin_ns, first_after)))
+    input_age = round(MAX_INPUT_AGE * 1e9)
+    inside = count_between(recorded.starts, window.begin_ns + input_age, window.end_ns - input_age)
     if fault.predictions == STOP and inside:
         problems.append(f"{inside} predictions from stale input")
-    latest = max(window.end_ns, window.begin_ns + round(LATEST * 1e9))
-    went_on = between(recorded.starts, window.begin_ns + grace, latest)
-    if fault.predictions == GO_ON and fault.restarts != "recorder" and not went_on:
-        problems.append("predictions did not go on")
+    latest = max(window.end_ns, window.begin_ns + round(MAX_PREDICTION_GAP * 1e9))
+    continued = count_between(recorded.starts, window.begin_ns + input_age, latest)
+    if fault.predictions == CONTINUE and fault.restarts != "recorder" and not continued:
+        problems.append("predictions did not continue")
     expected = {fault.restarts: 1} if fault.restarts else {}
     if window.restarts.keys() != expected.keys():
-        problems.append(f"started again: {window.restarts}, expected {expected}")
+        problems.append(f"restarts: {window.restarts}, expected {expected}")
     sent = np.array(rig.car.ins.sent_ns)
-    handed_on = between(sent, window.begin_ns, window.well_ns - 10**9)
-    kept = between(recorded.packets, window.begin_ns, window.well_ns - 10**9)
+    sent_count = count_between(sent, window.begin_ns, window.recovered_ns - 10**9)
+    recorded_count = count_between(recorded.packets, window.begin_ns, window.recovered_ns - 10**9)
     recover_after = (first_after - window.end_ns) * 1e-9
-    return Row(fault, notice, clear, recover_after, lost, max(0, handed_on - kept), tuple(problems))
+    return Row(fault, notice, clear, recover_after, lost, max(0, sent_count - recorded_count), tuple(problems))
 
 
-def run(rig: Rig, faults: tuple[Fault, ...], said=lambda text: None) -> list[Window]:
+def inject_all(rig: Rig, faults: tuple[Fault, ...], report=lambda text: None) -> list[Window]:
     windows = []
     for fault in faults:
-        windows.append(put(rig, fault))
-        said(f"{fault.name}: {'well' if windows[-1].is_well else 'not well'}")
+        windows.append(inject(rig, fault))
+        report(f"{fault.name}: {'recovered' if windows[-1].is_healthy else 'not recovered'}")
     return windows

@@ -1,4 +1,4 @@
-"""The supervised suite with a car on wires that can be changed, and what a person at the terminal would see."""
+"""The supervised suite with a simulated car whose data can be altered, and the diagnostics that a user would see."""
 
 import shutil
 import time
@@ -16,14 +16,14 @@ from st_recordings.paths import config
 from .car import Car, Circle, Drive
 from .wires import LOOPBACK, Wire, can_wire
 
-LOOK_PERIOD = 0.1
+POLL_PERIOD = 0.1
 START_TIMEOUT = 60.0
-OF_THE_MACHINE = ("predictor: timing",)  # tells that others use the processor too
+LOAD_CHECKS = ("predictor: timing",)  # report that other programs use the processor
 
 
 @dataclass(frozen=True)
 class Seen:
-    """A check that changed on /diagnostics, or a line of the supervisor, when it was heard here."""
+    """A change of a check on /diagnostics, or a line of the supervisor, with the time of reception."""
 
     time_ns: int
     name: str
@@ -41,37 +41,38 @@ class Rig:
     car: Car
     seen: list[Seen] = field(default_factory=list)
     names: tuple[str, ...] = tuple(executable for _, executable in NODES)
-    statuses: dict[str, int] = field(default_factory=dict)  # at the end
+    statuses: dict[str, int] = field(default_factory=dict)  # exit statuses
     _known: dict[str, tuple[int, str]] = field(default_factory=dict)
 
     def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Look after the nodes for so long, or until something is so; returns whether it became so."""
+        """Supervises the nodes for a time, or until a condition holds; returns whether it holds."""
         end = time.monotonic() + seconds
         while not until():
             if time.monotonic() >= end:
                 return until()
             self.supervisor.update()
             self._listen()
-            time.sleep(LOOK_PERIOD)
+            time.sleep(POLL_PERIOD)
         return True
 
     def pid(self, name: str) -> int:
-        """Of the node itself: its child is started through a helper that becomes it."""
+        """PID of a node. The program that starts it replaces itself by the node."""
         return next(c.process.pid for c in self.suite.children if c.name == name)
 
-    def says(self, name: str, words: str) -> bool:
-        """Whether a check is not well and has these words, as last heard."""
+    def reports(self, name: str, words: str) -> bool:
+        """Whether the last message of a check is a warning or error with these words."""
         level, message = self._known.get(name, (0, ""))
         return bool(level) and words in message
 
-    def ill(self) -> list[str]:
+    def problems(self) -> list[str]:
+        """Checks that report a problem or are silent."""
         now = time.monotonic()
         return [f"{s.name}: {s.message}" for s in self.monitor.state.health.values()
-                if (s.level or s.is_silent(now)) and not s.name.startswith("suite: ") and s.name not in OF_THE_MACHINE]
+                if (s.level or s.is_silent(now)) and not s.name.startswith("suite: ") and s.name not in LOAD_CHECKS]
 
-    def is_well(self) -> bool:
-        """All that is heard is well, and it is heard from all."""
-        return bool(self.monitor.state.health) and not self.ill()
+    def is_healthy(self) -> bool:
+        """Whether all checks are received and OK."""
+        return bool(self.monitor.state.health) and not self.problems()
 
     def _listen(self) -> None:
         now = time.time_ns()
@@ -84,9 +85,9 @@ class Rig:
 
 @contextmanager
 def running(folder: Path, ncom_rate: int = 100, full_bus: bool = False, drive: Drive | None = None) -> Iterator[Rig]:
-    """All nodes up and predicting; drive: a circle unless another is given.
+    """All nodes run and predict within the block; at its end they are stopped in the order of a real run.
 
-    Leave the block and everything has ended, in the order of a real run.
+    drive: by default a circle.
     """
     with ExitStack() as stack:
         port = free_udp_port()
@@ -104,11 +105,11 @@ def running(folder: Path, ncom_rate: int = 100, full_bus: bool = False, drive: D
             suite.start_node(package, executable)
         missing = monitor.wait_for_nodes({executable for _, executable in NODES}, START_TIMEOUT)
         if missing:
-            raise RuntimeError(f"nodes not up: {missing}; logs in {folder / 'logs'}")
+            raise RuntimeError(f"nodes have not started: {missing}; logs in {folder / 'logs'}")
         car.start()
         rig = Rig(folder, domain, suite, monitor, Supervisor(suite, monitor, NODES), car)
-        if not rig.run(START_TIMEOUT, rig.is_well):
-            raise RuntimeError(f"not well after {START_TIMEOUT:g} s: {rig.ill()}")
+        if not rig.run(START_TIMEOUT, rig.is_healthy):
+            raise RuntimeError(f"problems after {START_TIMEOUT:g} s: {rig.problems()}")
         yield rig
         for name in STOP_ORDER:
             rig.statuses.update(suite.stop(name))

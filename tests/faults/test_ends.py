@@ -1,5 +1,7 @@
-"""How a launched suite ends: a process that started a node as the launch files do takes it with it, however it ends
-itself, and no port stays taken; also where SIGINT was ignored when it was started."""
+"""End of a launched suite: nodes end with the process that launched them, however it ends, and release their ports.
+
+This also holds if SIGINT was ignored when the launch was started.
+"""
 
 import re
 import signal
@@ -18,17 +20,17 @@ pytest.importorskip("rclpy")
 
 pytestmark = pytest.mark.ros
 CAR_LAUNCH = ROOT / "ros2_ws" / "src" / "st_predictor" / "launch" / "car.launch.py"
-# As ros2 launch starts a process, and as it ends itself: without a word to it.
+# Starts a process as ros2 launch does, and does not inform it at its own end.
 SCRIPT = "import subprocess, sys; subprocess.run(sys.argv[1].split() + sys.argv[2:])"
-# As a shell does for what a script starts in the background.
+# Ignores SIGINT, as a shell does for background processes of a script.
 IGNORING = ("import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN); "
             "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])")
-# What the launch file has made of it when its nodes are about to be started.
-LOOK = ("import runpy, signal, sys; runpy.run_path(sys.argv[1])['generate_launch_description'](); "
+# Prints whether SIGINT is handled after the launch file has been evaluated.
+PRINT_HANDLER = ("import runpy, signal, sys; runpy.run_path(sys.argv[1])['generate_launch_description'](); "
         "print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)")
 
 
-def free_port() -> int:
+def find_free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
@@ -38,7 +40,7 @@ def free_port() -> int:
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_nodes_end_with_their_launch(tmp_path: Path, number: int, ignoring: bool) -> None:
     (prefix,) = re.findall(r'^PARENT_DEATH = "(.*)"', CAR_LAUNCH.read_text(), re.MULTILINE)
-    processes, port = Processes(tmp_path), free_port()
+    processes, port = Processes(tmp_path), find_free_port()
     try:
         node = [executable("oxts_bridge", "oxts_bridge"), "--ros-args", "-p", f"udp_port:={port}"]
         begin = [sys.executable, *(["-c", IGNORING] if ignoring else [])]
@@ -59,8 +61,8 @@ def test_nodes_end_with_their_launch(tmp_path: Path, number: int, ignoring: bool
 
 
 def test_a_launch_in_the_background_can_be_interrupted() -> None:
-    """Ctrl-C would else end the nodes, and launch start all of them again."""
+    """Otherwise Ctrl-C would end the nodes, and launch would restart them."""
     pytest.importorskip("launch_ros")
-    command = [sys.executable, "-c", IGNORING, "-c", LOOK, str(CAR_LAUNCH)]
+    command = [sys.executable, "-c", IGNORING, "-c", PRINT_HANDLER, str(CAR_LAUNCH)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "True"

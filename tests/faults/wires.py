@@ -1,4 +1,4 @@
-"""The two wires of the car, on which all may be changed, held or lost: NCOM over UDP, CAN frames by multicast."""
+"""The data links of the car, NCOM over UDP and CAN frames over multicast, on which datagrams can be altered or lost."""
 
 import socket
 import time
@@ -13,7 +13,7 @@ from canedge_bridge.transport import parse_channel
 LOOPBACK = "127.0.0.1"
 OTHER_UNIT = "127.0.0.2"  # an address of its own for a second INS
 
-# What is sent instead of a datagram; () loses it.
+# Datagram -> datagrams that are sent in its place; () loses it.
 Change = Callable[[bytes], Sequence[bytes]]
 
 
@@ -22,7 +22,7 @@ def unchanged(data: bytes) -> Sequence[bytes]:
 
 
 class Wire:
-    """Sends datagrams to one address. `change` may be set at any time, by another thread too."""
+    """Sends datagrams to one address. Any thread may set `change` at any time."""
 
     def __init__(self, to: tuple[str, int]):
         self.to = to

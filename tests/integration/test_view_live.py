@@ -45,7 +45,7 @@ def listening(process: psutil.Process) -> set[str]:
 @pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL], ids=["hangs", "killed"])
 def test_a_page_that_hangs_or_is_killed_disturbs_no_prediction(tmp_path: Path, number: int) -> None:
     run = tmp_path / "run"
-    command = [str(ROOT / "st"), "demo", "--view", "--scenario", "S2", "--duration", "16", "--output", str(run)]
+    command = [str(ROOT / "st"), "demo", "--view", "--scenario", "S2", "--duration", "12", "--output", str(run)]
     demo = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
                             start_new_session=True)
     try:
@@ -55,7 +55,7 @@ def test_a_page_that_hangs_or_is_killed_disturbs_no_prediction(tmp_path: Path, n
         assert listening(page) == {"127.0.0.1"}
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/frames", timeout=30) as stream:
             assert stream.readline().startswith(b"data: ")
-            time.sleep(5.0)
+            time.sleep(3.0)
             everybody = psutil.Process(demo.pid).children(recursive=True)
             page.send_signal(number)
             stopped_ns = time.time_ns()
@@ -85,8 +85,8 @@ def test_view_of_a_recording_idles_and_cleans_up_after_a_signal(circle, tmp_path
     time.sleep(5.0)
     family = [psutil.Process(view.pid), *psutil.Process(view.pid).children(recursive=True)]
     before = sum(sum(p.cpu_times()[:2]) for p in family)
-    time.sleep(10.0)
-    share = (sum(sum(p.cpu_times()[:2]) for p in family) - before) / 10.0
+    time.sleep(6.0)
+    share = (sum(sum(p.cpu_times()[:2]) for p in family) - before) / 6.0
     view.send_signal(signal.SIGTERM)
     view.communicate(timeout=30)
     assert share < 0.02, f"{100 * share:.1f} % of a core without a page open"
