@@ -9,7 +9,7 @@ from pathlib import Path
 
 from _cars import LEAF_FILE, leaf
 from _drawn_bands import random_bands
-from st_live.configuration import VirtualCar, add_files, live_parameters
+from st_live.configuration import VirtualCar, make_live_parameters, set_bands_and_course
 from st_live.node import Monitor
 from st_live.session import NODES
 from st_live.suite import Suite, claim_domain
@@ -30,11 +30,11 @@ def run_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full") -> 
         car = VirtualCar(LEAF_FILE, ["--scenario", "S6", "--duration", str(duration), *rates])
         folder = Path(name)
         os.environ["ROS_DOMAIN_ID"] = str(domain)
-        parameters = live_parameters(folder, car.vehicle, car.bridge_parameters())
+        parameters = make_live_parameters(folder, car.vehicle, car.make_bridge_parameters())
         if os.environ.get("ST_BENCH_BANDS") == "1":
             file = folder / "bands.yaml"
             file.write_text(random_bands(leaf()).to_yaml(), encoding="utf-8")
-            parameters = add_files(parameters, file, None)
+            parameters = set_bands_and_course(parameters, file, None)
         with Suite(folder, parameters, domain, "ST_BENCH_REALTIME" in os.environ) as suite:
             for package, executable in nodes:
                 suite.start_node(package, executable)

@@ -40,7 +40,7 @@ TOPICS = {
 
 def launch(parameters: dict, log_folder: Path, domain: int) -> subprocess.Popen:
     words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    environment = os.environ | suite.loopback_environment(os.environ) | {
+    environment = os.environ | suite.make_loopback_environment(os.environ) | {
         "ROS_DOMAIN_ID": str(domain),
         "ROS_LOG_DIR": str(log_folder),
     }

@@ -42,7 +42,7 @@ class Processes:
     def __init__(self, folder: Path):
         """folder: for logs, as NAME.log."""
         self.folder = folder
-        self.environment = os.environ | suite.loopback_environment(os.environ) | {
+        self.environment = os.environ | suite.make_loopback_environment(os.environ) | {
             "ROS_DOMAIN_ID": str(free_domain()), "ROS_LOG_DIR": str(folder / "ros_log"),
         }
         self._running: list[subprocess.Popen] = []

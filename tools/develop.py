@@ -34,7 +34,7 @@ def test(
     if context.args:
         parts = [[*pytest, *(["-m", "not slow"] if fast else []), *context.args]]
     with tempfile.TemporaryDirectory(prefix="st-test-") as logs:
-        environment = {**os.environ, **suite.loopback_environment(os.environ), "ROS_LOG_DIR": logs}
+        environment = {**os.environ, **suite.make_loopback_environment(os.environ), "ROS_LOG_DIR": logs}
         statuses = [subprocess.run(part, cwd=root, env=environment, check=False).returncode for part in parts]
         raise typer.Exit(max(statuses))
 

@@ -26,7 +26,7 @@ from st_core.errors import StCoreError
 from st_core.models import MODELS, get_model
 from st_core.types import VehicleState, ins_to_cg
 from st_core.vehicle import VehicleParameters
-from st_live.suite import loopback_environment
+from st_live.suite import make_loopback_environment
 from st_msgs.msg import InputPlan, Steering
 from st_predictor import convert
 from st_recordings.paths import config
@@ -165,7 +165,7 @@ def main() -> int:
     except (OSError, StCoreError, SimulationError) as error:
         print(f"plan_node.py: {error}", file=sys.stderr)
         return 2
-    os.environ.update(loopback_environment(os.environ))  # as the nodes of st demo and st live
+    os.environ.update(make_loopback_environment(os.environ))  # as the nodes of st demo and st live
     controller = Controller(get_model(options.model), vehicle, STEPS)
     return spin.run(lambda: Planner(controller, course))
 

@@ -12,7 +12,7 @@ from st_core.manoeuvres import CATALOGUE
 from st_core.vehicle import VehicleParameters
 from st_sim.car import read_car
 from st_sim.dynamics import VX, YAW_RATE
-from st_sim.run import check
+from st_sim.run import check_arguments
 from st_sim.scenarios import load
 from st_sim.settings import resolve
 from st_sim.simulation import SimulatedCar
@@ -102,5 +102,5 @@ def test_simulated_drive_begins_steadily():
 
 @pytest.mark.parametrize("name", [m.name for m in CATALOGUE])
 def test_every_suggestion_is_a_scenario_of_the_demo(name):
-    check(["--vehicle", str(LEAF_FILE), "--scenario", name])
+    check_arguments(["--vehicle", str(LEAF_FILE), "--scenario", name])
     assert name in OFFERED.replace("S1 to S7", "S1").replace(",", " ").split()

@@ -7,10 +7,10 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from st_live.configuration import bridge_parameters, live_parameters
+from st_live.configuration import make_bridge_parameters, make_live_parameters
 from st_live.node import Monitor
 from st_live.session import NODES, STOP_ORDER, Supervisor
-from st_live.suite import Suite, claim_domain, free_udp_port
+from st_live.suite import Suite, claim_domain, find_free_udp_port
 from st_recordings.paths import config
 
 from .car import Car, Circle, Drive
@@ -90,7 +90,7 @@ def running(folder: Path, ncom_rate: int = 100, full_bus: bool = False, drive: D
     drive: by default a circle.
     """
     with ExitStack() as stack:
-        port = free_udp_port()
+        port = find_free_udp_port()
         channel = f"239.74.163.3:{port}"
         car = Car(Wire((LOOPBACK, port)), can_wire(channel), drive or Circle(), ncom_rate, full_bus)
         stack.callback(car.close)
@@ -98,9 +98,9 @@ def running(folder: Path, ncom_rate: int = 100, full_bus: bool = False, drive: D
         monitor = stack.enter_context(Monitor(domain))
         vehicle = folder / "leaf.yaml"
         shutil.copy(config("vehicle/leaf.yaml"), vehicle)
-        bridges = bridge_parameters(vehicle, {"udp_port": port, "bind_address": LOOPBACK},
+        bridges = make_bridge_parameters(vehicle, {"udp_port": port, "bind_address": LOOPBACK},
                                     {"interface": "udp_multicast", "channel": channel})
-        suite = stack.enter_context(Suite(folder, live_parameters(folder, vehicle, bridges), domain))
+        suite = stack.enter_context(Suite(folder, make_live_parameters(folder, vehicle, bridges), domain))
         for package, executable in NODES:
             suite.start_node(package, executable)
         missing = monitor.wait_for_nodes({executable for _, executable in NODES}, START_TIMEOUT)

@@ -28,11 +28,11 @@ def segments(pid: int) -> list[str]:
 def test_which_variables():
     fast = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT", "FASTRTPS_DEFAULT_PROFILES_FILE": PROFILE}
     local = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    assert suite.loopback_environment({}) == fast
-    assert suite.loopback_environment(fast) == fast  # in a shell that has them already
-    assert suite.loopback_environment({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}) == fast
-    assert suite.loopback_environment({"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}) == local
-    assert suite.loopback_environment({"FASTRTPS_DEFAULT_PROFILES_FILE": "/somebody/elses.xml"}) == local
+    assert suite.make_loopback_environment({}) == fast
+    assert suite.make_loopback_environment(fast) == fast  # in a shell that has them already
+    assert suite.make_loopback_environment({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}) == fast
+    assert suite.make_loopback_environment({"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}) == local
+    assert suite.make_loopback_environment({"FASTRTPS_DEFAULT_PROFILES_FILE": "/somebody/elses.xml"}) == local
 
 
 @pytest.mark.ros

@@ -36,7 +36,7 @@ DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 def main() -> None:
     if os.environ.get(suite.DISCOVERY_RANGE, "LOCALHOST") == "LOCALHOST":  # unless the user set another range
-        os.environ.update(suite.loopback_environment(os.environ))
+        os.environ.update(suite.make_loopback_environment(os.environ))
     _ensure_log_directory()
     try:
         app(prog_name="st")

@@ -12,7 +12,7 @@ from st_core.errors import ConfigurationError
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile, ModelProvenance
 from st_core.vehicle import VehicleParameters
-from st_live.configuration import model_parameters
+from st_live.configuration import make_model_parameters
 from st_live.suite import SuiteError
 from st_offline.discovery.discover_command import _check_reference, sensor_estimates
 from st_offline.discovery.drives import clock_deviations, read_drive, read_drives
@@ -154,18 +154,17 @@ def test_model_file_of_another_car_is_refused(drive, tmp_path):
     result = discover(drive, "--base", model, "--output", tmp_path / "o")
     assert result.exit_code == 2 and "the values are valid for 'Hyundai Genesis'" in result.output
     with pytest.raises(SuiteError, match="the values are valid for 'Hyundai Genesis'"):
-        model_parameters(model, None, LEAF)
-    chosen = model_parameters(model, None, GENESIS)
-    assert chosen["predictor"] == chosen["evaluator"] == {"model_file": str(model), "effects_directory": ""}
+        make_model_parameters(model, None, LEAF)
+    assert make_model_parameters(model, None, GENESIS) == {"model_file": str(model), "effects_directory": ""}
 
 
 def test_fourth_model_that_is_none(tmp_path):
     (tmp_path / "model.yaml").write_text("base: nonlinear\neffects: {no_such: {}}\n")
     with pytest.raises(SuiteError, match="no_such"):
-        model_parameters(tmp_path / "model.yaml", None, LEAF)
+        make_model_parameters(tmp_path / "model.yaml", None, LEAF)
     with pytest.raises(SuiteError, match="requires a model file"):
-        model_parameters(None, tmp_path, LEAF)
-    assert model_parameters(None, None, LEAF) == {}
+        make_model_parameters(None, tmp_path, LEAF)
+    assert make_model_parameters(None, None, LEAF) == {}
 
 
 def test_results_are_never_overwritten(drive, tmp_path):

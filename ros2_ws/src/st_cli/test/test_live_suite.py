@@ -17,7 +17,7 @@ from rich.console import Console
 from st_cli.verbs import live, raw_logs
 from st_live import configuration, session
 from st_live.node import Status, SuiteState, render_progress
-from st_live.suite import SuiteError, claim_domain, merge, read_domain_id
+from st_live.suite import SuiteError, claim_domain, merge_parameters, read_domain_id
 from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStatus
 
 from tools import develop
@@ -115,8 +115,8 @@ def test_live_takes_a_car_by_its_folder(tmp_path: Path, monkeypatch) -> None:
 
 
 def test_results_name_a_car_by_its_folder(tmp_path: Path) -> None:
-    assert configuration.vehicle_name(ROOT / "config/car/leaf/vehicle.yaml") == "leaf"
-    assert configuration.vehicle_name(tmp_path / "winter.yaml") == "winter"
+    assert configuration.find_vehicle_name(ROOT / "config/car/leaf/vehicle.yaml") == "leaf"
+    assert configuration.find_vehicle_name(tmp_path / "winter.yaml") == "winter"
 
 
 def test_live_refuses_a_car_whose_bus_nobody_has_described(tmp_path: Path) -> None:
@@ -176,11 +176,11 @@ def test_a_domain_is_claimed_once_at_a_time() -> None:
 def test_a_parameter_file_that_contradicts_itself_is_refused(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "nodes.yaml").write_text(text)
     with pytest.raises(SuiteError, match=words):
-        merge(tmp_path / "nodes.yaml", {})
+        merge_parameters(tmp_path / "nodes.yaml", {})
 
 
 def test_every_node_has_one_section_in_the_parameter_file() -> None:
-    assert merge(ROOT / "config" / "nodes.yaml", {}).keys() == {
+    assert merge_parameters(ROOT / "config" / "nodes.yaml", {}).keys() == {
         "oxts_bridge", "canedge_bridge", "predictor", "evaluator", "recorder", "markers", "identifier"}
 
 

@@ -14,7 +14,7 @@ from st_core.prediction import PredictionSettings, Predictor, Start, configurati
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters
 from st_live import verification
-from st_live.replaying import describe_not_played
+from st_live.replaying import describe_omissions
 from st_live.verification import verify
 from st_recordings.mcap import BagWriter, recover
 from st_recordings.runs.bag import ODOMETRY, STEERING, definitions_folder
@@ -196,7 +196,7 @@ def test_a_slow_predictor_is_compared_and_a_restart_settles_again(period):
     starts = np.arange(60) * period + rng.normal(0.0, 2e-3, 60)
     starts[30:] += 10 * period + 2.0
     starts_ns = np.round(1e9 * starts).astype(np.int64)
-    kept = verification.find_settled(starts_ns, starts_ns[:1], cutoff=5.0)
+    kept = verification.find_settled_starts(starts_ns, starts_ns[:1], cutoff=5.0)
     assert not kept[0] and not kept[30]
     assert kept.sum() >= 60 - 2 * (1 + int(0.7 / period))
 
@@ -209,7 +209,7 @@ def test_a_score_of_its_own_is_found(live):
 
 
 def test_a_truncated_recording_is_reported(live):
-    assert "is truncated" not in st_verify(live.write()).output and describe_not_played(live.folder, ()) == []
+    assert "is truncated" not in st_verify(live.write()).output and describe_omissions(live.folder, ()) == []
     file = live.folder / f"{live.folder.name}_0.mcap"
     with file.open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
@@ -219,9 +219,9 @@ def test_a_truncated_recording_is_reported(live):
     recover(live.folder)
     done = st_verify(live.folder)
     assert f"{live.folder} is truncated" in done.output.replace("\n", "")
-    (text,) = describe_not_played(live.folder, ())
+    (text,) = describe_omissions(live.folder, ())
     assert text.startswith(f"{live.folder} is truncated") and text.endswith("are not played")
-    assert describe_not_played(live.folder, ["/a (b)"])[0] == "of unknown type and not played: /a (b)"
+    assert describe_omissions(live.folder, ["/a (b)"])[0] == "of unknown type and not played: /a (b)"
 
 
 def test_a_meaningless_recording_is_compared_when_forced(live):

@@ -18,10 +18,10 @@ from st_recordings.car import read_vehicle
 from st_recordings.paths import config, project_root
 from st_recordings.recorded_results import RecordedConfiguration
 from st_recordings.runs.bag import is_bag
-from st_sim.run import check
+from st_sim.run import check_arguments
 from st_sim.settings import SimulationError
 
-from .suite import Parameters, Suite, SuiteError, find_executable, free_udp_port, merge
+from .suite import Parameters, Suite, SuiteError, find_executable, find_free_udp_port, merge_parameters
 
 T = TypeVar("T")
 REPLAY_NODES = ("recorder", "evaluator", "predictor")  # in the order of their start: subscribers first
@@ -29,21 +29,21 @@ TRUNCATED = "{} is truncated: its recorder was killed; later data are not {}"
 LEAF_TIMEOUT = 20.0  # s until the virtual Leaf must have started to send
 
 
-def vehicle_file(given: Path | None) -> Path:
-    """Absolute path of the given or the Leaf's vehicle file. Raises RunError and StCoreError if it is not valid."""
+def resolve_vehicle_file(given: Path | None) -> Path:
+    """Absolute path of the given vehicle file, by default the Leaf's. Raises RunError and StCoreError if invalid."""
     path = (given or config("vehicle/leaf.yaml")).absolute()
     read_vehicle(path)
     return path
 
 
-def vehicle_name(vehicle: Path) -> str:
+def find_vehicle_name(vehicle: Path) -> str:
     """Name of the car in results: the folder of a vehicle.yaml in a car folder, else the name of the file."""
     return vehicle.parent.name if vehicle.name == "vehicle.yaml" else vehicle.stem
 
 
-def bridge_parameters(vehicle: Path, ins: dict[str, Any], bus: dict[str, Any], dbc: Path | None = None,
-                      signals: Path | None = None) -> dict[str, dict[str, Any]]:
-    """Parameters of both bridges. ins, bus: additional parameters of oxts_bridge and canedge_bridge.
+def make_bridge_parameters(vehicle: Path, ins: dict[str, Any], can: dict[str, Any], dbc: Path | None = None,
+                           signals: Path | None = None) -> dict[str, dict[str, Any]]:
+    """Parameters of both bridges. ins, can: additional parameters of oxts_bridge and canedge_bridge.
 
     The transform from base_link to ins_link is the lever arm of the vehicle file. The file contains no height, so
     base_link is the CG projected to the height of the INS.
@@ -54,38 +54,36 @@ def bridge_parameters(vehicle: Path, ins: dict[str, Any], bus: dict[str, Any], d
              "signals_file": str((signals or config("can/leaf_ze0.yaml")).absolute())}
     # Raw frames are recorded, so that the bag can be decoded with another DBC.
     return {"oxts_bridge": {"base_to_ins": lever_arm, **ins},
-            "canedge_bridge": {**bus, **files, "publish_frames": True}}
+            "canedge_bridge": {**can, **files, "publish_frames": True}}
 
 
-def live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Parameters | None = None,
-                    record_all: bool = False) -> Parameters:
-    """config/nodes.yaml with the parameters of a live run in `folder`.
+def make_live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Mapping[str, str] | None = None,
+                         record_all: bool = False) -> Parameters:
+    """Parameters of config/nodes.yaml, updated for a live run in `folder`.
 
-    model: result of `model_parameters`. record_all: also record the topics that can be reconstructed from the others.
+    model: result of `make_model_parameters`. record_all: also record topics that can be reconstructed from others.
     """
     from st_predictor.params import ALL_TOPICS  # needs ROS, which `load_model` does not
 
-    model_settings = model or {}
-    files = [values["model_file"] for values in list(model_settings.values())[:1]]
+    common = {"vehicle_file": str(vehicle), **(model or {})}
     # With DBC and signal table the raw frames can be decoded on any computer.
-    bus = [bridges["canedge_bridge"][name] for name in ("dbc_file", "signals_file")]
-    return merge(config("nodes.yaml"), {
+    files = [str(vehicle), str(folder / "parameters.yaml"), bridges["canedge_bridge"]["dbc_file"],
+             bridges["canedge_bridge"]["signals_file"], *([model["model_file"]] if model else [])]
+    return merge_parameters(config("nodes.yaml"), {
         **bridges,
-        "predictor": {"vehicle_file": str(vehicle), **model_settings.get("predictor", {})},
-        "evaluator": {"vehicle_file": str(vehicle), "output_directory": str(folder / "errors"),
-                      "number_when_taken": True, **model_settings.get("evaluator", {})},
-        "recorder": {"output_directory": str(folder / "bag"), "number_when_taken": True,
-                     "configuration_files": [str(vehicle), str(folder / "parameters.yaml"), *bus, *files],
+        "predictor": common,
+        "evaluator": {**common, "output_directory": str(folder / "errors"), "number_when_taken": True},
+        "recorder": {"output_directory": str(folder / "bag"), "number_when_taken": True, "configuration_files": files,
                      **({"topics": ALL_TOPICS} if record_all else {})},
     })
 
 
-def replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration) -> dict[str, dict[str, Any]]:
-    """Parameters of REPLAY_NODES: from the recording, else from config/nodes.yaml."""
+def make_replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration) -> dict[str, dict[str, Any]]:
+    """Parameters of REPLAY_NODES: those of config/nodes.yaml, updated with the recorded ones."""
     common = {"vehicle_file": str(vehicle), "use_sim_time": True}
     nodes = {node: {**recorded.nodes.get(node, {}), **common} for node in ("predictor", "evaluator")}
-    merged = merge(config("nodes.yaml"), {
-        # The files named in the recording may have moved or changed; `add_files` sets the files of this run.
+    merged = merge_parameters(config("nodes.yaml"), {
+        # The files named in the recording may have moved or changed; `set_bands_and_course` sets those of this run.
         "predictor": {**nodes["predictor"], "bands_file": "", "course_file": ""},
         "evaluator": {**nodes["evaluator"], "output_directory": str(folder / "errors")},
         "recorder": {"use_sim_time": True, "output_directory": str(folder / "bag"),
@@ -94,18 +92,16 @@ def replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfigurati
     return {node: merged[node] for node in REPLAY_NODES}
 
 
-def model_parameters(model: Path | None, effects: Path | None, vehicle: Path) -> Parameters:
-    """Parameters of predictor and evaluator for a model file in addition to the three models; empty without a file.
+def make_model_parameters(model: Path | None, effects: Path | None, vehicle: Path) -> dict[str, str]:
+    """Parameters that add a model file to the models of predictor and evaluator; empty without a file.
 
     effects: folder of user-defined effects of the model file. Raises SuiteError, StCoreError and RunError for a file
     that is not a model or belongs to a car other than `vehicle`.
     """
-    if model is None and effects is None:
-        return {}
     load_model(model, effects, read_vehicle(vehicle), str(vehicle))
-    chosen = {"model_file": str(model.absolute() if model else ""),
-              "effects_directory": str(effects.absolute()) if effects else ""}
-    return {"predictor": chosen, "evaluator": chosen}
+    if model is None:
+        return {}
+    return {"model_file": str(model.absolute()), "effects_directory": str(effects.absolute()) if effects else ""}
 
 
 def load_model(model: Path | None, effects: Path | None, car: VehicleParameters, origin: str) -> Model:
@@ -128,9 +124,9 @@ def load_model(model: Path | None, effects: Path | None, car: VehicleParameters,
     return file.model()
 
 
-def add_files(parameters: Parameters, bands: Path | None, course: Path | None,
-              adaptive: bool | None = None) -> dict[str, dict[str, Any]]:
-    """The parameters with the given bands file and course for the predictor; None: unchanged.
+def set_bands_and_course(parameters: Parameters, bands: Path | None, course: Path | None,
+                         adaptive: bool | None = None) -> dict[str, dict[str, Any]]:
+    """Copy of the parameters in which the predictor uses the given bands file and course; None: unchanged.
 
     adaptive: whether bands adapt to the errors of the run; None: unchanged. Raises SuiteError for a file that cannot be
     read, and for bands of another car, model or configuration.
@@ -174,8 +170,8 @@ def _check_bands(bands: Path, predictor: Mapping[str, Any]) -> None:
         raise SuiteError(f"--bands {bands}: {error}") from None
 
 
-def recordings_of(path: Path) -> tuple[Path, list[Path]]:
-    """(bag with the measurements, bags with the scores) for a bag or the folder of a run."""
+def find_recordings(path: Path) -> tuple[Path, list[Path]]:
+    """(bag with the measurements, bags with the scores) of a run, given as a bag or as its folder."""
     bag = path / "bag" if path.is_dir() and not is_bag(path) and is_bag(path / "bag") else path
     errors = bag.parent / "errors"
     return bag, [errors] if is_bag(errors) and errors.is_dir() else [bag]
@@ -184,26 +180,26 @@ def recordings_of(path: Path) -> tuple[Path, list[Path]]:
 class VirtualCar:
     """The virtual Leaf on a free UDP port and a CAN multicast group of the loopback interface.
 
-    vehicle: vehicle file of bridges and nodes. options: arguments of virtual_leaf, without its interfaces.
+    vehicle: vehicle file of bridges and nodes. options: arguments of virtual_leaf other than its interfaces.
     simulated: vehicle file of the simulated car, by default `vehicle`. Raises SuiteError for invalid options.
     """
 
     def __init__(self, vehicle: Path, options: Sequence[str], simulated: Path | None = None):
         self.vehicle = vehicle
-        self.port = free_udp_port()
+        self.port = find_free_udp_port()
         self.channel = f"239.74.163.2:{self.port}"
         interfaces = {"--vehicle": simulated or self.vehicle, "--config": project_root() / "config",
                       "--ncom-port": self.port, "--can-interface": "udp_multicast", "--can-channel": self.channel}
         self._arguments = [*options, *(str(part) for option in interfaces.items() for part in option)]
         try:
-            check(self._arguments)
+            check_arguments(self._arguments)
         except SimulationError as error:
             raise SuiteError(str(error)) from None
 
-    def bridge_parameters(self) -> dict[str, dict[str, Any]]:
+    def make_bridge_parameters(self) -> dict[str, dict[str, Any]]:
         # config/nodes.yaml may contain sign and latency of a real sensor; the virtual one follows the signal table.
-        bus = {"interface": "udp_multicast", "channel": self.channel, "steering_sign": 1, "steering_latency": 0.0}
-        return bridge_parameters(self.vehicle, {"udp_port": self.port, "bind_address": "127.0.0.1"}, bus)
+        can = {"interface": "udp_multicast", "channel": self.channel, "steering_sign": 1, "steering_latency": 0.0}
+        return make_bridge_parameters(self.vehicle, {"udp_port": self.port, "bind_address": "127.0.0.1"}, can)
 
     def start(self, suite: Suite) -> float:
         """Start the car and wait until it sends; returns the duration of the drive [s]. Raises SuiteError."""

@@ -102,8 +102,8 @@ class Monitor:
         lines = [DiagnosticStatus(name=s.name, message=s.message, level=bytes([STALE if s.is_silent(now) else s.level]))
                  for s in sorted(statuses.values(), key=lambda s: s.name)]
         worst = max((line.level[0] for line in lines), default=STALE)
-        bad = [line.name for line in lines if line.level[0]]
-        text = "all nodes OK" if not bad else f"{len(bad)} of {len(lines)} checks are not OK: {', '.join(bad)}"
+        failed = [line.name for line in lines if line.level[0]]
+        text = f"{len(failed)} of {len(lines)} checks are not OK: {', '.join(failed)}" if failed else "all nodes OK"
         message = DiagnosticArray(status=[DiagnosticStatus(name="suite", level=bytes([worst]), message=text), *lines])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._aggregate.publish(message)
@@ -122,7 +122,7 @@ class Monitor:
             self._executor.spin()
 
     def _update(self, **changes: Any) -> None:
-        with self._lock:  # also called from other threads than the monitor's
+        with self._lock:  # called from several threads
             self.state = replace(self.state, **changes)
 
     def _read_predictions(self) -> None:
@@ -136,14 +136,14 @@ class Monitor:
 
 
 def render_progress(state: SuiteState, elapsed: float, duration: float | None, title: str) -> RenderableType:
-    """The terminal view of a run. elapsed, duration: in s; duration None: until stopped."""
+    """Terminal view of a run. elapsed, duration: in s; duration None: the run lasts until it is stopped."""
     line = Table.grid(padding=(0, 1))
     if duration:
         bar = ProgressBar(total=duration, completed=min(elapsed, duration), width=40)
         line.add_row(title, bar, f"{elapsed:4.0f} / {duration:.0f} s")
     else:
         line.add_row(title, f"{elapsed:4.0f} s", "(Ctrl-C ends it)")
-    coverage = [Text(line) for line in format_band_lines(state.summary.statistics if state.summary else [])]
+    coverage = [Text(text) for text in format_band_lines(state.summary.statistics if state.summary else [])]
     return Group(line, render_motion(state), render_errors(state), *coverage, render_ticks(state), render_health(state))
 
 
@@ -158,7 +158,7 @@ def render_motion(state: SuiteState) -> Text:
 
 
 def render_errors(state: SuiteState) -> RenderableType:
-    """Table of the mean, largest value and RMS of the errors averaged over each horizon so far, by model and mode."""
+    """Table of the mean, maximum and RMS of the horizon-mean errors so far [m], by model and mode."""
     statistics = state.summary.statistics if state.summary else []
     if not any(s.n_starts for s in statistics):
         return Text("waiting for the end of the first prediction", style="dim")

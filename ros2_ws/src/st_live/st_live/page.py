@@ -18,7 +18,7 @@ from .rerun_server import LOOPBACK, READY_TIMEOUT, STOP_TIMEOUT, check_new_rerun
 from .suite import Child, Processes, SuiteError
 
 PAGE = Path(__file__).with_name("passenger.html")
-# The page is a single file; the browser may fetch nothing else except frames and clock from this server.
+# The page is a single file; the browser may fetch only frames and clock from this server, and nothing else.
 POLICY = ("default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "
           "img-src data:; base-uri 'none'; form-action 'none'")
 MAX_CLIENTS = 16
@@ -42,7 +42,7 @@ class PageServer(ThreadingHTTPServer):
         self.page = PAGE.read_text(encoding="utf-8").replace("/*SETTINGS*/null", script).encode()
         self.ended = False
         self.condition = threading.Condition()
-        self._frame, self._number = b"", 0
+        self._frame, self._frame_number = b"", 0
         self.clients = 0  # number of open pages, protected by `condition`
 
     @property
@@ -53,14 +53,14 @@ class PageServer(ThreadingHTTPServer):
         """Send a frame to every client; a client that is slower than the frames receives only the newest."""
         data = b"data: " + json.dumps(frame, separators=(",", ":")).encode() + b"\n\n"
         with self.condition:
-            self._frame, self._number = data, self._number + 1
+            self._frame, self._frame_number = data, self._frame_number + 1
             self.condition.notify_all()
 
-    def next_frame(self, after: int) -> tuple[bytes, int]:
-        """Newest frame and its number, once the number exceeds `after`; an empty comment after KEEP_ALIVE_PERIOD."""
+    def wait_for_frame(self, after: int) -> tuple[bytes, int]:
+        """Wait for a frame after number `after`; returns it and its number, or a comment after KEEP_ALIVE_PERIOD."""
         with self.condition:
-            if self.condition.wait_for(lambda: self._number > after or self.ended, KEEP_ALIVE_PERIOD):
-                return self._frame, self._number
+            if self.condition.wait_for(lambda: self._frame_number > after or self.ended, KEEP_ALIVE_PERIOD):
+                return self._frame, self._frame_number
             return b":\n\n", after
 
     def handle_error(self, request: Any, client_address: Any) -> None:
@@ -93,9 +93,9 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self.send_error(404)
 
-    def _send(self, content: bytes, kind: str) -> None:
+    def _send(self, content: bytes, content_type: str) -> None:
         self.send_response(200)
-        self.send_header("Content-Type", kind)
+        self.send_header("Content-Type", content_type)
         self.send_header("Content-Length", str(len(content)))
         self.send_header("Cache-Control", "no-store")
         self.send_header("Content-Security-Policy", POLICY)
@@ -118,7 +118,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.end_headers()
             number = 0
             while not server.ended:
-                data, number = server.next_frame(number)
+                data, number = server.wait_for_frame(number)
                 self.wfile.write(data)
         except OSError:
             pass  # the client has left
@@ -164,15 +164,15 @@ class LiveView:
         show_address(self.url, console)
 
     def finish(self, folder: Path, console: Console) -> None:
-        """End the page, and write the Rerun file of --view-save from the recording of the run."""
+        """Stop the page server, and write the Rerun file of --view-save from the recording of the run."""
         if self._server and self._server.process.poll() is not None:
             console.print(f"[yellow]the page ended before the run: {escape(self._server.last_lines())}[/yellow]",
                           highlight=False, soft_wrap=True)
         self.close()
         if self._save:
-            from .recorded_view import draw
+            from .recorded_view import draw_recording
 
-            draw(folder, self._save)
+            draw_recording(folder, self._save)
             console.print(f"  {escape(str(self._save))}  [dim]the run, for `st view`[/dim]", highlight=False,
                           soft_wrap=True)
 

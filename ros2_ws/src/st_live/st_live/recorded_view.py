@@ -1,4 +1,4 @@
-"""Draws a recorded run as a Rerun recording (.rrd) with a picture every 0.1 s."""
+"""Draws a recorded run as a Rerun recording (.rrd) with a frame every 0.1 s."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -20,12 +20,12 @@ from st_recordings.runs.bag import definitions_folder, open_bag, read_bag
 from st_recordings.runs.cdr import load_typestore
 from st_ros.polling import to_nanoseconds
 
-from .configuration import recordings_of
+from .configuration import find_recordings
 
 TIMELINE = "measured"
 PLOT_SPAN = 40.0  # s
-AHEAD, BEHIND, SIDEWAYS = 44.0, 16.0, 34.0  # m shown around the car, heading up; 44 m are 5 s at 30 km/h
-AROUND, GRID = 50.0, 20.0  # m shown around the car on the map, and between the lines of its grid
+AHEAD, BEHIND, SIDEWAYS = 44.0, 16.0, 34.0  # m shown around the car, heading up; 5 s at 30 km/h are 42 m
+AROUND, GRID_SPACING = 50.0, 20.0  # m shown around the car on the map, and between the lines of its grid
 PLOTS = {
     "lateral": "lateral error over the last horizon, m (+ predicted left)",
     "longitudinal": "longitudinal error, m (+ predicted ahead)",
@@ -44,8 +44,8 @@ THIN, THICK, TRACK = (rr.Radius.ui_points(points) for points in (0.6, 1.8, 4.0))
 # Each model's path is narrower than the previous one and drawn above it: all stay visible where they coincide.
 MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0.6))
 Projection = Callable[[np.ndarray, np.ndarray], np.ndarray]  # from map x, y to screen coordinates
-Pose = tuple[float, float, float]
-PERIOD_NS = 100_000_000  # time between pictures
+Pose = tuple[float, float, float]  # x, y [m], yaw [rad]
+FRAME_PERIOD_NS = 100_000_000
 FLUSH_PERIOD = 5.0  # s between writes; few large chunks load quickly
 TEXT_PERIOD_NS = 1_000_000_000
 LEVELS = ("ok", "warning", "**error**", "stale")
@@ -58,8 +58,8 @@ TOPICS = {  # kind of message by topic
 
 def make_blueprint() -> rrb.Blueprint:
     """Layout of the panels."""
-    now = rrb.TimeRangeBoundary.cursor_relative
-    window = rrb.VisibleTimeRange(TIMELINE, start=now(seconds=-PLOT_SPAN), end=now())
+    from_cursor = rrb.TimeRangeBoundary.cursor_relative
+    window = rrb.VisibleTimeRange(TIMELINE, start=from_cursor(seconds=-PLOT_SPAN), end=from_cursor())
 
     def plot(name: str) -> rrb.TimeSeriesView:
         return rrb.TimeSeriesView(origin=f"plots/{name}", name=PLOTS[name], time_ranges=[window],
@@ -69,7 +69,7 @@ def make_blueprint() -> rrb.Blueprint:
         origin="ahead", name="Heading up (10 m rings)", background=WHITE,
         visual_bounds=rrb.VisualBounds2D(x_range=[-SIDEWAYS, SIDEWAYS], y_range=[-AHEAD, BEHIND]))
     around = rrb.Spatial2DView(
-        origin="map", name=f"Map (north up, {GRID:.0f} m grid)", background=WHITE,
+        origin="map", name=f"Map (north up, {GRID_SPACING:.0f} m grid)", background=WHITE,
         visual_bounds=rrb.VisualBounds2D(x_range=[-AROUND, AROUND], y_range=[-AROUND, AROUND]))
     text = rrb.TextDocumentView(origin="text", name="Errors so far, and health")
     return rrb.Blueprint(
@@ -88,19 +88,19 @@ def make_blueprint() -> rrb.Blueprint:
     )
 
 
-def north_up(x, y, pose: Pose) -> np.ndarray:
-    """(..., 2) screen coordinates [m] of map points x east, y north [m], around a car at pose (x, y [m], yaw [rad])."""
+def to_north_up(x, y, pose: Pose) -> np.ndarray:
+    """(..., 2) screen coordinates [m] of map points x east, y north [m], around a car at `pose`."""
     return np.stack(np.broadcast_arrays(np.asarray(x) - pose[0], pose[1] - np.asarray(y)), axis=-1)
 
 
-def heading_up(x, y, pose: Pose) -> np.ndarray:
-    """(..., 2) screen coordinates [m] of map points, seen from the INS point of a car at pose (x, y [m], yaw [rad])."""
+def to_heading_up(x, y, pose: Pose) -> np.ndarray:
+    """(..., 2) screen coordinates [m] of map points x, y [m], seen from a car at `pose`, its heading up."""
     forward, left = map_to_body(np.asarray(x) - pose[0], np.asarray(y) - pose[1], pose[2])
     return np.stack(np.broadcast_arrays(-left, -forward), axis=-1)
 
 
-def grid(pose: Pose, spacing: float, reach: float) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Grid lines (x, y) of the map within `reach` of the car [m]."""
+def make_grid_lines(pose: Pose, spacing: float, reach: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Grid lines (x, y) of the map [m] within `reach` of the car [m]."""
     lines = []
     for axis in (0, 1):
         first = np.ceil((pose[axis] - reach) / spacing) * spacing
@@ -111,9 +111,9 @@ def grid(pose: Pose, spacing: float, reach: float) -> list[tuple[np.ndarray, np.
 
 
 class Scene:
-    """Collects messages of a run, and draws the newest state when requested.
+    """Collects messages of a run, and draws the newest state when requested: two views, plots and text.
 
-    A map with north up, a view with the heading up, in the axes of Rerun's 2D views (x right, y down), plots and text.
+    The views, with north up and with the heading up, use the axes of Rerun's 2D views: x right, y down.
     """
 
     def __init__(self, recording: rr.RecordingStream, car: VehicleParameters, map_frame: str):
@@ -125,8 +125,8 @@ class Scene:
         self._ticks = "predictor: no status yet"
         self._health: dict[str, tuple[int, str, str]] = {}
         self._text_due_ns = 0
-        self._named: list[str] = []  # models with a name label
-        self._scored: set[str] = set()  # models with error plots
+        self._labelled: list[str] = []  # models whose name is shown
+        self._plotted: set[str] = set()  # models with error plots
         angle = np.linspace(0.0, 2.0 * math.pi, 73)
         rings = [np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1) for r in RINGS]
         recording.log("ahead/rings", rr.LineStrips2D(rings, colors=[LIGHT_GREY], radii=THIN, draw_order=-1.0),
@@ -142,7 +142,7 @@ class Scene:
         self._stream.log(entity, rr.SeriesLines(colors=[rgb(colour)], names=[name], widths=[2.0]), static=True)
 
     def take(self, kind: str, message: Any) -> None:
-        """Store a message; kind: of TOPICS. An error is plotted at once."""
+        """Store a message of a kind in TOPICS; an error is plotted at once."""
         if kind == "odometry":
             sample = convert.ins_sample(message, self._map_frame)
             self._sample = self._sample if isinstance(sample, str) else sample
@@ -168,10 +168,10 @@ class Scene:
         model, means = message.model, {"lateral": message.lateral_mean, "longitudinal": message.longitudinal_mean}
         self._set_time(to_nanoseconds(message.header.stamp) + round(message.horizon[-1] * 1e9))
         for quantity, mean in means.items():
-            if model not in self._scored:
+            if model not in self._plotted:
                 self._add_series(f"plots/{quantity}/{model}", model, colour_of(model))
             self._stream.log(f"plots/{quantity}/{model}", rr.Scalars([mean]))
-        self._scored.add(model)
+        self._plotted.add(model)
 
     def draw(self) -> None:
         """Draw the newest INS sample unless it has been drawn already."""
@@ -185,17 +185,17 @@ class Scene:
         log("plots/lateral_acceleration/measured", rr.Scalars([sample.velocity_x * sample.yaw_rate]))
         if self._angle is not None:
             log("plots/steering/measured", rr.Scalars([math.degrees(self._angle)]))
-        lines = [north_up(x, y, pose) for x, y in grid(pose, GRID, 2.0 * AROUND)]
+        lines = [to_north_up(x, y, pose) for x, y in make_grid_lines(pose, GRID_SPACING, 2.0 * AROUND)]
         self._log_lines("map/grid", lines, [LIGHT_GREY], THIN, order=-1.0)
-        self._draw_view("map", lambda x, y: north_up(x, y, pose), pose, now_ns)
-        self._draw_view("ahead", lambda x, y: heading_up(x, y, pose), pose, now_ns)
-        if not 0 <= self._text_due_ns - now_ns <= TEXT_PERIOD_NS:
+        self._draw_view("map", lambda x, y: to_north_up(x, y, pose), pose, now_ns)
+        self._draw_view("ahead", lambda x, y: to_heading_up(x, y, pose), pose, now_ns)
+        if not 0 <= self._text_due_ns - now_ns <= TEXT_PERIOD_NS:  # the second limit: the clock has been set back
             self._text_due_ns = now_ns + TEXT_PERIOD_NS
             text = format_errors(self._statistics, self._ticks, list(self._health.values()))
             log("text", rr.TextDocument(text, media_type="text/markdown"))
 
     def _draw_view(self, root: str, project: Projection, pose: Pose, now_ns: int) -> None:
-        """Draw car, track, predictions with bands, and earlier predictions. pose: x, y [m], yaw [rad]."""
+        """Draw car, track, predictions with bands, and earlier predictions."""
         history = self._history
         track = np.array([(x, y) for _, x, y in history.track])[::-TRACK_STRIDE]
         colour = rgb(MEASURED_COLOUR, 0.6)
@@ -238,10 +238,10 @@ class Scene:
             self._log_lines(f"{entity}/{level:.0%}", strips, [rgb(colour_of(model), strength)], radii, order=order)
 
     def _log_name(self, model: str) -> None:
-        """Show colour and name in the lower left corner; next to the paths, names would overlap where models agree."""
-        if model not in self._named:
-            corner = (-SIDEWAYS + 6.0, BEHIND - 7.0 - 5.0 * len(self._named))
-            self._named.append(model)
+        """Show colour and name in the lower left corner; beside the paths, names would overlap where models agree."""
+        if model not in self._labelled:
+            corner = (-SIDEWAYS + 6.0, BEHIND - 7.0 - 5.0 * len(self._labelled))
+            self._labelled.append(model)
             self._stream.log(f"ahead/names/{model}", rr.Points2D(
                 [corner], colors=[rgb(colour_of(model))], radii=rr.Radius.ui_points(5.0), labels=[model],
                 show_labels=True), static=True)
@@ -253,12 +253,12 @@ class Scene:
         self._stream.set_time(TIMELINE, timestamp=np.datetime64(time_ns, "ns"))
 
 
-def draw(path: Path, file: Path, vehicle: Path | None = None) -> int:
-    """Draw a bag, or the bag in the folder of a run, into `file` (.rrd); returns the number of pictures.
+def draw_recording(path: Path, file: Path, vehicle: Path | None = None) -> int:
+    """Draw a bag, or the bag in the folder of a run, into `file` (.rrd); returns the number of frames.
 
     vehicle: file to use instead of the recorded one, for the outline. Raises RunError, ConfigurationError.
     """
-    bag, _ = recordings_of(path)
+    bag, _ = find_recordings(path)
     open_bag(bag)
     car, recorded, _ = find_configuration(read_bag(bag).records, vehicle)
     batches = rr.ChunkBatcherConfig(flush_tick=FLUSH_PERIOD, flush_num_bytes=2_000_000)
@@ -266,7 +266,7 @@ def draw(path: Path, file: Path, vehicle: Path | None = None) -> int:
     stream.send_recording_name(path.name)
     stream.set_sinks(rr.FileSink(str(file)), default_blueprint=make_blueprint())
     scene = Scene(stream, car, recorded.nodes.get("predictor", {}).get("map_frame", "map"))
-    pictures, due_ns = 0, 0
+    n_frames, due_ns = 0, 0
     with AnyReader([bag], default_typestore=load_typestore(definitions_folder())) as reader:
         # The topics of the suite may be recorded in any namespace.
         kinds = {c.topic: kind for c in reader.connections for topic, kind in TOPICS.items()
@@ -275,16 +275,16 @@ def draw(path: Path, file: Path, vehicle: Path | None = None) -> int:
         for connection, log_ns, data in reader.messages(connections=connections):
             if log_ns >= due_ns:
                 scene.draw()
-                pictures, due_ns = pictures + 1, log_ns + PERIOD_NS
+                n_frames, due_ns = n_frames + 1, log_ns + FRAME_PERIOD_NS
             scene.take(kinds[connection.topic], reader.deserialize(data, connection.msgtype))
     scene.draw()
     stream.flush()
     stream.disconnect()
-    return pictures
+    return n_frames
 
 
 def format_errors(statistics: Sequence[Any], ticks: str, health: Sequence[tuple[int, str, str]]) -> str:
-    """Markdown text of the errors so far and of all checks that are not OK.
+    """Markdown text of the errors so far, and of all checks that are not OK.
 
     statistics: entries of st_msgs/ErrorSummary. health: (level, name, message) of every check.
     """

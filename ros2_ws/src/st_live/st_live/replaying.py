@@ -1,4 +1,4 @@
-"""Plays a recording through the nodes predictor, evaluator and recorder, on the clock of the recording."""
+"""Plays a recording through predictor, evaluator and recorder, with the time of the recording."""
 
 import json
 import sys
@@ -18,7 +18,7 @@ from st_recordings.runs.cdr import ODOMETRY, STEERING
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.reconstruct import RECONSTRUCTED
 
-from .configuration import REPLAY_NODES, TRUNCATED, add_files, replay_parameters
+from .configuration import REPLAY_NODES, TRUNCATED, make_replay_parameters, set_bands_and_course
 from .node import Monitor
 from .page import LiveView
 from .session import Outcome, start_nodes
@@ -34,8 +34,8 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     """Replay a bag with its recorded configuration; returns the outcome and the name of the vehicle.
 
     The nodes record into folder/bag and folder/errors. vehicle, course: files to use instead of the recorded ones.
-    rate: playback speed relative to the recording; 0: as fast as the nodes can follow. adaptive: as in `add_files`.
-    settings: topics of external recordings. Raises RunError, SuiteError and ConfigurationError.
+    rate: playback speed relative to the recording; 0: as fast as the nodes can follow. adaptive: as for
+    `set_bands_and_course`. settings: topics of external recordings. Raises RunError, SuiteError and ConfigurationError.
     """
     steering, odometry = (settings.steering, settings.odometry) if settings else (None, None)
     drive = read_bag(bag, steering=steering, odometry=odometry)
@@ -43,16 +43,16 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     if reconstructed:
         raise RunError(bag, f"cannot be played: no {' and no '.join(reconstructed)}",
                        "st evaluate and st verify reconstruct them from raw packets and frames")
-    for line in describe_not_played(bag, drive.unknown):
+    for line in describe_omissions(bag, drive.unknown):
         console.print(f"[yellow]{escape(line)}[/yellow]", highlight=False, soft_wrap=True)
     car, recorded, _ = find_configuration(drive.records, vehicle)
     file = folder / "vehicle.yaml"
     file.write_text(car.to_yaml())
-    text = recorded_text(drive.records, str(recorded.nodes.get("predictor", {}).get("course_file", "")))
-    if course is None and text is not None:
+    course_text = recorded_text(drive.records, str(recorded.nodes.get("predictor", {}).get("course_file", "")))
+    if course is None and course_text is not None:
         course = folder / "course.yaml"
-        course.write_text(text)
-    parameters = add_files(replay_parameters(folder, file, recorded), bands, course, adaptive)
+        course.write_text(course_text)
+    parameters = set_bands_and_course(make_replay_parameters(folder, file, recorded), bands, course, adaptive)
     if "map_frame" not in recorded.nodes.get("predictor", {}):
         for node in ("predictor", "evaluator"):  # external recordings may use another frame
             parameters[node]["map_frame"] = drive.frame
@@ -64,7 +64,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     return _play(bag, drive.topics, folder, parameters, rate, console, view, options), car.name
 
 
-def describe_not_played(bag: Path, unknown: Sequence[str]) -> list[str]:
+def describe_omissions(bag: Path, unknown: Sequence[str]) -> list[str]:
     """Lines about content that a replay omits: topics of unknown type, and the missing end of a truncated recording."""
     topics = [f"of unknown type and not played: {', '.join(unknown)}"] if unknown else []
     return topics + ([TRUNCATED.format(bag, "played")] if was_interrupted(bag) else [])
@@ -72,7 +72,7 @@ def describe_not_played(bag: Path, unknown: Sequence[str]) -> list[str]:
 
 def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mapping[str, Mapping[str, Any]], rate: float,
           console: Console, view: LiveView | None, options: Sequence[str]) -> Outcome:
-    """topics: topic to play as input of the nodes, by message type. options: additional options of the player."""
+    """topics: topics of odometry and steering, by message type. options: additional options of the player."""
     problem, interrupted = "", False
     predictor = parameters["predictor"]
     with (claim_domain(read_domain_id()) as domain, Suite(folder, parameters, domain) as suite,

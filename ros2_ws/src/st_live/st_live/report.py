@@ -21,14 +21,15 @@ from st_recordings.runs.errors import RunError
 from .session import Outcome
 
 STATISTICS = ("mean", "max", "rmse")
+MAX_LINE_GAP = 1.0  # s between scored starts; no line is drawn across a longer gap
 INPUTS_OF_MODE = {"hindsight": "measured inputs", "forecast": "inputs held"}
 
 
-def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Console) -> int:
+def report_results(folder: Path, outcome: Outcome, about: dict[str, Any], console: Console) -> int:
     """Write and print the results of a run; returns the exit status.
 
-    It is 0 if every process ended normally, and a horizon was scored or the user ended the run; 130 if the user ended
-    the run before the first data; else 1.
+    0: every process ended normally, and a horizon was scored or the user ended the run. 130: the user ended the run
+    before the first data. 1: all other cases.
     """
     if outcome.interrupted and not outcome.statuses:
         console.print("the run was ended before the first data")
@@ -129,14 +130,14 @@ def _draw_errors(axes: Axes, results: Results, mode: str, quantity: str) -> None
         if scores is None:
             continue
         time = (scores.start_ns[scores.complete] - origin) * 1e-9
-        value = getattr(scores, quantity)[scores.complete]
-        breaks = np.nonzero(np.diff(time) > 1.0)[0] + 1  # no line across starts without a score
-        axes.plot(np.insert(time, breaks, np.nan), np.insert(value, breaks, np.nan), color=MODEL_COLOUR[model],
+        error = getattr(scores, quantity)[scores.complete]
+        breaks = np.nonzero(np.diff(time) > MAX_LINE_GAP)[0] + 1
+        axes.plot(np.insert(time, breaks, np.nan), np.insert(error, breaks, np.nan), color=MODEL_COLOUR[model],
                   ls=MODEL_LINE[model])
 
 
 def make_error_table(summary: dict[str, Any], title: str) -> Table:
-    """Table of mean, largest and RMS of the horizon-mean errors [m], as in the paper; the smallest per mode in bold.
+    """Table of mean, maximum and RMS of the horizon-mean errors [m]; the smallest of each mode is bold.
 
     summary: content of summary.json.
     """
@@ -159,16 +160,16 @@ def _format_cell(models: dict[str, Any], mode: str, axis: str, row: dict[str, An
     parts = []
     for statistic in STATISTICS:
         value = row[axis][statistic]
-        others = [abs(v) for m in models.values() if mode in m and (v := m[mode][axis][statistic]) is not None]
-        is_best = value is not None and abs(value) <= min(others) + 5e-4
+        magnitudes = [abs(v) for m in models.values() if mode in m and (v := m[mode][axis][statistic]) is not None]
+        is_best = value is not None and abs(value) <= min(magnitudes) + 5e-4  # half of the last digit shown
         parts.append(Text("-" if value is None else f"{value:.3f}", style="bold" if is_best else ""))
     return Text(" | ").join(parts)
 
 
 def make_headline(summary: dict[str, Any]) -> str:
     """Title of the figure: the lateral RMSE in hindsight, the best model first."""
-    lateral = {m: v["hindsight"]["lateral"]["rmse"] for m, v in summary["models"].items()}
-    known = sorted((value, model) for model, value in lateral.items() if value is not None)
-    if not known:
+    lateral = {model: modes["hindsight"]["lateral"]["rmse"] for model, modes in summary["models"].items()}
+    ranking = sorted((rmse, model) for model, rmse in lateral.items() if rmse is not None)
+    if not ranking:
         return "no complete horizon"
-    return "in hindsight, lateral RMSE " + ", ".join(f"{model} {value:.2f} m" for value, model in known)
+    return "in hindsight, lateral RMSE " + ", ".join(f"{model} {rmse:.2f} m" for rmse, model in ranking)

@@ -5,6 +5,7 @@ with a Content-Security-Policy that makes the browser block these requests.
 """
 
 import http.client
+import importlib.metadata
 import importlib.util
 import json
 import shutil
@@ -23,7 +24,7 @@ from st_ros.scheduling import lower_priority
 from .suite import VIEW_NICE, Child, Processes, SuiteError
 
 LOOPBACK = "127.0.0.1"
-READY_TIMEOUT = 20.0  # s
+READY_TIMEOUT = 20.0  # s until a server must accept connections
 STOP_TIMEOUT = 3.0  # s until a process is killed
 RERUN_MISSING = ("rerun-sdk is not installed (its numpy 2 conflicts with a sourced ROS); "
                  "RViz, Foxglove and PlotJuggler show the same data, see docs/manual/viewing.md")
@@ -72,7 +73,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def show_recording(folder: Path, file: Path, console: Console) -> None:
-    """Serve a recording (.rrd), print its address, open it in the browser on a terminal, and wait for Ctrl-C.
+    """Serve a recording (.rrd), show its address, and wait for Ctrl-C.
 
     folder: for settings and logs. Raises SuiteError without rerun-sdk or if the start fails.
     """
@@ -107,15 +108,14 @@ def _start_rerun(processes: Processes, recording: str, port: int) -> Child:
         "config_file_path": str(settings / "analytics.json"), "data_dir_path": str(settings)}))
     processes.environment |= dict.fromkeys(
         ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME"), str(settings.parent))
-    # Start the executable directly: it would survive the end of its wrapper script `rerun`. Given a URL, it starts
-    # no server for recordings, which would use 3 % of a core while idle.
-    found = importlib.util.find_spec("rerun_cli")
-    assert found and found.submodule_search_locations
+    # The executable is started directly, because it would survive the end of its wrapper script `rerun`. Given a URL,
+    # it starts no server for recordings, which would use 3 % of a core while idle.
+    executable = importlib.metadata.distribution("rerun-sdk").locate_file("rerun_cli/rerun")
     rerun = processes.start("rerun", [
-        str(Path(found.submodule_search_locations[0], "rerun")), recording, "--serve-web", "--bind", LOOPBACK,
+        str(executable), recording, "--serve-web", "--bind", LOOPBACK,
         "--web-viewer-port", str(port), "--hide-welcome-screen"])
     end = time.monotonic() + READY_TIMEOUT
-    while not _listens(port):
+    while not _accepts_connections(port):
         if rerun.process.poll() is not None or time.monotonic() > end:
             output = rerun.last_lines() or "no output"
             raise SuiteError(f"the server of the view did not start: {output} (log: {rerun.log})")
@@ -123,7 +123,7 @@ def _start_rerun(processes: Processes, recording: str, port: int) -> Child:
     return rerun
 
 
-def _listens(port: int) -> bool:
+def _accepts_connections(port: int) -> bool:
     with socket.socket() as probe:
         return probe.connect_ex((LOOPBACK, port)) == 0
 

@@ -1,5 +1,6 @@
 """Runs the live suite with the virtual Leaf or the real car; a supervisor restarts nodes that end or hang."""
 
+import math
 import signal
 import time
 from collections import Counter
@@ -41,7 +42,7 @@ LOG_PERIOD = 10.0  # s between lines if the output is not a terminal
 
 @dataclass
 class _Supervised:
-    """One node. Times are monotonic [s]. restart_at: None while the node runs. cause: reason for the last restart."""
+    """State of one node; times are monotonic [s]. restart_at: None while it runs. cause: of the last restart."""
 
     package: str
     name: str
@@ -89,17 +90,17 @@ class Supervisor:
                 self._monitor.add_statuses([Status(f"suite: {node.name}", level, text, now)])
 
     def _check(self, node: _Supervised, now: float) -> None:
-        if (ended := self._suite.reap(node.name)) is not None:
-            output = ended.last_lines(1) or "no output"
-            self._schedule_restart(node, now, f"ended with status {ended.process.returncode} ({output})")
+        if (child := self._suite.reap(node.name)) is not None:
+            output = child.last_lines(1) or "no output"
+            self._schedule_restart(node, now, f"ended with status {child.process.returncode} ({output})")
             return
         statuses = self._monitor.state.health.values()
-        last = max((s.received_at for s in statuses if s.name.startswith(f"{node.name}: ")), default=float("-inf"))
+        last = max((s.received_at for s in statuses if s.name.startswith(f"{node.name}: ")), default=-math.inf)
         node.responded = node.responded or last > node.started
-        silent = now - max(last, node.started)
-        if silent > (SILENCE_TIMEOUT if node.responded else FIRST_STATUS_TIMEOUT):
+        silence = now - max(last, node.started)
+        if silence > (SILENCE_TIMEOUT if node.responded else FIRST_STATUS_TIMEOUT):
             self._suite.kill(node.name)
-            self._schedule_restart(node, now, f"was silent for {silent:.0f} s and was killed")
+            self._schedule_restart(node, now, f"was silent for {silence:.0f} s and was killed")
 
     def _schedule_restart(self, node: _Supervised, now: float, cause: str) -> None:
         if now - node.started > BACK_OFF_RESET_TIME:
@@ -111,8 +112,7 @@ class Supervisor:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a run. statuses: exit statuses of the processes stopped at the end. health: checks that were not OK
-    before the stop."""
+    """statuses: exit status of each process stopped at the end. health: checks that were not OK before the stop."""
 
     statuses: dict[str, int]
     interrupted: bool
@@ -137,11 +137,11 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
     """
     console = console or Console()
     # The virtual Leaf uses a free domain, so that no other suite receives its messages; the real car uses domain 0.
-    chosen = read_domain_id()
-    if chosen is None and not source:
-        chosen = 0
-    with _catch_signals() as stopped, claim_domain(chosen) as domain, Monitor(domain) as monitor:
-        if chosen is not None:
+    requested_domain = read_domain_id()
+    if requested_domain is None and not source:
+        requested_domain = 0
+    with _catch_signals() as stopped, claim_domain(requested_domain) as domain, Monitor(domain) as monitor:
+        if requested_domain is not None:
             time.sleep(DISCOVERY_TIME)
             _check_no_other_suite(monitor, domain, allowed=0)
         with Suite(folder, parameters, domain, realtime) as suite:
@@ -224,8 +224,7 @@ def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, consol
 
 @contextmanager
 def _catch_signals() -> Iterator[Callable[[], bool]]:
-    """A function that returns whether Ctrl-C or SIGTERM has arrived; they raise nothing, so that the nodes can be
-    stopped in order."""
+    """Yields a function that returns whether SIGINT or SIGTERM has arrived; neither interrupts the program."""
     received: list[int] = []
     handlers = {number: signal.signal(number, lambda number, _: received.append(number))
                 for number in (signal.SIGINT, signal.SIGTERM)}

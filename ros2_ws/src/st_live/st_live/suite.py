@@ -30,6 +30,7 @@ LARGEST_DOMAIN = 232  # higher domains have no valid port
 # Priorities of SCHED_RR: above other programs, far below the kernel's own threads (50 and more).
 REALTIME_PRIORITIES = {"oxts_bridge": 22, "canedge_bridge": 22, "predictor": 21}
 VIEW_NICE = 5  # a third of the CPU share of bridges and predictor under contention
+# Names of environment variables.
 DISCOVERY_RANGE, RMW = "ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION"
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 REALTIME_PERMISSION = ('echo "$USER - rtprio 30" | sudo tee /etc/security/limits.d/single-track.conf, '
@@ -39,7 +40,7 @@ Parameters = Mapping[str, Mapping[str, Any]]
 
 
 class SuiteError(RuntimeError):
-    """The suite cannot start or continue; the message contains the reason, and process and log if one has ended."""
+    """The suite cannot start or continue; the message gives the reason, and the log of a process that has ended."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,7 @@ def find_executable(package: str, executable: str) -> str:
                      "the workspace")
 
 
-def merge(base: Path, overrides: Parameters) -> dict[str, dict[str, Any]]:
+def merge_parameters(base: Path, overrides: Parameters) -> dict[str, dict[str, Any]]:
     """Node parameters of a file, updated with `overrides`; each section of the file describes one node.
 
     Raises SuiteError naming the file if it cannot be read or contains a key twice.
@@ -196,7 +197,7 @@ def merge(base: Path, overrides: Parameters) -> dict[str, dict[str, Any]]:
     return merged
 
 
-def free_udp_port() -> int:
+def find_free_udp_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
@@ -212,7 +213,7 @@ def read_domain_id() -> int | None:
     return int(text)
 
 
-def loopback_environment(environment: Mapping[str, str]) -> dict[str, str]:
+def make_loopback_environment(environment: Mapping[str, str]) -> dict[str, str]:
     """Environment variables that keep the messages of all nodes on the loopback interface.
 
     The discovery range LOCALHOST does so with any middleware, but makes Fast DDS use shared memory, over which a node
@@ -227,13 +228,13 @@ def loopback_environment(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 @contextmanager
-def claim_domain(chosen: int | None = None) -> Iterator[int]:
-    """The chosen ROS domain, or one that no process on this computer uses, reserved until the end of the block.
+def claim_domain(requested: int | None = None) -> Iterator[int]:
+    """Yields the requested ROS domain, by default one that no process on this computer uses, reserved for the block.
 
     The first discovery port of the domain (DDS: 7400 + 250 * domain + 10) is bound; participants use the next ports.
     """
-    if chosen is not None:
-        yield chosen
+    if requested is not None:
+        yield requested
         return
     for domain in range(LAST_DOMAIN, 0, -1):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as claim:

@@ -25,7 +25,7 @@ from st_recordings.recorded_results import PlannedPredictions, Predictions, Prog
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import read_bag, was_interrupted
 
-from .configuration import TRUNCATED, recordings_of
+from .configuration import TRUNCATED, find_recordings
 from .suite import SuiteError
 
 # Each node starts its filter of the forward acceleration with the first sample it receives, and nodes may receive
@@ -47,7 +47,7 @@ class Comparison:
     worst_start_ns: int = 0  # start of the forecast with the largest path difference
     n_scores: dict[str, int] = field(default_factory=lambda: dict.fromkeys(MODES, 0))  # complete live and offline
     score_difference: dict[str, float] = field(default_factory=lambda: dict.fromkeys(MODES, 0.0))  # by mode [m]
-    n_cut: int = 0  # scores incomplete only because the nodes stopped
+    n_cut: int = 0  # scores that are incomplete only because the nodes stopped
     n_disagree: int = 0  # scores complete on one side only, without n_cut and position jumps
     n_settling: int = 0  # forecasts not compared because the acceleration filter had not settled
     n_planned: int = 0  # predictions with inputs of a plan or course compared
@@ -83,15 +83,15 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
 
     vehicle: file to use instead of the recorded vehicle. Raises RunError, ConfigurationError.
     """
-    bag, score_bags = recordings_of(path)
+    bag, score_bags = find_recordings(path)
     predictions = recorded_results.read_predictions(bag, progress)
     if not predictions:
         return None
     drive = read_bag(bag, steering=read.steering, odometry=read.odometry) if read else read_bag(bag)
     car, recorded, source = recorded_results.find_configuration(drive.records, vehicle)
-    given = {**recorded.nodes.get("evaluator", {}), **recorded.nodes.get("predictor", {})}
-    names = PredictionSettings.__dataclass_fields__.keys() & given.keys()
-    settings = PredictionSettings(**{name: float(given[name]) for name in names})
+    parameters = {**recorded.nodes.get("evaluator", {}), **recorded.nodes.get("predictor", {})}
+    names = PredictionSettings.__dataclass_fields__.keys() & parameters.keys()
+    settings = PredictionSettings(**{name: float(parameters[name]) for name in names})
     scores = recorded_results.read_scores(score_bags, progress)
     planned_by_mode = {mode: recorded_results.read_planned(bag, mode, progress) for mode in PLANNED_MODES}
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
@@ -112,8 +112,8 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     return Verification(comparisons, f"{car.name}, from {source}", same, tuple(warnings))
 
 
-def find_settled(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np.ndarray:
-    """Whether the acceleration filter had settled at each start, (n,).
+def find_settled_starts(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np.ndarray:
+    """(n,) whether the acceleration filter had settled at each start.
 
     Settling begins at the first prediction after the first recorded INS sample, and again after every pause that may
     be a restart of the predictor: longer than RESTART_PAUSE and longer than three prediction intervals.
@@ -135,7 +135,7 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Pr
     horizon = live.step * (live.states.shape[1] - 1)
     settings = EvaluationSettings(PredictionSettings(horizon=horizon, step=live.step, minimum_speed=0.0))
     result = Comparison(model.name)
-    is_settled = find_settled(live.starts_ns, signals.log.ins_time_ns, cutoff)
+    is_settled = find_settled_starts(live.starts_ns, signals.log.ins_time_ns, cutoff)
     result.n_settling = int((~is_settled).sum())
     starts_ns, live_states = live.starts_ns[is_settled], live.states[is_settled]
     future_inputs: dict[Mode, FutureInputs] = {mode: predictions.inputs_at for mode, predictions in planned.items()}
@@ -200,21 +200,21 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: 
 
     result = None if replayed else _verify_with_progress(bag, vehicle, console, read)
     if result is None:
-        why = "--replay" if replayed else "it contains no predictions"
+        reason = "--replay" if replayed else "it contains no predictions"
         folder = new_folder(output, f"verify-{bag.stem}")
-        console.print(f"{bag.name} is played through the nodes ({why}); recordings in {folder}", highlight=False)
-        outcome, _ = replay_bag(recordings_of(bag)[0], folder, vehicle, 0.0, console, settings=read)
+        console.print(f"{bag.name} is played through the nodes ({reason}); recordings in {folder}", highlight=False)
+        outcome, _ = replay_bag(find_recordings(bag)[0], folder, vehicle, 0.0, console, settings=read)
         if not outcome.ok:
             failure = f"a node ended with an error: {outcome.statuses}; see {folder / 'logs'}"
             raise SuiteError(outcome.problem or failure)
         result = _verify_with_progress(folder, vehicle, console)
     if result is None or not result.n_starts:
         settling = sum(c.n_settling for c in result.comparisons) if result else 0
-        why = (f"all {settling} predictions start too soon after the first sample received" if settling
-               else "the nodes made no prediction from this recording")
-        console.print(f"nothing to compare: {why}")
+        reason = (f"all {settling} predictions start too soon after the first sample received" if settling
+                  else "the nodes made no prediction from this recording")
+        console.print(f"nothing to compare: {reason}")
         return 2
-    console.print(_table(result))
+    console.print(_make_table(result))
     for warning in result.warnings:
         console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
     if not result.same_configuration:
@@ -230,7 +230,7 @@ def _verify_with_progress(path: Path, vehicle: Path | None, console: Console,
         return verify(path, vehicle, lambda done, total: progress.update(bar, completed=done, total=total), read)
 
 
-def _table(result: Verification) -> Table:
+def _make_table(result: Verification) -> Table:
     """Table of the comparisons, at most 80 columns wide for a drive of one hour."""
     table = Table(title=f"Live against library ({result.vehicle}): largest differences", title_justify="left",
                   title_style="bold", box=None, collapse_padding=True, pad_edge=False)
@@ -252,14 +252,14 @@ def _print_conclusion(result: Verification, tolerance: float, console: Console) 
     passed = result.largest <= tolerance and not n_disagree
     verdict = "[green]live equals offline[/green]" if passed else "[red]live differs from offline[/red]"
     worst = max(result.comparisons, key=lambda c: c.path_difference)
-    where = ""
+    location = ""
     if worst.worst_start_ns and not passed:
         time = f"{datetime.fromtimestamp(worst.worst_start_ns * 1e-9, UTC):%H:%M:%S.%f}"[:-3]
-        where = f"; the path that differs most: {worst.model} at {time} UTC"
+        location = f"; the path that differs most: {worst.model} at {time} UTC"
     planned = f", {n_planned} more with inputs of a plan or course," if n_planned else ""
     console.print(f"{verdict}: {result.n_starts} predictions{planned} and {n_scores} scores compared, largest "
                   f"difference {result.largest * 1000:.3g} mm (limit {tolerance * 1000:g} mm); {n_disagree} scores "
-                  f"complete on one side only, {n_cut} incomplete because the nodes stopped{where}",
+                  f"complete on one side only, {n_cut} incomplete because the nodes stopped{location}",
                   highlight=False, soft_wrap=True)
     console.print(f"[dim]{n_settling} predictions not compared: the filter of the forward acceleration had not settled "
                   "after the first sample that each node received[/dim]", highlight=False, soft_wrap=True)

@@ -21,7 +21,7 @@ from st_core.palette import LABEL_AT, MODEL_COLOUR, label_index, rgb
 from st_core.vehicle import VehicleParameters
 from st_live.nodes.passenger import PassengerFrames
 from st_live.page import PAGE, LiveView, PageServer, check_new_rerun_file
-from st_live.recorded_view import format_errors, grid, heading_up, north_up
+from st_live.recorded_view import format_errors, make_grid_lines, to_heading_up, to_north_up
 from st_live.rerun_server import POLICY
 from st_live.suite import SuiteError
 from st_msgs.msg import Band, ErrorStatistics, InsStatus, PlannedPrediction, Prediction, PredictionError, Steering
@@ -38,22 +38,22 @@ LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 def test_a_point_to_the_left_is_on_the_left_and_one_ahead_is_up(yaw: float) -> None:
     """Screen y points down: up is negative."""
     pose = (120.0, -40.0, yaw)
-    ahead = heading_up(120.0 + 10.0 * math.cos(yaw), -40.0 + 10.0 * math.sin(yaw), pose)
-    left = heading_up(120.0 - 10.0 * math.sin(yaw), -40.0 + 10.0 * math.cos(yaw), pose)
+    ahead = to_heading_up(120.0 + 10.0 * math.cos(yaw), -40.0 + 10.0 * math.sin(yaw), pose)
+    left = to_heading_up(120.0 - 10.0 * math.sin(yaw), -40.0 + 10.0 * math.cos(yaw), pose)
     assert ahead == pytest.approx([0.0, -10.0], abs=1e-9)
     assert left == pytest.approx([-10.0, 0.0], abs=1e-9)
 
 
 def test_on_the_map_north_is_up_and_east_is_right() -> None:
     pose = (5.0, 7.0, 1.0)
-    assert north_up(5.0, 17.0, pose) == pytest.approx([0.0, -10.0])
-    assert north_up(15.0, 7.0, pose) == pytest.approx([10.0, 0.0])
-    assert north_up(np.zeros(4), np.zeros(4), pose).shape == (4, 2)
+    assert to_north_up(5.0, 17.0, pose) == pytest.approx([0.0, -10.0])
+    assert to_north_up(15.0, 7.0, pose) == pytest.approx([10.0, 0.0])
+    assert to_north_up(np.zeros(4), np.zeros(4), pose).shape == (4, 2)
 
 
 def test_grid_lines_stay_where_they_are_while_the_car_moves() -> None:
     for pose in ((3.0, -2.0, 0.0), (103.0, 55.0, 1.0)):
-        lines = grid(pose, 20.0, 50.0)
+        lines = make_grid_lines(pose, 20.0, 50.0)
         assert len(lines) == 10
         for x, y in lines:
             assert (x % 20.0 == 0.0).all() or (y % 20.0 == 0.0).all()
@@ -186,7 +186,7 @@ def driven() -> PassengerFrames:
 
 
 def test_a_frame_shows_the_world_from_the_car(driven: PassengerFrames) -> None:
-    frame = driven.frame(53.1)
+    frame = driven.make_frame(53.1)
     json.dumps(frame, allow_nan=False)
     assert frame["received"] == pytest.approx(53.0) and frame["mode"] == "RTK integer"
     assert frame["speed"] == 10.0 and frame["lateral_acceleration"] == 2.0 and frame["steering"] == 0.1
@@ -197,7 +197,7 @@ def test_a_frame_shows_the_world_from_the_car(driven: PassengerFrames) -> None:
     assert points[0] == pytest.approx([0.0, 0.0], abs=0.01)  # the prediction starts at the CG
     assert points[-1] == pytest.approx([50.0, 5.0], abs=0.01)  # a bend to the left is left
     assert path["step"] == pytest.approx(0.1) and path["band"][-1] == 2.0 and len(points) == 51
-    late = driven.frame(54.5)
+    late = driven.make_frame(54.5)
     assert "linear" not in late["paths"] and late["steering"] is None  # what is old is not drawn
 
 
@@ -212,11 +212,11 @@ def test_a_course_replaces_held_inputs_while_it_is_used(driven: PassengerFrames)
         driven.take("evaluator/errors", PredictionError(model="linear", mode=mode, complete=True, horizon=[0.0, 5.0],
                                                         longitudinal=[0.0, error], lateral=[0.0, 0.0]), 53.0)
     driven.take("predictor/linear/course", course, 53.0)
-    frame = driven.frame(53.1)
+    frame = driven.make_frame(53.1)
     assert frame["paths"]["linear"]["inputs"] == "of the course" and frame["paths"]["linear"]["band"][-1] == 1.0
     assert frame["errors"]["linear"]["longitudinal"] == 1.5
     driven.take("predictor/linear/prediction", held, 55.0)  # the driver has left the course
-    frame = driven.frame(55.1)
+    frame = driven.make_frame(55.1)
     assert frame["paths"]["linear"]["inputs"] == "held" and frame["paths"]["linear"]["band"][-1] == 2.0
     assert frame["errors"]["linear"]["longitudinal"] == 4.0
 
@@ -226,10 +226,10 @@ def test_the_error_is_that_of_the_end_of_the_horizon(driven: PassengerFrames) ->
                             longitudinal=[0.0, -1.5], lateral=[0.0, 0.8])
     driven.take("evaluator/errors", score, 53.0)
     driven.take("evaluator/errors", PredictionError(model="kinematic", mode="hindsight", complete=True), 53.0)
-    assert driven.frame(53.1)["errors"] == {
+    assert driven.make_frame(53.1)["errors"] == {
         "linear": {"longitudinal": -1.5, "lateral": 0.8, "horizon": 5.0, "age": 0.1}}
     driven.take("ins/odometry", odometry(1.0, 0.0, 0.0, 0.0, 1.0, 0.0), 53.2)  # a replay starts over
-    frame = driven.frame(53.2)
+    frame = driven.make_frame(53.2)
     assert frame["errors"] == {} and len(frame["track"]) == 1
 
 
@@ -240,9 +240,9 @@ def test_the_error_is_that_of_the_end_of_the_horizon(driven: PassengerFrames) ->
 def test_the_light_is_that_of_the_worst_check(driven: PassengerFrames, levels, light, text) -> None:
     status = [DiagnosticStatus(name=n, level=bytes([k]), message="text") for n, k in zip("ab", levels, strict=False)]
     driven.take("/diagnostics", DiagnosticArray(status=status), 53.0)
-    frame = driven.frame(53.1)
+    frame = driven.make_frame(53.1)
     assert (frame["light"], frame["text"]) == (light, text)
-    silent = driven.frame(57.0)
+    silent = driven.make_frame(57.0)
     assert (silent["light"], "silent for 4 s" in silent["text"]) == (("error", True) if levels else ("none", False))
 
 
@@ -250,12 +250,12 @@ def test_a_node_that_reports_rarely_is_silent_after_three_of_its_intervals(drive
     report = DiagnosticArray(status=[DiagnosticStatus(name="lidar: heat", level=bytes([0]), message="fine")])
     for now in (30.0, 40.0, 50.0):
         driven.take("/diagnostics", report, now)
-    assert (driven.frame(75.0)["light"], driven.frame(81.0)["light"]) == ("ok", "error")
+    assert (driven.make_frame(75.0)["light"], driven.make_frame(81.0)["light"]) == ("ok", "error")
 
 
 def test_a_message_of_unequal_lengths_is_left_out(driven: PassengerFrames) -> None:
     driven.take("predictor/kinematic/prediction", Prediction(model="kinematic", step=0.05, x=[0.0, 1.0]), 53.0)
-    assert list(driven.frame(53.1)["paths"]) == ["linear"]
+    assert list(driven.make_frame(53.1)["paths"]) == ["linear"]
 
 
 @pytest.fixture
@@ -292,8 +292,8 @@ def test_a_slow_client_gets_the_newest_frame_and_the_clock_is_that_of_the_frames
         assert stream.readline() == b"\n"
         with get(server, "/clock") as answer:
             assert abs(json.load(answer) - time.monotonic()) < 5.0
-    number = server.next_frame(0)[1]
+    number = server.wait_for_frame(0)[1]
     server.publish({"number": 2})
     server.publish({"number": 3})
-    assert server.next_frame(number)[0] == b'data: {"number":3}\n\n'
-    assert server.next_frame(number + 2) == (b":\n\n", number + 2)  # no new frame
+    assert server.wait_for_frame(number)[0] == b'data: {"number":3}\n\n'
+    assert server.wait_for_frame(number + 2) == (b":\n\n", number + 2)  # no new frame

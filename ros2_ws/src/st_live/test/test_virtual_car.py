@@ -12,7 +12,7 @@ OPTIONS = ["--duration", "6"]
 def test_nodes_take_their_file_and_the_car_another(tmp_path):
     believed = tmp_path / "believed.yaml"
     believed.write_text(LEAF.read_text().replace("value: 17.3", "value: 18.7"))
-    parameters = VirtualCar(believed, OPTIONS, LEAF).bridge_parameters()
+    parameters = VirtualCar(believed, OPTIONS, LEAF).make_bridge_parameters()
     assert {values["vehicle_file"] for values in parameters.values() if "vehicle_file" in values} == {str(believed)}
 
 

@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def check(arguments: Sequence[str]) -> None:
+def check_arguments(arguments: Sequence[str]) -> None:
     """Check arguments as main() does before it starts. Raises SimulationError with a message of one line."""
     try:
         _Run(_parser().parse_args(arguments))

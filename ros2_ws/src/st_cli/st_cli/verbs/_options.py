@@ -260,9 +260,9 @@ def report_default_car(verb: str, named: Path | None, file: Path | str) -> None:
 
 def report_default_car_of_bag(verb: str, bag: Path, vehicle: Path | None) -> None:
     """Call `report_default_car` for a bag that contains no vehicle file. Raises RunError if it cannot be read."""
-    from st_live.configuration import recordings_of
+    from st_live.configuration import find_recordings
     from st_recordings.recorded_results import recorded_configuration
     from st_recordings.runs.bag import read_metadata_records
 
-    if vehicle is None and recorded_configuration(read_metadata_records(recordings_of(bag)[0])).vehicle is None:
+    if vehicle is None and recorded_configuration(read_metadata_records(find_recordings(bag)[0])).vehicle is None:
         report_default_car(verb, None, LEAF)

@@ -49,11 +49,11 @@ def demo(
     options += ["--duration", str(duration + EXTRA_DRIVING)] if duration else []
     options += [part for setting in effect for part in ("--effect", setting)]
     with shared.report_errors("demo", SuiteError):
-        car = configuration.VirtualCar(configuration.vehicle_file(vehicle), options,
+        car = configuration.VirtualCar(configuration.resolve_vehicle_file(vehicle), options,
                                        plant_vehicle and plant_vehicle.absolute())
         about = {"what": what, "source": "recorded drive" if drive else "virtual Leaf",
-                 "vehicle": configuration.vehicle_name(car.vehicle), "seed": seed}
-        status = _run(f"demo-{what}", about, car.vehicle, car.bridge_parameters(), run_options, output,
+                 "vehicle": configuration.find_vehicle_name(car.vehicle), "seed": seed}
+        status = _run(f"demo-{what}", about, car.vehicle, car.make_bridge_parameters(), run_options, output,
                       duration=duration, source=car.start)
     raise typer.Exit(status)
 
@@ -81,10 +81,10 @@ def live(
     bus = {"interface": can_interface, "channel": can_channel}
     with shared.report_errors("live", SuiteError):
         named = car_options.resolve_car(complete=True)
-        vehicle = configuration.vehicle_file(named.vehicle)
-        bridges = configuration.bridge_parameters(vehicle, ins, bus | named.steering, named.dbc, named.signals)
+        vehicle = configuration.resolve_vehicle_file(named.vehicle)
+        bridges = configuration.make_bridge_parameters(vehicle, ins, bus | named.steering, named.dbc, named.signals)
         about = {"what": "live", "source": f"{can_interface}:{can_channel}, NCOM port {ncom_port}",
-                 "vehicle": configuration.vehicle_name(vehicle)}
+                 "vehicle": configuration.find_vehicle_name(vehicle)}
         status = _run("live", about, vehicle, bridges, run_options, output, named.vehicle is None, duration=duration,
                       supervised=True, realtime=realtime)
     raise typer.Exit(status)
@@ -102,14 +102,14 @@ def _run(name: str, about: dict[str, Any], vehicle: Path, bridges: Mapping[str, 
     from st_recordings.paths import new_folder
 
     console = Console()
-    model_settings = configuration.model_parameters(options.model, options.effects, vehicle)
+    model_settings = configuration.make_model_parameters(options.model, options.effects, vehicle)
     page = options.make_view()
     folder = new_folder(output, name)
-    parameters = configuration.live_parameters(folder, vehicle, bridges, model_settings, options.record == "all")
-    parameters = configuration.add_files(parameters, options.bands, options.course, options.adaptive)
+    parameters = configuration.make_live_parameters(folder, vehicle, bridges, model_settings, options.record == "all")
+    parameters = configuration.set_bands_and_course(parameters, options.bands, options.course, options.adaptive)
     if reports_car:
         shared.report_default_car(name, None, vehicle)
     outcome = session.run(folder, parameters, about["what"], console=console, view=page, **how)
-    status = report.conclude(folder, outcome, about, console)
+    status = report.report_results(folder, outcome, about, console)
     page.finish(folder, console)
     return status

@@ -20,9 +20,9 @@ def replay(
 ) -> None:
     """Play a recording through predictor, evaluator and recorder on its own clock; record their predictions."""
     from rich.console import Console
-    from st_live.configuration import recordings_of
+    from st_live.configuration import find_recordings
     from st_live.replaying import replay_bag
-    from st_live.report import conclude
+    from st_live.report import report_results
     from st_live.suite import SuiteError
     from st_offline.checking.check_report import findings_as_json, print_findings
     from st_offline.checking.gate import check_bag
@@ -31,7 +31,7 @@ def replay(
     console = Console()
     with shared.report_errors("replay", SuiteError):
         vehicle, read = read_options.resolve()
-        bag, _ = recordings_of(bag)
+        bag, _ = find_recordings(bag)
         page = run_options.make_view()
         findings = check_bag(bag, vehicle, force, read)
         print_findings({bag.name: findings}, console)
@@ -41,7 +41,7 @@ def replay(
                                    run_options.course, run_options.adaptive, read)
     about = {"what": f"replay of {bag.name}", "source": str(bag), "vehicle": name,
              "findings": findings_as_json(findings)}
-    status = conclude(folder, outcome, about, console)
+    status = report_results(folder, outcome, about, console)
     page.finish(folder, console)
     raise typer.Exit(status)
 
@@ -61,7 +61,7 @@ def verify(
     2 nothing to compare.
     """
     from rich.console import Console
-    from st_live.configuration import recordings_of
+    from st_live.configuration import find_recordings
     from st_live.suite import SuiteError
     from st_live.verification import verify_command
     from st_offline.checking.check_report import print_findings
@@ -71,6 +71,6 @@ def verify(
         vehicle, read = read_options.resolve()
         shared.report_default_car_of_bag("verify", bag, vehicle)
         console = Console()
-        print_findings({bag.name: check_bag(recordings_of(bag)[0], vehicle, force, read)}, console)
+        print_findings({bag.name: check_bag(find_recordings(bag)[0], vehicle, force, read)}, console)
         status = verify_command(bag, vehicle, tolerance, replayed, output, console, read)
     raise typer.Exit(status)

@@ -33,12 +33,12 @@ def view(
             check_new_rerun_file("--save", save)
         file = recording
         if recording.suffix != ".rrd":
-            from st_live.recorded_view import draw
+            from st_live.recorded_view import draw_recording
 
             report_default_car_of_bag("view", recording, vehicle)
             file = save or Path(name, "view.rrd")
             with console.status("drawing"):
-                frames = draw(recording, file, vehicle)
+                frames = draw_recording(recording, file, vehicle)
             console.print(f"{frames} frames of {recording.name}", highlight=False)
         elif save:
             raise SuiteError(f"--save {save}: {recording} is already a saved view; leave out --save")
@@ -59,15 +59,15 @@ def foxglove(
     import time
 
     from rich.console import Console
-    from st_live.configuration import vehicle_file
-    from st_live.suite import Suite, SuiteError, merge, read_domain_id
+    from st_live.configuration import resolve_vehicle_file
+    from st_live.suite import Suite, SuiteError, merge_parameters, read_domain_id
     from st_recordings.paths import config
 
     console = Console()
     with report_errors("foxglove", SuiteError):
-        car = vehicle_file(vehicle)
+        car = resolve_vehicle_file(vehicle)
         domain = read_domain_id() if domain is None else domain
-        markers = merge(config("nodes.yaml"), {"markers": {"vehicle_file": str(car)}})["markers"]
+        markers = merge_parameters(config("nodes.yaml"), {"markers": {"vehicle_file": str(car)}})["markers"]
         with tempfile.TemporaryDirectory(prefix="st-foxglove-") as name, \
                 Suite(Path(name), {"markers": markers}, domain or 0) as suite:
             relay = [sys.executable, "-m", "st_live.nodes.relay", "--host", host, "--port", str(port)]

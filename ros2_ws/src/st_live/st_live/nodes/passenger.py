@@ -38,7 +38,7 @@ DIAGNOSTICS_TIMEOUT = 3.0  # s until a node counts as silent; nodes of the suite
 MISSED_REPORTS = 3  # reporting intervals until a node counts as silent, if longer than DIAGNOSTICS_TIMEOUT
 BAND_LEVEL = 0.9
 LEVELS = ("ok", "warning", "error", "error")  # by level of diagnostic_msgs; stale counts as an error
-INPUTS = {"forecast": "held", "course": "of the course", "plan": "planned"}  # by mode, the preferred mode last
+INPUTS_OF_MODE = {"forecast": "held", "course": "of the course", "plan": "planned"}  # the preferred mode last
 TOPICS = {  # kind of message by topic
     "predictor/status": "status", "ins/status": "ins_status", "ins/odometry": "odometry",
     "vehicle/steering": "steering",
@@ -46,7 +46,7 @@ TOPICS = {  # kind of message by topic
     **{f"predictor/{model}/{mode}": mode for mode in PLANNED_MODES for model in MODEL_COLOUR},
     "evaluator/errors": "error", "/diagnostics": "diagnostics",
 }
-PERIOD = 0.1  # s between frames
+FRAME_PERIOD = 0.1  # s
 TYPES = {"status": PredictorStatus, "ins_status": InsStatus, "odometry": Odometry, "steering": Steering,
          "forecast": Prediction, "plan": PlannedPrediction, "course": PlannedPrediction, "error": PredictionError,
          "diagnostics": DiagnosticArray}
@@ -54,7 +54,7 @@ QUEUE_DEPTHS, DEFAULT_QUEUE_DEPTH = {"error": 200, "diagnostics": 50}, 3  # all 
 
 
 class PassengerFrames:
-    """Turns messages of a running suite into frames for the page. Times are in s of one monotonic clock.
+    """Turns messages of a running suite into frames for the page. All times are in s of the monotonic clock.
 
     `pose` is the pose of the CG in the map; track and paths are in the body axes of this pose: x forward, y left.
     """
@@ -67,9 +67,9 @@ class PassengerFrames:
         self._reason = ""
         self._position_mode: tuple[str, float] = ("", 0.0)  # text, received [s]
         self._track: deque[tuple[float, float, float]] = deque()  # (measured s, x, y)
-        # By mode and model: time of arrival [s] with the message or the errors [m] and the horizon [s].
-        self._predictions: dict[str, dict[str, tuple[float, Any]]] = {mode: {} for mode in INPUTS}
-        self._errors: dict[str, dict[str, tuple[float, dict[str, float]]]] = {mode: {} for mode in INPUTS}
+        # By mode and model: time of arrival [s], and the message, or the errors [m] with the horizon [s].
+        self._predictions: dict[str, dict[str, tuple[float, Any]]] = {mode: {} for mode in INPUTS_OF_MODE}
+        self._errors: dict[str, dict[str, tuple[float, dict[str, float]]]] = {mode: {} for mode in INPUTS_OF_MODE}
         self._health: dict[str, tuple[float, float, dict[str, tuple[int, str]]]] = {}  # received, timeout [s], checks
 
     def take(self, topic: str, message: Any, now: float) -> None:
@@ -86,7 +86,7 @@ class PassengerFrames:
             self._reason = message.reason
         elif kind == "diagnostics":
             self._take_diagnostics(message, now)
-        elif kind == "error" and message.complete and message.mode in INPUTS:
+        elif kind == "error" and message.complete and message.mode in INPUTS_OF_MODE:
             self._errors[message.mode][message.model] = now, {  # at the end of the horizon
                 "longitudinal": round(message.longitudinal[-1], 2), "lateral": round(message.lateral[-1], 2),
                 "horizon": round(message.horizon[-1], 2)}
@@ -95,38 +95,39 @@ class PassengerFrames:
             if not isinstance(content, str) and np.isfinite(content[1].states).all():
                 self._predictions[kind][message.model] = now, message
 
-    def frame(self, now: float) -> dict[str, Any]:
+    def make_frame(self, now: float) -> dict[str, Any]:
         """Content of the page, for JSON. `received`: time of the newest odometry, null before the first."""
         level, text = self._find_worst_check(now)
         sample, (mode, mode_time), (angle, angle_time) = self._sample, self._position_mode, self._steering
+        current_modes = [mode for mode, predictions in self._predictions.items()
+                         if mode == "forecast" or any(now - time < MAX_AGE for time, _ in predictions.values())]
         frame: dict[str, Any] = {
             "received": self._received and round(self._received, 4), "light": level, "text": text, "mode": mode,
             "mode_age": round(now - mode_time, 1), "reason": self._reason,
-            "errors": {model: error | {"age": round(now - at, 1)} for mode, errors in self._errors.items()
-                       if mode == "forecast" or any(now - at < MAX_AGE for at, _ in self._predictions[mode].values())
-                       for model, (at, error) in errors.items()},
+            "errors": {model: error | {"age": round(now - received, 1)} for mode in current_modes
+                       for model, (received, error) in self._errors[mode].items()},
             "steering": None if angle is None or now - angle_time > MAX_AGE else round(angle, 4),
         }
         if sample is None:
             return frame
-        pose = (*self._cg_position(sample), sample.yaw)
+        pose = (*self._find_cg(sample), sample.yaw)
         track = np.array([point[1:] for point in self._track]).reshape(-1, 2)
         return frame | {
             "pose": [round(value, 3) for value in pose], "speed": round(sample.velocity_x, 2),
             "lateral_acceleration": round(sample.velocity_x * sample.yaw_rate, 2),
             "track": _to_car_axes(track[:, 0], track[:, 1], pose),
             "paths": {model: self._make_path(message, pose, mode) for mode, predictions in self._predictions.items()
-                      for model, (at, message) in predictions.items() if now - at < MAX_AGE},
+                      for model, (received, message) in predictions.items() if now - received < MAX_AGE},
         }
 
-    def _cg_position(self, sample: InsSample) -> tuple[float, float]:
+    def _find_cg(self, sample: InsSample) -> tuple[float, float]:
         x, y = cg_to_ins_position(sample.x, sample.y, sample.yaw, -self._car.cg_to_ins_x, -self._car.cg_to_ins_y)
         return float(x), float(y)
 
     def _make_path(self, message: Any, pose: tuple[float, float, float], mode: str) -> dict[str, Any]:
         x, y, yaw = (np.asarray(column)[::PATH_STRIDE] for column in (message.x, message.y, message.yaw))
         path: dict[str, Any] = {"points": _to_car_axes(x, y, pose), "step": PATH_STRIDE * message.step,
-                                "inputs": INPUTS[mode], "yaw": np.round(yaw - pose[2], 3).tolist()}
+                                "inputs": INPUTS_OF_MODE[mode], "yaw": np.round(yaw - pose[2], 3).tolist()}
         # The forecast from the same start contains the bands of all modes.
         _, forecast = self._predictions["forecast"].get(message.model, (0.0, None))
         bands = forecast.bands if forecast and forecast.header.stamp == message.header.stamp else ()
@@ -137,15 +138,15 @@ class PassengerFrames:
 
     def _find_worst_check(self, now: float) -> tuple[str, str]:
         """(level, text) of the worst check; a silent node is an error, and without checks the level is "none"."""
-        current = [(level, f"{node}: {text}") for node, (at, timeout, checks) in self._health.items()
-                   for level, text in (checks.values() if now - at < timeout else
-                                       [(2, f"silent for {now - at:.0f} s")])]
-        if not current:
+        checks = [(level, f"{node}: {text}") for node, (received, timeout, node_checks) in self._health.items()
+                  for level, text in (node_checks.values() if now - received < timeout else
+                                      [(2, f"silent for {now - received:.0f} s")])]
+        if not checks:
             return "none", "no diagnostics"
-        level, text = max(current)
+        level, text = max(checks)
         if level == 0:
             return "ok", "all checks OK"
-        others = sum(other > 0 for other, _ in current) - 1
+        others = sum(other > 0 for other, _ in checks) - 1
         return LEVELS[min(level, 3)], text + (f", and {others} more" if others else "")
 
     def _take_odometry(self, message: Any, now: float) -> None:
@@ -159,7 +160,7 @@ class PassengerFrames:
                 errors.clear()
         self._sample, self._received = sample, now
         if not self._track or measured - self._track[-1][0] >= TRACK_STEP:
-            self._track.append((measured, *self._cg_position(sample)))
+            self._track.append((measured, *self._find_cg(sample)))
             while measured - self._track[0][0] > TRACK_SPAN:
                 self._track.popleft()
 
@@ -184,7 +185,7 @@ class PassengerNode(Node):
         super().__init__("passenger")
         self._frames, self._server = frames, server
         self._subscriptions_by_topic = {"predictor/status": self._subscribe("predictor/status")}
-        steady_timer(self, PERIOD, self._send_frame)
+        steady_timer(self, FRAME_PERIOD, self._send_frame)
 
     def _subscribe(self, topic: str) -> PolledSubscription:
         kind = TOPICS[topic]
@@ -192,18 +193,18 @@ class PassengerNode(Node):
         return PolledSubscription(self, TYPES[kind], topic, qos)
 
     def _send_frame(self) -> None:
-        received = False
+        received_any = False
         for topic, subscription in self._subscriptions_by_topic.items():
             for message, received_ns, _ in subscription.take():
                 waited = max((time.time_ns() - received_ns) * 1e-9, 0.0)  # in the queue
                 self._frames.take(topic, message, time.monotonic() - waited)
-                received = True
-        if received and len(self._subscriptions_by_topic) == 1:
+                received_any = True
+        if received_any and len(self._subscriptions_by_topic) == 1:
             # Subscribe only now, because the player of `st replay` counts the subscribers of its topics at its start.
             self._subscriptions_by_topic |= {topic: self._subscribe(topic) for topic in TOPICS
                                              if topic not in self._subscriptions_by_topic}
         if self._server.clients:
-            self._server.publish(self._frames.frame(time.monotonic()))
+            self._server.publish(self._frames.make_frame(time.monotonic()))
 
 
 def main() -> int:
@@ -212,11 +213,10 @@ def main() -> int:
     parser.add_argument("--map-frame", default="map")
     parser.add_argument("--title", default="run")
     parser.add_argument("--address", default="127.0.0.1", help="local address to listen on")
-    parser.add_argument("--port", type=int, default=0, help="0: a free one")
+    parser.add_argument("--port", type=int, default=0, help="0: a free port")
     options = parser.parse_args()
     car = read_vehicle(options.vehicle)
-    settings = {"title": options.title, "car": {"length": car.length, "width": car.width},
-                "models": MODEL_COLOUR}
+    settings = {"title": options.title, "car": {"length": car.length, "width": car.width}, "models": MODEL_COLOUR}
     try:
         server = PageServer(options.address, options.port, settings)
     except OSError as error:

@@ -30,14 +30,14 @@ from st_recordings.runs.run_types import SteeringField
 from st_ros import spin
 from st_ros.polling import LATCHED, PolledSubscription, from_nanoseconds, message_class, wait_for_any
 
-INPUTS = ("/ins/odometry", "/vehicle/steering")  # published names of the topics; the recording may use others
+INPUT_TOPICS = ("/ins/odometry", "/vehicle/steering")  # as published; the names in the recording may differ
 CLOCK_STEP_NS = 10_000_000
 QUEUE_DEPTH = 1000
 DISCOVERY_TIMEOUT = 15.0  # s
 STATUS_PERIOD = 0.5  # s
 SUBSCRIBERS = 3  # expected for each topic: predictor, evaluator, recorder
 PLAN, ORIGIN = "/plan/inputs", "/ins/origin"
-FEWER_SUBSCRIBERS = {PLAN: 2, ORIGIN: 1}  # predictor and recorder; only the recorder, without a course
+FEWER_SUBSCRIBERS = {PLAN: 2, ORIGIN: 1}  # plan: predictor and recorder; origin: at least the recorder
 # s, longest wait for a node at rate 0; the short one follows a wait without progress, for example at standstill.
 TIMEOUT, SHORT_TIMEOUT = 2.0, 0.005
 SCORE_DELAY = 1.0  # s; the clock may lead the newest scored start by the horizon plus this delay
@@ -59,21 +59,21 @@ class Follower:
     def wait(self, clock_ns: int) -> None:
         """Wait until the node is at most `lead` behind the clock, or for the timeout."""
         end = time.monotonic() + (TIMEOUT if self._progresses else SHORT_TIMEOUT)
-        before = self._newest_ns
+        previous_ns = self._newest_ns
+        subscriptions = [subscription for subscription, _ in self._sources]
         while True:
             for subscription, read_stamp in self._sources:
                 for data, _, _ in subscription.take(QUEUE_DEPTH):
                     self._newest_ns = max(self._newest_ns, read_stamp(data))
             reached = self._newest_ns >= clock_ns - self._lead_ns
             if reached or time.monotonic() > end:
-                self._progresses = reached or self._newest_ns > before  # progress restores the long timeout
+                self._progresses = reached or self._newest_ns > previous_ns  # progress restores the long timeout
                 return
-            subscriptions = [subscription for subscription, _ in self._sources]
             wait_for_any(self._node, subscriptions, max(end - time.monotonic(), 0.0))
 
 
 def read_header_stamp(data: bytes) -> int:
-    """header.stamp [ns] of a serialised message that begins with a header."""
+    """header.stamp [ns] of a serialised message that begins with a header; CDR data begin with 4 bytes of their own."""
     seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
     return seconds * 1_000_000_000 + nanoseconds
 
@@ -89,16 +89,15 @@ class Player:
     def __init__(self, options: argparse.Namespace):
         self._stop = spin.StopRequest()
         self._bag, self._rate = options.bag, options.rate
-        self._names = dict(zip((options.odometry, options.steering), INPUTS, strict=True))
+        self._published_topics = dict(zip((options.odometry, options.steering), INPUT_TOPICS, strict=True))
         self._steering = options.steering
-        self._field = None
+        self._steering_field = None
         if options.steering_field:
-            self._field = SteeringField(options.steering, options.steering_field,
-                                        "wheel" if options.steering_wheel else "road")
-        # Factor from the recorded number to rad, left +; steering ratio [1] and steering-wheel offset [rad].
-        self._scale: float = options.steering_scale
-        wheel: Sequence[float] = options.steering_wheel or (1.0, 0.0)
-        self._ratio, self._offset = wheel
+            self._steering_field = SteeringField(options.steering, options.steering_field,
+                                                 "wheel" if options.steering_wheel else "road")
+        self._scale: float = options.steering_scale  # factor from the recorded number to rad, left +
+        self._ratio: float = options.steering_wheel[0] if options.steering_wheel else 1.0
+        self._offset: float = options.steering_wheel[1] if options.steering_wheel else 0.0  # steering wheel [rad]
         self._node = Node("player")
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=QUEUE_DEPTH))
         self._followers = [] if self._rate > 0 else [
@@ -118,21 +117,21 @@ class Player:
                 print("recorder, predictor or evaluator has not subscribed to the inputs", file=sys.stderr)
                 return 1
             connections = [c for c in reader.connections if c.topic in publishers]
-            first = clock_ns = self._advance(reader.start_time, reader.start_time, time.monotonic())
-            began, total = time.monotonic(), (reader.end_time - reader.start_time) * 1e-9
+            first_ns = clock_ns = self._advance(reader.start_time, reader.start_time, time.monotonic())
+            started, duration = time.monotonic(), (reader.end_time - reader.start_time) * 1e-9
             for connection, log_ns, data in reader.messages(connections=connections):
                 while clock_ns + CLOCK_STEP_NS <= log_ns and not self._stop.requested:
-                    clock_ns = self._advance(clock_ns + CLOCK_STEP_NS, first, began)
-                    self._report((clock_ns - first) * 1e-9, total)
+                    clock_ns = self._advance(clock_ns + CLOCK_STEP_NS, first_ns, started)
+                    self._report((clock_ns - first_ns) * 1e-9, duration)
                 if self._stop.requested:
                     break
-                if self._field and connection.topic == self._steering:
+                if self._steering_field and connection.topic == self._steering:
                     message = reader.deserialize(data, connection.msgtype)
-                    publishers[connection.topic].publish(self._convert_steering(message, self._field, log_ns))
+                    publishers[connection.topic].publish(self._convert_steering(message, self._steering_field, log_ns))
                 else:
                     publishers[connection.topic].publish(bytes(data))
-            self._advance(clock_ns + CLOCK_STEP_NS, first, began)
-        self._report(total, total, "done", time.monotonic() - began)
+            self._advance(clock_ns + CLOCK_STEP_NS, first_ns, started)
+        self._report(duration, duration, "done", time.monotonic() - started)
         return 0
 
     def close(self) -> None:
@@ -143,13 +142,13 @@ class Player:
         publishers: dict[str, Publisher] = {}
         for connection in connections:
             if connection.msgtype == "st_msgs/msg/InputPlan":
-                self._names[connection.topic] = PLAN
+                self._published_topics[connection.topic] = PLAN
             elif connection.topic.endswith(ORIGIN) and connection.msgtype == "sensor_msgs/msg/NavSatFix":
-                self._names[connection.topic] = ORIGIN
-            if connection.topic in self._names and connection.topic not in publishers:
-                converted = self._field and connection.topic == self._steering
+                self._published_topics[connection.topic] = ORIGIN
+            if connection.topic in self._published_topics and connection.topic not in publishers:
+                converted = self._steering_field and connection.topic == self._steering
                 message_type = Steering if converted else message_class(connection.msgtype)
-                name = self._names[connection.topic]
+                name = self._published_topics[connection.topic]
                 qos = LATCHED if name == ORIGIN else QoSProfile(depth=QUEUE_DEPTH)
                 publishers[connection.topic] = self._node.create_publisher(message_type, name, qos)
         return publishers
@@ -165,16 +164,16 @@ class Player:
     def _wait_for_subscribers(self, publishers: Sequence[Publisher]) -> bool:
         """Wait for the subscribers of every topic and of the clock; returns whether all have subscribed in time."""
         end = time.monotonic() + DISCOVERY_TIMEOUT
-        needed = {p: FEWER_SUBSCRIBERS.get(p.topic_name, SUBSCRIBERS) for p in (*publishers, self._clock)}
-        while any(p.get_subscription_count() < count for p, count in needed.items()):
+        expected = {p: FEWER_SUBSCRIBERS.get(p.topic_name, SUBSCRIBERS) for p in (*publishers, self._clock)}
+        while any(p.get_subscription_count() < count for p, count in expected.items()):
             if time.monotonic() > end or self._stop.requested:
                 return False
             time.sleep(0.05)
         return True
 
-    def _advance(self, clock_ns: int, first_ns: int, began: float) -> int:
+    def _advance(self, clock_ns: int, first_ns: int, started: float) -> int:
         if self._rate > 0:
-            wait = began + (clock_ns - first_ns) * 1e-9 / self._rate - time.monotonic()
+            wait = started + (clock_ns - first_ns) * 1e-9 / self._rate - time.monotonic()
             if wait > 0:
                 time.sleep(wait)
         self._clock.publish(Clock(clock=from_nanoseconds(clock_ns)))
@@ -182,12 +181,13 @@ class Player:
             follower.wait(clock_ns)
         return clock_ns
 
-    def _report(self, done: float, total: float, state: str = "playing", wall: float = 0.0) -> None:
+    def _report(self, played: float, duration: float, state: str = "playing", wall_time: float = 0.0) -> None:
+        """Print the progress as a line of JSON, at most every STATUS_PERIOD while playing; all times in s."""
         now = time.monotonic()
         if state != "playing" or now - self._reported_at > STATUS_PERIOD:
             self._reported_at = now
-            status = {"state": state, "done": round(done, 2), "duration": round(total, 2)}
-            print(json.dumps(status | ({"wall": round(wall, 2)} if wall else {})), flush=True)
+            status = {"state": state, "done": round(played, 2), "duration": round(duration, 2)}
+            print(json.dumps(status | ({"wall": round(wall_time, 2)} if wall_time else {})), flush=True)
 
 
 def main() -> int:
@@ -201,7 +201,7 @@ def main() -> int:
     parser.add_argument("--odometry", required=True, help="topic of the odometry in the recording")
     parser.add_argument("--steering", required=True, help="topic of the steering in the recording")
     parser.add_argument("--steering-scale", type=float, default=1.0, help="factor to rad, left +")
-    parser.add_argument("--steering-field", default="", help="field with the angle, in messages other than Steering")
+    parser.add_argument("--steering-field", default="", help="field with the angle, unless messages are Steering")
     parser.add_argument("--steering-wheel", type=float, nargs=2,
                         help="steering ratio and offset [rad], for an angle of the steering wheel")
     options = parser.parse_args()

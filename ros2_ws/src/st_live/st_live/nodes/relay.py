@@ -1,6 +1,7 @@
 """Relays topics of the suite to Foxglove over a WebSocket, byte for byte, on computers without foxglove_bridge."""
 
 import argparse
+import contextlib
 import sys
 from fnmatch import fnmatchcase
 
@@ -34,24 +35,23 @@ class RelayNode(Node):
 
     def _open_new_topics(self) -> None:
         for topic, types in self.get_topic_names_and_types():
-            is_new = topic not in self._open and any(fnmatchcase(topic, f"*{p}") for p in TOPICS)
+            is_new = topic not in self._open and any(fnmatchcase(topic, f"*{pattern}") for pattern in TOPICS)
             if is_new and (publishers := self.get_publishers_info_by_topic(topic)):
                 self._open[topic] = self._relay(topic, types[0], publishers)
 
     def _relay(self, topic: str, type_name: str, publishers: list) -> tuple[PolledSubscription, Channel] | None:
         message_type = message_class(type_name)
-        try:
-            text = read_definition(type_name)
-        except UnknownTypeError:
-            message_type = None
-        if message_type is None:
+        definition = ""
+        with contextlib.suppress(UnknownTypeError):
+            definition = read_definition(type_name)
+        if message_type is None or not definition:
             print(f"{topic} is not relayed: type {type_name} is not installed", flush=True)
             return None
         qos = matching_qos(publishers, QUEUE_DEPTH)
         # Best effort, so that no publisher waits for a viewer; latched messages are sent only once and must arrive.
         if qos.durability == DurabilityPolicy.VOLATILE:
             qos.reliability = ReliabilityPolicy.BEST_EFFORT
-        schema = Schema(name=type_name, encoding="ros2msg", data=text.encode())
+        schema = Schema(name=type_name, encoding="ros2msg", data=definition.encode())
         print(f"{topic} ({type_name})", flush=True)
         return (PolledSubscription(self, message_type, topic, qos, raw=True),
                 Channel(topic, message_encoding="cdr", schema=schema))
