@@ -57,6 +57,10 @@ class AugmentedModel(Model):
         return _compose(self.base, self.effects, {**self.values, **_check_all_values(changed, merged)})
 
     @property
+    def has_tyres(self) -> bool:
+        return self.base.has_tyres or any(effect.converts for effect in self.active)
+
+    @property
     def has_steering_dynamics(self) -> bool:
         """Whether `steering` changes a recording."""
         return any(effect.steering for effect in self.active)
@@ -73,8 +77,8 @@ class AugmentedModel(Model):
 
     def input_dependencies(self, p: Any) -> tuple:
         """Cache key: the parameters in p on which `inputs` depends."""
-        active = compose(self.base, self.effects).active
-        return (p.base, *(t for e, t in zip(active, p.effects, strict=True) if e.inputs or e.prepare)) if active else p
+        acting = compose(self.base, self.effects).acting
+        return (p.base, *(t for e, t in zip(acting, p.effects, strict=True) if e.inputs or e.prepare)) if acting else p
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
         """The vehicle with the active effects applied. Raises ConfigurationError outside their limits."""
@@ -183,13 +187,13 @@ def _compose(base: Model, effects: tuple[type[Effect], ...], values: Values) -> 
     def parameters(vehicle: VehicleParameters) -> Any:
         vehicle = model.effective_vehicle(vehicle)
         base_parameters = base.parameters(vehicle)
-        if not composed.active:
+        if not composed.acting:
             return base_parameters
         return AugmentedParameters(base_parameters, tuple(
-            e.Theta(**values[e.name], constants=e.constants(vehicle) if e.constants else ()) for e in composed.active))
+            e.Theta(**values[e.name], constants=e.constants(vehicle) if e.constants else ()) for e in composed.acting))
 
     model = AugmentedModel("augmented", parameters, composed.inputs, composed.rhs, composed.extra_states,
-                           composed.start, composed.signals, axles=None, base=base, effects=effects, values=values)
+                           composed.start, composed.signals, base=base, effects=effects, values=values)
     return model
 
 

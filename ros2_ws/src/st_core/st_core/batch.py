@@ -193,7 +193,7 @@ class LogBatch:
         else:
             padding = (0, 0), (0, block.columns - block.count)
             angle, acceleration, *path = (np.pad(v[block.rows].T, padding, mode="edge") for v in self._ahead)
-            if path and model.axles is None:
+            if path and not model.has_tyres:
                 angle = path[0]
         angle, acceleration = (np.broadcast_to(v, times.shape) for v in (angle, acceleration))
         if has_steering_dynamics(model):

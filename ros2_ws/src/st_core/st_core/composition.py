@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from .effects import Effect, Instant
 from .effects._base import EQUATION_HOOKS
-from .models import Model, linear_tyre
+from .models import Model, linear_tyre, motion, slip_angles
 
 STATES = 6  # number of states of every base model
 
@@ -30,10 +30,10 @@ class AugmentedParameters(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Composed:
+class Composition:
     """Functions of an augmented model."""
 
-    active: tuple[type[Effect], ...]  # effects with a theta in p; if empty, p is the p of the base model
+    acting: tuple[type[Effect], ...]  # effects with a theta in p; if empty, p is the p of the base model
     inputs: Callable[..., tuple]
     rhs: Callable[[tuple, tuple, Any], tuple]
     start: Callable[[tuple, tuple, Any], tuple] | None = None
@@ -49,15 +49,15 @@ class _Layout:
     effect: type[Effect]
     index: int  # of its theta in p
     prepared: tuple[int, int]  # (begin, end) in w
-    extra: tuple[int, int]  # (begin, end) in the state
+    extra: tuple[int, int]  # (begin, end) of its extra states in the state
 
 
 @cache
-def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
-    """The functions of a base model with effects, given in the order in which they act; cached."""
+def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composition:
+    """The functions of a base model with effects, which are given in the order in which they act; cached."""
     acting = tuple(e for e in effects if e.converts or any(getattr(e, hook) for hook in ("inputs", *EQUATION_HOOKS)))
     if not acting:
-        return Composed((), base.inputs, base.rhs)
+        return Composition((), base.inputs, base.rhs)
     layouts: list[_Layout] = []
     w, state = 2, STATES
     for index, effect in enumerate(acting):
@@ -66,25 +66,27 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
         w, state = layout.prepared[1], layout.extra[1]
         layouts.append(layout)
     signals = tuple(dict.fromkeys(name for effect in acting for name in effect.signals))
-    changed_inputs = _changed_inputs(layouts, signals)
+    change_inputs = _chain_input_hooks(layouts, signals)
     base_rhs = base.rhs
     if not any(e.converts or getattr(e, hook) for e in acting for hook in EQUATION_HOOKS):
-        return Composed(acting, _inputs_only(base.inputs, changed_inputs),
-                        lambda state, w, p: base_rhs(state, w, p.base), signals=signals)
+        return Composition(acting, _make_base_inputs(base.inputs, change_inputs),
+                           lambda state, w, p: base_rhs(state, w, p.base), signals=signals)
     base_begin = layouts[-1].prepared[1]
-    geometric_slips, base_forces, motion = _dynamics(base, layouts, base_begin)
+    geometric_slips, base_forces, base_rates = _make_dynamics(base, layouts, base_begin)
     slips = _chain(lambda front, rear, state, instant: (front, rear), _add_slip_angles, layouts, "slip_angles")
-    rhs = _rhs(geometric_slips, slips, _chain(base_forces, _add_axle_forces, layouts, "axle_forces"), motion,
-               _chain(_no_acceleration, _add_acceleration, layouts, "acceleration"),
-               _chain(_nothing, _add_rates, layouts, "rates"))
-    if base.axles is None:
-        rhs = _blended(base_rhs, rhs, base_begin, _conversion_layout(layouts).index)
+    rhs = _make_rhs(geometric_slips, slips, _chain(base_forces, _add_axle_forces, layouts, "axle_forces"), base_rates,
+                    _chain(_no_acceleration, _add_acceleration, layouts, "acceleration"),
+                    _chain(_no_values, _add_rates, layouts, "rates"))
+    if base.axle_forces is None:
+        rhs = _blend(base_rhs, rhs, base_begin, _conversion_layout(layouts).index)
     extra_states = tuple(f"{e.name}.{name}" for e in acting for name in e.extra_states)
-    start = _start(_chain(_nothing, _add_start, layouts, "extra_states"), geometric_slips) if extra_states else None
+    start = _make_start(_chain(_no_values, _add_start, layouts, "extra_states"), geometric_slips)
     force = _chain(lambda instant: (0.0 * instant.velocity_x,) * 2, _add_specific_force, layouts, "specific_force")
     has_force = any(e.specific_force for e in acting)
-    return Composed(acting, _inputs(base.inputs, changed_inputs, _prepared(layouts, signals)), rhs, start,
-                    (lambda state, w, p: force(_instant(state, w, p))) if has_force else None, extra_states, signals)
+    inputs = _make_inputs(base.inputs, change_inputs, _chain_prepare_hooks(layouts, signals))
+    return Composition(acting, inputs, rhs, start if extra_states else None,
+                       (lambda state, w, p: force(_make_instant(state, w, p))) if has_force else None,
+                       extra_states, signals)
 
 
 def _chain(function, add, layouts: list[_Layout], attribute: str):
@@ -99,56 +101,55 @@ def _conversion_layout(layouts: list[_Layout]) -> _Layout:
 
 # The functions below return functions that refer only to plain functions and integers, which compilers can inline.
 
-def _instant(state, w, p):
+def _make_instant(state, w, p):
     return Instant(state[0], state[1], state[2], state[3], state[4], state[5], w[0], w[1], w, p)
 
 
-def _dynamics(base: Model, layouts: list[_Layout], base_begin: int):
-    """Functions slips(instant), forces(slip_front, slip_rear, instant), motion(force_front, force_rear, instant)."""
-    if base.axles is None:
-        conversion, axles = _conversion_layout(layouts), linear_tyre.AXLES
+def _state_of(instant):
+    return instant.x, instant.y, instant.velocity_x, instant.velocity_y, instant.yaw, instant.yaw_rate
+
+
+def _make_dynamics(base: Model, layouts: list[_Layout], base_begin: int):
+    """Functions slips(instant), forces(slip_front, slip_rear, instant), rates(force_front, force_rear, instant)."""
+    axle_forces = base.axle_forces or linear_tyre.axle_forces
+    if base.axle_forces is None:
+        conversion = _conversion_layout(layouts)
         index, (begin, end) = conversion.index, conversion.prepared
 
-        def w_and_p(instant):
+        def select_w_and_p(instant):
             return instant.w[begin:end], instant.p.effects[index].constants
     else:
-        axles = base.axles
-
-        def w_and_p(instant):
+        def select_w_and_p(instant):
             return instant.w[base_begin:], instant.p.base
 
-    slip_angles, axle_forces, axle_motion = axles.slip_angles, axles.forces, axles.motion
-
     def slips(instant):
-        w, p = w_and_p(instant)
-        state = (instant.x, instant.y, instant.velocity_x, instant.velocity_y, instant.yaw, instant.yaw_rate)
-        return slip_angles(state, w, p)
+        w, p = select_w_and_p(instant)
+        return slip_angles(_state_of(instant), w, p)
 
     def forces(slip_front, slip_rear, instant):
-        w, p = w_and_p(instant)
+        w, p = select_w_and_p(instant)
         return axle_forces(slip_front, slip_rear, w, p)
 
-    def motion(force_front, force_rear, instant):
-        w, p = w_and_p(instant)
-        state = instant.x, instant.y, instant.velocity_x, instant.velocity_y, instant.yaw, instant.yaw_rate
-        return axle_motion(state, force_front, force_rear, w, p)
+    def rates(force_front, force_rear, instant):
+        w, p = select_w_and_p(instant)
+        return motion(_state_of(instant), force_front, force_rear, w, p)
 
-    return slips, forces, motion
+    return slips, forces, rates
 
 
-def _rhs(geometric_slips, changed_slips, forces, motion, acceleration, rates):
+def _make_rhs(geometric_slips, changed_slips, forces, base_rates, acceleration, rates):
     def rhs(state, w, p):
-        instant = _instant(state, w, p)
+        instant = _make_instant(state, w, p)
         geometric = geometric_slips(instant)
         slip_front, slip_rear = changed_slips(geometric[0], geometric[1], state, instant)
         axle = forces(slip_front, slip_rear, instant)
-        x, y, velocity_x, velocity_y, yaw, yaw_rate = motion(axle[0], axle[1], instant)
+        x, y, velocity_x, velocity_y, yaw, yaw_rate = base_rates(axle[0], axle[1], instant)
         a_x, a_y, a_yaw = acceleration(instant)
         return x, y, velocity_x + a_x, velocity_y + a_y, yaw, yaw_rate + a_yaw, *rates(state, geometric, axle, instant)
     return rhs
 
 
-def _blended(kinematic, dynamic, base_begin, index):
+def _blend(kinematic, dynamic, base_begin, index):
     def rhs(state, w, p):
         share = p.effects[index].share
         remainder = 1.0 - share
@@ -160,47 +161,47 @@ def _blended(kinematic, dynamic, base_begin, index):
     return rhs
 
 
-def _start(extra_states, geometric_slips):
+def _make_start(extra_states, geometric_slips):
     def start(state, w, p):
-        instant = _instant(state, w, p)
+        instant = _make_instant(state, w, p)
         return extra_states(geometric_slips(instant), instant)
     return start
 
 
-def _nothing(*arguments):
+def _no_values(*arguments):
     return ()
 
 
-# Inputs: `signals` are the values of all declared signals; each effect receives the signals it declares.
+# Inputs: `signals` are the values of all declared signals; each effect receives the signals that it declares.
 
-def _inputs_only(base_inputs, changed_inputs):
+def _make_base_inputs(base_inputs, change_inputs):
     def inputs(road_wheel_angle, velocity_x_dot, p, *signals):
-        angle, acceleration = changed_inputs(road_wheel_angle, velocity_x_dot, p, signals)
+        angle, acceleration = change_inputs(road_wheel_angle, velocity_x_dot, p, signals)
         return base_inputs(angle, acceleration, p.base)
     return inputs
 
 
-def _inputs(base_inputs, changed_inputs, prepared):
+def _make_inputs(base_inputs, change_inputs, prepared):
     def inputs(road_wheel_angle, velocity_x_dot, p, *signals):
-        angle, acceleration = changed_inputs(road_wheel_angle, velocity_x_dot, p, signals)
+        angle, acceleration = change_inputs(road_wheel_angle, velocity_x_dot, p, signals)
         added = prepared(angle, acceleration, p, signals)
         return angle, acceleration, *added, *base_inputs(angle, acceleration, p.base)
     return inputs
 
 
-def _pick(signals: tuple[str, ...], selected: tuple[str, ...]):
+def _make_picker(signals: tuple[str, ...], selected: tuple[str, ...]):
     """Function that picks the values of the selected signals from the values of all signals."""
     def add(previous, index):
         def pick(values):
             return *previous(values), values[index]
         return pick
 
-    return reduce(add, map(signals.index, selected), _nothing)
+    return reduce(add, map(signals.index, selected), _no_values)
 
 
-def _changed_inputs(layouts: list[_Layout], signals: tuple[str, ...]):
+def _chain_input_hooks(layouts: list[_Layout], signals: tuple[str, ...]):
     def add(previous, layout):
-        hook, index, pick = layout.effect.inputs, layout.index, _pick(signals, layout.effect.signals)
+        hook, index, pick = layout.effect.inputs, layout.index, _make_picker(signals, layout.effect.signals)
 
         def changed(angle, acceleration, p, signals):
             angle, acceleration = previous(angle, acceleration, p, signals)
@@ -210,9 +211,9 @@ def _changed_inputs(layouts: list[_Layout], signals: tuple[str, ...]):
     return _chain(lambda angle, acceleration, p, signals: (angle, acceleration), add, layouts, "inputs")
 
 
-def _prepared(layouts: list[_Layout], signals: tuple[str, ...]):
+def _chain_prepare_hooks(layouts: list[_Layout], signals: tuple[str, ...]):
     def add(previous, layout):
-        hook, index, pick = layout.effect.prepare, layout.index, _pick(signals, layout.effect.signals)
+        hook, index, pick = layout.effect.prepare, layout.index, _make_picker(signals, layout.effect.signals)
         hook = hook or (lambda angle, acceleration, signals, theta: signals)
 
         def prepared(angle, acceleration, p, signals):
@@ -220,7 +221,7 @@ def _prepared(layouts: list[_Layout], signals: tuple[str, ...]):
             return *before, *hook(angle, acceleration, pick(signals), p.effects[index])
         return prepared
 
-    return reduce(add, (layout for layout in layouts if layout.effect.prepare or layout.effect.signals), _nothing)
+    return reduce(add, (layout for layout in layouts if layout.effect.prepare or layout.effect.signals), _no_values)
 
 
 # Equations: for each hook, the function without effects and a wrapper that adds one effect.

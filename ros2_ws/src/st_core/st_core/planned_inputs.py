@@ -171,7 +171,7 @@ def _demand_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inp
 
 def model_inputs(model: Model, planned: InputSequence) -> InputSequence:
     """Planned inputs for a model: the slip-free angle of a path if it has no tyres, else the road wheel angle."""
-    if model.axles is None and SLIP_FREE in planned.signals:
+    if not model.has_tyres and SLIP_FREE in planned.signals:
         return InputSequence(planned.signals[SLIP_FREE], planned.velocity_x_dot)
     return planned
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import fsolve
 from st_core.augmented import augment
-from st_core.models import MODELS, nonlinear_tyre
+from st_core.models import MODELS, motion, nonlinear_tyre, slip_angles
 from st_core.prediction import predict
 from st_core.types import ControlInput, VehicleState
 from st_core.tyres import GRAVITY, magic_formula_coefficients, magic_formula_force
@@ -216,7 +216,7 @@ def test_headwind_and_wind_without_direction_do_not_steer(leaf):
 def axle_force(model, car, slip, acceleration=0.0):
     """(front, rear) [N] of a dynamic base at equal slip angles."""
     p = model.parameters(car)
-    return MODELS["nonlinear"].axles.forces(slip, slip, model.inputs(0.0, acceleration, p), p)
+    return nonlinear_tyre.axle_forces(slip, slip, model.inputs(0.0, acceleration, p), p)
 
 
 def test_friction_scales_the_peak_and_leaves_the_slope(leaf):
@@ -295,7 +295,7 @@ def test_lateral_load_transfer_takes_the_curvature_of_the_tyre(leaf):
     plain = forces_in_rhs(MODELS["nonlinear"], leaf, SLIDING)
     moved = share * sum(plain) * leaf.cg_height / track
     p = nonlinear_tyre.parameters(leaf)
-    slips = MODELS["nonlinear"].axles.slip_angles(SLIDING, MODELS["nonlinear"].inputs(0.0, 0.0, p), p)
+    slips = slip_angles(SLIDING, MODELS["nonlinear"].inputs(0.0, 0.0, p), p)
     loads = [0.5 * load for load in nonlinear_tyre.axle_loads(0.0, p)]
     changed = forces_in_rhs(model, leaf, SLIDING)
     for axle, (tyre, part) in enumerate(((p.tyre_front, front_part), (p.tyre_rear, 1.0 - front_part))):
@@ -315,9 +315,9 @@ def test_lateral_load_transfer_turns_the_car_like_four_wheels(leaf):
     track, front_part = leaf.track_width, leaf.load_transfer_front
     model = augment("nonlinear", {"lateral_load_transfer": {"share": 1.0}})
     p = nonlinear_tyre.parameters(leaf)
-    axles, w = MODELS["nonlinear"].axles, MODELS["nonlinear"].inputs(angle, 0.0, p)
-    slips = axles.slip_angles(state, w, p)
-    moved = sum(axles.forces(*slips, w, p)) * leaf.cg_height / track
+    w = MODELS["nonlinear"].inputs(angle, 0.0, p)
+    slips = slip_angles(state, w, p)
+    moved = sum(nonlinear_tyre.axle_forces(*slips, w, p)) * leaf.cg_height / track
     moment = sideways = 0.0
     for axle, (tyre, part, x, turned) in enumerate((
             (p.tyre_front, front_part, leaf.cg_to_front_axle, angle),
@@ -343,7 +343,7 @@ def test_longitudinal_load_transfer_is_that_of_the_tyre_data(leaf, base):
     model = augment(base, {"longitudinal_load_transfer": {"height": height}})
     plain, changed = (forces_in_rhs(m, leaf, SLIDING, braking) for m in (MODELS[base], model))
     p = nonlinear_tyre.parameters(leaf)
-    slips = MODELS["nonlinear"].axles.slip_angles(SLIDING, MODELS["nonlinear"].inputs(0.0, 0.0, p), p)
+    slips = slip_angles(SLIDING, MODELS["nonlinear"].inputs(0.0, 0.0, p), p)
     moved = leaf.mass * height * braking / leaf.wheelbase
     loads = nonlinear_tyre.axle_loads(braking, p)
     for axle, (tyre, sign) in enumerate(((p.tyre_front, -1.0), (p.tyre_rear, 1.0))):
@@ -392,7 +392,7 @@ def test_steered_wheels_push_with_their_drive_force(leaf, base, acceleration, sh
         rates.append(m.rhs(SLIDING, m.inputs(angle, acceleration, p), p))
     p = nonlinear_tyre.parameters(leaf) if base == "nonlinear" else MODELS["linear"].parameters(leaf)
     w = MODELS[base].inputs(angle, acceleration, p)
-    front, _ = MODELS[base].axles.forces(*MODELS[base].axles.slip_angles(SLIDING, w, p), w, p)
+    front, _ = MODELS[base].axle_forces(*slip_angles(SLIDING, w, p), w, p)
     push = share_front * drive_force(leaf, SLIDING, acceleration, front, angle) * math.sin(angle)
     assert leaf.mass * (rates[1][3] - rates[0][3]) == pytest.approx(push, rel=1e-9)
     assert leaf.yaw_inertia * (rates[1][5] - rates[0][5]) == pytest.approx(push * leaf.cg_to_front_axle, rel=1e-9)
@@ -458,5 +458,5 @@ def test_taken_apart_at_the_axles_a_model_is_the_same_to_the_last_bit(car, base)
     for _ in range(200):
         state = tuple(random.uniform([-9, -9, -2, -2, -4, -1], [9, 9, 25, 2, 4, 1]).tolist())
         w = model.inputs(float(random.uniform(-0.5, 0.5)), float(random.uniform(-8, 5)), p)
-        slips = model.axles.slip_angles(state, w, p)
-        assert model.axles.motion(state, *model.axles.forces(*slips, w, p), w, p) == model.rhs(state, w, p)
+        forces = model.axle_forces(*slip_angles(state, w, p), w, p)
+        assert motion(state, *forces, w, p) == model.rhs(state, w, p)

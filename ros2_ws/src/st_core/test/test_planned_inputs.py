@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drives import T0, wavy_drive
+from st_core.augmented import augment
 from st_core.evaluation import Evaluator
 from st_core.log_evaluation import EvaluationSettings, evaluate_log
-from st_core.planned_inputs import PlannedInputs, plan_problem, recorded_plan, steady_state_steering
+from st_core.models import get_model
+from st_core.planned_inputs import PlannedInputs, model_inputs, plan_problem, recorded_plan, steady_state_steering
 from st_core.prediction import PredictionSettings, Predictor, Start, predict
 from st_core.types import ControlInput, InputSequence, InsSample, VehicleState
 
@@ -71,6 +73,17 @@ def test_a_steady_turn_follows_the_planned_curvature(leaf):
     angle = float(steady_state_steering(np.array(speed), np.array(curvature), leaf))
     end = predict("linear", leaf, VehicleState(0, 0, speed, 0, 0, 0), ControlInput(angle, 0.0)).states[-1]
     assert end[5] / speed == pytest.approx(curvature, rel=0.02)
+
+
+@pytest.mark.parametrize(("model", "slip_free"), [
+    ("kinematic", True), ("nonlinear", False), (augment("kinematic", ["steering_lag"]), True),
+    (augment("nonlinear", ["steering_lag"]), False), (augment("kinematic", {"tyre_slip": {"share": 1.0}}), False)])
+def test_a_path_has_slip_free_steering_only_for_models_without_tyres(leaf, model, slip_free):
+    path = PlannedInputs.from_path(START, plan().time_ns, np.full(61, 10.0), np.full(61, 0.02), leaf)
+    planned = path.sequence(START, 20, 0.05)
+    used = model_inputs(get_model(model), planned).road_wheel_angle
+    expected = planned.signals["slip_free_angle"] if slip_free else planned.road_wheel_angle
+    np.testing.assert_array_equal(used, expected)
 
 
 @pytest.mark.parametrize(("changes", "reason"), [

@@ -139,7 +139,7 @@ def free_parameters(model: str | Model) -> dict[str, Variable]:
 
 def _acting(model: Model) -> tuple[type[Effect], ...]:
     """The effects that have parameters in p, in the order of p."""
-    return compose(model.base, model.effects).active if isinstance(model, AugmentedModel) else ()
+    return compose(model.base, model.effects).acting if isinstance(model, AugmentedModel) else ()
 
 
 def _with_symbols(model: Model, p: Any, symbols: Mapping[str, casadi.SX]) -> Any:

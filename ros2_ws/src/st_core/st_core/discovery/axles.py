@@ -33,7 +33,7 @@ class Axles:
 
     def __init__(self, problem: Problem, fit: Fit, joint: Joint | None, runs: Sequence[DriveLog],
                  vehicle: VehicleParameters, unexplained: float, near: Sequence[np.ndarray] = ()):
-        if problem.space.model.base.axles is None:
+        if not problem.space.model.base.has_tyres:
             raise StCoreError(f"{problem.space.model.base.name}: this model has no axle forces")
         self.problem, self.fit, self.runs, self.vehicle = problem, fit, runs, vehicle
         self.model = problem.space.at(fit.vector)

@@ -46,9 +46,8 @@ def axle_forces(model: str | Model, vehicle: VehicleParameters, slip: np.ndarray
     Raises StCoreError for a model without tyres.
     """
     model = get_model(model)
-    base = model.base if isinstance(model, AugmentedModel) else model
-    if base.axles is None and not (isinstance(model, AugmentedModel) and any(e.converts for e in model.active)):
-        raise StCoreError(f"{base.name}: this model has no axle forces")
+    if not model.has_tyres:
+        raise StCoreError(f"{getattr(model, 'base', model).name}: this model has no axle forces")
     if isinstance(model, AugmentedModel):
         model = model.only(e for e in model.effects if e.slot != "steering")
     slip = np.concatenate((-np.asarray(slip, float), slip))

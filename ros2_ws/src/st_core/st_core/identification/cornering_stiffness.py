@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .. import models
 from ..log import DriveLog
-from ..models._base import axle_slip_angles
 from ..regression import Spread, extrapolation_uncertainty, make_blocks
 from ..vehicle import VehicleParameters
 from .result import Coverage, Estimate, Identification, IdentificationError, Status, describe_correlations
@@ -129,10 +129,10 @@ def axle_forces(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.nda
 
 
 def slip_angles(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Slip angles of (front, rear) axle [rad], + when the wheels travel to their left (`models.axle_slip_angles`)."""
+    """Slip angles of (front, rear) axle [rad], + when the wheels travel to their left (`models.slip_angles`)."""
     angle = samples.road_wheel_angle
-    return axle_slip_angles(samples.velocity_x, samples.velocity_y, samples.yaw_rate, np.sin(angle), np.cos(angle),
-                            vehicle)
+    state = 0.0, 0.0, samples.velocity_x, samples.velocity_y, 0.0, samples.yaw_rate  # position and yaw have no effect
+    return models.slip_angles(state, (np.sin(angle), np.cos(angle)), vehicle)
 
 
 def axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[AxleRegression, AxleRegression]:

@@ -2,7 +2,7 @@
 
 from ..errors import ConfigurationError
 from . import kinematic, linear_tyre, nonlinear_tyre
-from ._base import Axles, Model
+from ._base import Model, motion, slip_angles
 
 MODELS: dict[str, Model] = {m.name: m for m in (kinematic.MODEL, linear_tyre.MODEL, nonlinear_tyre.MODEL)}
 
@@ -16,4 +16,4 @@ def get_model(model: str | Model) -> Model:
     return MODELS[model]
 
 
-__all__ = ["MODELS", "Axles", "Model", "get_model"]
+__all__ = ["MODELS", "Model", "get_model", "motion", "slip_angles"]

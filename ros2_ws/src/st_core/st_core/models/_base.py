@@ -1,4 +1,4 @@
-"""Definition of a model, and the slip angles and motion of the single-track car that both dynamic models share."""
+"""Definition of a model, and the equations of the single-track car that both dynamic models share."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,14 +8,7 @@ from ..ops import cos, sin
 from ..tyres import slip_angle
 from ..vehicle import VehicleParameters
 
-
-@dataclass(frozen=True)
-class Axles:
-    """The rhs of a dynamic model as three functions: slip angles, axle forces, motion. Their composition is the rhs."""
-
-    slip_angles: Callable[[tuple, tuple, Any], tuple]  # (state, w, p) -> (front, rear) [rad]
-    forces: Callable[[Any, Any, tuple, Any], tuple]  # (slip_front, slip_rear, w, p) -> (front, rear) [N]
-    motion: Callable[[tuple, Any, Any, tuple, Any], tuple]  # (state, force_front, force_rear, w, p) -> derivative
+AxleForces = Callable[[Any, Any, tuple, Any], tuple]  # (slip_front, slip_rear [rad], w, p) -> (front, rear) [N]
 
 
 @dataclass(frozen=True)
@@ -37,7 +30,12 @@ class Model:
     extra_states: tuple[str, ...] = ()  # names of the states that follow the six
     start: Callable[[tuple, tuple, Any], tuple] | None = None
     signals: tuple[str, ...] = ()  # names of further measured quantities that the model needs
-    axles: Axles | None = None  # of a dynamic model
+    axle_forces: AxleForces | None = None  # of a dynamic base model, in which `make_rhs` contains them
+
+    @property
+    def has_tyres(self) -> bool:
+        """Whether the wheels need a slip angle to generate lateral force; False for a kinematic model."""
+        return self.axle_forces is not None
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
         """The vehicle parameters that the model uses in place of those in the vehicle file."""
@@ -58,44 +56,46 @@ class Model:
         return (*state, *self.start(state, w, p))
 
 
-def axle_slip_angles(velocity_x, velocity_y, yaw_rate, sine, cosine, p):
-    """Slip angles (front, rear) [rad], + when the wheel slides to its left. sine, cosine: of the road wheel angle d.
+def slip_angles(state, w, p):
+    """Slip angles (front, rear) [rad], + when the wheel slides to its left; d: road wheel angle.
 
         v_x0 = v_x cos d + (v_y + l_f r) sin d,   v_sy0 = (v_y + l_f r) cos d - v_x sin d
         v_x1 = v_x,                               v_sy1 = v_y - l_r r        (0: front wheel, 1: rear)
 
-    p: with cg_to_front_axle, cg_to_rear_axle [m], minimum_slip_speed [m/s]. Source: paper, wheel velocities.
+    w: begins with sin d and cos d. p: with cg_to_front_axle, cg_to_rear_axle [m], minimum_slip_speed [m/s].
+    Source: paper, wheel velocities.
     """
+    velocity_x, velocity_y, yaw_rate, sine, cosine = state[2], state[3], state[5], w[0], w[1]
     lateral = velocity_y + p.cg_to_front_axle * yaw_rate
     front = slip_angle(lateral * cosine - velocity_x * sine, velocity_x * cosine + lateral * sine, p.minimum_slip_speed)
     rear = slip_angle(velocity_y - p.cg_to_rear_axle * yaw_rate, velocity_x, p.minimum_slip_speed)
     return front, rear
 
 
-def slip_angles(state, w, p):
-    """`axle_slip_angles` of a state. w: begins with the sine and cosine of the road wheel angle."""
-    return axle_slip_angles(state[2], state[3], state[5], w[0], w[1], p)
-
-
-def motion_of(state, force_front, force_rear, w, p):
-    """`motion` of a state. w: begins with the sine and cosine of the road wheel angle, and velocity_x_dot [m/s^2]."""
-    return motion(state, force_front, force_rear, w[1], w[2], p)
-
-
-def motion(state, force_front, force_rear, cosine, velocity_x_dot, p):
+def motion(state, force_front, force_rear, w, p):
     """Time derivative of the state for axle forces [N], each along the lateral axis of its wheel, left +.
 
         x_dot = v_x cos psi - v_y sin psi,  y_dot = v_x sin psi + v_y cos psi,  v_x_dot: input
         v_y_dot = (F_f cos d + F_r) / m - v_x r,  psi_dot = r,  r_dot = (l_f F_f cos d - l_r F_r) / I_z
 
-    cosine: of the road wheel angle. p: with mass, yaw_inertia and both CG distances. Source: paper, dynamic model.
+    w: begins with sin d, cos d (d: road wheel angle) and v_x_dot [m/s^2]. p: with mass, yaw_inertia and both CG
+    distances. Source: paper, dynamic model.
     """
     _, _, velocity_x, velocity_y, yaw, yaw_rate = state
     cosine_yaw, sine_yaw = cos(yaw), sin(yaw)
-    front = force_front * cosine
+    front = force_front * w[1]
     return (velocity_x * cosine_yaw - velocity_y * sine_yaw,
             velocity_x * sine_yaw + velocity_y * cosine_yaw,
-            velocity_x_dot,
+            w[2],
             (front + force_rear) / p.mass - velocity_x * yaw_rate,
             yaw_rate,
             (p.cg_to_front_axle * front - p.cg_to_rear_axle * force_rear) / p.yaw_inertia)
+
+
+def make_rhs(axle_forces: AxleForces) -> Callable[[tuple, tuple, Any], tuple]:
+    """The rhs of a dynamic model: `slip_angles`, then these forces, then `motion`."""
+    def rhs(state, w, p):
+        slip_front, slip_rear = slip_angles(state, w, p)
+        force_front, force_rear = axle_forces(slip_front, slip_rear, w, p)
+        return motion(state, force_front, force_rear, w, p)
+    return rhs

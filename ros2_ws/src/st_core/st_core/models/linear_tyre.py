@@ -8,7 +8,7 @@ from typing import NamedTuple
 from ..ops import cos, sin
 from ..tyres import linear_force
 from ..vehicle import VehicleParameters
-from ._base import Axles, Model, axle_slip_angles, motion, motion_of, slip_angles
+from ._base import Model, make_rhs
 
 
 class Parameters(NamedTuple):
@@ -32,18 +32,9 @@ def inputs(road_wheel_angle, velocity_x_dot, p: Parameters):
     return sin(road_wheel_angle), cos(road_wheel_angle), velocity_x_dot
 
 
-def forces(slip_front, slip_rear, w, p: Parameters):
+def axle_forces(slip_front, slip_rear, w, p: Parameters):
     """Lateral forces (front, rear) of the axles [N], left +."""
     return linear_force(slip_front, p.cornering_stiffness_front), linear_force(slip_rear, p.cornering_stiffness_rear)
 
 
-def rhs(state, w, p: Parameters):
-    _, _, velocity_x, velocity_y, _, yaw_rate = state
-    sine, cosine, velocity_x_dot = w
-    slip_front, slip_rear = axle_slip_angles(velocity_x, velocity_y, yaw_rate, sine, cosine, p)
-    return motion(state, linear_force(slip_front, p.cornering_stiffness_front),
-                  linear_force(slip_rear, p.cornering_stiffness_rear), cosine, velocity_x_dot, p)
-
-
-AXLES = Axles(slip_angles, forces, motion_of)
-MODEL = Model("linear", parameters, inputs, rhs, axles=AXLES)
+MODEL = Model("linear", parameters, inputs, make_rhs(axle_forces), axle_forces=axle_forces)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from ..ops import cos, sin
 from ..tyres import GRAVITY, MagicFormula, magic_formula_coefficients, magic_formula_force
 from ..vehicle import VehicleParameters
-from ._base import Axles, Model, axle_slip_angles, motion, motion_of, slip_angles
+from ._base import Model, make_rhs
 
 
 class Parameters(NamedTuple):
@@ -47,19 +47,11 @@ def inputs(road_wheel_angle, velocity_x_dot, p: Parameters):
             b_front, 2.0 * d_front, e_front, b_rear, 2.0 * d_rear, e_rear)
 
 
-def forces(slip_front, slip_rear, w, p: Parameters):
+def axle_forces(slip_front, slip_rear, w, p: Parameters):
     """Lateral forces (front, rear) of the axles [N], left +."""
     _, _, _, b_front, d_front, e_front, b_rear, d_rear, e_rear = w
     return (magic_formula_force(slip_front, b_front, d_front, e_front, p.tyre_front),
             magic_formula_force(slip_rear, b_rear, d_rear, e_rear, p.tyre_rear))
 
 
-def rhs(state, w, p: Parameters):
-    _, _, velocity_x, velocity_y, _, yaw_rate = state
-    sine, cosine, velocity_x_dot, b_front, d_front, e_front, b_rear, d_rear, e_rear = w
-    slip_front, slip_rear = axle_slip_angles(velocity_x, velocity_y, yaw_rate, sine, cosine, p)
-    return motion(state, magic_formula_force(slip_front, b_front, d_front, e_front, p.tyre_front),
-                  magic_formula_force(slip_rear, b_rear, d_rear, e_rear, p.tyre_rear), cosine, velocity_x_dot, p)
-
-
-MODEL = Model("nonlinear", parameters, inputs, rhs, axles=Axles(slip_angles, forces, motion_of))
+MODEL = Model("nonlinear", parameters, inputs, make_rhs(axle_forces), axle_forces=axle_forces)

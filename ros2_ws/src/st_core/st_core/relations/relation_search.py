@@ -108,7 +108,7 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
     used = tuple(c for c in settings.channels if c in found.noise)
     settings = replace(settings, channels=used or settings.channels)
     model = found.model or found.base
-    if model.base.axles is None and not any(e.converts and e.converts[0] == "kinematic" for e in model.active):
+    if not model.has_tyres:
         return RelationSearch(None, "the model is kinematic without tyre slip, and has no axle forces for a relation "
                               "to act on: use --base linear or --base nonlinear", {})
     windows = RunWindows(runs, vehicle, settings)

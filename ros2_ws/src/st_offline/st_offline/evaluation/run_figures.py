@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from st_core.evaluation import Mode
 from st_core.log_evaluation import LogEvaluation, evaluate_blocks
 from st_core.log_signals import LogSignals
-from st_core.models import Model, get_model
+from st_core.models import Model, get_model, slip_angles
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 from st_core.readings import predict_readings
 from st_core.vehicle import VehicleParameters
@@ -217,7 +217,7 @@ def describe_ranking(evaluation: LogEvaluation) -> str:
 
 def draw_slip_and_forces(drawing: Drawing) -> PageFigure | None:
     """Draw the predicted slip angles and lateral forces of both axles, and slip angles from the measured motion."""
-    models = [m for m in drawing.models if m.axles is not None and not m.extra_states and not m.signals]
+    models = [m for m in drawing.models if m.axle_forces and not m.extra_states and not m.signals]
     evaluation, signals, vehicle = drawing.evaluation, drawing.signals, drawing.vehicle
     rows = choose_starts(evaluation, drawing.starts)
     if not models or not len(rows):
@@ -264,6 +264,6 @@ def _slip_and_forces(model: Model, vehicle: VehicleParameters, states: np.ndarra
     """((front, rear) slip angles [rad], (front, rear) axle forces [N]) of a model for states (n, 6)."""
     p = model.parameters(vehicle)
     w = model.inputs(angle, acceleration, p)
-    assert model.axles is not None  # the caller draws only models with axles
-    front, rear = model.axles.slip_angles(tuple(states.T), w, p)
-    return (front, rear), model.axles.forces(front, rear, w, p)
+    assert model.axle_forces  # the caller draws only models with axle forces
+    front, rear = slip_angles(tuple(states.T), w, p)
+    return (front, rear), model.axle_forces(front, rear, w, p)
