@@ -117,7 +117,7 @@ class Planner(Node):
         """Publish a plan if possible; returns the count to increase."""
         before = self._sample
         for message, _, _ in self._odometry.take():
-            sample = convert.ins_sample(message, "map")
+            sample = convert.read_ins_sample(message, "map")
             if not isinstance(sample, str):
                 self._sample = sample
         for message, _, _ in self._steering.take():

@@ -13,7 +13,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, colour_of, rgb
 from st_core.types import InsSample, map_to_body
 from st_core.vehicle import VehicleParameters
 from st_predictor import convert
-from st_predictor.map_drawing import History, Ribbon, car_outline
+from st_predictor.map_drawing import History, Ribbon, make_car_outline
 from st_recordings.recorded_results import find_configuration
 from st_recordings.results import format_band_lines
 from st_recordings.runs.bag import definitions_folder, open_bag, read_bag
@@ -144,12 +144,12 @@ class Scene:
     def take(self, kind: str, message: Any) -> None:
         """Store a message of a kind in TOPICS; an error is plotted at once."""
         if kind == "odometry":
-            sample = convert.ins_sample(message, self._map_frame)
+            sample = convert.read_ins_sample(message, self._map_frame)
             self._sample = self._sample if isinstance(sample, str) else sample
         elif kind == "steering":
             self._angle = message.road_wheel_angle
         elif kind == "prediction":
-            self._history.add_path(message.model, convert.ins_path(message))
+            self._history.add_path(message.model, convert.read_ins_path(message))
         elif kind == "error" and message.complete and message.mode == "forecast":
             self._draw_error(message)
         elif kind == "summary":
@@ -200,19 +200,19 @@ class Scene:
         track = np.array([(x, y) for _, x, y in history.track])[::-TRACK_STRIDE]
         colour = rgb(MEASURED_COLOUR, 0.6)
         self._log_lines(f"{root}/track", [project(track[:, 0], track[:, 1])], [colour], TRACK, order=0.0)
-        self._log_lines(f"{root}/car", [project(*car_outline(pose, self._car))], [(20, 20, 20)], THICK, order=5.0)
+        self._log_lines(f"{root}/car", [project(*make_car_outline(pose, self._car))], [(20, 20, 20)], THICK, order=5.0)
         ghosts, ghost_colours, errors, error_colours = [], [], [], []
         for number, model in enumerate(history.models):
             self._log_name(model)
-            path = history.newest(model, now_ns)
+            path = history.find_newest(model, now_ns)
             self._log_lines(f"{root}/paths/{model}", [project(path.x, path.y)] if path else [], [rgb(colour_of(model))],
                             MODEL_WIDTHS[min(number, len(MODEL_WIDTHS) - 1)], order=3.0 + 0.1 * number)
             self._draw_ribbons(f"{root}/bands/{model}", project, path.ribbons if path else (), model, number)
-            for age, ghost in history.ghosts(model, now_ns):
+            for age, ghost in history.find_ghosts(model, now_ns):
                 ghosts.append(project(ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
                 ghost_colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
             # A line from the car to the position predicted for the present one horizon ago.
-            if point := history.predicted_position(model, now_ns):
+            if point := history.find_predicted_position(model, now_ns):
                 errors.append(project(np.array([pose[0], point[0]]), np.array([pose[1], point[1]])))
                 error_colours.append(rgb(colour_of(model)))
         self._log_lines(f"{root}/ghosts", ghosts, ghost_colours, THIN, order=1.0)

@@ -25,7 +25,7 @@ from st_live.recorded_view import format_errors, make_grid_lines, to_heading_up,
 from st_live.rerun_server import POLICY
 from st_live.suite import SuiteError
 from st_msgs.msg import Band, ErrorStatistics, InsStatus, PlannedPrediction, Prediction, PredictionError, Steering
-from st_predictor.map_drawing import GHOST_AGES, GHOST_TOLERANCE, History, car_outline, make_ribbon
+from st_predictor.map_drawing import GHOST_AGES, GHOST_TOLERANCE, History, make_car_outline, make_ribbon
 from st_predictor.map_drawing import Path as PredictedPath
 from st_ros.polling import from_nanoseconds
 from support import ROOT
@@ -61,7 +61,7 @@ def test_grid_lines_stay_where_they_are_while_the_car_moves() -> None:
 
 def test_the_outline_is_as_long_and_wide_as_the_car_and_points_ahead() -> None:
     car = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
-    x, y = car_outline((10.0, 20.0, 0.5), car)
+    x, y = make_car_outline((10.0, 20.0, 0.5), car)
     forward = (x - 10.0) * math.cos(0.5) + (y - 20.0) * math.sin(0.5)
     left = (y - 20.0) * math.cos(0.5) - (x - 10.0) * math.sin(0.5)
     assert np.ptp(forward) == pytest.approx(car.length) and np.ptp(left) == pytest.approx(car.width)
@@ -80,24 +80,24 @@ def test_ghosts_are_the_predictions_of_one_to_five_seconds_ago() -> None:
     for k in range(80):
         history.add_path("linear", straight(k * 100_000_000))
     now_ns = 7_900_000_000
-    ghosts = history.ghosts("linear", now_ns)
+    ghosts = history.find_ghosts("linear", now_ns)
     assert [age for age, _ in ghosts] == list(GHOST_AGES)
     for age, path in ghosts:
         assert (now_ns - path.start_ns) * 1e-9 == pytest.approx(age, abs=GHOST_TOLERANCE)
-        assert path.at(now_ns) == pytest.approx((79.0, 0.0))  # a car that did what was predicted is on all of them
-    assert history.newest("linear", now_ns).start_ns == now_ns
-    assert history.newest("linear", now_ns + 2 * 10**9) is None  # stale
-    assert history.predicted_position("linear", now_ns) == pytest.approx((79.0, 0.0))
-    assert history.predicted_position("linear", 20_000_000_000) is None
-    assert history.predicted_position("kinematic", now_ns) is None
-    assert straight(0).at(5_100_000_000) is None and straight(10**9).at(0) is None
+        assert path.find_position(now_ns) == pytest.approx((79.0, 0.0))  # the car did what all of them predicted
+    assert history.find_newest("linear", now_ns).start_ns == now_ns
+    assert history.find_newest("linear", now_ns + 2 * 10**9) is None  # stale
+    assert history.find_predicted_position("linear", now_ns) == pytest.approx((79.0, 0.0))
+    assert history.find_predicted_position("linear", 20_000_000_000) is None
+    assert history.find_predicted_position("kinematic", now_ns) is None
+    assert straight(0).find_position(5_100_000_000) is None and straight(10**9).find_position(0) is None
 
 
 def test_a_gap_in_the_predictions_has_no_ghosts_and_a_step_back_in_time_clears_all() -> None:
     history = History()
     for k in (0, 1, 60, 61):
         history.add_path("linear", straight(k * 100_000_000))
-    assert [age for age, _ in history.ghosts("linear", 6_100_000_000)] == []
+    assert [age for age, _ in history.find_ghosts("linear", 6_100_000_000)] == []
     history.add_pose(6_100_000_000, 1.0, 2.0)
     history.add_pose(6_050_000_000, 3.0, 4.0)  # late: dropped
     assert len(history.track) == 1

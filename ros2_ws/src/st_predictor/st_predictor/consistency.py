@@ -16,9 +16,9 @@ HISTORY_SPAN = 60.0  # s, age of the oldest measurement used
 WINDOW = 30.0  # s of measurements that are checked, if they contain enough driving
 MIN_DRIVING, MIN_SPEED = 20.0, 1.0  # duration [s] of driving above a speed [m/s] that a verdict requires
 MAX_STEP = 0.25  # s; a longer interval between samples counts as this much driving
-SAMPLE_NS = 20_000_000  # period to which measurements are thinned out
-PERIOD = 10.0  # s of measurement between checks
-CPU_SHARE = 0.018  # processor time as a fraction of a core; checks that need more run less often than every PERIOD
+SAMPLE_PERIOD_NS = 20_000_000  # to which measurements are thinned out
+CHECK_PERIOD = 10.0  # s of measurement between checks
+CPU_SHARE = 0.018  # limit of the processor time as a fraction of a core, for which checks may run less often
 # Findings not reported live: a single bend does not distinguish a heading error from a wrong measuring point. Gaps and
 # implausible samples are reported by the bridges; here they would persist for WINDOW.
 NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
@@ -41,50 +41,51 @@ class Consistency:
     only if two successive checks find it; the first check without the fault clears it.
 
     share: limit of the processor time of all checks since the first poll, as a fraction of a core. verdict: result of
-    the newest check. seconds: processor time of all checks.
+    the newest check. cpu_time: processor time of all checks [s].
     """
 
     def __init__(self, vehicle: VehicleParameters, share: float = CPU_SHARE):
         self._vehicle, self._share = vehicle, share
-        self.verdict = _wait_verdict(0.0)
-        self.seconds = 0.0
+        self.verdict = _make_pending_verdict(0.0)
+        self.cpu_time = 0.0
         self._faults: frozenset[str] = frozenset()  # found by the last check
         self._checked_ns: int | None = None
-        self._began: float | None = None
+        self._started: float | None = None
         self._checked_at = self._not_before = -math.inf
 
     def poll(self, history: MeasurementHistory, now: float) -> bool:
         """Run the checks if they are due; returns whether they were due. now: of a steady clock [s].
 
-        A check that fails does not raise an error but becomes a warning.
+        An exception in a check is not raised, but becomes a warning.
         """
         newest = history.ins.newest
-        if self._began is None:
-            self._began = now
+        if self._started is None:
+            self._started = now
         if newest is None or now < self._not_before:
             return False
-        if self._checked_ns is not None and 0 <= newest - self._checked_ns < PERIOD / NANOSECOND:
+        if self._checked_ns is not None and 0 <= newest - self._checked_ns < CHECK_PERIOD / NANOSECOND:
             if now - self._checked_at > HISTORY_SPAN:
-                self.verdict = _wait_verdict(0.0)
+                self.verdict = _make_pending_verdict(0.0)
             return False
         self._checked_ns, self._checked_at = newest, now
         try:
-            self._check(select_recent(history), self._began)
+            self._check(select_recent(history), self._started)
         except Exception as error:  # a failed check must not stop the scoring of predictions
             self.verdict = Verdict("warning", f"check failed: {type(error).__name__}: {error}")
         return True
 
-    def _check(self, log: DriveLog | float, began: float) -> None:
-        before, self._faults = self._faults, frozenset()
+    def _check(self, log: DriveLog | float, started: float) -> None:
+        """log: measurements, or the duration of driving [s] if it is too short. started: time of the first poll [s]."""
+        previous_faults, self._faults = self._faults, frozenset()
         if isinstance(log, float):
-            self.verdict = _wait_verdict(log)
+            self.verdict = _make_pending_verdict(log)
             return
-        begin = time.thread_time()
+        cpu_start = time.thread_time()
         findings = [finding for finding in check(log, self._vehicle).findings if finding.name not in NOT_LIVE]
         self._faults = frozenset(finding.name for finding in findings if finding.severity != "note")
-        self.verdict = _make_verdict(findings, before, log.duration)
-        self.seconds += time.thread_time() - begin
-        self._not_before = began + self.seconds / self._share
+        self.verdict = _make_verdict(findings, previous_faults, log.duration)
+        self.cpu_time += time.thread_time() - cpu_start
+        self._not_before = started + self.cpu_time / self._share
 
 
 def select_recent(history: MeasurementHistory) -> DriveLog | float:
@@ -93,6 +94,7 @@ def select_recent(history: MeasurementHistory) -> DriveLog | float:
     oldest = max(newest - round(HISTORY_SPAN / NANOSECOND), *history.ins.breaks, 0)
     times, rows = _thin_out(history.ins, oldest)
     step = np.minimum(np.diff(times, append=newest) * NANOSECOND, MAX_STEP)
+    # Duration of driving from each sample to the newest [s].
     driven = np.cumsum((step * (np.abs(rows[:, INS_SIGNALS.index("velocity_x")]) > MIN_SPEED))[::-1])[::-1]
     if not len(driven) or driven[0] < MIN_DRIVING:
         return float(driven[0]) if len(driven) else 0.0
@@ -106,20 +108,20 @@ def select_recent(history: MeasurementHistory) -> DriveLog | float:
 
 
 def _thin_out(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
-    """(times, rows) since an instant, with only the first sample of each period SAMPLE_NS."""
+    """(times, rows) since an instant: the first sample of each SAMPLE_PERIOD_NS."""
     first = int(np.searchsorted(series.times, start_ns))
     times = series.times[first:]
-    chosen = np.flatnonzero(np.diff(times // SAMPLE_NS, prepend=-1))
-    return times[chosen], series.rows[first:][chosen]
+    kept = np.flatnonzero(np.diff(times // SAMPLE_PERIOD_NS, prepend=-1))
+    return times[kept], series.rows[first:][kept]
 
 
-def _wait_verdict(driven: float) -> Verdict:
+def _make_pending_verdict(driven: float) -> Verdict:
     return Verdict("", f"not checked: {driven:.0f} s of driving in the last minute or since the position jumped, "
                    f"{MIN_DRIVING:g} s above {MIN_SPEED:g} m/s required")
 
 
-def _make_verdict(findings: Sequence[Finding], before: Set[str], seconds: float) -> Verdict:
-    """Verdict of one check. findings: worst first. before: names of the faults in the previous check."""
+def _make_verdict(findings: Sequence[Finding], previous_faults: Set[str], duration: float) -> Verdict:
+    """findings: worst first. previous_faults: names of the faults in the previous check. duration: of the data [s]."""
     values = {}
     for finding in findings:
         interval = finding.interval
@@ -128,10 +130,10 @@ def _make_verdict(findings: Sequence[Finding], before: Set[str], seconds: float)
         values[finding.name] = (
             finding.severity.value if finding.value is None else f"{finding.value:.4g}{half_width}{unit}")
     faults = [finding for finding in findings if finding.severity != "note"]
-    if confirmed := [fault for fault in faults if fault.name in before]:
+    if confirmed := [fault for fault in faults if fault.name in previous_faults]:
         severity = confirmed[0].severity
         text = "; ".join(fault.text for fault in confirmed if fault.severity is severity)
         return Verdict(severity.value, text, values)
     new = f", to be confirmed: {', '.join(fault.name for fault in faults)}" if faults else ""
-    return Verdict("note" if findings else "", f"signals agree in the newest {seconds:.0f} s{new}", values)
+    return Verdict("note" if findings else "", f"signals agree in the newest {duration:.0f} s{new}", values)
 

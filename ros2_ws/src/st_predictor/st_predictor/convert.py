@@ -23,11 +23,11 @@ from st_ros.polling import from_nanoseconds, to_nanoseconds
 from .map_drawing import BAND_MODE, Path, make_ribbon
 
 QUATERNION_TOLERANCE = 0.01  # error of the squared length; float32 rounding causes 1e-7, an unset orientation 1
-_NEVER_NS = 9_223_372_036 * 1_000_000_000  # rmw's value for "never"; rclpy returns at least this value
+_NEVER_NS = 9_223_372_036 * 1_000_000_000  # value of rmw for "never"; rclpy returns this or more
 
 
-def ins_sample(message: Odometry, map_frame: str) -> InsSample | str:
-    """The INS sample of an odometry message (REP 103/105), or why it cannot be used.
+def read_ins_sample(message: Odometry, map_frame: str) -> InsSample | str:
+    """The INS sample of an odometry message (REP 103/105), or the reason why it cannot be used.
 
     Pose of the INS point in the map frame (ENU), twist in body axes (forward, left, up) at that point.
     """
@@ -55,11 +55,11 @@ class PathBuilder:
     def fill(self, start_ns: int, trajectory: Trajectory, vehicle: VehicleParameters) -> PathMessage:
         """The trajectory at the INS point; each pose is stamped with the instant it is predicted for."""
         x, y = cg_to_ins_position(trajectory.x, trajectory.y, trajectory.yaw, vehicle.cg_to_ins_x, vehicle.cg_to_ins_y)
-        half = 0.5 * trajectory.yaw
+        half_yaw = 0.5 * trajectory.yaw
         self.message.header.stamp = from_nanoseconds(start_ns)
         times = start_ns + np.round(trajectory.time * 1e9).astype(np.int64)
         seconds, nanoseconds = np.divmod(times, 1_000_000_000)
-        columns = (c.tolist() for c in (x, y, np.sin(half), np.cos(half), seconds, nanoseconds))
+        columns = (c.tolist() for c in (x, y, np.sin(half_yaw), np.cos(half_yaw), seconds, nanoseconds))
         for pose, px, py, qz, qw, sec, nanosec in zip(self.message.poses, *columns, strict=True):
             position, orientation, stamp = pose.pose.position, pose.pose.orientation, pose.header.stamp
             position.x, position.y, orientation.z, orientation.w = px, py, qz, qw
@@ -67,8 +67,8 @@ class PathBuilder:
         return self.message
 
 
-def prediction_message(start: Start, model: str, trajectory: Trajectory, vehicle: VehicleParameters, map_frame: str,
-                       configuration_hash: str) -> Prediction:
+def make_prediction_message(start: Start, model: str, trajectory: Trajectory, vehicle: VehicleParameters,
+                            map_frame: str, configuration_hash: str) -> Prediction:
     """Message of a prediction with held inputs, without issued_at and compute_time."""
     message = Prediction(model=model, configuration_hash=configuration_hash,
                          road_wheel_angle=float(start.inputs.road_wheel_angle),
@@ -77,8 +77,8 @@ def prediction_message(start: Start, model: str, trajectory: Trajectory, vehicle
     return message
 
 
-def planned_inputs(message: InputPlan, base_frame: str, vehicle: VehicleParameters) -> PlannedInputs | str:
-    """The plan of a message, or why it cannot be used. Speed and curvature refer to the CG."""
+def read_planned_inputs(message: InputPlan, base_frame: str, vehicle: VehicleParameters) -> PlannedInputs | str:
+    """The plan of a message, or the reason why it cannot be used. Speed and curvature refer to the CG."""
     if message.header.frame_id != base_frame:
         return f"plan: header.frame_id is {message.header.frame_id!r}, expected {base_frame!r} (parameter plan_frame)"
     pairs = [(message.road_wheel_angle, message.velocity_x_dot), (message.speed, message.curvature)]
@@ -98,12 +98,12 @@ def planned_inputs(message: InputPlan, base_frame: str, vehicle: VehicleParamete
     return PlannedInputs.from_path(issued_ns, time_ns, first, second, vehicle)
 
 
-def planned_message(start: Start, model: str, plan_ns: int, inputs: InputSequence, trajectory: Trajectory,
-                    vehicle: VehicleParameters, map_frame: str, configuration_hash: str) -> PlannedPrediction:
+def make_planned_message(start: Start, model: str, plan_ns: int, inputs: InputSequence, trajectory: Trajectory,
+                         vehicle: VehicleParameters, map_frame: str, configuration_hash: str) -> PlannedPrediction:
     """Message of a prediction with planned inputs on the half-step grid. plan_ns: stamp of the plan, 0 for a course."""
     message = PlannedPrediction(
         model=model, configuration_hash=configuration_hash, plan_stamp=from_nanoseconds(plan_ns),
-        road_wheel_angle=_float64(inputs.road_wheel_angle), velocity_x_dot=_float64(inputs.velocity_x_dot))
+        road_wheel_angle=_to_array(inputs.road_wheel_angle), velocity_x_dot=_to_array(inputs.velocity_x_dot))
     _fill(message, start, trajectory, vehicle, map_frame)
     return message
 
@@ -115,11 +115,11 @@ def _fill(message: Prediction | PlannedPrediction, start: Start, trajectory: Tra
     message.step = trajectory.step
     message.cg_to_ins_x, message.cg_to_ins_y = float(vehicle.cg_to_ins_x), float(vehicle.cg_to_ins_y)
     message.x, message.y, message.velocity_x, message.velocity_y, message.yaw, message.yaw_rate = map(
-        _float64, trajectory.states.T)
+        _to_array, trajectory.states.T)
 
 
 def read_trajectory(message: Prediction | PlannedPrediction) -> tuple[int, Trajectory] | str:
-    """(start_ns, trajectory) of a prediction message, or why it cannot be used."""
+    """(start_ns, trajectory) of a prediction message, or the reason why it cannot be used."""
     columns = [message.x, message.y, message.velocity_x, message.velocity_y, message.yaw, message.yaw_rate]
     if len({len(c) for c in columns}) != 1 or len(message.x) < 2:
         return "its arrays differ in length or have fewer than two points"
@@ -131,7 +131,7 @@ def read_trajectory(message: Prediction | PlannedPrediction) -> tuple[int, Traje
     return to_nanoseconds(message.header.stamp), Trajectory(message.step, states)
 
 
-def ins_path(message: Prediction) -> Path:
+def read_ins_path(message: Prediction) -> Path:
     """The predicted path of the INS point, and the bands around it, for drawing."""
     x, y, yaw = map(np.asarray, (message.x, message.y, message.yaw))
     x, y = cg_to_ins_position(x, y, yaw, message.cg_to_ins_x, message.cg_to_ins_y)
@@ -141,7 +141,7 @@ def ins_path(message: Prediction) -> Path:
     return Path(to_nanoseconds(message.header.stamp), message.step, x, y, ribbons)
 
 
-def prediction_error_message(score: Score, map_frame: str, configuration_hash: str) -> PredictionError:
+def make_prediction_error_message(score: Score, map_frame: str, configuration_hash: str) -> PredictionError:
     message = PredictionError(model=score.model, mode=score.mode, complete=score.complete,
                               incomplete_reason=score.incomplete_reason,
                               longitudinal_mean=float(score.longitudinal_mean), lateral_mean=float(score.lateral_mean),
@@ -149,11 +149,11 @@ def prediction_error_message(score: Score, map_frame: str, configuration_hash: s
     message.header.stamp = from_nanoseconds(score.start_ns)
     message.header.frame_id = map_frame
     message.horizon, message.longitudinal, message.lateral, message.yaw = map(
-        _float64, (score.horizon, score.longitudinal, score.lateral, score.yaw))
+        _to_array, (score.horizon, score.longitudinal, score.lateral, score.yaw))
     return message
 
 
-def statistics_message(model: str, mode: str, statistics: Statistics) -> ErrorStatistics:
+def make_statistics_message(model: str, mode: str, statistics: Statistics) -> ErrorStatistics:
     counts = {"n_starts": statistics.n_starts, "n_incomplete": statistics.n_incomplete}
     message = ErrorStatistics(model=model, mode=mode, **counts)
     for axis in ("longitudinal", "lateral", "yaw"):
@@ -162,19 +162,19 @@ def statistics_message(model: str, mode: str, statistics: Statistics) -> ErrorSt
     return message
 
 
-def recorded_qos(profile: QoSProfile) -> Qos:
-    """QoS of a publisher as a bag stores it."""
+def convert_qos(profile: QoSProfile) -> Qos:
+    """QoS of a publisher in the form that a bag stores."""
     return Qos(reliability=profile.reliability.name.lower(), durability=profile.durability.name.lower(),
                history=profile.history.name.lower(), depth=profile.depth, liveliness=profile.liveliness.name.lower(),
-               deadline_ns=_qos_nanoseconds(profile.deadline), lifespan_ns=_qos_nanoseconds(profile.lifespan),
-               liveliness_lease_ns=_qos_nanoseconds(profile.liveliness_lease_duration))
+               deadline_ns=_convert_qos_duration(profile.deadline), lifespan_ns=_convert_qos_duration(profile.lifespan),
+               liveliness_lease_ns=_convert_qos_duration(profile.liveliness_lease_duration))
 
 
-def _qos_nanoseconds(duration: Duration) -> int:
+def _convert_qos_duration(duration: Duration) -> int:
     # 0 is rmw's "not specified", which is equivalent to "never" in an offered QoS.
     return duration.nanoseconds if 0 < duration.nanoseconds < _NEVER_NS else INFINITE_NS
 
 
-def _float64(values: Sequence[float] | np.ndarray) -> array:
+def _to_array(values: Sequence[float] | np.ndarray) -> array:
     """The values as array('d'), the only type that rosidl accepts without checking each element."""
     return array("d", np.ascontiguousarray(values, np.float64).tobytes())

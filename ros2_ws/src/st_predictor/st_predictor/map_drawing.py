@@ -8,14 +8,14 @@ import numpy as np
 from st_core.types import body_to_map
 from st_core.vehicle import VehicleParameters
 
-TRACK_SPAN = 90.0  # s of measured track kept
+TRACK_SPAN = 90.0  # s of measured track
 MAX_PATH_AGE = 1.0  # s; an older path is not drawn as the newest one
 GHOST_AGES = (1.0, 2.0, 3.0, 4.0, 5.0)  # s, ages of the earlier predictions drawn in addition to the newest
 GHOST_TOLERANCE = 0.15  # s, largest difference between a prediction's age and a ghost age
 BAND_MODE = "forecast"  # mode of the drawn bands and paths
 
 
-def car_outline(pose: tuple[float, float, float], car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
+def make_car_outline(pose: tuple[float, float, float], car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
     """Map x, y [m] of the closed outline of the car, with a nose that points ahead.
 
     pose: x, y [m] and yaw [rad] of the INS point. Front and rear overhang are assumed equal, because the vehicle file
@@ -38,7 +38,7 @@ class Ribbon:
     right: np.ndarray
 
     def make_triangles(self, stride: int) -> np.ndarray:
-        """The area as triangles between every `stride`-th point, the last point and the end of the band, (k, 3, 2)."""
+        """(k, 3, 2) triangles [m] that fill the band, with corners at every `stride`-th point and at its end."""
         last = len(self.left) - 1
         rows = np.unique(np.append(np.arange(0, last, stride), (last - 1, last)))
         left, right = self.left[rows], self.right[rows]
@@ -73,13 +73,13 @@ class Path:
     y: np.ndarray
     ribbons: tuple[Ribbon, ...] = ()
 
-    def at(self, time_ns: int) -> tuple[float, float] | None:
+    def find_position(self, time_ns: int) -> tuple[float, float] | None:
         """Predicted x, y [m] at an instant; None outside the horizon."""
         index = (time_ns - self.start_ns) * 1e-9 / self.step
         if not 0.0 <= index <= len(self.x) - 1:
             return None
-        grid = np.arange(len(self.x))
-        return float(np.interp(index, grid, self.x)), float(np.interp(index, grid, self.y))
+        indices = np.arange(len(self.x))
+        return float(np.interp(index, indices, self.x)), float(np.interp(index, indices, self.y))
 
 
 class History:
@@ -114,27 +114,27 @@ class History:
     def models(self) -> tuple[str, ...]:
         return tuple(self._paths)
 
-    def newest(self, model: str, now_ns: int) -> Path | None:
+    def find_newest(self, model: str, now_ns: int) -> Path | None:
         """The newest path of one of `models`; None if it is older than MAX_PATH_AGE."""
         path = self._paths[model][-1]
         return path if now_ns - path.start_ns < MAX_PATH_AGE * 1e9 else None
 
-    def ghosts(self, model: str, now_ns: int) -> list[tuple[float, Path]]:
+    def find_ghosts(self, model: str, now_ns: int) -> list[tuple[float, Path]]:
         """Age [s] and path of the prediction closest to each of GHOST_AGES, youngest first."""
         paths = list(self._paths.get(model, ()))
         starts = [p.start_ns for p in paths]
         ghosts = []
         for age in GHOST_AGES:
-            due_ns = now_ns - round(age * 1e9)
-            index = bisect_left(starts, due_ns)
-            best = min(paths[max(index - 1, 0):index + 1], key=lambda p: abs(p.start_ns - due_ns), default=None)
-            if best is not None and abs(best.start_ns - due_ns) <= GHOST_TOLERANCE * 1e9:
+            start_ns = now_ns - round(age * 1e9)
+            index = bisect_left(starts, start_ns)
+            best = min(paths[max(index - 1, 0):index + 1], key=lambda p: abs(p.start_ns - start_ns), default=None)
+            if best is not None and abs(best.start_ns - start_ns) <= GHOST_TOLERANCE * 1e9:
                 ghosts.append((age, best))
         return ghosts
 
-    def predicted_position(self, model: str, now_ns: int) -> tuple[float, float] | None:
-        """Position x, y [m] predicted for now by the oldest prediction that covers now; None without one."""
+    def find_predicted_position(self, model: str, now_ns: int) -> tuple[float, float] | None:
+        """Position x, y [m] that the oldest prediction covering this instant predicted for it; None without one."""
         for path in self._paths.get(model, ()):
-            if (point := path.at(now_ns)) is not None and path.start_ns < now_ns:
+            if (point := path.find_position(now_ns)) is not None and path.start_ns < now_ns:
                 return point
         return None

@@ -83,7 +83,6 @@ RECORDER = (
     Parameter("metadata_json", "", 'further metadata of the bag: {"record": {"key": "text"}}'),
 )
 
-
 MARKERS = (
     _VEHICLE_FILE,
     Parameter("models", [*MODELS, "augmented"], "models whose predictions are drawn"),
@@ -133,14 +132,14 @@ def read_file(values: SimpleNamespace, parameter: str, parse: Callable[[str, str
     return translate_errors(values, lambda: parse(text, name), prefix)
 
 
-def prediction_settings(values: SimpleNamespace) -> PredictionSettings:
-    """The prediction settings among a node's parameters. Raises ConfigurationError if they are inconsistent."""
+def read_prediction_settings(values: SimpleNamespace) -> PredictionSettings:
+    """Prediction settings from the parameters of a node. Raises ConfigurationError if they are inconsistent."""
     names = PredictionSettings.__dataclass_fields__.keys() & vars(values).keys()
     return translate_errors(values, lambda: PredictionSettings(**{name: getattr(values, name) for name in names}))
 
 
 def translate_errors(values: SimpleNamespace, make: Callable[[], T], prefix: str = "") -> T:
-    """The result of `make`; turns a ConfigurationError of st_core into one of st_ros, for which a node exits with 2.
+    """Result of `make`. A ConfigurationError of st_core becomes one of st_ros, which ends a node with exit status 2.
 
     prefix: start of the message.
     """

@@ -9,7 +9,7 @@ import pytest
 from st_core.measurement_history import MeasurementHistory
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters
-from st_predictor.consistency import CPU_SHARE, MIN_DRIVING, PERIOD, WINDOW, Consistency, Verdict
+from st_predictor.consistency import CHECK_PERIOD, CPU_SHARE, MIN_DRIVING, WINDOW, Consistency, Verdict
 from support import ROOT
 from winding_road import RATE, Truth, winding_road
 
@@ -19,8 +19,8 @@ START_NS = 1_756_900_800_000_000_000
 YAW_RATE, STEERING = 6, 7
 LATE = 0.3  # s
 BEGIN, END, LAST = 35.0, 85.0, 140.0  # s in which a fault is in, and of the drive
-SLOWEST = WINDOW + PERIOD + 0.2
-TWICE = SLOWEST + PERIOD
+SLOWEST = WINDOW + CHECK_PERIOD + 0.2
+TWICE = SLOWEST + CHECK_PERIOD
 
 Change = Callable[[np.ndarray], np.ndarray]
 
@@ -55,7 +55,7 @@ class Live:
             self.now += 1.0 / RATE
             if k % 10 == 0 and self.consistency.poll(self.history, self.now):
                 self.verdicts.append((t, self.consistency.verdict))
-                self.spent.append(self.consistency.seconds)
+                self.spent.append(self.consistency.cpu_time)
         return self
 
 
@@ -74,7 +74,7 @@ def flipped(rows: np.ndarray) -> np.ndarray:
 def test_a_right_minute_is_well(road: np.ndarray) -> None:
     verdicts = Live().drive(road).verdicts
     agreed = [verdict for _, verdict in verdicts if "agree" in verdict.message]
-    assert len(agreed) > (LAST - MIN_DRIVING) / (2.0 * PERIOD)
+    assert len(agreed) > (LAST - MIN_DRIVING) / (2.0 * CHECK_PERIOD)
     assert {verdict.severity for _, verdict in verdicts} <= {"", "note"}
     assert {"agree" in verdict.message for t, verdict in verdicts if t > MIN_DRIVING + 1.0} == {True}
 
@@ -110,7 +110,7 @@ def test_a_jump_of_the_position_is_not_used(road: np.ndarray, size: float) -> No
     assert "agree" in live.verdicts[-1][1].message
     rows[rows[:, 0] >= BEGIN, YAW_RATE] *= 57.3
     reported = [t for t, verdict in Live().drive(rows).verdicts if verdict.severity == "error"]
-    assert reported and BEGIN + MIN_DRIVING < reported[0] <= BEGIN + MIN_DRIVING + 2.0 * PERIOD + 0.2
+    assert reported and BEGIN + MIN_DRIVING < reported[0] <= BEGIN + MIN_DRIVING + 2.0 * CHECK_PERIOD + 0.2
 
 
 def test_a_stationary_car_is_not_checked(road: np.ndarray) -> None:
@@ -164,5 +164,5 @@ def test_a_check_that_fails_is_a_warning(road: np.ndarray) -> None:
 def test_it_takes_no_more_than_its_share_of_a_core(road: np.ndarray, share: float) -> None:
     live = Live(share=share).drive(road)
     times = [t for t, _ in live.verdicts]
-    assert min(b - a for a, b in pairwise(times)) > PERIOD - 0.2
+    assert min(b - a for a, b in pairwise(times)) > CHECK_PERIOD - 0.2
     assert 0.0 < live.spent[-2] <= 1.01 * share * times[-1]  # the last is paid for later

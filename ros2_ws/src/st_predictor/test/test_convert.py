@@ -38,7 +38,7 @@ def odometry(yaw: float = 2.0, frame: str = "map") -> Odometry:
 
 
 def test_odometry_is_the_ins_sample() -> None:
-    sample = convert.ins_sample(odometry(), "map")
+    sample = convert.read_ins_sample(odometry(), "map")
     assert sample == pytest.approx(InsSample(TIME_NS, 10.0, -20.0, 2.0, 8.0, 0.1, -0.3), rel=1e-15)
     assert sample.time_ns == TIME_NS
 
@@ -51,20 +51,20 @@ def test_roll_and_pitch_leave_the_yaw() -> None:
     q = message.pose.pose.orientation
     q.w, q.x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
     q.y, q.z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
-    assert convert.ins_sample(message, "map").yaw == pytest.approx(yaw)
+    assert convert.read_ins_sample(message, "map").yaw == pytest.approx(yaw)
 
 
 def test_unusable_odometry_has_a_reason() -> None:
-    assert "'odom'" in convert.ins_sample(odometry(frame="odom"), "map")
+    assert "'odom'" in convert.read_ins_sample(odometry(frame="odom"), "map")
     message = odometry()
     message.twist.twist.linear.y = math.nan
-    assert "NaN" in convert.ins_sample(message, "map")
+    assert "NaN" in convert.read_ins_sample(message, "map")
     message = odometry()
     message.pose.pose.position.x = math.inf
-    assert "infinite" in convert.ins_sample(message, "map")
+    assert "infinite" in convert.read_ins_sample(message, "map")
     message = odometry()
     message.pose.pose.orientation.w = message.pose.pose.orientation.z = 0.0
-    assert "unit quaternion" in convert.ins_sample(message, "map")
+    assert "unit quaternion" in convert.read_ins_sample(message, "map")
 
 
 def start_and_trajectory() -> tuple[Start, Trajectory]:
@@ -75,7 +75,7 @@ def start_and_trajectory() -> tuple[Start, Trajectory]:
 
 def test_prediction_survives_the_wire() -> None:
     start, trajectory = start_and_trajectory()
-    message = convert.prediction_message(start, "nonlinear", trajectory, VEHICLE, "map", "ab" * 32)
+    message = convert.make_prediction_message(start, "nonlinear", trajectory, VEHICLE, "map", "ab" * 32)
     again = deserialize_message(serialize_message(message), Prediction)
     start_ns, read = convert.read_trajectory(again)
     assert (start_ns, read.step) == (TIME_NS, 0.05)
@@ -88,7 +88,7 @@ def test_unusable_predictions_have_a_reason() -> None:
     start, trajectory = start_and_trajectory()
 
     def broken(**changes) -> str:
-        message = convert.prediction_message(start, "nonlinear", trajectory, VEHICLE, "map", "")
+        message = convert.make_prediction_message(start, "nonlinear", trajectory, VEHICLE, "map", "")
         for name, value in changes.items():
             setattr(message, name, value)
         return convert.read_trajectory(message)
@@ -115,13 +115,13 @@ def test_path_is_reused_and_complete() -> None:
 
 
 def test_qos_as_in_a_bag() -> None:
-    plain = convert.recorded_qos(QoSProfile(depth=50))
+    plain = convert.convert_qos(QoSProfile(depth=50))
     assert (plain.reliability, plain.durability) == ("reliable", "volatile")
     assert (plain.history, plain.depth) == ("keep_last", 50)
     assert (plain.deadline_ns, plain.lifespan_ns, plain.liveliness_lease_ns) == (INFINITE_NS,) * 3
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, deadline=Duration(seconds=2))
-    assert convert.recorded_qos(latched).durability == "transient_local"
-    assert convert.recorded_qos(latched).to_entry()["deadline"] == {"sec": 2, "nsec": 0}
+    assert convert.convert_qos(latched).durability == "transient_local"
+    assert convert.convert_qos(latched).to_entry()["deadline"] == {"sec": 2, "nsec": 0}
 
 
 def test_a_band_message_has_the_newest_half_widths() -> None:

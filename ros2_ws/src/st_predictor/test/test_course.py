@@ -63,7 +63,7 @@ def drive(given: CourseInput, road: np.ndarray, jump: float = 0.0) -> tuple[list
         core.add_ins(InsSample(time_ns, x + (jump if t > 20.0 else 0.0), y, yaw, v_x, v_y, rate))
         core.add_steering(time_ns, CAR.road_wheel_angle(steering))
         if k % 10 == 0 and isinstance(start := core.start(time_ns), Start):
-            inputs = given.at(core, start)
+            inputs = given.find_inputs(core, start)
             used.append(inputs is not None)
             ends = [core.run(start, "linear", ahead).states[-1, :2] for ahead in (None, inputs)]
             after = k + round(5.0 * RATE)
@@ -84,8 +84,8 @@ def test_the_course_takes_most_of_the_error_of_held_inputs(node, course: Course,
     used, errors = drive(one, road)
     held, remembered = np.array(errors)[50:].mean(axis=0)
     assert np.mean(used) > 0.9 and remembered < 0.45 * held
-    assert one.check(True).level == 0 and "weight in curvature" in one.check(True).message
-    assert "not used" in one.check(False).message
+    assert one.make_check(True).level == 0 and "weight in curvature" in one.make_check(True).message
+    assert "not used" in one.make_check(False).message
 
 
 def test_a_course_from_another_origin_of_the_map_is_moved(node, course: Course, road: np.ndarray) -> None:
@@ -115,7 +115,8 @@ def test_a_course_that_does_not_fit_leaves_inputs_held(node, course: Course, roa
     one = given(node, course, at)
     used, _ = drive(one, road)
     assert not any(used) and not one.is_used
-    assert one.check(True).level == level and "held" in one.check(True).message and reason in one.check(True).message
+    check = one.make_check(True)
+    assert check.level == level and "held" in check.message and reason in check.message
 
 
 def test_after_a_jump_of_the_position_inputs_are_held(node, course: Course, road: np.ndarray) -> None:

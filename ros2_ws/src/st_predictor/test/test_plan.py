@@ -125,5 +125,5 @@ def test_a_malformed_message_is_refused(changes: dict[str, list[float]], reason:
     values = {"time": [0.0, 0.1], "road_wheel_angle": [0.0, 0.1], "velocity_x_dot": [0.0, 0.0]} | changes
     message = InputPlan(**values)
     message.header.frame_id = "base_link"
-    found = convert.planned_inputs(message, "base_link", car)
+    found = convert.read_planned_inputs(message, "base_link", car)
     assert isinstance(found, str) and reason in found

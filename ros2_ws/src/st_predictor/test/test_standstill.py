@@ -40,7 +40,7 @@ def drive(node: PredictorNode) -> tuple[int, list[str]]:
         if k % 10 == 0:
             node.get_clock().set_ros_time_override(Time(nanoseconds=time_ns, clock_type=node.get_clock().clock_type))
             node._tick()
-    texts = [c.message for c in node._checks() if c.name in ("plan", "course")]
+    texts = [c.message for c in node._make_checks() if c.name in ("plan", "course")]
     return node._counter.as_dict()["predicted"] - before, texts
 
 

@@ -134,21 +134,21 @@ def test_no_thread_and_no_file_is_left(tmp_path: Path) -> None:
 
 def test_the_nodes_say_what_the_disk_does(disk: Disk, tmp_path: Path) -> None:
     pytest.importorskip("rclpy", reason="needs ROS 2")
-    from st_predictor.nodes._bag import is_complete, recording_check
+    from st_predictor.nodes._bag import is_complete, make_recording_check
     from st_ros import diagnostics
 
     bag, _ = record(tmp_path / "bag", 0.7)
-    assert recording_check(bag).level == diagnostics.OK and is_complete(bag)
+    assert make_recording_check(bag).level == diagnostics.OK and is_complete(bag)
     disk.error = errno.EIO
     bag.write(1, numbered(0), START_NS)
     bag.flush()
     time.sleep(0.4)
-    check = recording_check(bag)
+    check = make_recording_check(bag)
     assert check.level == diagnostics.ERROR and "Input/output error" in check.message and not is_complete(bag)
     bag.close()
     assert not is_complete(bag)
     disk.error, disk.delay = 0, 1.6
     slow, _ = record(tmp_path / "slow", 1.3)
-    check = recording_check(slow)
+    check = make_recording_check(slow)
     assert check.level == diagnostics.WARN and "the disk is slow" in check.message, check
     slow.close()

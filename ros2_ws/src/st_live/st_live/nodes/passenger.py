@@ -150,7 +150,7 @@ class PassengerFrames:
         return LEVELS[min(level, 3)], text + (f", and {others} more" if others else "")
 
     def _take_odometry(self, message: Any, now: float) -> None:
-        sample = convert.ins_sample(message, self._map_frame)
+        sample = convert.read_ins_sample(message, self._map_frame)
         if isinstance(sample, str):
             return
         measured = sample.time_ns * 1e-9

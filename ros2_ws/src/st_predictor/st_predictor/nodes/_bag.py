@@ -1,4 +1,4 @@
-"""Opens the output bag of evaluator and recorder, and reports on it in /diagnostics."""
+"""Opens the output bag of evaluator or recorder, and reports on it in /diagnostics."""
 
 import itertools
 from collections.abc import Mapping
@@ -30,11 +30,11 @@ def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) 
                     raise
                 name = next(names)
     except OSError as error:
-        name = f"{error.filename or values.output_directory}: " if error.strerror else ""
-        raise ConfigurationError(f"{values.where}output_directory: {name}{error.strerror or error}") from None
+        file = f"{error.filename or values.output_directory}: " if error.strerror else ""
+        raise ConfigurationError(f"{values.where}output_directory: {file}{error.strerror or error}") from None
 
 
-def recording_check(bag: BagWriter, stopped: str = "", resumed: bool = False) -> Check:
+def make_recording_check(bag: BagWriter, stopped: str = "", resumed: bool = False) -> Check:
     """Diagnostic check of the recording: message counts, losses and disk errors.
 
     stopped: why an earlier bag of the same run ended. resumed: whether to warn that a new bag has just been opened.
@@ -50,7 +50,7 @@ def recording_check(bag: BagWriter, stopped: str = "", resumed: bool = False) ->
         return Check("recording", diagnostics.WARN, f"{stopped}; recording resumed in {bag.directory}", values)
     level, text = diagnostics.OK, f"{bag.message_count} messages"
     if bag.syncer and bag.syncer.error:
-        # The recording continues: most data may still reach the disk, where a new bag would be too.
+        # The recording continues: most data may still reach the disk, and a new bag would be on the same one.
         level, text = diagnostics.ERROR, (f"writing to the disk failed: {bag.syncer.error} ({bag.path}); recorded data "
                                           "may be missing: use another disk")
     elif bag.syncer and (delay := bag.syncer.delay) > MAX_SYNC_DELAY:

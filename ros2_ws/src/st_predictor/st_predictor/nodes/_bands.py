@@ -60,7 +60,8 @@ class PredictionBands:
         if self._adaptive:
             self._scorer.add_steering(time_ns, road_wheel_angle)
 
-    def messages_at(self, history: MeasurementHistory, time_ns: int, modes: Sequence[Mode]) -> Mapping[str, list[Band]]:
+    def make_messages(self, history: MeasurementHistory, time_ns: int,
+                      modes: Sequence[Mode]) -> Mapping[str, list[Band]]:
         """Bands by model for predictions of these modes that start at `time_ns`; empty without bands.
 
         Valid until the next call.
@@ -90,7 +91,7 @@ class PredictionBands:
             for mode, trajectory in by_mode.items():
                 self._scorer.add_prediction(model, start.time_ns, trajectory, mode)
 
-    def check(self) -> Check:
+    def make_check(self) -> Check:
         if self._reason:
             return Check("bands", diagnostics.WARN, f"no band: {self._reason}")
         if self._calibrated:
@@ -141,7 +142,7 @@ def read_bands(message: Prediction) -> HalfWidths:
             if all(len(column) == points for column in widths)}
 
 
-def coverage_check(coverages: CoverageMonitor) -> Check:
+def make_coverage_check(coverages: CoverageMonitor) -> Check:
     """Diagnostic check of the evaluator: observed coverage of the bands."""
     values = {f"{model} {mode} {100 * level:g} %": f"{coverage.share(level):.3f} of {coverage.n}"
               for (model, mode), coverage in coverages.by_pair.items() for level in sorted(coverage.inside)}

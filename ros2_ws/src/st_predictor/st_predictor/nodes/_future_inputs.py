@@ -39,10 +39,10 @@ class PlanInput:
     def drain(self) -> None:
         for message, _, _ in self._subscription.take(QUEUE_DEPTH):
             self._counts["received"] += 1
-            self._plan = convert.planned_inputs(message, self._frame, self._vehicle)
+            self._plan = convert.read_planned_inputs(message, self._frame, self._vehicle)
             self._received_at = time.monotonic()
 
-    def at(self, core: Predictor, start: Start) -> tuple[InputSequence, int] | None:
+    def find_inputs(self, core: Predictor, start: Start) -> tuple[InputSequence, int] | None:
         """(inputs in the horizon, stamp of the plan [ns]) for a start; None without a usable plan."""
         if self._plan is None:
             return None
@@ -58,7 +58,7 @@ class PlanInput:
         self._counts["used"] += 1
         return inputs, self._plan.issued_ns
 
-    def check(self, predicts: bool) -> Check:
+    def make_check(self, predicts: bool) -> Check:
         """Diagnostic check. predicts: whether the newest tick made predictions."""
         if not predicts:
             return Check("plan", diagnostics.OK, NOT_USED, self._counts)
@@ -97,7 +97,7 @@ class CourseInput:
             self._origin_problem = str(error)
         self._tracker.restart()
 
-    def at(self, core: Predictor, start: Start) -> InputSequence | None:
+    def find_inputs(self, core: Predictor, start: Start) -> InputSequence | None:
         """Inputs in the horizon for a start; None if the course is not used."""
         if self._tracker is None or self._origin_problem:
             return None
@@ -113,7 +113,7 @@ class CourseInput:
         """Whether the newest start used inputs of the course."""
         return self._forecast.inputs is not None
 
-    def check(self, predicts: bool) -> Check:
+    def make_check(self, predicts: bool) -> Check:
         """Diagnostic check. predicts: whether the newest tick made predictions."""
         forecast = self._forecast
         if self._tracker is None:

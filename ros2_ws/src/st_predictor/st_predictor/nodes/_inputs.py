@@ -17,6 +17,7 @@ from st_ros.polling import UNRESOLVED_NODE, PolledSubscription, to_nanoseconds, 
 from .. import convert
 
 SILENCE_TIMEOUT = 1.0  # s without a message after which another publisher can replace the accepted one
+WARNING_DURATION = 10.0  # s of a warning after the last rejected message
 MAX_LOST = 1000  # largest gap in the accepted publisher's message numbers: 4 s at 250 Hz
 QUEUE_DEPTH = 4000  # queued messages per topic: 16 s at 250 Hz, for a node without processor time
 
@@ -24,7 +25,7 @@ QUEUE_DEPTH = 4000  # queued messages per topic: 16 s at 250 Hz, for a node with
 class PublisherLock:
     """Accepts only messages of the first publisher of an input, so that measurements of two cars are never mixed.
 
-    A message does not name its publisher, but each publisher numbers its messages consecutively, as a chain. If
+    A message does not name its publisher, but each publisher numbers its messages consecutively: they form a chain. If
     two chains have reached the same number, they cannot be distinguished, and neither is used.
 
     names: full node names of all publishers at the last `update`. rejected: number of messages rejected so far.
@@ -36,7 +37,7 @@ class PublisherLock:
         self._competing = self._indistinguishable = False
         self._number: int | None = None  # sequence number of the newest accepted message
         self._accepted_at: float | None = None  # [s]
-        self._others: dict[int, float] = {}  # newest number of each rejected chain -> its time [s]
+        self._others: dict[int, float] = {}  # time of arrival [s] by newest number of each rejected chain
         self._rejected_at: float | None = None  # [s]
 
     def update(self, names: Sequence[str]) -> None:
@@ -59,7 +60,7 @@ class PublisherLock:
     def _continues_chain(self, number: int | None, now: float) -> bool:
         if self._indistinguishable or number is None or self._number is None or self._accepted_at is None:
             return False
-        self._others = {newest: at for newest, at in self._others.items() if now - at < SILENCE_TIMEOUT}
+        self._others = {newest: time for newest, time in self._others.items() if now - time < SILENCE_TIMEOUT}
         if number == self._number + 1:
             self._indistinguishable = self._number in self._others
             return not self._indistinguishable
@@ -72,10 +73,10 @@ class PublisherLock:
     def _may_follow(self, number: int) -> bool:
         return self._number is not None and 0 < number - self._number <= MAX_LOST
 
-    def warning(self, now: float) -> str:
-        """Warning about competing publishers; empty without any. now: on the clock of `accept` [s]."""
+    def describe_competition(self, now: float) -> str:
+        """Warning about competing publishers, empty without any. now: on the clock of `accept` [s]."""
         # A killed publisher stays in the graph for a while with the same name as its successor, but sends nothing.
-        has_rejected = self._rejected_at is not None and now - self._rejected_at < 10.0 * SILENCE_TIMEOUT
+        has_rejected = self._rejected_at is not None and now - self._rejected_at < WARNING_DURATION
         if not self._competing or not (len(set(self.names)) > 1 or has_rejected):
             return ""
         names = ", ".join(self.names)
@@ -87,8 +88,8 @@ class PublisherLock:
 class Inputs:
     """Passes every usable sample to `add_ins` and `add_steering`, which return False for a sample they refuse.
 
-    on_change: called when `checks` has changed and should be published at once. last_refusal: by signal, why the newest
-    message was refused.
+    on_change: called when the diagnostic checks have changed and should be published at once. last_refusal: why the
+    newest message was refused, by signal.
     """
 
     def __init__(self, node: Node, map_frame: str, add_ins: Callable[[InsSample], bool],
@@ -108,14 +109,14 @@ class Inputs:
         """Process messages until one of each signal is newer than `since_ns` (host UTC), at most `longest` seconds."""
         end = time.monotonic() + longest
         self.drain()
-        while min(self._arrived_ns.values()) < since_ns and (left := end - time.monotonic()) > 0.0:
-            wait_for_any(self._node, (self._odometry, self._steering), left)
+        while min(self._arrived_ns.values()) < since_ns and (remaining := end - time.monotonic()) > 0.0:
+            wait_for_any(self._node, (self._odometry, self._steering), remaining)
             self.drain()
 
     def drain(self) -> None:
         """Process all queued messages."""
         for message in self._take_accepted("INS", self._odometry):
-            sample = convert.ins_sample(message, self._map_frame)
+            sample = convert.read_ins_sample(message, self._map_frame)
             if isinstance(sample, str):
                 self._refuse("INS", sample)
             else:
@@ -130,37 +131,37 @@ class Inputs:
     def _take_accepted(self, signal: str, subscription: PolledSubscription) -> Iterator[Any]:
         """Queued messages of the accepted publisher."""
         lock = self._locks[signal]
-        before, count = lock.warning(_utc_now()), subscription.publisher_count()
+        previous_warning, count = lock.describe_competition(_utc_now()), subscription.publisher_count()
         # Add new publishers before reading and remove ended ones after it: their last messages may still be queued.
         if count > len(lock.names):
-            lock.update(_publisher_names(subscription, count))
+            lock.update(_find_publisher_names(subscription, count))
         for message, arrived_ns, number in subscription.take(QUEUE_DEPTH, "publication_sequence_number"):
             if lock.accept(number, arrived_ns * NANOSECOND):
                 self._arrived_ns[signal] = arrived_ns
                 yield message
         if count > 1 or count < len(lock.names):
-            lock.update(_publisher_names(subscription, count))
-        if before != lock.warning(_utc_now()):
+            lock.update(_find_publisher_names(subscription, count))
+        if previous_warning != lock.describe_competition(_utc_now()):
             self._on_change()
 
     def explain(self, reason: str) -> str:
-        """The reason for a missing prediction, completed if messages of the signal it names are refused."""
+        """The reason for a missing prediction; if messages of the signal that it names are refused, also why."""
         for signal, refusal in self.last_refusal.items():
             if refusal and reason.startswith(signal):
                 return f"{reason}; messages arrive but are refused: {refusal}"
         return reason
 
-    def checks(self) -> list[Check]:
-        warnings = {topic: self._locks[signal].warning(_utc_now())
+    def make_checks(self) -> list[Check]:
+        warnings = {topic: self._locks[signal].describe_competition(_utc_now())
                     for signal, topic in (("INS", self._odometry.topic), ("steering", self._steering.topic))}
         rejected = {f"{signal} messages of other publishers": lock.rejected for signal, lock in self._locks.items()}
         text = "; ".join(f"{topic} is {warning}" for topic, warning in warnings.items() if warning)
         return [
             Check("publishers", diagnostics.ERROR if text else diagnostics.OK, text or "one of each input", rejected),
-            *(self._input_check(signal) for signal in self.received),
+            *(self._make_input_check(signal) for signal in self.received),
         ]
 
-    def _input_check(self, signal: str) -> Check:
+    def _make_input_check(self, signal: str) -> Check:
         values = {"received": self.received[signal], "refused": self.refused[signal]}
         if refusal := self.last_refusal[signal]:
             return Check(f"input {signal}", diagnostics.WARN, f"refused: {refusal}", values)
@@ -182,7 +183,7 @@ class Inputs:
         self.last_refusal[signal] = reason
 
 
-def _publisher_names(subscription: PolledSubscription, count: int) -> list[str]:
+def _find_publisher_names(subscription: PolledSubscription, count: int) -> list[str]:
     """The node name of each of `count` publishers; UNRESOLVED_NODE for those not in the graph yet."""
     names = subscription.publisher_names()
     return names + [UNRESOLVED_NODE] * (count - len(names))

@@ -22,8 +22,8 @@ from st_ros.polling import LATCHED, PolledSubscription, steady_timer
 
 from .. import convert, params
 from ..consistency import Consistency
-from ._bag import is_complete, open_bag, recording_check
-from ._bands import add_coverage, coverage_check, read_bands
+from ._bag import is_complete, make_recording_check, open_bag
+from ._bands import add_coverage, make_coverage_check, read_bands
 from ._inputs import Inputs
 
 NICE = 5  # lower priority than bridges and predictor: a third of their CPU share under contention
@@ -31,9 +31,9 @@ WORK_PERIOD, SUMMARY_PERIOD = 0.05, 1.0  # s
 MODES = ("forecast", "hindsight")  # scored for every forecast, in the order of the summary
 LEVELS = {"warning": diagnostics.WARN, "error": diagnostics.ERROR}
 HISTORY_SPAN = 65.0  # s of measurements stored: longest horizon of a predictor plus the wait for late signals
-ERROR_DEPTH = 1000  # the scores of a whole horizon, all models and modes are published at once at the end of a run
+ERROR_DEPTH = 1000  # at the end of a run, the scores of a whole horizon are published at once for all models and modes
 QUEUE_DEPTH = 500  # queued predictions per topic: 50 s at 10 Hz, 5 s of a fast replay
-# SI; larger than rounding differences between computers; another vehicle file changes a path by centimetres in 1 s.
+# SI units. It exceeds rounding differences between computers; another vehicle file changes a path by cm within 1 s.
 TRAJECTORY_TOLERANCE = 1.0e-6
 
 
@@ -42,15 +42,15 @@ class EvaluatorNode(Node):
         super().__init__("evaluator")
         values = parameters.declare(self, params.EVALUATOR)
         self._vehicle = params.load_vehicle(values)
-        self._file = params.load_model(values, self._vehicle)
-        from_file = [self._file.model()] if self._file else []
+        self._model_file = params.load_model(values, self._vehicle)
+        from_file = [self._model_file.model()] if self._model_file else []
         self._models = params.translate_errors(
             values, lambda: [get_model(m).name for m in (*values.models, *from_file)])
-        settings = params.prediction_settings(values)
+        settings = params.read_prediction_settings(values)
         self._core = Evaluator(self._vehicle, settings, HISTORY_SPAN, from_file)
         self._consistency = Consistency(self._vehicle)
         self._map_frame = values.map_frame
-        self._diagnostics = Diagnostics(self, self._vehicle.name, self._checks)
+        self._diagnostics = Diagnostics(self, self._vehicle.name, self._make_checks)
         self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering,
                               self._diagnostics.publish)
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
@@ -79,8 +79,8 @@ class EvaluatorNode(Node):
         configuration = {"vehicle": self._vehicle.to_yaml(), "vehicle_name": self._vehicle.name,
                          "vehicle_hash": self._vehicle.hash, "vehicle_file": Path(values.vehicle_file).name,
                          "maximum_gap": f"{settings.maximum_gap:g}", "filter_cutoff": f"{settings.filter_cutoff:g}"}
-        if self._file:
-            configuration |= {"model": self._file.to_yaml(), "model_hash": self._file.hash,
+        if self._model_file:
+            configuration |= {"model": self._model_file.to_yaml(), "model_hash": self._model_file.hash,
                               "model_file": Path(values.model_file).name}
         bag = open_bag(values, {"configuration": configuration})
         errors = bag.add_topic(self.resolve_topic_name("evaluator/errors"), "st_msgs/msg/PredictionError")
@@ -111,8 +111,8 @@ class EvaluatorNode(Node):
         if mode == "forecast":
             self._check_configuration(model, message, trajectory)
             self._coverages.expect(model, start_ns, read_bands(message))
-        for scored in MODES if mode == "forecast" else (mode,):
-            self._hashes[model, scored, start_ns] = message.configuration_hash
+        for scored_mode in MODES if mode == "forecast" else (mode,):
+            self._hashes[model, scored_mode, start_ns] = message.configuration_hash
         self._core.add_prediction(model, start_ns, trajectory, mode)
 
     def _check_configuration(self, model: str, message: Prediction, trajectory: Trajectory) -> None:
@@ -133,7 +133,7 @@ class EvaluatorNode(Node):
             self._statistics.setdefault((score.model, score.mode), ErrorStatistics()).add(score)
             self._coverages.add(score)
             key = score.model, score.mode, score.start_ns
-            message = convert.prediction_error_message(score, self._map_frame, self._hashes.pop(key, ""))
+            message = convert.make_prediction_error_message(score, self._map_frame, self._hashes.pop(key, ""))
             self._error_publisher.publish(message)
             self._record("errors", message)
 
@@ -142,7 +142,7 @@ class EvaluatorNode(Node):
         message.header.stamp = self.get_clock().now().to_msg()
         message.header.frame_id = self._map_frame
         message.statistics = [
-            add_coverage(convert.statistics_message(*key, statistics), self._coverages)
+            add_coverage(convert.make_statistics_message(*key, statistics), self._coverages)
             for key, statistics in self._statistics.items()
         ]
         self._summary_publisher.publish(message)
@@ -152,7 +152,7 @@ class EvaluatorNode(Node):
         if self._bag:
             self._bag.write(self._bag_topics[topic], serialize_message(message), self.get_clock().now().nanoseconds)
 
-    def _checks(self) -> list[Check]:
+    def _make_checks(self) -> list[Check]:
         complete = sum(s.n_starts for s in self._statistics.values())
         incomplete = sum(s.n_incomplete for s in self._statistics.values())
         pending = self._core.pending
@@ -165,13 +165,13 @@ class EvaluatorNode(Node):
             level, text = diagnostics.WARN, (
                 f"predictions of {', '.join(mismatched)} were made with another vehicle or model than this node uses: "
                 "set the same vehicle_file and model_file in predictor and evaluator")
-        recording = (recording_check(self._bag) if self._bag else
+        recording = (make_recording_check(self._bag) if self._bag else
                      Check("recording", diagnostics.OK, "off (output_directory is empty)"))
         verdict = self._consistency.verdict
         severity = LEVELS.get(verdict.severity, diagnostics.OK)
         consistency = Check("consistency", severity, verdict.message, verdict.values)
-        return [Check("scoring", level, text, values), recording, consistency, coverage_check(self._coverages),
-                *self._inputs.checks()]
+        return [Check("scoring", level, text, values), recording, consistency, make_coverage_check(self._coverages),
+                *self._inputs.make_checks()]
 
     @property
     def exit_status(self) -> int:

@@ -44,12 +44,12 @@ class IdentifierNode(Node):
         self._publisher = self.create_publisher(TrackedParameters, "identifier/parameters", LATCHED)
         steady_timer(self, DRAIN_PERIOD, self._drain)
         steady_timer(self, PUBLISH_PERIOD, self._publish)
-        self._diagnostics = Diagnostics(self, vehicle.name, self._checks)
+        self._diagnostics = Diagnostics(self, vehicle.name, self._make_checks)
         self.get_logger().info(f"estimating {', '.join(NAMES)} of {vehicle.name}; the estimates are not applied")
 
     def _drain(self) -> None:
         for message, _, _ in self._odometry.take(QUEUE_DEPTH):
-            sample = convert.ins_sample(message, self._values.map_frame)
+            sample = convert.read_ins_sample(message, self._values.map_frame)
             self._received["INS"] += not isinstance(sample, str) and self._core.add_ins(sample)
         for message, _, _ in self._steering.take(QUEUE_DEPTH):
             usable = message.valid and math.isfinite(message.steering_wheel_angle)
@@ -76,13 +76,14 @@ class IdentifierNode(Node):
 
     def _publish(self) -> None:
         self._reload_vehicle_file()
-        vehicle, seconds = self._vehicle, self._core.driving_time
+        vehicle, driving_time = self._vehicle, self._core.driving_time
         message = TrackedParameters(vehicle=vehicle.name, vehicle_hash=vehicle.hash, resets=self._resets,
-                                    seconds_used=seconds.used, seconds_rejected=float(sum(seconds.rejected.values())))
+                                    seconds_used=driving_time.used,
+                                    seconds_rejected=float(sum(driving_time.rejected.values())))
         message.header.stamp = self.get_clock().now().to_msg()
         message.parameters = [TrackedParameter(
             parameter=estimate.parameter, unit=estimate.unit, value=estimate.value,
-            standard_deviation=estimate.deviation, vehicle_file_value=self._file_value(estimate),
+            standard_deviation=estimate.deviation, vehicle_file_value=self._find_file_value(estimate),
             status=STATUS[estimate.status], reason=estimate.reason) for estimate in self._core.estimates()]
         self._publisher.publish(message)
 
@@ -106,16 +107,16 @@ class IdentifierNode(Node):
             self._resets += 1
             self.get_logger().info(f"{self._file} has changed: all estimates are reset")
 
-    def _file_value(self, estimate: OnlineEstimate) -> float:
+    def _find_file_value(self, estimate: OnlineEstimate) -> float:
         return float(getattr(self._vehicle, estimate.parameter, 1.0))
 
-    def _checks(self) -> list[Check]:
-        seconds = self._core.driving_time
-        used = {"used [s]": round(seconds.used, 1), **{f"not used, {why} [s]": round(time, 1)
-                                                      for why, time in seconds.rejected.items()}, **self._received}
-        checks = [Check("driving", diagnostics.OK, f"{seconds.used:.0f} s of driving used", used)]
+    def _make_checks(self) -> list[Check]:
+        driving_time = self._core.driving_time
+        not_used = {f"not used, {reason} [s]": round(time, 1) for reason, time in driving_time.rejected.items()}
+        values = {"used [s]": round(driving_time.used, 1), **not_used, **self._received}
+        checks = [Check("driving", diagnostics.OK, f"{driving_time.used:.0f} s of driving used", values)]
         for estimate in self._core.estimates():
-            value, deviation, file_value = estimate.value, estimate.deviation, self._file_value(estimate)
+            value, deviation, file_value = estimate.value, estimate.deviation, self._find_file_value(estimate)
             level = LEVELS[estimate.status]
             if estimate.status == "estimated":
                 text = f"{value:.4g} +/- {deviation:.2g} {estimate.unit}, vehicle file {file_value:.4g}"
@@ -128,10 +129,10 @@ class IdentifierNode(Node):
                 "value": value, "standard deviation": deviation, "vehicle file": file_value,
                 "status": estimate.status}))
         if self._problem:
-            file = Check("vehicle file", diagnostics.WARN, f"{self._problem}; the previous values are kept", {})
+            checks.append(Check("vehicle file", diagnostics.WARN, f"{self._problem}; the previous values are kept"))
         else:
-            file = Check("vehicle file", diagnostics.OK, "as at the start", {"resets": self._resets})
-        return [*checks, file]
+            checks.append(Check("vehicle file", diagnostics.OK, "as at the start", {"resets": self._resets}))
+        return checks
 
     def close(self) -> None:
         self._drain()

@@ -18,7 +18,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from .. import convert, params
-from ..map_drawing import History, Path, car_outline
+from ..map_drawing import History, Path, make_car_outline
 
 NEWEST_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 SCORE_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # scores of one start arrive together
@@ -50,7 +50,7 @@ class MarkersNode(Node):
     def _draw(self) -> None:
         for model, subscription in self._predictions.items():
             for message, _, _ in subscription.take():
-                self._history.add_path(model, convert.ins_path(message))
+                self._history.add_path(model, convert.read_ins_path(message))
         for message, _, _ in self._errors.take():
             if message.complete and message.mode == "forecast" and message.model in self._plots:
                 plot = Vector3Stamped(header=message.header)  # horizon means: longitudinal, lateral [m], yaw [rad]
@@ -59,7 +59,7 @@ class MarkersNode(Node):
                 self._plots[message.model].publish(plot)
         sample = None
         for message, _, _ in self._odometry.take():
-            newest = convert.ins_sample(message, self._map_frame)
+            newest = convert.read_ins_sample(message, self._map_frame)
             sample = sample if isinstance(newest, str) else newest
         if sample is not None:
             self._history.add_pose(sample.time_ns, sample.x, sample.y)
@@ -72,17 +72,17 @@ class MarkersNode(Node):
         track = np.array([(x, y) for _, x, y in self._history.track])
         markers = [
             self._make_line("track", 0, now_ns, track[:, 0], track[:, 1], MEASURED_COLOUR, TRACK_WIDTH, 0.5, z=-0.2),
-            self._make_line("car", 0, now_ns, *car_outline((sample.x, sample.y, sample.yaw), self._car), "#141414",
+            self._make_line("car", 0, now_ns, *make_car_outline((sample.x, sample.y, sample.yaw), self._car), "#141414",
                             CAR_WIDTH),
         ]
         for number, model in enumerate(self._history.models):
             markers += [self._make_line("ghosts", 10 * number + round(age), now_ns, ghost.x, ghost.y, colour_of(model),
                                         GHOST_WIDTH, GHOST_ALPHA, z=-0.1)
-                        for age, ghost in self._history.ghosts(model, now_ns)]
-            if point := self._history.predicted_position(model, now_ns):
+                        for age, ghost in self._history.find_ghosts(model, now_ns)]
+            if point := self._history.find_predicted_position(model, now_ns):
                 markers.append(self._make_line("errors", number, now_ns, [sample.x, point[0]], [sample.y, point[1]],
                                                colour_of(model), ERROR_WIDTH, z=0.1))
-            if path := self._history.newest(model, now_ns):
+            if path := self._history.find_newest(model, now_ns):
                 markers.append(self._make_name(number, now_ns, model, path))
         return markers
 
@@ -90,7 +90,7 @@ class MarkersNode(Node):
         """The bands of the newest predictions, the 50 % band above the 90 % band, with the model as namespace."""
         markers = []
         for number, model in enumerate(self._history.models):
-            path = self._history.newest(model, now_ns)
+            path = self._history.find_newest(model, now_ns)
             for ribbon in path.ribbons if path else ():
                 alpha = RIBBON_ALPHA.get(ribbon.level, RIBBON_ALPHA[0.9])
                 marker = self._make_marker(Marker.TRIANGLE_LIST, model, round(100 * ribbon.level), now_ns,
@@ -103,26 +103,26 @@ class MarkersNode(Node):
                 markers.append(marker)
         return markers
 
-    def _make_marker(self, kind: int, space: str, number: int, time_ns: int, colour: str, alpha: float) -> Marker:
-        marker = Marker(type=kind, ns=space, id=number, action=Marker.ADD, lifetime=LIFETIME)
+    def _make_marker(self, kind: int, namespace: str, number: int, time_ns: int, colour: str, alpha: float) -> Marker:
+        marker = Marker(type=kind, ns=namespace, id=number, action=Marker.ADD, lifetime=LIFETIME)
         marker.header.stamp, marker.header.frame_id = from_nanoseconds(time_ns), self._map_frame
         marker.pose.orientation.w = 1.0
         red, green, blue = (c / 255.0 for c in rgb(colour))
         marker.color = ColorRGBA(r=red, g=green, b=blue, a=alpha)
         return marker
 
-    def _make_line(self, space: str, number: int, time_ns: int, x, y, colour: str, width: float, alpha: float = 1.0,
-                   z: float = 0.0) -> Marker:
+    def _make_line(self, namespace: str, number: int, time_ns: int, x, y, colour: str, width: float,
+                   alpha: float = 1.0, z: float = 0.0) -> Marker:
         """A line through map points [m]. z: height above the map [m], which sets the drawing order."""
-        marker = self._make_marker(Marker.LINE_STRIP, space, number, time_ns, colour, alpha)
+        marker = self._make_marker(Marker.LINE_STRIP, namespace, number, time_ns, colour, alpha)
         marker.scale.x = width
         marker.points = [Point(x=float(px), y=float(py), z=z) for px, py in zip(x, y, strict=True)]
         return marker
 
     def _make_name(self, number: int, time_ns: int, model: str, path: Path) -> Marker:
         marker = self._make_marker(Marker.TEXT_VIEW_FACING, "names", number, time_ns, colour_of(model), 1.0)
-        at = label_index(model, path.step, len(path.x))
-        marker.pose.position.x, marker.pose.position.y = float(path.x[at]), float(path.y[at])
+        index = label_index(model, path.step, len(path.x))
+        marker.pose.position.x, marker.pose.position.y = float(path.x[index]), float(path.y[index])
         marker.pose.position.z = 1.0
         marker.scale.z, marker.text = TEXT_HEIGHT, model
         return marker

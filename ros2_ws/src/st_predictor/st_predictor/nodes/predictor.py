@@ -36,7 +36,7 @@ STATUS_PERIOD = 1.0  # s
 # In a replay at 100 predictions per second, a recorder delayed by 0.5 s lost 50 of 590 at depth 10, none at 1000.
 LIVE_DEPTH, REPLAY_DEPTH = 10, 1000
 MAX_WAIT_SHARE = 0.5  # longest wait for samples as a fraction of the period, so that the next tick is not late
-JUMP_WARNING_DURATION = 10.0  # a position jump is reported as a warning for this long [s]
+JUMP_WARNING_DURATION = 10.0  # s of the warning about a position jump
 BUSY_TICK_SHARE = 0.5  # fraction of the period; a longer tick causes a warning
 
 
@@ -51,10 +51,10 @@ class TickCounter:
 
     def count_missed(self, next_due_ns: int, period_ns: int) -> int:
         """Number of ticks dropped since the last call. next_due_ns: next due time of the timer, on the node's clock."""
-        before, self._next_due_ns = self._next_due_ns, next_due_ns
-        if before is None or not 0 < next_due_ns - before < MAX_OVERRUN_NS:
+        previous_ns, self._next_due_ns = self._next_due_ns, next_due_ns
+        if previous_ns is None or not 0 < next_due_ns - previous_ns < MAX_OVERRUN_NS:
             return 0
-        return max(0, round((next_due_ns - before) / period_ns) - 1)
+        return max(0, round((next_due_ns - previous_ns) / period_ns) - 1)
 
     def count(self, missed: int, skipped: str | None) -> None:
         """Count a tick and the `missed` ticks dropped before it.
@@ -66,10 +66,10 @@ class TickCounter:
             self._counts[skipped or "predicted"] += 1
             self._started = True
 
-    def new_overruns(self) -> int:
-        """Number of overruns since the last call."""
-        before, self._reported_overruns = self._reported_overruns, self._counts["overrun"]
-        return self._reported_overruns - before
+    def take_new_overruns(self) -> int:
+        """Number of overruns since the previous call."""
+        reported, self._reported_overruns = self._reported_overruns, self._counts["overrun"]
+        return self._reported_overruns - reported
 
     def as_dict(self) -> dict[str, int]:
         """The counts by field name of st_msgs/PredictorStatus."""
@@ -85,13 +85,13 @@ class PredictorNode(Node):
         self._vehicle = params.load_vehicle(values)
         backend = self._make_core(values)
         self._map_frame = values.map_frame
-        self._diagnostics = Diagnostics(self, self._vehicle.name, self._checks)
+        self._diagnostics = Diagnostics(self, self._vehicle.name, self._make_checks)
         self._inputs = Inputs(self, values.map_frame, self._add_ins, self._add_steering, self._diagnostics.publish)
         self._plan = PlanInput(self, values.plan_frame, self._vehicle)
         settings = self._core.settings
         course = params.read_file(values, "course_file", Course.from_yaml)
         self._course = CourseInput(self, course, self._vehicle, settings.horizon, settings.step)
-        self._path = convert.PathBuilder(values.map_frame, settings.steps + 1)
+        self._path_builder = convert.PathBuilder(values.map_frame, settings.steps + 1)
         self._simulated = self.get_parameter("use_sim_time").value
         self._make_publishers()
         self._counter = TickCounter()
@@ -115,7 +115,7 @@ class PredictorNode(Node):
 
     def _make_core(self, values: SimpleNamespace) -> str:
         """Create the core with its models, hashes and bands; returns how the models are executed, for the log."""
-        settings = params.prediction_settings(values)
+        settings = params.read_prediction_settings(values)
         file = params.load_model(values, self._vehicle)
         models = [*values.models, *([file.model()] if file else [])]
         loaded = params.translate_errors(values, lambda: [get_model(model) for model in models])
@@ -155,26 +155,27 @@ class PredictorNode(Node):
         missed = self._counter.count_missed(next_due_ns, period_ns)
         # Waiting for the next sample makes the start state of the prediction newer.
         self._inputs.wait(next_due_ns - period_ns, self._wait)
-        began = time.perf_counter()
+        started = time.perf_counter()
         start = self._find_start(self.get_clock().now().nanoseconds)
-        before, self._skip = self._skip, start if isinstance(start, Skip) else None
+        previous_skip, self._skip = self._skip, start if isinstance(start, Skip) else None
         self._counter.count(missed, self._skip.kind if self._skip else None)
         if isinstance(start, Start):
             self._predict(start)
         self._bands.observe_scores()
         if self._skip and self._simulated:
             self._publish_status()  # the player of `st replay` waits for a message from every tick
-        if (before and before.kind) != (self._skip and self._skip.kind) or self._jumps != self._core.history.jumps:
+        changed = (previous_skip and previous_skip.kind) != (self._skip and self._skip.kind)
+        if changed or self._jumps != self._core.history.jumps:
             self._jumps = self._core.history.jumps
             self._diagnostics.publish()
-        self._slowest_tick = max(self._slowest_tick, time.perf_counter() - began)
+        self._slowest_tick = max(self._slowest_tick, time.perf_counter() - started)
 
     def _find_start(self, now_ns: int) -> Start | Skip:
         start = self._core.start(now_ns)
         if isinstance(start, Skip):
             return start
-        before, self._last_start_ns = self._last_start_ns, start.time_ns
-        if start.time_ns != before:
+        last_start_ns, self._last_start_ns = self._last_start_ns, start.time_ns
+        if start.time_ns != last_start_ns:
             return start
         # A planner does not need the same prediction twice, and the statistics would count it twice.
         signal, age = max(self._core.ages(now_ns).items(), key=lambda item: item[1])
@@ -182,22 +183,22 @@ class PredictorNode(Node):
 
     def _predict(self, start: Start) -> None:
         self._plan.drain()
-        before = bool(self._plan.problem), self._course.is_used
+        previous_state = bool(self._plan.problem), self._course.is_used
         issued: dict[str, dict[Mode, Trajectory]] = {model: {} for model in self._outputs}
         modes: list[Mode] = ["forecast", "hindsight"]
-        if planned := self._plan.at(self._core, start):
+        if planned := self._plan.find_inputs(self._core, start):
             self._publish_planned(start, "plan", *planned, issued)
             modes.append("plan")
-        if (inputs := self._course.at(self._core, start)) is not None:
+        if (inputs := self._course.find_inputs(self._core, start)) is not None:
             self._publish_planned(start, "course", inputs, 0, issued)
             modes.append("course")
-        paths, bands = [], self._bands.messages_at(self._core.history, start.time_ns, modes)
+        paths, bands = [], self._bands.make_messages(self._core.history, start.time_ns, modes)
         for model, (path_publisher, prediction_publisher) in self._outputs.items():
-            began = time.perf_counter()
+            run_started = time.perf_counter()
             trajectory = self._core.run(start, model)
-            compute_time = time.perf_counter() - began
+            compute_time = time.perf_counter() - run_started
             car = self._core.car(model)
-            message = convert.prediction_message(start, model, trajectory, car, self._map_frame, self._hash[model])
+            message = convert.make_prediction_message(start, model, trajectory, car, self._map_frame, self._hash[model])
             message.compute_time = compute_time
             message.bands = bands.get(model, [])
             now = self.get_clock().now()
@@ -209,24 +210,24 @@ class PredictorNode(Node):
         # Paths are published last: only viewers read them, and filling one takes longer than running all models.
         for model, path_publisher, trajectory, car in paths:
             if np.isfinite(trajectory.states).all():
-                path_publisher.publish(self._path.fill(start.time_ns, trajectory, car))
+                path_publisher.publish(self._path_builder.fill(start.time_ns, trajectory, car))
                 self._not_finite.discard(model)
             else:
                 self._not_finite.add(model)  # viewers cannot draw such a path; the evaluator scores it as incomplete
         self._bands.add_predictions(start, issued)
-        if before != (bool(self._plan.problem), self._course.is_used):
+        if previous_state != (bool(self._plan.problem), self._course.is_used):
             self._diagnostics.publish()
 
     def _publish_planned(self, start: Start, mode: Mode, inputs: InputSequence, plan_ns: int,
                          issued: dict[str, dict[Mode, Trajectory]]) -> None:
         """Publish predictions of all models with the inputs of a plan or course, and add them to `issued`."""
         for model in self._outputs:
-            began = time.perf_counter()
+            run_started = time.perf_counter()
             model_inputs = self._core.model_inputs(model, inputs)
             trajectory = self._core.run(start, model, model_inputs)
-            compute_time = time.perf_counter() - began
-            message = convert.planned_message(start, model, plan_ns, model_inputs, trajectory, self._core.car(model),
-                                              self._map_frame, self._hash[model])
+            compute_time = time.perf_counter() - run_started
+            message = convert.make_planned_message(start, model, plan_ns, model_inputs, trajectory,
+                                                   self._core.car(model), self._map_frame, self._hash[model])
             message.compute_time = compute_time
             message.issued_at = self.get_clock().now().to_msg()
             self._planned_outputs[mode, model].publish(message)
@@ -234,56 +235,56 @@ class PredictorNode(Node):
 
     def _publish_status(self) -> None:
         ages, self._state_ages = self._state_ages, []
-        message = PredictorStatus(reason=self._reason(), **self._counter.as_dict())
+        message = PredictorStatus(reason=self._explain_skip(), **self._counter.as_dict())
         message.state_age, message.state_age_max = (median(ages), max(ages)) if ages else (math.nan, math.nan)
         self._state_age = message.state_age
         message.header.stamp = self.get_clock().now().to_msg()
         message.header.frame_id = self._map_frame
         self._status_publisher.publish(message)
 
-    def _reason(self) -> str:
+    def _explain_skip(self) -> str:
         return self._inputs.explain(self._skip.reason) if self._skip else ""
 
-    def _checks(self) -> list[Check]:
+    def _make_checks(self) -> list[Check]:
         counts = self._counter.as_dict()
         level, text = diagnostics.OK, "predicting"
         if self._skip and self._skip.kind == "slow":
-            text = f"no prediction: {self._reason()}"
+            text = f"no prediction: {self._explain_skip()}"
         elif self._skip:
-            level, text = diagnostics.ERROR, f"no prediction: {self._reason()}"
+            level, text = diagnostics.ERROR, f"no prediction: {self._explain_skip()}"
         elif self._not_finite:
             level, text = diagnostics.WARN, f"prediction not finite, no path: {', '.join(sorted(self._not_finite))}"
         ages = self._core.ages(self.get_clock().now().nanoseconds)
         known_ages = {f"age {signal} [s]": age for signal, age in ages.items() if math.isfinite(age)}
         slowest, self._slowest_tick = self._slowest_tick, 0.0
-        overrun = self._counter.new_overruns()
-        late = overrun > 0 or slowest > BUSY_TICK_SHARE * self._period
-        timing = f"slowest tick {slowest * 1e3:.1f} ms" + (f", {overrun} ticks skipped by overrun" if overrun else "")
+        overruns = self._counter.take_new_overruns()
+        is_late = overruns > 0 or slowest > BUSY_TICK_SHARE * self._period
+        timing = f"slowest tick {slowest * 1e3:.1f} ms" + (f", {overruns} ticks skipped by overrun" if overruns else "")
         return [
             Check("prediction", level, text, {**counts, **known_ages}),
-            Check("timing", diagnostics.WARN if late else diagnostics.OK, timing,
+            Check("timing", diagnostics.WARN if is_late else diagnostics.OK, timing,
                   {"slowest tick [ms]": slowest * 1e3, "period [ms]": self._period * 1e3,
                    "state age at issue, median [ms]": self._state_age * 1e3}),
-            self._position_check(),
-            self._steering_check(),
-            self._bands.check(),
-            self._plan.check(self._skip is None),
-            self._course.check(self._skip is None),
-            *self._inputs.checks(),
+            self._make_position_check(),
+            self._make_steering_check(),
+            self._bands.make_check(),
+            self._plan.make_check(self._skip is None),
+            self._course.make_check(self._skip is None),
+            *self._inputs.make_checks(),
         ]
 
-    def _position_check(self) -> Check:
+    def _make_position_check(self) -> Check:
         history = self._core.history
         values = {"jumps": history.jumps}
         if history.jump is None:
             return Check("position", diagnostics.OK, "no jump yet", values)
-        ago = (self.get_clock().now().nanoseconds - history.jump.time_ns) * NANOSECOND
+        age = (self.get_clock().now().nanoseconds - history.jump.time_ns) * NANOSECOND
         text = f"jump of {history.jump.size:.2f} m not explained by velocity; {history.jumps} since start-up"
-        if ago < JUMP_WARNING_DURATION:
+        if age < JUMP_WARNING_DURATION:
             return Check("position", diagnostics.WARN, f"{text}; no prediction or score extends across it", values)
-        return Check("position", diagnostics.OK, f"last {text}", values | {"age [s]": ago})
+        return Check("position", diagnostics.OK, f"last {text}", values | {"age [s]": age})
 
-    def _steering_check(self) -> Check:
+    def _make_steering_check(self) -> Check:
         frozen = self._core.frozen_steering.frozen
         if frozen is None:
             return Check("steering", diagnostics.OK, "consistent with the yaw rate")

@@ -23,21 +23,21 @@ from st_ros.parameters import ConfigurationError
 from st_ros.polling import UNRESOLVED_PREFIX, PolledSubscription, matching_qos, message_class, steady_timer
 
 from .. import convert, params
-from ._bag import is_complete, open_bag, recording_check
+from ._bag import is_complete, make_recording_check, open_bag
 
 NICE = 5  # lower priority than bridges and predictor: a third of their CPU share under contention
-WORK_PERIOD = 0.05  # s between reads of the queues, which store the time of arrival of each message
+WORK_PERIOD = 0.05  # s between reads of the queues; each queued message has its time of arrival
 TOPIC_SCAN_PERIOD = 0.25  # s between searches for new topics
 RESUME_PERIOD = 5.0  # s between attempts to resume in a new bag, for example after a full disk
 RESUME_SPACE = 200_000_000  # bytes of free disk space required for a new bag
-RESUME_WARNING_DURATION = 10.0  # s, duration of the warning that a recording was resumed
+RESUME_WARNING_DURATION = 10.0  # s of the warning that a recording was resumed
 DIAGNOSTICS = "/diagnostics"
 SILENCE_TIMEOUT = 10.0  # s until a silent node is reported; every node publishes /diagnostics once a second
 QUEUE_DEPTH = 1000  # queued messages per topic: 4 s at 250 Hz, for a slow disk
 
 
 class PublisherWatchdog:
-    """Finds nodes that publish a recorded topic without any of their messages arriving.
+    """Finds nodes that publish a recorded topic although none of their messages arrives.
 
     DDS may match a publisher with a subscription that never receives its data, so only a message proves a connection.
     """
@@ -48,14 +48,14 @@ class PublisherWatchdog:
         self._node_times: dict[str, float] = {}  # newest /diagnostics of each node [s]
         self._found_times: dict[str, float] = {}  # when each node was discovered [s]
 
-    def received(self, topic: str, data: bytes) -> None:
+    def record_arrival(self, topic: str, data: bytes) -> None:
         now = time.monotonic()
         self._topic_times[topic] = now
         if topic == DIAGNOSTICS:
             message = deserialize_message(data, DiagnosticArray)
             self._node_times.update((status.name.partition(": ")[0], now) for status in message.status)
 
-    def silent_nodes(self, topics: Iterable[str]) -> dict[str, float]:
+    def find_silent_nodes(self, topics: Iterable[str]) -> dict[str, float]:
         """Seconds of silence by node, for publishers of `topics` that have been silent longer than SILENCE_TIMEOUT."""
         now = time.monotonic()
         node_topics: dict[str, list[str]] = {}
@@ -66,9 +66,10 @@ class PublisherWatchdog:
             if len(names) == 1:  # with several publishers it is unknown which of them sent a message
                 node_topics.setdefault(names.pop(), []).append(topic)
         self._found_times = {name: self._found_times.get(name, now) for name in node_topics}
-        last = {name: max(self._found_times[name], self._node_times.get(name, 0.0),
-                          *(self._topic_times.get(t, 0.0) for t in topics)) for name, topics in node_topics.items()}
-        return {name: now - at for name, at in sorted(last.items()) if now - at > SILENCE_TIMEOUT}
+        silences = {name: now - max(self._found_times[name], self._node_times.get(name, 0.0),
+                                    *(self._topic_times.get(topic, 0.0) for topic in published))
+                    for name, published in sorted(node_topics.items())}
+        return {name: silence for name, silence in silences.items() if silence > SILENCE_TIMEOUT}
 
 
 class RecorderNode(Node):
@@ -84,13 +85,13 @@ class RecorderNode(Node):
         self._stop_reason = ""  # why an earlier bag of this run ended
         self._resume_at, self._resumed_at = float("inf"), float("-inf")
         self._recorded: dict[str, tuple[PolledSubscription, int]] = {}
-        self._announced: dict[str, tuple[str, list[Qos]]] = {}
+        self._descriptions: dict[str, tuple[str, list[Qos]]] = {}  # type and publishers' QoS, by topic
         self._refused: dict[str, str] = {}
         self._watchdog = PublisherWatchdog(self)
         self._simulated_time = self.get_parameter("use_sim_time").value
         steady_timer(self, WORK_PERIOD, self._work)
         steady_timer(self, TOPIC_SCAN_PERIOD, self._subscribe_new)
-        self._diagnostics = Diagnostics(self, str(self._bag.directory), self._checks)
+        self._diagnostics = Diagnostics(self, str(self._bag.directory), self._make_checks)
         self._subscribe_new()
         self.get_logger().info(f"recording into {self._bag.directory}")
 
@@ -110,22 +111,21 @@ class RecorderNode(Node):
             self._refused[topic] = f"message type {types[0]} is not installed"
             return
         try:
-            announced = types[0], [convert.recorded_qos(p.qos_profile) for p in publishers]
-            number = self._bag.add_topic(topic, *announced)
+            description = types[0], [convert.convert_qos(p.qos_profile) for p in publishers]
+            number = self._bag.add_topic(topic, *description)
         except UnknownTypeError as error:
             self._refused[topic] = str(error)
             return
         subscription = PolledSubscription(self, message_type, topic, matching_qos(publishers, QUEUE_DEPTH), raw=True)
         self._recorded[topic] = (subscription, number)
-        self._announced[topic] = announced
+        self._descriptions[topic] = description
 
     def _work(self) -> None:
-        write, received = self._bag.write, self._watchdog.received
         for topic, (subscription, number) in self._recorded.items():
             for data, received_ns, sent_ns in subscription.take(QUEUE_DEPTH):
                 log_ns = self.get_clock().now().nanoseconds if self._simulated_time else received_ns
-                write(number, data, log_ns, sent_ns or log_ns)
-                received(topic, data)
+                self._bag.write(number, data, log_ns, sent_ns or log_ns)
+                self._watchdog.record_arrival(topic, data)
         self._bag.flush_when_due()
         if self._bag.error and self._values.number_when_taken:
             self._resume()
@@ -147,25 +147,25 @@ class RecorderNode(Node):
             bag = open_bag(self._values, self._records)
             self._stop_reason, self._bag, self._resumed_at = self._bag.error, bag, now
             for topic, (subscription, _) in self._recorded.items():
-                self._recorded[topic] = subscription, bag.add_topic(topic, *self._announced[topic])
+                self._recorded[topic] = subscription, bag.add_topic(topic, *self._descriptions[topic])
             self.get_logger().warning(f"{self._stop_reason}; recording resumed in {bag.directory}")
 
-    def _checks(self) -> list[Check]:
+    def _make_checks(self) -> list[Check]:
         level, text = diagnostics.OK, f"{len(self._recorded)} recorded"
         if self._refused:
             level = diagnostics.WARN
-            text = "not recorded: " + "; ".join(f"{topic}: {why}" for topic, why in self._refused.items())
+            text = "not recorded: " + "; ".join(f"{topic}: {reason}" for topic, reason in self._refused.items())
         elif not self._recorded:
             level, text = diagnostics.WARN, "none of the topics has a publisher yet"
         topics = Check("topics", level, text, {"topics": len(self._recorded)})
         resumed = time.monotonic() - self._resumed_at < RESUME_WARNING_DURATION
-        return [recording_check(self._bag, self._stop_reason, resumed), topics, self._publishers_check()]
+        return [make_recording_check(self._bag, self._stop_reason, resumed), topics, self._make_publishers_check()]
 
-    def _publishers_check(self) -> Check:
+    def _make_publishers_check(self) -> Check:
         if DIAGNOSTICS not in self._recorded:
             return Check("senders", diagnostics.OK, f"not checked: {DIAGNOSTICS} is not recorded")
         self._work()  # so that messages still queued, after a delay of this node, count as received
-        silent = self._watchdog.silent_nodes(self._recorded)
+        silent = self._watchdog.find_silent_nodes(self._recorded)
         if silent:
             silences = ", ".join(f"{name} for {seconds:.0f} s" for name, seconds in silent.items())
             return Check("senders", diagnostics.WARN, f"nothing recorded from {silences}, not even /diagnostics")
@@ -201,12 +201,12 @@ def make_metadata(values: SimpleNamespace) -> dict[str, dict[str, str]]:
         records["configuration"] = {**texts, "hash": hashlib.sha256(joined.encode()).hexdigest()}
     if values.metadata_json:
         try:
-            given = json.loads(values.metadata_json)
+            metadata = json.loads(values.metadata_json)
         except ValueError as error:
             raise ConfigurationError(f"{values.where}metadata_json: {error}") from None
-        if not isinstance(given, dict) or not all(isinstance(entries, dict) for entries in given.values()):
+        if not isinstance(metadata, dict) or not all(isinstance(entries, dict) for entries in metadata.values()):
             raise ConfigurationError(f'{values.where}metadata_json: expected {{"record": {{"key": "text"}}}}')
-        for name, entries in given.items():
+        for name, entries in metadata.items():
             record = records.setdefault(name, {})
             record.update({k: v if isinstance(v, str) else json.dumps(v) for k, v in entries.items()})
     return records
