@@ -11,7 +11,7 @@ from discovery.programmes import DT, Builder
 from discovery.sensing import make_log
 from st_core.identification.result import Estimate
 from st_core.log import DriveLog
-from st_core.vehicle import VehicleParameters, quantity
+from st_core.vehicle import VehicleParameters, find_quantity
 from st_sim.car import read_car
 from st_sim.settings import resolve
 
@@ -28,7 +28,8 @@ def with_stiffness(car: VehicleParameters, front: float, rear: float) -> Vehicle
 
 def apply_estimates(car: VehicleParameters, estimates: Iterable[Estimate]) -> VehicleParameters:
     """The car with the estimates of quantities of the vehicle file and the lambda_ky derived from them."""
-    return car.with_values({e.parameter: e.value for e in estimates if quantity(e.parameter)}).with_derived_scales()
+    values = {e.parameter: e.value for e in estimates if find_quantity(e.parameter)}
+    return car.with_values(values).with_derived_scales()
 
 
 def bends(speed: float, across: float, hold: float = 4.0) -> Callable[[Builder], None]:

@@ -11,8 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from .clock_fit import DRIFT_PRIOR_PPM, STEP, Fit, Pair, coarse_offset, fit, mean_correlation, resample
-from .clock_steps import MAX_WINDOWS, WindowLag, find_clock_step, window_lags
+from .clock_fit import DRIFT_PRIOR_PPM, STEP, Fit, Pair, find_peaks, fit, mean_correlation, resample
+from .clock_steps import MAX_WINDOWS, WindowLag, find_clock_step, measure_window_lags
 from .clock_types import MAX_SPAN, Alignment, SharedSignal, SignalLag, Verdict, describe_step, refused_alignment
 from .regression import SIGMA_PER_MAD
 
@@ -23,8 +23,9 @@ MIN_OVERLAP = 20.0  # s
 UNUSUAL_DRIFT_PPM = 200.0  # two quartz clocks differ by less
 MAX_STEP = 0.05  # s; a larger clock step causes an alignment to be refused
 MAX_DISAGREEMENT = 0.005  # s, between the offset of a single signal and the common offset
+MAX_TIME_FRAME_RESIDUAL = 0.02  # s, of the offsets of time frames from a straight line
 GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s, standard deviation of the offset
-STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; the second if a signal fits poorly with one offset
+STEP_SEARCH, WIDE_STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; wide if a signal fits poorly with one offset
 
 
 def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
@@ -54,17 +55,16 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     Never raises for the content of a recording: a refused alignment states its reasons. Valid for drifts of a few
     hundred ppm and recordings of up to two days. Checked by: tests/golden/test_alignment.py, test_clock_alignment.py.
     """
-    usable, reasons = _usable_signals(signals)
+    usable, reasons = _select_usable(signals)
     if not usable:
         return refused_alignment(*reasons)
-    pairs = _resampled_pairs(usable)
-    fine = pairs[CUTOFFS[-1]]
-    if not fine:
+    pairs = _resample_pairs(usable)
+    if not pairs[CUTOFFS[-1]]:
         return refused_alignment(*reasons, "the shared signals were measured for only a few seconds")
-    result = _align_with_overlap(fine, pairs, usable, reasons, _min_overlap(fine), search)
+    result = _align_with_overlap(pairs, usable, reasons, _min_overlap(pairs[CUTOFFS[-1]]), search)
     best = max((s.correlation for s in result.signals), default=0.0)
     if result.verdict is Verdict.REFUSED and best < USABLE_CORRELATION:
-        short = _align_with_overlap(fine, pairs, usable, reasons, MIN_OVERLAP, search)
+        short = _align_with_overlap(pairs, usable, reasons, MIN_OVERLAP, search)
         if short.verdict is not Verdict.REFUSED:
             return short.with_doubts(f"the recordings share only {short.overlap:.0f} s")
     return result
@@ -77,47 +77,49 @@ def _min_overlap(pairs: Sequence[Pair]) -> float:
     return max(0.4 * shorter, 10.0)
 
 
-def _align_with_overlap(fine: Sequence[Pair], pairs: dict[float, list[Pair]], usable: Sequence[SharedSignal],
-                        reasons: Sequence[str], needed: float, search: tuple[float, float] | None) -> Alignment:
-    r0, o0 = int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
-    between_origins = (r0 - o0) * 1e-9  # times as floats count from the origin of each clock
+def _align_with_overlap(pairs: dict[float, list[Pair]], usable: Sequence[SharedSignal], reasons: Sequence[str],
+                        minimum_overlap: float, search: tuple[float, float] | None) -> Alignment:
+    fine = pairs[CUTOFFS[-1]]
+    reference_ns, other_ns = int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
+    between_origins = (reference_ns - other_ns) * 1e-9  # times as floats count from the origin of each clock
     span = (search[0] - between_origins, search[1] - between_origins) if search else (-np.inf, np.inf)
-    coarse = coarse_offset(fine, needed, span)
-    if coarse is None:
-        return refused_alignment(*reasons, f"at no offset do the recordings share {needed:.0f} s of similar motion")
-    (first, second), (r_first, r_second) = coarse
+    peaks = find_peaks(fine, minimum_overlap, span)
+    if peaks is None:
+        return refused_alignment(*reasons, f"at no offset do the recordings share {minimum_overlap:.0f} s of similar "
+                                           "motion")
+    coarse = peaks[0].offset
     # The estimates of offset and drift are nearly uncorrelated in the middle of the overlap.
-    low = max(min(p.other.origin for p in fine), min(p.reference.origin for p in fine) - first)
-    high = min(max(p.other.time[-1] for p in fine), max(p.reference.time[-1] for p in fine) - first)
+    low = max(min(p.other.origin for p in fine), min(p.reference.origin for p in fine) - coarse)
+    high = min(max(p.other.time[-1] for p in fine), max(p.reference.time[-1] for p in fine) - coarse)
     middle = (low + high) / 2
     try:
-        solution = fit(pairs[CUTOFFS[0]], first, middle, 0.0)
+        solution = fit(pairs[CUTOFFS[0]], coarse, middle)
         for cutoff in CUTOFFS[1:]:
             solution = fit(pairs[cutoff], solution.offset, middle, solution.drift)
     except ValueError as error:
         return refused_alignment(*reasons, str(error))
-    singles = []
+    lags = []  # of each signal alone
     for pair, residual, correlation in zip(fine, solution.residual, solution.correlation, strict=True):
         alone = fit([pair], solution.offset, middle, solution.drift, free_drift=False)
-        singles.append(SignalLag(pair.name, alone.offset - solution.offset, alone.offset_deviation, residual,
-                                 correlation))
-    excess = 0.0  # disagreement of the signals in excess of their uncertainties
-    if len(singles) > 1:
-        weights = np.array([s.deviation**-2 for s in singles])
-        variance = float((weights * np.array([s.difference for s in singles]) ** 2).sum() / weights.sum())
-        excess = max(variance - float(len(singles) / weights.sum()), 0.0)
+        lags.append(SignalLag(pair.name, alone.offset - solution.offset, alone.offset_deviation, residual, correlation))
+    excess = 0.0  # variance between the signals in excess of their uncertainties [s^2]
+    if len(lags) > 1:
+        weights = np.array([s.deviation**-2 for s in lags])
+        variance = float((weights * np.array([s.difference for s in lags]) ** 2).sum() / weights.sum())
+        excess = max(variance - float(len(lags) / weights.sum()), 0.0)
     latency = max(s.latency_uncertainty for s in usable)
     offset_deviation = float(np.sqrt(solution.offset_deviation**2 + excess + latency**2 + STAMP_RESOLUTION**2 / 12))
     # The rounding error of the stamps changes slowly, so it does not average out.
     drift_deviation = float(np.hypot(solution.drift_deviation, STAMP_RESOLUTION / max(high - low, 1.0))) * 1e6
+    peak, second_peak = (p._replace(offset=p.offset + between_origins) for p in peaks)
     result = Alignment(
-        o0 + round(middle * 1e9), r0 - o0 + round(solution.offset * 1e9), solution.drift * 1e6,
-        offset_deviation, drift_deviation, "shared signals", Verdict.GOOD, tuple(reasons), tuple(singles),
-        (first + between_origins, r_first), (second + between_origins, r_second), max(high - low, 0.0))
-    return _with_verdict(result, solution, fine, o0)
+        other_ns + round(middle * 1e9), reference_ns - other_ns + round(solution.offset * 1e9), solution.drift * 1e6,
+        offset_deviation, drift_deviation, "shared signals", Verdict.GOOD, tuple(reasons), tuple(lags), peak,
+        second_peak, max(high - low, 0.0))
+    return _add_verdict(result, solution, fine, other_ns)
 
 
-def _usable_signals(signals: Sequence[SharedSignal]) -> tuple[list[SharedSignal], list[str]]:
+def _select_usable(signals: Sequence[SharedSignal]) -> tuple[list[SharedSignal], list[str]]:
     usable, reasons = [], []
     for signal in signals:
         known = [np.isfinite(v) for v in (signal.reference, signal.other)]
@@ -137,7 +139,7 @@ def _usable_signals(signals: Sequence[SharedSignal]) -> tuple[list[SharedSignal]
     return usable, reasons or ([] if usable else ["the recordings share no signal"])
 
 
-def _resampled_pairs(signals: Sequence[SharedSignal]) -> dict[float, list[Pair]]:
+def _resample_pairs(signals: Sequence[SharedSignal]) -> dict[float, list[Pair]]:
     """Pairs of the signals with known samples in both recordings, by cut-off frequency.
 
     Times count from the first sample of the first signal in each recording.
@@ -154,10 +156,8 @@ def _resampled_pairs(signals: Sequence[SharedSignal]) -> dict[float, list[Pair]]
     return {cutoff: [row[k] for row in rows] for k, cutoff in enumerate(CUTOFFS)}
 
 
-def _with_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: int) -> Alignment:
+def _add_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: int) -> Alignment:
     refusals, doubts = [], []
-    assert result.peak and result.second_peak
-    (first, r_first), (second, r_second) = result.peak, result.second_peak
     # Correlations after the fit are used, because drift reduces the peak of the coarse search.
     weakest = min(max(s.correlation, 0.0) for s in result.signals)
     strongest = max(s.correlation for s in result.signals)
@@ -167,21 +167,22 @@ def _with_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other
     elif weakest < GOOD_CORRELATION:
         worst = min(result.signals, key=lambda s: s.correlation)
         doubts.append(f"{worst.name} fits poorly: correlation {worst.correlation:.2f}, expected {GOOD_CORRELATION}")
-    if result.ambiguous:
-        doubts.append(f"an offset {second - first:+.2f} s away fits nearly as well, with correlation {r_second:.2f} "
-                      f"against {r_first:.2f} (repeated laps?)")
-    differ = f"the signals differ (correlation {strongest:.2f} at best)"
-    why = "little motion" if strongest >= GOOD_CORRELATION else differ
+    if result.ambiguous and result.peak and result.second_peak:
+        (best, correlation), (second, second_correlation) = result.peak, result.second_peak
+        doubts.append(f"an offset {second - best:+.2f} s away fits nearly as well, with correlation "
+                      f"{second_correlation:.2f} against {correlation:.2f} (repeated laps?)")
+    cause = ("little motion" if strongest >= GOOD_CORRELATION else
+             f"the signals differ (correlation {strongest:.2f} at best)")
     if solution.offset_deviation > USABLE_DEVIATION:
-        refusals.append(f"{why}: the uncertainty of the offset is {solution.offset_deviation * 1e3:.0f} ms")
+        refusals.append(f"{cause}: the uncertainty of the offset is {solution.offset_deviation * 1e3:.0f} ms")
     elif solution.offset_deviation > GOOD_DEVIATION:
-        doubts.append(f"{why}: the uncertainty of the offset is {solution.offset_deviation * 1e3:.1f} ms")
+        doubts.append(f"{cause}: the uncertainty of the offset is {solution.offset_deviation * 1e3:.1f} ms")
     for row in result.signals:
         if abs(row.difference) > max(MAX_DISAGREEMENT, 3 * row.deviation):
             doubts.append(f"the offset from {row.name} alone differs by {row.difference * 1e3:+.1f} ms")
-    if abs(result.drift_ppm) - 2.0 * (result.drift_deviation or 0.0) > UNUSUAL_DRIFT_PPM:
-        doubts.append(f"a drift of {result.drift_ppm:.0f} ppm exceeds that of quartz clocks")
-    lags = window_lags(pairs, solution.offset, STEP_SEARCH[weakest < GOOD_CORRELATION])
+    doubts += _describe_unusual_drift(result)
+    search = WIDE_STEP_SEARCH if weakest < GOOD_CORRELATION else STEP_SEARCH
+    lags = measure_window_lags(pairs, solution.offset, search)
     step = find_clock_step(lags)
     if step:
         reason = describe_step(step[1], other_ns * 1e-9 + step[0] - result.at_ns * 1e-9)
@@ -192,12 +193,18 @@ def _with_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other
     return result.with_doubts(*doubts)
 
 
-def _fine_pairs(signals: Sequence[SharedSignal]) -> tuple[list[Pair], int, int]:
+def _describe_unusual_drift(result: Alignment) -> list[str]:
+    if abs(result.drift_ppm) - 2.0 * result.drift_deviation > UNUSUAL_DRIFT_PPM:
+        return [f"a drift of {result.drift_ppm:.0f} ppm exceeds that of quartz clocks"]
+    return []
+
+
+def _make_fine_pairs(signals: Sequence[SharedSignal]) -> tuple[list[Pair], int, int]:
     """(pairs of the usable signals at the high cut-off, origins of their reference and other times [ns])."""
-    usable, _ = _usable_signals(signals)
+    usable, _ = _select_usable(signals)
     if not usable:
         return [], 0, 0
-    return _resampled_pairs(usable)[CUTOFFS[-1]], int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
+    return _resample_pairs(usable)[CUTOFFS[-1]], int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
 
 
 def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.ndarray]:
@@ -205,20 +212,20 @@ def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.n
 
     Empty if no signal is usable. Lags with an overlap of less than 40 % of the shorter recording are left out.
     """
-    fine, r0, o0 = _fine_pairs(signals)
+    fine, reference_ns, other_ns = _make_fine_pairs(signals)
     curve = mean_correlation(fine, _min_overlap(fine), (-np.inf, np.inf)) if fine else None
-    return (curve[0] + (r0 - o0) * 1e-9, curve[1]) if curve else (np.zeros(0), np.zeros(0))
+    return (curve[0] + (reference_ns - other_ns) * 1e-9, curve[1]) if curve else (np.zeros(0), np.zeros(0))
 
 
 def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list[WindowLag]:
     """Residual offsets of windows of 30 s after an alignment, searched within 2 s; time [s] since `at_ns`."""
-    fine, r0, o0 = _fine_pairs(signals)
+    fine, reference_ns, other_ns = _make_fine_pairs(signals)
     if not fine:
         return []
-    middle = (alignment.at_ns - o0) * 1e-9
-    found = window_lags(fine, (alignment.offset_ns - (r0 - o0)) * 1e-9, 2.0)
+    middle = (alignment.at_ns - other_ns) * 1e-9
+    lags = measure_window_lags(fine, (alignment.offset_ns - (reference_ns - other_ns)) * 1e-9, 2.0)
     drift = alignment.drift_ppm * 1e-6
-    return [WindowLag(w.time - middle, w.lag - drift * (w.time - middle), w.deviation) for w in found]
+    return [WindowLag(w.time - middle, w.lag - drift * (w.time - middle), w.deviation) for w in lags]
 
 
 def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray,
@@ -253,7 +260,7 @@ def _fit_robust_line(time: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, 
 
 def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray, resolution: float = 0.001,
                         latency: float = 0.0, latency_uncertainty: float = 0.0) -> Alignment:
-    """Alignment by CAN frames that contain the time of the INS: a robust line (soft L1) through the medians per second.
+    """Alignment by CAN frames with the time of the INS: a robust line (soft L1) through the median offset per second.
 
     other_time_ns: log stamp of each frame that contains a time; an INS without GNSS lock sends none.
     reference_time_ns: time in the frame, UTC. resolution: of the time in the frame [s]. latency: delay from the time in
@@ -263,9 +270,9 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
         return refused_alignment("fewer than two time frames contain a time (did the INS have no GNSS lock?)")
     if abs(int(other_time_ns[-1]) - int(other_time_ns[0])) * 1e-9 > MAX_SPAN:
         return refused_alignment("the log spans days: probably its clock was set during the recording")
-    o0, r0 = int(other_time_ns[0]), int(reference_time_ns[0])
-    time = (other_time_ns - o0) * 1e-9 - latency
-    offset = (reference_time_ns - r0) * 1e-9 - time
+    other_ns, reference_ns = int(other_time_ns[0]), int(reference_time_ns[0])
+    time = (other_time_ns - other_ns) * 1e-9 - latency
+    offset = (reference_time_ns - reference_ns) * 1e-9 - time
     second = np.floor(time - time[0]).astype(np.int64)
     edges = np.nonzero(np.diff(second, prepend=second[0] - 1, append=second[-1] + 1))[0]
     if len(edges) - 1 <= 0.5 * len(time):
@@ -275,21 +282,21 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     # Truncation to the resolution does not average out if the frame interval is nearly a multiple of the resolution.
     rounding = resolution / np.sqrt(12)
     result = Alignment(
-        o0 + round(middle * 1e9), r0 - o0 + round(float(solution[0]) * 1e9), float(solution[1]) * 1e6,
+        other_ns + round(middle * 1e9), reference_ns - other_ns + round(float(solution[0]) * 1e9),
+        float(solution[1]) * 1e6,
         float(np.sqrt(covariance[0, 0] + rounding**2 + latency_uncertainty**2)),
         float(np.sqrt(covariance[1, 1])) * 1e6, "time frame", Verdict.GOOD, overlap=float(time[-1] - time[0]))
     # A step changes the slope of the fitted line as well, so the offsets are examined, not the residuals.
-    usual, edges = np.median(offset), np.linspace(0, len(time), min(len(time), MAX_WINDOWS) + 1).astype(int)
-    lags = [WindowLag(float(np.median(time[a:b])) - middle, float(np.median(offset[a:b]) - usual), scale)
+    median, edges = np.median(offset), np.linspace(0, len(time), min(len(time), MAX_WINDOWS) + 1).astype(int)
+    lags = [WindowLag(float(np.median(time[a:b])) - middle, float(np.median(offset[a:b]) - median), scale)
             for a, b in pairwise(edges)]
     step = find_clock_step(lags)
     if step and abs(step[1]) > MAX_STEP:
         return replace(result, verdict=Verdict.REFUSED, reasons=(describe_step(step[1], step[0]),))
     doubts = []
     worst = int(np.argmax(np.abs(residual)))
-    if abs(residual[worst]) > 0.02:
+    if abs(residual[worst]) > MAX_TIME_FRAME_RESIDUAL:
         doubts.append(f"the time frames do not lie on one line: {residual[worst] * 1e3:+.0f} ms at "
                       f"{time[worst] - middle:+.0f} s from the middle (a clock may have been set)")
-    if abs(result.drift_ppm) - 2.0 * (result.drift_deviation or 0.0) > UNUSUAL_DRIFT_PPM:
-        doubts.append(f"a drift of {result.drift_ppm:.0f} ppm exceeds that of quartz clocks")
+    doubts += _describe_unusual_drift(result)
     return result.with_doubts(*doubts)

@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
+from .clock_types import Peak
 from .regression import robust_deviation
 
 RATE = 100.0  # Hz, sampling rate at which signals are filtered
@@ -29,7 +30,7 @@ class Resampled:
 
     origin: float  # s, of the first sample
     values: np.ndarray
-    known: np.ndarray  # True for samples away from gaps and edges
+    known: np.ndarray  # True for samples away from gaps and ends
 
     @property
     def time(self) -> np.ndarray:
@@ -71,23 +72,24 @@ def masked_correlation(reference: Resampled, other: Resampled, minimum_overlap: 
     minimum_overlap: duration of the samples known in both [s]; r is 0 at lags with a shorter overlap.
     Source: Padfield, Masked object registration in the Fourier domain, IEEE Trans. Image Processing 21 (2012).
     """
-    m1, m2 = reference.known.astype(float), other.known.astype(float)
+    mask_f, mask_g = reference.known.astype(float), other.known.astype(float)
     # Removing the mean first keeps the rounding errors of the transforms far below the sums.
     f, g = (np.where(s.known, s.values - (s.values[s.known].mean() if s.known.any() else 0.0), 0.0)
             for s in (reference, other))
     total = len(f) + len(g) - 1
     size = next_fast_len(total, real=True)
-    mf1, mf2, ff, gf = rfft(m1, size), np.conj(rfft(m2, size)), rfft(f, size), np.conj(rfft(g, size))
+    f_hat, mask_f_hat = rfft(f, size), rfft(mask_f, size)
+    g_hat, mask_g_hat = np.conj(rfft(g, size)), np.conj(rfft(mask_g, size))
 
-    def lagged(spectrum: np.ndarray) -> np.ndarray:
+    def transform_back(spectrum: np.ndarray) -> np.ndarray:
         row = irfft(spectrum, size)
-        return np.concatenate((row[size - len(g) + 1 :], row[: len(f)]))
+        return np.concatenate((row[size - len(g) + 1 :], row[: len(f)]))  # from the most negative lag on
 
-    n = np.maximum(np.round(lagged(mf1 * mf2)), 1.0)
-    sum_f, sum_g = lagged(ff * mf2), lagged(mf1 * gf)
-    covariance = lagged(ff * gf) - sum_f * sum_g / n
-    variance_f = lagged(rfft(f * f, size) * mf2) - sum_f**2 / n
-    variance_g = lagged(mf1 * np.conj(rfft(g * g, size))) - sum_g**2 / n
+    n = np.maximum(np.round(transform_back(mask_f_hat * mask_g_hat)), 1.0)  # common samples at each lag
+    sum_f, sum_g = transform_back(f_hat * mask_g_hat), transform_back(mask_f_hat * g_hat)
+    covariance = transform_back(f_hat * g_hat) - sum_f * sum_g / n
+    variance_f = transform_back(rfft(f * f, size) * mask_g_hat) - sum_f**2 / n
+    variance_g = transform_back(mask_f_hat * np.conj(rfft(g * g, size))) - sum_g**2 / n
     # An overlap without variation correlates with anything, so it must contain a fraction of the total variance.
     floor_f, floor_g = (1e-3 * v.max(initial=0.0) + 1e-12 for v in (variance_f, variance_g))
     usable = (n * STEP >= minimum_overlap) & (variance_f > floor_f) & (variance_g > floor_g)
@@ -111,9 +113,9 @@ class Fit:
     """Fitted relation t_reference = t_other + offset + drift (t_other - middle)."""
 
     offset: float  # s
-    drift: float
+    drift: float  # s/s
     offset_deviation: float  # standard deviation [s]
-    drift_deviation: float  # standard deviation
+    drift_deviation: float  # standard deviation [s/s]
     middle: float  # s, other clock
     residual: tuple[float, ...]  # of each signal, RMS divided by the standard deviation of the signal
     correlation: tuple[float, ...]  # of each signal
@@ -166,12 +168,12 @@ class _SignalFit(NamedTuple):
 
 def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], parameters: np.ndarray, middle: float,
                       free_drift: bool) -> tuple[np.ndarray, np.ndarray, list[_SignalFit]]:
-    """(normal matrix, gradient, fit of each signal) at offset and drift `parameters`."""
+    """(normal matrix, gradient, fit of each signal) at parameters = (offset [s], drift)."""
     normal = np.diag([0.0, (DRIFT_PRIOR_PPM * 1e-6) ** -2])
     gradient = np.array([0.0, normal[1, 1] * parameters[1] if free_drift else 0.0])
     details = []
     for pair, spline in zip(pairs, splines, strict=True):
-        time, mapped, other = _common_samples(pair, parameters, middle)
+        time, mapped, other = _select_common_samples(pair, parameters, middle)
         if len(time) * STEP < 2.0:
             raise ValueError(f"{pair.name}: less than 2 s are known in both recordings")
         reference, slope = spline(mapped), spline(mapped, 1)
@@ -210,7 +212,8 @@ def _weighted_line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[fl
     return gain, mean_y - gain * mean_x
 
 
-def _common_samples(pair: Pair, parameters: np.ndarray, middle: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _select_common_samples(pair: Pair, parameters: np.ndarray,
+                           middle: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(time on the other clock [s], on the reference clock [s], value of `other`) where both sides are known."""
     known, time = pair.reference.known, pair.other.time
     mapped = time + parameters[0] + parameters[1] * (time - middle)
@@ -232,9 +235,9 @@ def mean_correlation(pairs: Sequence[Pair], minimum_overlap: float,
     return lags, np.mean([np.interp(lags, row_lags, row) for row_lags, row in rows], axis=0)
 
 
-def coarse_offset(pairs: Sequence[Pair], minimum_overlap: float, span: tuple[float, float] = (-np.inf, np.inf),
-                  ) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    """The two offsets [s] with the highest mean correlation r of the signals: ((first, second), (r_first, r_second)).
+def find_peaks(pairs: Sequence[Pair], minimum_overlap: float,
+               span: tuple[float, float] = (-np.inf, np.inf)) -> tuple[Peak, Peak] | None:
+    """The two highest peaks of the mean correlation of the signals at offsets within span [s].
 
     The second is at least PEAK_DISTANCE from the first, with a valley in between. None if no correlation is positive.
     """
@@ -250,7 +253,7 @@ def coarse_offset(pairs: Sequence[Pair], minimum_overlap: float, span: tuple[flo
     remaining = r.copy()
     remaining[min(left, max(best - reach, 0)):max(right, best + reach) + 1] = 0.0
     second = int(np.argmax(remaining))
-    return (float(lags[best]), float(lags[second])), (float(r[best]), float(max(remaining[second], 0.0)))
+    return Peak(float(lags[best]), float(r[best])), Peak(float(lags[second]), float(max(remaining[second], 0.0)))
 
 
 def _find_valley(r: np.ndarray, index: int, direction: int) -> int:

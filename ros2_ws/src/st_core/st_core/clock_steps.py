@@ -5,10 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .clock_fit import STEP, Pair, Resampled, coarse_offset, fit
+from .clock_fit import STEP, Pair, Resampled, find_peaks, fit
 
 WINDOW = 30.0  # s, length of a window
 MAX_WINDOWS = 150  # largest number of windows, evenly spaced in a long recording
+MIN_CORRELATION, MAX_PEAK_RATIO = 0.9, 0.97  # of the highest peak, and of the second to it, in a window that is used
+MAX_DEVIATION = 0.05  # s, largest standard deviation of the lag of a window that is used
 MIN_STEP = 0.01  # s, smallest step reported
 USUAL_DRIFT = 50e-6  # s/s, standard deviation of the prior of the drift
 MIN_STEP_EVIDENCE = 30.0  # required reduction of the normalised sum of squares by a step
@@ -24,27 +26,30 @@ class WindowLag:
     deviation: float  # standard deviation [s]
 
 
-def window_lags(pairs: Sequence[Pair], offset: float, search: float) -> list[WindowLag]:
+def measure_window_lags(pairs: Sequence[Pair], offset: float, search: float) -> list[WindowLag]:
     """Lags of windows of 30 s relative to `offset`, searched within +/- `search` [s].
 
-    Windows with too little variation for a standard deviation below 50 ms, or with two similar peaks, are left out.
+    Windows with a low or ambiguous correlation or an uncertain lag are left out.
     """
     lags = []
     first = min(p.other.origin for p in pairs)
     last = max(p.other.time[-1] for p in pairs)
     for start in np.arange(first, last - WINDOW / 2, max(WINDOW, (last - first) / MAX_WINDOWS)):
         middle = start + WINDOW / 2
-        cut = [Pair(p.name, _cut(p.reference, start + offset - search, start + offset + WINDOW + search),
-                    _cut(p.other, start, start + WINDOW)) for p in pairs]
-        cut = [p for p in cut if p.other.known.sum() * STEP > WINDOW / 3 and p.reference.known.any()]
-        best = coarse_offset(cut, WINDOW / 3) if cut else None
-        if best is None or best[1][0] < 0.9 or best[1][1] > 0.97 * best[1][0]:
+        windows = [Pair(p.name, _cut(p.reference, start + offset - search, start + offset + WINDOW + search),
+                        _cut(p.other, start, start + WINDOW)) for p in pairs]
+        windows = [p for p in windows if p.other.known.sum() * STEP > WINDOW / 3 and p.reference.known.any()]
+        peaks = find_peaks(windows, WINDOW / 3) if windows else None
+        if peaks is None:
+            continue
+        best, second = peaks
+        if best.correlation < MIN_CORRELATION or second.correlation > MAX_PEAK_RATIO * best.correlation:
             continue
         try:
-            fine = fit(cut, best[0][0], middle, free_drift=False)
+            fine = fit(windows, best.offset, middle, free_drift=False)
         except ValueError:
             continue
-        if fine.offset_deviation < 0.05 and abs(fine.offset - offset) <= search + 1.0:
+        if fine.offset_deviation < MAX_DEVIATION and abs(fine.offset - offset) <= search + 1.0:
             lags.append(WindowLag(float(middle), fine.offset - offset, fine.offset_deviation))
     return lags
 

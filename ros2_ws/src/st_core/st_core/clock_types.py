@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,8 +11,8 @@ MAX_SPAN = 48 * 3600.0  # s; a longer recording means that a clock was set while
 
 
 class Verdict(StrEnum):
-    """Verdict on an alignment. doubtful: check the figure before use. refused: no alignment was found. not needed: all
-    signals were recorded on one clock."""
+    """Verdict on an alignment. doubtful: the user should check its figure. refused: no alignment was found. not needed:
+    all signals were recorded on one clock."""
 
     GOOD = "good"
     DOUBTFUL = "doubtful"
@@ -34,7 +35,14 @@ class SharedSignal:
     latency: float = 0.0  # delay from the instant of a value to its stamp in the other recording [s]
     latency_uncertainty: float = 0.0  # standard deviation [s]
     min_deviation: float = 0.0  # standard deviation at or below which the signal counts as constant
-    angle: bool = False  # an angle [rad], wrapped or not, with another zero in each recording; its rate is compared
+    angle: bool = False  # an angle [rad], wrapped or not, of unknown zero in each recording; its rate is compared
+
+
+class Peak(NamedTuple):
+    """Peak of the correlation between two recordings."""
+
+    offset: float  # reference time minus other time [s]
+    correlation: float
 
 
 @dataclass(frozen=True)
@@ -61,8 +69,8 @@ class Alignment:
     verdict: Verdict
     reasons: tuple[str, ...] = ()
     signals: tuple[SignalLag, ...] = ()
-    peak: tuple[float, float] | None = None  # (offset [s], correlation) of the coarse search; None without one
-    second_peak: tuple[float, float] | None = None
+    peak: Peak | None = None  # of the coarse search; None without one
+    second_peak: Peak | None = None
     overlap: float = 0.0  # common time [s]
 
     def to_reference_ns(self, other_ns: np.ndarray | int) -> np.ndarray:
@@ -78,7 +86,7 @@ class Alignment:
     def ambiguous(self) -> bool:
         """Whether another offset fits nearly as well."""
         return (self.peak is not None and self.second_peak is not None
-                and self.second_peak[1] > AMBIGUOUS_PEAK_RATIO * self.peak[1])
+                and self.second_peak.correlation > AMBIGUOUS_PEAK_RATIO * self.peak.correlation)
 
     def with_doubts(self, *reasons: str) -> "Alignment":
         """The alignment with further reasons; a good one becomes doubtful."""

@@ -184,7 +184,7 @@ class Evaluator:
         if not len(unknown):
             return ""
         time_ns = int(times[unknown[0]])
-        reason = ("acceleration not known after a gap" if series.at(time_ns) is not None
+        reason = ("acceleration not known after a gap" if series.row_at(time_ns) is not None
                   else series.describe_unknown(time_ns))
         return f"{name}: {reason} at {(time_ns - start_ns) * NANOSECOND:.3f} s of the horizon"
 

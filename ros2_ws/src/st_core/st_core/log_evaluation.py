@@ -34,7 +34,6 @@ PREFETCHED_BLOCKS = 2  # blocks computed in advance, each in a thread
 CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate", "heading_change")
 ALL_ROWS = slice(None)
 Progress = Callable[[int, int], None]
-Planned = tuple[np.ndarray, ...]
 BlockCallback = Callable[[np.ndarray, "Block"], None]
 FutureInputs = Callable[[np.ndarray], tuple[np.ndarray, ...]]
 """Function of all starts of an evaluation (n,) [ns], increasing, called once. It returns road wheel angle [rad],
@@ -46,8 +45,8 @@ grid; NaN where unknown."""
 class EvaluationSettings:
     """Settings of an evaluation. Raises ConfigurationError naming the key and the limit.
 
-    inputs: use of the measured inputs within an integration step: interpolate = at its start, middle and end; hold = at
-    its start only. The paper does not specify which.
+    inputs: measured inputs used in an integration step: interpolate = at its start, middle and end; hold = at its start
+    only. The paper does not specify which.
     """
 
     prediction: PredictionSettings = field(default_factory=PredictionSettings)  # stale_after is not used
@@ -85,13 +84,13 @@ class ModelErrors:
 
     @classmethod
     def empty(cls, count: int, horizon: np.ndarray) -> "ModelErrors":
-        """Errors to be filled by `add`. horizon: (points,) [s]."""
+        """Errors of `count` starts, all incomplete until `add` is called. horizon: (points,) [s]."""
         mean, square, largest = (np.full((count, 3), np.nan) for _ in range(3))
         at_seconds = np.full((count, int(horizon[-1] + 1e-9), 3), np.nan)
         return cls(np.zeros(count, bool), mean, square, largest, at_seconds, np.zeros((len(horizon), 3)))
 
     def add(self, rows: slice, errors: np.ndarray, horizon: np.ndarray) -> None:
-        """Add the errors (n, points, 3) of the starts `rows`; incomplete ones are left out."""
+        """Add the errors (n, points, 3) of the starts `rows`; those of incomplete starts are ignored."""
         complete = np.isfinite(errors).all(axis=(1, 2))
         scored = np.arange(rows.start, rows.stop)[complete]
         if not len(scored):
@@ -118,11 +117,11 @@ class ModelErrors:
         return int(self.complete.sum())
 
     def statistics(self, axis: str, over: Literal["means", "samples"] = "means") -> tuple[float, float, float]:
-        """(mean, largest magnitude, root mean square) of one axis; see `by_axis`."""
-        return self.by_axis(over)[axis]
+        """(mean, largest magnitude, root mean square) of one axis; see `statistics_by_axis`."""
+        return self.statistics_by_axis(over)[axis]
 
-    def by_axis(self, over: Literal["means", "samples"] = "means",
-                select: np.ndarray | slice = ALL_ROWS) -> dict[str, tuple[float, float, float]]:
+    def statistics_by_axis(self, over: Literal["means", "samples"] = "means",
+                           select: np.ndarray | slice = ALL_ROWS) -> dict[str, tuple[float, float, float]]:
         """{axis: (mean, largest magnitude, root mean square)} of the selected complete starts [m or rad].
 
         over: means = statistics of the means over each horizon, as in the paper's table; samples = statistics of all
@@ -179,8 +178,9 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
 
     log: a drive, or its precomputed signals. starts_ns: increasing; default: every `interval` of the drive from its
     first INS sample; starts that cannot be predicted are skipped and counted. progress(done, total): called after each
-    block of starts. on_block(starts_ns, block): called with the errors of each block. future_inputs: of plan and
-    course, held where they are unknown. Source: paper, comparison. Checked by: test_log_evaluation.py.
+    block of starts. on_block(starts_ns, block): called with the errors of each block. future_inputs: for the modes plan
+    and course; starts with unknown inputs are predicted with held inputs. Source: paper, comparison.
+    Checked by: test_log_evaluation.py.
     """
     settings = settings or EvaluationSettings()
     chosen = [get_model(model) for model in models]
@@ -221,14 +221,19 @@ def regular_starts(log: DriveLog, interval: float) -> np.ndarray:
 
 def usable_starts(signals: LogSignals, vehicle: VehicleParameters, requested: np.ndarray,
                   minimum_speed: float) -> tuple[np.ndarray, dict[str, int]]:
-    """The starts at which a prediction can be made, and the number of other starts by reason."""
+    """The starts at which a prediction can be made, and the number of the others by reason."""
     speed, yaw_rate, acceleration = signals.ins_at(requested, "velocity_x", "yaw_rate", "velocity_x_dot")
     angle = signals.road_wheel_angle_at(requested)
     no_ins, no_steering = np.isnan(speed) | np.isnan(acceleration), np.isnan(angle)
     slow = np.abs(speed + yaw_rate * vehicle.cg_to_ins_y) < minimum_speed
-    bad = {"INS not known": no_ins, "steering not known": no_steering & ~no_ins,
-           f"slower than {minimum_speed:g} m/s": slow & ~no_ins & ~no_steering}
-    return requested[~(no_ins | no_steering | slow)], {name: int(b.sum()) for name, b in bad.items() if b.any()}
+    unusable = {"INS not known": no_ins, "steering not known": no_steering & ~no_ins,
+                f"slower than {minimum_speed:g} m/s": slow & ~no_ins & ~no_steering}
+    return requested[~(no_ins | no_steering | slow)], _count_reasons(unusable)
+
+
+def _count_reasons(masks: Mapping[str, np.ndarray]) -> dict[str, int]:
+    """Number of starts by reason; reasons without a start are left out."""
+    return {reason: int(mask.sum()) for reason, mask in masks.items() if mask.any()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,10 +255,10 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
     """
     blocks = [slice(first, min(first + BLOCK, len(starts_ns))) for first in range(0, len(starts_ns), BLOCK)]
     # For all starts at once, in order of time, because a course tracker depends on the previous starts.
-    inputs = {mode: of_mode(starts_ns) for mode, of_mode in (future_inputs or {}).items()} if len(starts_ns) else {}
+    inputs = {mode: function(starts_ns) for mode, function in (future_inputs or {}).items()} if len(starts_ns) else {}
 
     def evaluate(rows: slice) -> Block:
-        planned: dict[Mode, Planned] = {mode: tuple(v[rows] for v in values) for mode, values in inputs.items()}
+        planned = {mode: tuple(v[rows] for v in values) for mode, values in inputs.items()}
         return _evaluate_block(models, vehicle, signals, starts_ns[rows], settings, planned)
 
     if len(blocks) == 1:
@@ -271,9 +276,9 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
 
 
 def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
-                    settings: EvaluationSettings, future_inputs: Mapping[Mode, Planned]) -> Block:
+                    settings: EvaluationSettings, planned: Mapping[Mode, tuple[np.ndarray, ...]]) -> Block:
     step, steps = settings.prediction.step, settings.prediction.steps
-    instants, place = _instants(starts_ns, half_step_grid(0, steps, step))
+    instants, place = _share_instants(starts_ns, half_step_grid(0, steps, step))
     times = instants[place].T
     x, y, yaw, *others = signals.ins_at(instants, "x", "y", "yaw", "velocity_x", "yaw_rate", "velocity_x_dot")
     measured_pose = [values[place[::2]].T for values in (x, y, yaw)]
@@ -281,10 +286,10 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     measured, held = (LogBatch(signals, starts_ns, step * steps, step, inputs=kind) for kind in ("measured", "held"))
     trajectories: dict[tuple[str, Mode], np.ndarray] = {}
     batches: dict[Mode, LogBatch] = {}
-    for mode, planned in future_inputs.items():
-        is_planned = np.isfinite(np.stack(planned)).all(axis=(0, 2))[:, None]  # at other starts, inputs are held
+    for mode, columns in planned.items():
+        is_planned = np.isfinite(np.stack(columns)).all(axis=(0, 2))[:, None]  # at other starts, inputs are held
         inputs = tuple(np.where(is_planned, values, initial[:, :1])
-                       for values, initial in zip(planned, (angle, acceleration, angle), strict=False))
+                       for values, initial in zip(columns, (angle, acceleration, angle), strict=False))
         batches[mode] = LogBatch(signals, starts_ns, step * steps, step, inputs=inputs)
     for model in models:
         trajectories[model.name, "hindsight"] = (
@@ -294,7 +299,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
         trajectories |= {(model.name, mode): batch.predict(model, vehicle).states for mode, batch in batches.items()}
     errors: dict[tuple[str, Mode], np.ndarray] = {
         (model.name, mode): reading_errors(model, vehicle, trajectories[model.name, mode], *measured_pose)
-        for model in models for mode in (*MODES, *future_inputs)}
+        for model in models for mode in (*MODES, *planned)}
     known = InputSequence(angle, acceleration).known_so_far
     for model in models:
         errors[model.name, "hindsight"][~known[:, ::2]] = np.nan
@@ -309,11 +314,11 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
         "heading_change": yaw[place[-1]] - yaw[place[0]],
     }
     conditions = {name: np.where(complete, values, np.nan) for name, values in conditions.items()}
-    return Block(errors, trajectories, conditions, {name: int(b.sum()) for name, b in incomplete.items() if b.any()})
+    return Block(errors, trajectories, conditions, _count_reasons(incomplete))
 
 
-def _instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(instants [ns], place): instant k of start i is instants[place[k, i]]; overlapping windows share instants."""
+def _share_instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(instants [ns], place): instant k of start i is instants[place[k, i]]; overlapping horizons share instants."""
     half, span = int(after_ns[1]), int(starts_ns[-1] - starts_ns[0] + after_ns[-1])
     from_first = starts_ns - starts_ns[0]
     grid = np.array_equal(after_ns, half * np.arange(len(after_ns))) and not np.any(from_first % half)

@@ -147,12 +147,12 @@ class MeasurementHistory:
 
     def ins_at(self, time_ns: int) -> InsSample | None:
         """The INS sample at an instant, interpolated; None where it is unknown."""
-        row = self.ins.at(time_ns)
+        row = self.ins.row_at(time_ns)
         return None if row is None else InsSample(time_ns, *row[:6])
 
     def inputs_at(self, time_ns: int) -> ControlInput | None:
         """Both inputs at an instant, interpolated; None where one of them is unknown."""
-        ins, steering = self.ins.at(time_ns), self.steering.at(time_ns)
+        ins, steering = self.ins.row_at(time_ns), self.steering.row_at(time_ns)
         if ins is None or steering is None or math.isnan(ins[DERIVATIVE]):
             return None
         return ControlInput(steering[0], ins[DERIVATIVE])

@@ -24,7 +24,7 @@ from .augmented import AugmentedModel, augment
 from .effects import get_effect
 from .errors import ConfigurationError
 from .vehicle import VEHICLE_QUANTITIES, VehicleParameters
-from .yaml_text import check_keys, load, number, quote
+from .yaml_text import check_keys, format_number, load, quote
 
 Interval = tuple[float, float] | None
 MAX_LISTED_DIFFERENCES = 3  # differences between two cars listed in a message
@@ -106,10 +106,10 @@ class ModelFile:
             units = {p.name: p.unit for p in get_effect(name).parameters}
             lines.append(f"  {name}:")
             for key, part in parts.items():
-                interval = "null" if part.interval is None else f"[{', '.join(map(number, part.interval))}]"
-                lines.append(
-                    f"    {key}: {{value: {number(part.value)}, unit: {quote(units[key])}, interval: {interval}, "
-                    f"source: {quote(part.source)}{', effective: true' if part.effective else ''}}}")
+                interval = "null" if part.interval is None else f"[{', '.join(map(format_number, part.interval))}]"
+                lines.append(f"    {key}: {{value: {format_number(part.value)}, unit: {quote(units[key])}, "
+                             f"interval: {interval}, source: {quote(part.source)}"
+                             f"{', effective: true' if part.effective else ''}}}")
         p = self.provenance
         lines += ["provenance:", f"  date: {quote(p.date)}", f"  version: {quote(p.version)}"]
         lines += ["  data:" if p.data else "  data: {}"]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from .errors import ConfigurationError
-from .yaml_text import number, quote
+from .yaml_text import format_number, quote
 
 TEXTS = ("method", "data", "date")
 KEYS = ("uncertainty", *TEXTS)
@@ -21,15 +21,15 @@ class Provenance:
     data: str = ""  # free text
     date: str = ""  # YYYY-MM-DD
 
-    def entries(self) -> str:
+    def format_entries(self) -> str:
         """The entries as text for a vehicle file, each preceded by a comma."""
-        parts = [] if self.uncertainty is None else [f"uncertainty: {number(self.uncertainty)}"]
+        parts = [] if self.uncertainty is None else [f"uncertainty: {format_number(self.uncertainty)}"]
         parts += [f"{key}: {quote(getattr(self, key))}" for key in TEXTS if getattr(self, key)]
         return "".join(f", {part}" for part in parts)
 
 
 def read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Provenance | None:
-    """The provenance of an entry of a vehicle file; None if it has none. factor: from the unit of the entry to SI.
+    """The provenance of an entry of a vehicle file; None if it has none. factor: converts the unit of the entry to SI.
 
     Raises ConfigurationError, naming the key, for an invalid uncertainty or a text that is not a string.
     """

@@ -32,7 +32,7 @@ MAXIMUM_SAMPLES = 200_000
 class TimeSeries:
     """The last `span` seconds of a signal: rows of numbers by time in integer nanoseconds.
 
-    columns: names, in row order; an added row may be shorter: the remaining columns are NaN until the owner sets them.
+    columns: names, in row order. An added row may be shorter; the remaining columns are NaN until the owner sets them.
     angles: columns interpolated along the shorter arc. span [s]: at least one second is kept. maximum_gap [s]: between
     samples further apart the signal is unknown. The number of samples is limited to MAXIMUM_SAMPLES.
 
@@ -95,8 +95,8 @@ class TimeSeries:
             return None, False
         restart = list(self._late)
         self.clear()
-        for number, (time, values) in enumerate(restart):
-            self._insert(number, time, values)
+        for position, (time, values) in enumerate(restart):
+            self._insert(position, time, values)
         return 0, True
 
     def _insert(self, position: int, time_ns: int, row: Sequence[float]) -> int:
@@ -107,21 +107,21 @@ class TimeSeries:
                 times, rows = np.empty(2 * len(times), np.int64), np.empty((2 * len(times), len(self.columns)))
             times[:count], rows[:count] = self.times, self.rows
             self._times, self._rows, self._first, self._end = times, rows, 0, count
-        at = self._first + position
-        if at < self._end:
-            self._times[at + 1:self._end + 1] = self._times[at:self._end].copy()
-            self._rows[at + 1:self._end + 1] = self._rows[at:self._end].copy()
-        self._times[at] = time_ns
-        self._rows[at, :len(row)] = row
-        self._rows[at, len(row):] = np.nan
+        index = self._first + position
+        if index < self._end:
+            self._times[index + 1:self._end + 1] = self._times[index:self._end].copy()
+            self._rows[index + 1:self._end + 1] = self._rows[index:self._end].copy()
+        self._times[index] = time_ns
+        self._rows[index, :len(row)] = row
+        self._rows[index, len(row):] = np.nan
         self._end += 1
         limit = self._times[self._end - 1] - self._span_ns
         while self._times[self._first] < limit or self._end - self._first > MAXIMUM_SAMPLES:
             self.breaks.pop(int(self._times[self._first]), None)
             self._first += 1
-        return max(at - self._first, 0)
+        return max(index - self._first, 0)
 
-    def at(self, time_ns: int) -> tuple[float, ...] | None:
+    def row_at(self, time_ns: int) -> tuple[float, ...] | None:
         """The row at an instant, interpolated linearly; None where the signal is unknown."""
         row = self.sample(np.array([time_ns]))[0]
         return None if np.isnan(row[0]) else tuple(row.tolist())
@@ -209,7 +209,7 @@ def interpolate(time_ns: np.ndarray, values: np.ndarray, instants_ns: np.ndarray
 
 
 def low_pass_step(filtered: float, before: float, now: float, spacing: float, cutoff: float) -> tuple[float, float]:
-    """(filtered value, derivative) at the sample `now`, `spacing` [s] after the sample `before`; see the module.
+    """(filtered value, derivative [1/s]) at the sample `now`, `spacing` [s] after the sample `before`; see the module.
 
     filtered: filtered value at `before`. cutoff [Hz].
     """
@@ -240,25 +240,24 @@ def filtered_derivative(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
     filtered = backward[::-1].copy()
     derivative = np.full_like(filtered, np.nan)
     seconds = (times_ns - times_ns[:1]) * NANOSECOND
-    for stretch in np.split(np.arange(len(values)), np.flatnonzero(np.diff(seconds) > maximum_gap) + 1):
-        if len(stretch) > 1:
-            derivative[stretch] = np.gradient(filtered[stretch], seconds[stretch])
+    for section in np.split(np.arange(len(values)), np.flatnonzero(np.diff(seconds) > maximum_gap) + 1):
+        if len(section) > 1:
+            derivative[section] = np.gradient(filtered[section], seconds[section])
     return filtered, derivative
 
 
 def _filter_causally(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
                      maximum_gap: float) -> tuple[np.ndarray, np.ndarray]:
-    """As repeated `low_pass_step`, bit for bit; operations that do not need the previous result are vectorised."""
+    """The same results as repeated `low_pass_step`, bit for bit; only the recursion itself is not vectorised."""
     spacings_ns = np.diff(times_ns)
-    different, which = np.unique(spacings_ns, return_inverse=True)
-    x = 2.0 * math.pi * cutoff * (different * NANOSECOND)
+    distinct_ns, spacing_index = np.unique(spacings_ns, return_inverse=True)
+    x = 2.0 * math.pi * cutoff * (distinct_ns * NANOSECOND)
     decays = np.array([-math.expm1(-value) for value in x.tolist()])
-    increments = (1.0 - decays / x)[which] * (values[1:] - values[:-1])
+    increments = (1.0 - decays / x)[spacing_index] * (values[1:] - values[:-1])
     after_gap = spacings_ns * NANOSECOND > maximum_gap
     results = values[:1].tolist()
-    for decay, before, increment, now, restarts in zip(decays[which].tolist(), values[:-1].tolist(),
-                                                       increments.tolist(), values[1:].tolist(), after_gap.tolist(),
-                                                       strict=True):
+    columns = decays[spacing_index], values[:-1], increments, values[1:], after_gap
+    for decay, before, increment, now, restarts in zip(*(column.tolist() for column in columns), strict=True):
         last = results[-1]
         results.append(now if restarts else last + decay * (before - last) + increment)
     filtered = np.array(results, float)

@@ -13,7 +13,7 @@ from .provenance import KEYS as PROVENANCE_KEYS
 from .provenance import Provenance, read_provenance
 from .types import Number
 from .tyres import GRAVITY, MagicFormula, stiffness_scale
-from .yaml_text import check_keys, load, number, quote
+from .yaml_text import check_keys, format_number, load, quote
 
 
 @dataclass(frozen=True)
@@ -24,13 +24,14 @@ class Quantity:
     minimum: float  # limit in SI, inclusive
     maximum: float  # limit in SI, inclusive
     required: bool = True  # whether every vehicle file must contain the key
-    default: float = math.nan  # of an optional quantity, in SI
+    default: float = math.nan  # in SI; NaN for a quantity without default
 
     @property
     def si_unit(self) -> str:
         return next(iter(self.units))
 
-    def limit(self) -> str:
+    @property
+    def limits(self) -> str:
         return f"{self.minimum:g} to {self.maximum:g} {self.si_unit}".removesuffix(" 1")
 
 
@@ -92,12 +93,12 @@ class Uncertainty:
     source: str
 
 
-_TYRE_CURVES = "spread between makes of one tyre size, published passenger-car tyre data"
+_TYRE_SOURCE = "spread between makes of one tyre size, published passenger-car tyre data"
 _TYRE_UNCERTAINTIES = {
     "lambda_muy": Uncertainty(0.2, True, "friction on dry asphalt relative to a drum 1.0 to 1.3, between makes 0.85 to "
                                          "1.15"),
-    "p_ey1": Uncertainty(3.0, False, f"{_TYRE_CURVES}, E -8 to 0.5"),
-    "p_ky2": Uncertainty(0.5, True, f"{_TYRE_CURVES}, 1.0 to 2.8"),
+    "p_ey1": Uncertainty(3.0, False, f"{_TYRE_SOURCE}, E -8 to 0.5"),
+    "p_ky2": Uncertainty(0.5, True, f"{_TYRE_SOURCE}, 1.0 to 2.8"),
 }
 DEFAULT_UNCERTAINTIES: Mapping[str, Uncertainty] = {
     "mass": Uncertainty(0.03, True, "a weighed car, +/- half a tank of fuel and one person"),
@@ -240,12 +241,12 @@ class VehicleParameters:
         axles = {"tyre_front": (self.cornering_stiffness_front, self.static_tyre_load_front),
                  "tyre_rear": (self.cornering_stiffness_rear, self.static_tyre_load_rear)}
         scales = {name: stiffness_scale(*axles[name], getattr(self, name)) for name in tyres}
-        limits = TYRE_QUANTITIES["lambda_ky"]
+        quantity = TYRE_QUANTITIES["lambda_ky"]
         for name, scale in scales.items():
-            if not limits.minimum <= scale <= limits.maximum:
+            if not quantity.minimum <= scale <= quantity.maximum:
                 raise ConfigurationError(
                     f"cornering_stiffness_{name.removeprefix('tyre_')}: {axles[name][0]:g} N/rad is {scale:.3g} times "
-                    f"the stiffness of two tyres of {name} (limit {limits.limit()}); check its value and unit")
+                    f"the stiffness of two tyres of {name} (limit {quantity.limits}); check its value and unit")
         changes = {name: getattr(self, name)._replace(lambda_ky=scale) for name, scale in scales.items()}
         return replace(self, **changes, sources={**self.sources, **{f"{name}.lambda_ky": DERIVED for name in tyres}})
 
@@ -271,17 +272,18 @@ class VehicleParameters:
         derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED
                    and getattr(self, tyre) == getattr(rederived, tyre)]
         lines = [f"name: {quote(self.name)}"]
-        lines += [self._line(key, getattr(self, key), quantity, "") for key, quantity in VEHICLE_QUANTITIES.items()]
+        lines += [self._format_entry(key, quantity) for key, quantity in VEHICLE_QUANTITIES.items()]
         for tyre in TYRES:
             lines.append(f"{tyre}:")
-            lines += ["  " + self._line(key, getattr(getattr(self, tyre), key), quantity, f"{tyre}.")
+            lines += ["  " + self._format_entry(f"{tyre}.{key}", quantity)
                       for key, quantity in TYRE_QUANTITIES.items() if key != "lambda_ky" or tyre not in derived]
         return "\n".join(lines) + "\n"
 
-    def _line(self, key: str, value: float, quantity: Quantity, prefix: str) -> str:
-        source = self.sources.get(prefix + key, "default" if not quantity.required else "not stated")
-        return (f"{key}: {{value: {number(value)}, unit: {quote(quantity.si_unit)}, source: {quote(source)}"
-                f"{self.provenance.get(prefix + key, Provenance()).entries()}}}")
+    def _format_entry(self, key: str, quantity: Quantity) -> str:
+        source = self.sources.get(key, "not stated" if quantity.required else "default")
+        return (f"{key.rpartition('.')[2]}: {{value: {format_number(value_of(self, key))}, "
+                f"unit: {quote(quantity.si_unit)}, source: {quote(source)}"
+                f"{self.provenance.get(key, Provenance()).format_entries()}}}")
 
     @cached_property
     def hash(self) -> str:
@@ -293,7 +295,7 @@ class VehicleParameters:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-def quantity(key: str) -> Quantity | None:
+def find_quantity(key: str) -> Quantity | None:
     """Units and limits of a key of the vehicle file ("mass", "tyre_rear.p_ky1"); None for an unknown key."""
     tyre, _, name = key.rpartition(".")
     return (TYRE_QUANTITIES if tyre in TYRES else {} if tyre else VEHICLE_QUANTITIES).get(name)
@@ -328,7 +330,7 @@ def _read_section(prefix: str, section: Mapping[str, Any], quantities: Mapping[s
             raise ConfigurationError(f"{key}: unit {unit!r} is not {units}; convert the value and write unit: {units}")
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ConfigurationError(f"{key}: {value!r} is not a number (write 1.0e+3, not 1e3); limit "
-                                     f"{quantity.limit()}")
+                                     f"{quantity.limits}")
         if not isinstance(source, str) or not source.strip():
             raise ConfigurationError(f"{key}: source {source!r} is not a string; state where the value comes from")
         values[name], sources[key] = float(value) * quantity.units[unit], source
@@ -340,5 +342,5 @@ def _read_section(prefix: str, section: Mapping[str, Any], quantities: Mapping[s
 def _check_limits(prefix: str, values: Any, quantities: Mapping[str, Quantity]) -> None:
     for key, quantity in quantities.items():
         value = getattr(values, key)
-        if not quantity.minimum <= value <= quantity.maximum:  # NaN is outside too
-            raise ConfigurationError(f"{prefix}{key}: {value:g} is outside {quantity.limit()}; check value and unit")
+        if not quantity.minimum <= value <= quantity.maximum:  # also refuses NaN
+            raise ConfigurationError(f"{prefix}{key}: {value:g} is outside {quantity.limits}; check value and unit")

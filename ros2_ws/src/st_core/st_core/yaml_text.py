@@ -107,7 +107,7 @@ def suggest_key(key: str, known: Iterable[str]) -> str:
     return f", did you mean {matches[0]}?" if matches else ""
 
 
-def number(value: float) -> str:
+def format_number(value: float) -> str:
     """A number with all its digits, in a form that YAML reads as a number (1.0e-06, not 1e-06)."""
     text = repr(float(value))
     return text if "e" not in text or "." in text else text.replace("e", ".0e")

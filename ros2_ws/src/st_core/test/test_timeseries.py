@@ -47,7 +47,7 @@ def test_anything_may_arrive(samples):
     start = T0 + 10**13 + 10**12 * (len(samples) % 2)
     for i in range(10):
         result.add(start + i * 10 * MS, (float(i),))
-    assert result.at(start + 85 * MS) == pytest.approx((8.5,))
+    assert result.row_at(start + 85 * MS) == pytest.approx((8.5,))
 
 
 @given(st.lists(st.integers(0, 1500), min_size=1, max_size=60, unique=True),
@@ -58,7 +58,7 @@ def test_interpolation_between_neighbours_and_never_across_a_gap(times, wanted):
     at = [T0 + round(w * MS) for w in (*wanted, *times)]
     many = samples.sample(np.array(at))
     for time_ns, row in zip(at, many, strict=True):
-        one = samples.at(time_ns)
+        one = samples.row_at(time_ns)
         ms = (time_ns - T0) / MS
         before = max([t for t in times if t <= ms], default=None)
         after = min([t for t in times if t >= ms], default=None)
@@ -77,7 +77,7 @@ def test_angles_go_the_short_way_round():
     samples = series()
     samples.add(T0, (0.0, math.pi - 0.1))
     samples.add(T0 + 10 * MS, (0.0, -math.pi + 0.1))
-    assert samples.at(T0 + 5 * MS)[1] == pytest.approx(math.pi)
+    assert samples.row_at(T0 + 5 * MS)[1] == pytest.approx(math.pi)
     assert samples.sample(np.array([T0 + 5 * MS]))[0, 1] == pytest.approx(math.pi)
 
 
@@ -87,7 +87,7 @@ def test_duplicates_and_nan_are_refused():
     assert samples.add(T0 + 30 * MS, (math.nan, 0.0)) == (None, False)
     assert samples.add(T0 + 30 * MS, (0.0, math.inf)) == (None, False)
     assert len(samples) == 3
-    assert samples.at(T0 + 10 * MS)[0] == 10.0
+    assert samples.row_at(T0 + 10 * MS)[0] == 10.0
 
 
 def test_single_stray_samples_do_not_disturb():
@@ -111,12 +111,12 @@ def test_one_sample_from_the_future_is_outlived():
     for t in range(1000, 1100, 10):
         samples.add(T0 + t * MS, (float(t), 0.0))
     assert samples.newest == T0 + 1090 * MS
-    assert samples.at(T0 + 1085 * MS)[0] == pytest.approx(1085.0)
+    assert samples.row_at(T0 + 1085 * MS)[0] == pytest.approx(1085.0)
 
 
 def test_forward_jump_leaves_a_gap():
     samples = filled([*range(0, 100, 10), *range(1000, 1100, 10)])
-    assert samples.at(T0 + 500 * MS) is None
+    assert samples.row_at(T0 + 500 * MS) is None
     assert samples.describe_unknown(T0 + 500 * MS) == "gap of 0.910 s"
     assert samples.describe_unknown(T0 + 1190 * MS) == "ends 0.100 s before"
     assert samples.describe_unknown(T0 - 20 * MS) == "begins 0.020 s after"

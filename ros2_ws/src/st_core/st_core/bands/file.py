@@ -24,7 +24,7 @@ from ..errors import ConfigurationError
 from ..log_evaluation import MODES, EvaluationSettings
 from ..prediction import configuration_hash
 from ..vehicle import VehicleParameters
-from ..yaml_text import check_keys, load, number, quote
+from ..yaml_text import check_keys, format_number, load, quote
 from .calibration import Band
 from .conditions import CalibrationDomain
 from .samples import ModelMode
@@ -171,7 +171,7 @@ def configuration_of(vehicle: VehicleParameters, settings: Mapping[str, Any], mo
 def _flow(value: Any) -> str:
     """A value as JSON, which is valid YAML; floats have a decimal point, since YAML reads 1e-05 as text."""
     if isinstance(value, float):
-        return number(value)
+        return format_number(value)
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{quote(str(k))}: {_flow(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list):

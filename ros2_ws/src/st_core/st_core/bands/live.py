@@ -38,7 +38,7 @@ HalfWidths = dict[tuple[str, float], np.ndarray]
 
 def conditions_now(history: MeasurementHistory, time_ns: int) -> tuple[float, ...]:
     """The four `conditions.CONDITIONS` at an instant [ns], like `conditions_at` for recorded drives; NaN if unknown."""
-    row = history.ins.at(time_ns)
+    row = history.ins.row_at(time_ns)
     activity = float(steering_activity(history.steering.sample(activity_instants(time_ns))[:, 0]))
     velocity, rate, acceleration = (math.nan if row is None else row[k] for k in (VELOCITY_X, YAW_RATE, DERIVATIVE))
     return magnitudes(velocity, rate, acceleration, activity)

@@ -14,7 +14,7 @@ from ..augmented import AugmentedModel, augment, set_effects_to_null
 from ..effects import applicable, get_effect
 from ..errors import ConfigurationError
 from ..models import Model, get_model
-from ..vehicle import DEFAULT_UNCERTAINTIES, VehicleParameters, quantity, value_of
+from ..vehicle import DEFAULT_UNCERTAINTIES, VehicleParameters, find_quantity, value_of
 from .settings import DiscoverySettings
 
 DIFFERENCE_STEP = 0.02  # step of the difference quotients, as a fraction of the parameter scale
@@ -186,6 +186,6 @@ def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQ
 
 def _file_quantity(vehicle: VehicleParameters, key: str, slope: float, absent: float) -> FileQuantity | None:
     """The `FileQuantity` of a key of the vehicle file; None without a standard deviation."""
-    deviation, entry, known = vehicle.uncertainty(key), vehicle.provenance.get(key), quantity(key)
+    deviation, entry, known = vehicle.uncertainty(key), vehicle.provenance.get(key), find_quantity(key)
     return FileQuantity(key, known.si_unit if known else "1", value_of(vehicle, key), deviation, slope,
                         bool(entry and entry.uncertainty), absent) if deviation else None

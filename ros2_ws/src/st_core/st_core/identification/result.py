@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import StCoreError
 from ..provenance import Provenance
-from ..vehicle import DERIVED, VehicleParameters, quantity, value_of
+from ..vehicle import DERIVED, VehicleParameters, find_quantity, value_of
 
 if TYPE_CHECKING:  # `checks` imports this module
     from ..checks.finding import Finding
@@ -87,7 +87,7 @@ class Identification:
             low, high = estimate.interval95
             if not low <= 0.0 <= high or estimate.status == "unidentifiable" or "." in estimate.parameter:
                 continue
-            known = quantity(estimate.parameter)
+            known = find_quantity(estimate.parameter)
             if known is not None and known.minimum > 0.0:
                 verdict = f"Not identifiable: zero is inside the interval. {estimate.verdict}"
                 estimates[k] = replace(estimate, status="unidentifiable", verdict=verdict)
@@ -146,7 +146,7 @@ def apply_to_vehicle(vehicle: VehicleParameters, found: Iterable[Identification]
     provenance: dict[str, Provenance] = {}
     for identification in found:
         for estimate in identification.estimates:
-            if quantity(estimate.parameter) is None or estimate.status == "unidentifiable":
+            if find_quantity(estimate.parameter) is None or estimate.status == "unidentifiable":
                 continue
             key = estimate.parameter
             values[key] = estimate.value

@@ -14,7 +14,7 @@ from st_core.discovery.axles import SMALL_SLIP
 from st_core.discovery.decision import MINOR
 from st_core.discovery.result import plain_data
 from st_core.model_file import Interval, ModelFile, ModelProvenance
-from st_core.vehicle import quantity
+from st_core.vehicle import find_quantity
 from st_recordings.paths import json_ready
 from st_recordings.results import collect_versions
 
@@ -170,7 +170,7 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
 
 def _change_row(key: str, change: Mapping[str, Any]) -> tuple[str, str, str, str]:
     """Row of a changed entry of the vehicle file [SI]."""
-    known = quantity(key)
+    known = find_quantity(key)
     unit = known.si_unit.removesuffix("1").replace("^2", "²") if known else ""
     ends = (known.minimum, known.maximum) if known else ()
     at_limit = any(math.isclose(change["after"], end, rel_tol=1e-4) for end in ends)

@@ -22,8 +22,8 @@ from st_core.log_signals import LogSignals
 from st_core.prediction import PredictionSettings
 from st_core.provenance import Provenance
 from st_core.stability import slip_speed_needed
-from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleParameters, quantity, value_of
-from st_core.yaml_text import number, quote
+from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleParameters, find_quantity, value_of
+from st_core.yaml_text import format_number, quote
 from st_recordings.car_skeleton import STABILITY_SPEEDS
 
 from .drives import Request
@@ -257,7 +257,7 @@ def updated_vehicle_text(request: Request, car: VehicleParameters, changes: Mapp
         edited = car
     entries |= {key: _entry_writer((value_of(request.vehicle, key), value_of(car, key)), source, about)
                 for key in derived if not _agrees(edited, car, key, VALUE_TOLERANCE)}
-    sources = {key: f"{stable if key == SLIP_SPEED_KEY else source}; before {number(change[0])}"
+    sources = {key: f"{stable if key == SLIP_SPEED_KEY else source}; before {format_number(change[0])}"
                for key, change in changes.items()}
     return edit_or_rewrite(request.vehicle_text, entries,
                            replace(car, sources={**request.vehicle.sources, **sources}), VALUE_TOLERANCE)
@@ -283,12 +283,12 @@ def _entry_writer(change: Sequence[float], source: str, about: Provenance) -> Ca
     """Function that formats a YAML entry, called with the unit of the file and its factor to SI. change: (before,
     after[, low, high]) [SI]."""
     def entry(unit: str, factor: float) -> str:
-        before, after, *ends = (number(float(f"{value / factor:.{SIGNIFICANT_DIGITS}g}")) for value in change)
+        before, after, *ends = (format_number(float(f"{value / factor:.{SIGNIFICANT_DIGITS}g}")) for value in change)
         interval = f", 95 % interval {ends[0]} to {ends[1]}" if ends else ""
         deviation = (change[3] - change[2]) / (2 * 1.96) if ends else 0.0
         provenance = replace(about, uncertainty=float(f"{deviation / factor:.3g}") if deviation > 0.0 else None)
         return (f"{{value: {after}, unit: {quote(unit)}, source: {quote(f'{source}{interval}; before {before}')}"
-                f"{provenance.entries()}}}")
+                f"{provenance.format_entries()}}}")
     return entry
 
 
@@ -304,7 +304,7 @@ def edit_entries(text: str, entries: Mapping[str, Callable[[str, float], str]]) 
 def _locate_edit(root: yaml.Node, key: str, entry: Callable[[str, float], str]) -> tuple[int, int, str]:
     """(start, end, replacement) of one entry in the text of the file."""
     tyre, _, name = key.rpartition(".")
-    section, known = _find_entry(root, tyre) if tyre else root, quantity(key)
+    section, known = _find_entry(root, tyre) if tyre else root, find_quantity(key)
     assert isinstance(section, yaml.MappingNode) and known is not None  # already parsed as a vehicle file
     units, node = known.units, _find_entry(section, name)
     if node is None:

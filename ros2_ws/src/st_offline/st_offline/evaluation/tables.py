@@ -35,11 +35,10 @@ def summarise_errors(errors: ModelErrors, select: np.ndarray | slice = ALL_ROWS)
     """Statistics of the horizon means and, in `samples`, of all points; values are None if no start was scored."""
     complete = errors.complete[select]
     count = int(complete.sum())
-    return {
-        "n_starts": count, "n_incomplete": len(complete) - count,
-        **{axis: _statistics(*values) for axis, values in errors.by_axis("means", select).items()},
-        "samples": {"n_starts": count, **{a: _statistics(*v) for a, v in errors.by_axis("samples", select).items()}},
-    }
+    means, samples = ({axis: _statistics(*values) for axis, values in errors.statistics_by_axis(over, select).items()}
+                      for over in ("means", "samples"))
+    return {"n_starts": count, "n_incomplete": len(complete) - count, **means,
+            "samples": {"n_starts": count, **samples}}
 
 
 def summarise_by_model(evaluation: LogEvaluation, select: np.ndarray | slice = ALL_ROWS) -> dict[str, dict[str, Entry]]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from st_core.identification.result import Identification
 from st_core.models import MODELS, Model
-from st_core.vehicle import VehicleParameters, quantity, value_of
+from st_core.vehicle import VehicleParameters, find_quantity, value_of
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.errors import RunError, check_readable
 
@@ -55,7 +55,7 @@ def estimate_rows(found: Identification, vehicle: VehicleParameters) -> list[Seq
     rows: list[Sequence[str]] = []
     for e in found.estimates:
         factor, unit = (180.0 / math.pi, "deg") if e.unit == "rad" else (1.0, e.unit)
-        before = "" if quantity(e.parameter) is None else f"{value_of(vehicle, e.parameter) * factor:.5g}"
+        before = "" if find_quantity(e.parameter) is None else f"{value_of(vehicle, e.parameter) * factor:.5g}"
         value, uncertainty, low, high = (format_rounded(x * factor, e.standard_uncertainty * factor)
                                          for x in (e.value, e.standard_uncertainty, *e.interval95))
         rows.append((e.parameter, value, uncertainty, f"{low} to {high}", unit, before, e.status))

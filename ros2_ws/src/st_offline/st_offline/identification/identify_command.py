@@ -13,8 +13,8 @@ from st_core.checks import Finding
 from st_core.handling import objections
 from st_core.identification import result
 from st_core.provenance import Provenance
-from st_core.vehicle import VehicleParameters, quantity, value_of
-from st_core.yaml_text import number, quote
+from st_core.vehicle import VehicleParameters, find_quantity, value_of
+from st_core.yaml_text import format_number, quote
 from st_recordings.paths import json_text, new_folder
 from st_recordings.results import collect_versions
 from st_recordings.runs import find_runs
@@ -131,13 +131,13 @@ def updated_vehicle_text(file: Path, car: VehicleParameters, found: Sequence[res
     """The user's vehicle file with the identified entries replaced; comments and other entries are unchanged. If the
     edited file does not load as `car`, for example because a derived scale changes, a new file is written."""
     keys = [e.parameter for outcome in found for e in outcome.estimates
-            if quantity(e.parameter) is not None and e.status != "unidentifiable"]
+            if find_quantity(e.parameter) is not None and e.status != "unidentifiable"]
 
     def entry(key: str, unit: str, factor: float) -> str:
         source = car.provenance.get(key, Provenance())
         source = replace(source, uncertainty=None if source.uncertainty is None else source.uncertainty / factor)
-        return (f"{{value: {number(value_of(car, key) / factor)}, unit: {quote(unit)}, "
-                f"source: {quote(car.sources[key])}{source.entries()}}}")
+        return (f"{{value: {format_number(value_of(car, key) / factor)}, unit: {quote(unit)}, "
+                f"source: {quote(car.sources[key])}{source.format_entries()}}}")
 
     try:
         text = file.read_text(encoding="utf-8")

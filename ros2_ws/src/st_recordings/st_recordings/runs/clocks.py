@@ -168,7 +168,7 @@ def _prefer_logger_clock(pairs: list[SharedSignal], result: Alignment) -> Alignm
     """Selects the offset near the clock of the logger if it is one of several that fit equally well."""
     near = align(pairs, search=(-MAX_CLOCK_ERROR, MAX_CLOCK_ERROR))
     if near.verdict is Verdict.REFUSED or not near.peak or not result.peak or (
-            near.peak[1] < MIN_RELATIVE_PEAK * result.peak[1]):
+            near.peak.correlation < MIN_RELATIVE_PEAK * result.peak.correlation):
         return result
     return near.with_doubts("several offsets fit equally well because laps or manoeuvres repeat; the one within "
                             f"{MAX_CLOCK_ERROR:.0f} s of the logger's own clock is used")
