@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from _drawn_bands import SETTINGS, TIME
-from st_core.bands import Band, CalibrationDomain, ErrorSamples, calibrate, conditions_at, error_samples
+from st_core.bands import Band, CalibrationDomain, ErrorSamples, calibrate, compute_error_samples, conditions_at
 from st_core.bands.live import CoverageMonitor
 from st_core.evaluation import make_score
 from st_core.log import DriveLog
@@ -71,7 +71,7 @@ def count_warnings(log: DriveLog, vehicle: VehicleParameters, bands: Bands, doma
                 if one and one.warns and not before[model, mode]:
                     found.begins[model, mode].append((start - log.start_ns) * 1e-9 + horizon)
                 before[model, mode] = bool(one and one.warns)
-    found.coverage = {key: one.share(0.9) for key, one in counts.by_pair.items()}
+    found.coverage = {key: one.coverage_at(0.9) for key, one in counts.by_pair.items()}
     return found
 
 
@@ -104,7 +104,7 @@ def _measure_style(number: int, style: str) -> list[Row]:
                                                  **changed))
 
     models = [get_model(model) for model in MODELS]
-    runs = [error_samples(models, file, SETTINGS.signals(log), SETTINGS)
+    runs = [compute_error_samples(models, file, SETTINGS.signals(log), SETTINGS)
             for log in (drive(0, k, CALIBRATION_PARTS) for k in range(CALIBRATION_DRIVES))]
     bands, domain = calibrate_all(runs)
     rows = _healthy_rows(style, [count_warnings(drive(1, k, HEALTHY_PARTS), file, bands, domain)

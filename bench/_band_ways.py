@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 from st_core.bands import Band, ErrorSamples
-from st_core.bands.scale import Scale, evenly_spaced, features
+from st_core.bands.scale import Scale, compute_features, select_evenly
 
 LEVELS = (0.5, 0.9)
 SEED = 21
@@ -25,7 +25,7 @@ def parametric_band(band: Band, runs: Sequence[ErrorSamples], question: ModelMod
     single points. by_condition: whether the scale depends on the conditions.
     """
     scale = band.scale if by_condition else _average_scale(band.scale, runs, question)
-    picked = [evenly_spaced(len(one.conditions), 100) for one in runs]
+    picked = [select_evenly(len(one.conditions), 100) for one in runs]
     z = np.concatenate([one.errors[question][rows] / scale(one.conditions[rows])
                         for one, rows in zip(runs, picked, strict=True)])
     points = z[:, 4::5].reshape(len(z), -1)
@@ -47,7 +47,8 @@ def parametric_band(band: Band, runs: Sequence[ErrorSamples], question: ModelMod
 
 def scale_to_level(band: Band, runs: Sequence[ErrorSamples], question: ModelMode) -> Band:
     """The band with factors for which its coverage of the equally weighted calibration runs is its level."""
-    parts = [np.quantile(band.scores(one.conditions, one.errors[question]).max(axis=1), np.linspace(0.0, 1.0, 201))
+    grid = np.linspace(0.0, 1.0, 201)
+    parts = [np.quantile(band.compute_scores(one.conditions, one.errors[question]).max(axis=1), grid)
              for one in runs]
     return replace(band, factors={level: float(np.quantile(np.concatenate(parts), level)) for level in LEVELS})
 
@@ -57,7 +58,7 @@ def _average_scale(scale: Scale, runs: Sequence[ErrorSamples], question: ModelMo
     time = scale.time
     squares = np.mean([np.square(one.errors[question].astype(float)).mean(axis=0) for one in runs], axis=0)
     rows = [int(np.abs(time - knot).argmin()) for knot in scale.knots]
-    coefficients = np.zeros((3, len(rows), features(np.zeros((1, 4))).shape[1]))
+    coefficients = np.zeros((3, len(rows), compute_features(np.zeros((1, 4))).shape[1]))
     coefficients[:, :, 0] = 0.5 * np.log(squares[rows].T)
     return Scale(coefficients, scale.floor, time, scale.knots)
 

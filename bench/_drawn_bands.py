@@ -2,7 +2,7 @@
 
 import numpy as np
 from st_core.bands import Bands, CalibrationDomain, ErrorSamples, calibrate
-from st_core.bands.file import configuration_of
+from st_core.bands.file import hash_configuration
 from st_core.log_evaluation import MODES, EvaluationSettings
 from st_core.vehicle import VehicleParameters
 
@@ -25,4 +25,4 @@ def random_bands(vehicle: VehicleParameters) -> Bands:
     domain = CalibrationDomain.of([run.conditions for run in runs])
     return Bands(vehicle.name, vehicle.hash, settings, {"drawn": "0" * 64}, RUNS, domain,
                  {(model, mode): band for model in MODELS for mode in MODES},
-                 {model: configuration_of(vehicle, settings, "") for model in MODELS})
+                 {model: hash_configuration(vehicle, settings, "") for model in MODELS})

@@ -11,7 +11,7 @@ from st_core.log_evaluation import EvaluationSettings
 from st_core.palette import MODEL_COLOUR
 from st_offline.evaluation import advice as advice_report
 from st_offline.evaluation.advice import find_cheapest, measure_runs
-from st_offline.evaluation.drawing import TEXT, WIDTH, FigureOutput, save_figure, style
+from st_offline.evaluation.drawing import TEXT, WIDTH, FigureOutput, apply_style, save_figure
 from st_offline.evaluation.work import Task
 from st_recordings.paths import project_root
 from st_recordings.runs import find_runs
@@ -32,12 +32,12 @@ def draw_advice(costs: Mapping[advice_report.Key, advice_report.Cost],
     known = max((one.second for one in accuracies.values()), default=())
     seconds = [s for s in known if s in (1, 2, 3, 5)] or known[:1]
     steps = sorted({step for _, step in accuracies})
-    with style():
+    with apply_style():
         drawn, panels = plt.subplots(1, len(seconds), figsize=(WIDTH, 3.4), sharey=True, squeeze=False)
         for axes, second in zip(panels[0], seconds, strict=True):
             for (model, step), one in accuracies.items():
                 k, marker = one.second.index(second), MARKERS[steps.index(step) % len(MARKERS)]
-                cost, colour = 1e6 * advice_report.processor_time(costs[model, step]), MODEL_COLOUR.get(model, TEXT)
+                cost, colour = 1e6 * advice_report.get_processor_time(costs[model, step]), MODEL_COLOUR.get(model, TEXT)
                 axes.plot(cost, one.rms[k], marker, color=colour, ms=5)
                 if one.width is not None:
                     axes.plot([cost, cost], [one.rms[k], one.width[k]], color=colour, lw=0.7)
@@ -70,9 +70,9 @@ def run() -> dict:
     task = Task(genesis(), MODELS, EvaluationSettings())
     advice = measure_runs(sources, task)
     draw_advice(advice.costs, advice.accuracies, TOLERANCE, FigureOutput(project_root() / "docs" / "images", ("png",)))
-    rows = advice_report.advice_rows(advice.costs, advice.accuracies)
-    choice = advice_report.choice_rows(find_cheapest(advice.costs, advice.accuracies, TOLERANCE))
-    title, caption = advice_report.choice_title(TOLERANCE), advice_report.table_caption(advice.accuracies)
+    rows = advice_report.make_advice_rows(advice.costs, advice.accuracies)
+    choice = advice_report.make_choice_rows(find_cheapest(advice.costs, advice.accuracies, TOLERANCE))
+    title, caption = advice_report.make_choice_title(TOLERANCE), advice_report.make_caption(advice.accuracies)
     replace_part(PAGE, "advice", "\n".join([
         f"Genesis, {len(sources)} real drives. {caption[0].upper()}{caption[1:]}.", "", format_records(rows), "",
         f"{title}:", "", format_records(choice), "", "![Error and band against cost](../images/advice.png)"]))

@@ -19,12 +19,20 @@ from _cars import MORE_DRIVES, NINE_DRIVES
 from _cars import genesis as genesis_vehicle
 from _drawn_bands import SETTINGS, TIME
 from _pages import format_records, replace_part
-from st_core.bands import Band, CalibrationDomain, ErrorSamples, calibrate, error_samples, highest_level, join_runs
+from st_core.bands import (
+    Band,
+    CalibrationDomain,
+    ErrorSamples,
+    calibrate,
+    compute_error_samples,
+    compute_highest_level,
+    join_runs,
+)
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
-from st_offline.bands.bands_report import share_rows, sum_shares, summarise_shares
+from st_offline.bands.bands_report import make_share_rows, sum_shares, summarise_shares
 from st_offline.bands.scoring import pool_sums, sum_band_scores, summarise_bands
 from st_recordings.paths import project_root
 from st_recordings.runs import find_runs, read
@@ -109,7 +117,7 @@ def _adaptive_rows(title: str, runs: Runs, groups: Mapping[str, Sequence[str]],
         score = Score(TIME, question)
         for group, names in groups.items():
             known = [one for name, one in runs.items() if name not in names]
-            levels = [level for level in LEVELS if known and level <= highest_level(len(known))]
+            levels = [level for level in LEVELS if known and level <= compute_highest_level(len(known))]
             band = calibrate(known, question, TIME, levels) if levels else None
             domain = CalibrationDomain.of([one.conditions for one in known]) if levels else None
             for drive in new[group]:
@@ -140,7 +148,7 @@ def score_days(runs: Runs) -> list[Row]:
     """Coverage of each day by bands calibrated on the other days, with the runs of a day joined to one run."""
     rows = []
     days = {day: join_runs([runs[name] for name in names]) for day, names in DAYS.items()}
-    stated = (0.5, highest_level(len(days) - 1))
+    stated = (0.5, compute_highest_level(len(days) - 1))
     for question in ((model, mode) for model in MODELS for mode in MODES):
         covered = []
         for day, new in days.items():
@@ -150,7 +158,7 @@ def score_days(runs: Runs) -> list[Row]:
             kept = domain(new.conditions)
             if not kept.any():
                 continue
-            scores = band.scores(new.conditions[kept], new.errors[question][kept].astype(float)).max(axis=1)
+            scores = band.compute_scores(new.conditions[kept], new.errors[question][kept].astype(float)).max(axis=1)
             covered.append([float((scores <= band.factors[level]).mean()) for level in stated])
         rows.append({"model": question[0], "question": question[1]} | {
             f"{level:.0%} covers (days)": f"{np.mean(shares):.0%} ({', '.join(f'{one:.0%}' for one in shares)})"
@@ -201,7 +209,7 @@ def _write_shares(runs: Sequence[dict]) -> None:
     causes = {name: values["5"]["lateral"] for name, values in one["rms_of_cause"].items()}
     largest = sorted(causes, key=causes.get, reverse=True)[:5]
     text = "; ".join(f"{name} {causes[name]:.2f} m" for name in largest)
-    replace_part(PAGE, "shares", f"{format_records(share_rows(shares))}\n\n"
+    replace_part(PAGE, "shares", f"{format_records(make_share_rows(shares))}\n\n"
                  f"The largest causes across at 5 s, rms: {text}.")
 
 
@@ -239,7 +247,7 @@ def make_world() -> World:
 
 
 def collect_samples(log: DriveLog, vehicle: VehicleParameters, models: Sequence[str | Model]) -> ErrorSamples:
-    return error_samples([get_model(model) for model in models], vehicle, SETTINGS.signals(log), SETTINGS)
+    return compute_error_samples([get_model(model) for model in models], vehicle, SETTINGS.signals(log), SETTINGS)
 
 
 def score_held_out(title: str, runs: Runs, groups: Mapping, model: str, ways: Sequence[str] = CALIBRATED) -> dict[str,

@@ -84,6 +84,6 @@ def _answer_record(found: Discovery, search: RelationSearch) -> Record:
                "others": dict(one.others), "p_value": one.p_value, "gain": one.gain,
                "shape": one.formulas[0].shape if one.formulas else "",
                "reads": one.formulas[0].text if one.formulas else "", "promised": list(one.position_5s)}
-    return {"outcome": found.outcome, "searched": needs_search(found), "why": search.why, "law": law,
+    return {"outcome": found.outcome, "searched": needs_search(found), "why": search.reason, "law": law,
             "alone": [e.name for e in found.effects if not e.alternatives], "redundant": list(redundant),
             "kept": [e.name for e in (*found.effects, *found.minor)]}

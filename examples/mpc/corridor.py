@@ -21,7 +21,7 @@ import casadi
 import numpy as np
 from closed_loop import SAMPLING_TIME, Road
 from controller import Controller, Tuning
-from st_core.bands import Band, CalibrationDomain, calibrate, conditions, error_samples, steering_activity
+from st_core.bands import Band, CalibrationDomain, calibrate, compute_error_samples, conditions, steering_activity
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import get_model
@@ -169,7 +169,7 @@ def calibrate_band(controller: Controller, car: Car, vehicle: VehicleParameters,
     runs = []
     for seed in range(CALIBRATION_CARS):
         log = drive(controller, car, vehicle, make_gates(np.random.default_rng([22, seed])), 1000 + seed).log
-        runs.append(error_samples([get_model(model)], vehicle, SETTINGS.signals(log), SETTINGS))
+        runs.append(compute_error_samples([get_model(model)], vehicle, SETTINGS.signals(log), SETTINGS))
     time = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
     band = calibrate(runs, (model, "hindsight"), time, LEVELS)
     return band, CalibrationDomain.of([one.conditions for one in runs])

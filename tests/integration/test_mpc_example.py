@@ -57,7 +57,7 @@ def test_a_gate_is_passed_along_its_post_and_a_band_keeps_the_car_off(monkeypatc
     import corridor
     from controller import Controller, Tuning
     from st_core.bands import Band, CalibrationDomain
-    from st_core.bands.scale import Scale, features, knots_of
+    from st_core.bands.scale import Scale, compute_features, make_knots
     from st_offline.model_export import make_half_width_function
 
     monkeypatch.setattr(corridor, "DURATION", 6.0)
@@ -65,9 +65,9 @@ def test_a_gate_is_passed_along_its_post_and_a_band_keeps_the_car_off(monkeypatc
     low, high = corridor.limits(there, np.array([29.0, 33.0]), np.array([0.2, 0.2]))
     assert high == pytest.approx([4.0, -1.2]) and low == pytest.approx([-4.0, -4.0])
     # 0.3 m at every point, whatever the conditions.
-    nothing = np.full((3, 6, features(np.zeros((1, 4))).shape[1]), 0.0)
+    nothing = np.full((3, 6, compute_features(np.zeros((1, 4))).shape[1]), 0.0)
     nothing[:, :, 0] = -30.0
-    band = Band(Scale(nothing, np.stack([np.full(3, 0.3), np.zeros(3)]), time, knots_of(2.5)), {0.9: 1.0},
+    band = Band(Scale(nothing, np.stack([np.full(3, 0.3), np.zeros(3)]), time, make_knots(2.5)), {0.9: 1.0},
                 np.zeros((3, 19)))
     seen = CalibrationDomain(np.full((99, 99), 100), (100.0, 100.0))
     controller = Controller(MODELS["linear"], LEAF, 25, Tuning(), "rti", corridor=True)

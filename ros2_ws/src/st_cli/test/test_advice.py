@@ -12,11 +12,11 @@ from st_core.log_evaluation import EvaluationSettings
 from st_core.prediction import PredictionSettings
 from st_offline.evaluation.advice import (
     Cost,
-    advice_rows,
-    choice_rows,
     find_cheapest,
-    model_accuracy,
-    processor_time,
+    get_processor_time,
+    make_advice_rows,
+    make_choice_rows,
+    measure_accuracy,
     vary_step,
 )
 from support import ROOT
@@ -40,7 +40,7 @@ def runs(count: int, size: float) -> list[ErrorSamples]:
 
 
 def test_the_error_that_most_starts_stay_below_is_by_speed_and_never_falls_with_time():
-    found = model_accuracy(runs(10, 0.5), "linear", SETTINGS)
+    found = measure_accuracy(runs(10, 0.5), "linear", SETTINGS)
     assert found.second == (1, 2, 3, 4, 5) and found.level == 0.9
     assert set(found.within) == {6.0, 12.0}
     # 90 % of a normal error lie below 1.645 of its deviation; both speeds pooled: sqrt((1 + 16) / 2) of it.
@@ -54,27 +54,27 @@ def test_the_error_that_most_starts_stay_below_is_by_speed_and_never_falls_with_
 
 @pytest.mark.parametrize(("count", "level"), [(1, None), (2, None), (3, 0.5), (8, 0.5), (9, 0.9)])
 def test_the_band_is_the_one_that_so_many_runs_can_promise(count, level):
-    found = model_accuracy(runs(count, 0.5), "linear", SETTINGS)
+    found = measure_accuracy(runs(count, 0.5), "linear", SETTINGS)
     assert found.level == level and (found.width is None) == (level is None)
 
 
 def test_the_cheapest_that_is_good_enough_is_chosen_and_none_where_none_is():
-    good, bad = (model_accuracy(runs(2, size), "linear", SETTINGS) for size in (0.1, 1.0))
+    good, bad = (measure_accuracy(runs(2, size), "linear", SETTINGS) for size in (0.1, 1.0))
     costs = {("slow", 0.05): Cost(9e-4, 9e-5, 1e-5), ("quick", 0.1): Cost(1e-4, 1e-5, 1e-6),
              ("floats", 0.1): Cost(2e-3, None, 1e-6)}
-    assert processor_time(costs["floats", 0.1]) == 2e-3
+    assert get_processor_time(costs["floats", 0.1]) == 2e-3
     accuracies = {("slow", 0.05): good, ("quick", 0.1): bad, ("floats", 0.1): good}
     chosen = find_cheapest(costs, accuracies, 0.5)
     assert chosen[6.0] == (("quick", 0.1), *[("slow", 0.05)] * 4)
     assert chosen[12.0][4] is None
-    shown = choice_rows(chosen)
+    shown = make_choice_rows(chosen)
     assert shown[0] == {"speed": "6 to 9 m/s", "1 s": "quick, 0.1 s", **{f"{k} s": "slow, 0.05 s" for k in range(2, 6)}}
     assert shown[1]["5 s"] == "none"
 
 
 def test_costs_stand_beside_the_least_and_what_failed_is_a_dash():
     costs = {("a", 0.05): Cost(3e-4, None, 2e-5), ("b", 0.05): Cost(1e-4, 1e-5, 1e-5)}
-    first, second = advice_rows(costs, {("b", 0.05): model_accuracy(runs(1, 0.1), "linear", SETTINGS)})
+    first, second = make_advice_rows(costs, {("b", 0.05): measure_accuracy(runs(1, 0.1), "linear", SETTINGS)})
     assert (first["floats, µs (x)"], first["compiled, µs (x)"], first["error 5 s, m"]) == ("300 (3.0)", "-", "-")
     assert second["batch, µs (x)"] == "10 (1.0)" and second["band 5 s, m"] == "-"
 

@@ -11,7 +11,7 @@ import pytest
 from st_cli.cli import app
 from st_core.augmented import augment
 from st_core.bands import Bands, CalibrationDomain, ErrorSamples, calibrate, conditions
-from st_core.bands.file import configuration_of
+from st_core.bands.file import hash_configuration
 from st_core.integrate import rk4_step
 from st_core.log_evaluation import EvaluationSettings
 from st_core.model_file import ModelFile, ModelProvenance
@@ -114,7 +114,7 @@ def test_bands_are_written_as_functions_of_state_and_inputs(tmp_path):
     settings, question = EvaluationSettings(PredictionSettings(step=0.5)), ("linear", "hindsight")
     bands = Bands(vehicle().name, vehicle().hash, settings.as_dict(), {"drawn": "0" * 64}, len(runs),
                   CalibrationDomain.of([one.conditions for one in runs]), {question: calibrate(runs, question, time)},
-                  {"linear": configuration_of(vehicle(), settings.as_dict(), "")})
+                  {"linear": hash_configuration(vehicle(), settings.as_dict(), "")})
     file, out = tmp_path / "bands.yaml", tmp_path / "out"
     file.write_text(bands.to_yaml())
     assert run("linear", "--bands", file, "--output", out).exit_code == 0

@@ -7,8 +7,8 @@ import pytest
 from driven import SILENT, drive, weave
 from st_core.augmented import augment
 from st_core.errors import StCoreError
-from st_core.identification.axle_curve import axle_curve, axle_force, draw_models, force_error
-from st_core.identification.cornering_stiffness import axle_regressions, identify_stiffness
+from st_core.identification.axle_curve import compute_axle_force, compute_force_error, draw_models, make_axle_curve
+from st_core.identification.cornering_stiffness import fit_axle_regressions, identify_stiffness
 from st_core.tyres import GRAVITY, magic_formula_coefficients, magic_formula_force
 
 SLIP = np.linspace(0.0, 0.12, 9)
@@ -28,20 +28,21 @@ def limit(leaf):
 
 @pytest.mark.parametrize("axle", ["front", "rear"])
 def test_force_of_a_model_is_that_of_its_tyres(leaf, axle):
-    np.testing.assert_allclose(axle_force("nonlinear", leaf, axle, SLIP), tyre_pair(leaf, axle), rtol=1e-9, atol=1e-6)
+    force = compute_axle_force("nonlinear", leaf, axle, SLIP)
+    np.testing.assert_allclose(force, tyre_pair(leaf, axle), rtol=1e-9, atol=1e-6)
     stiffness = getattr(leaf, f"cornering_stiffness_{axle}")
-    np.testing.assert_allclose(axle_force("linear", leaf, axle, SLIP), stiffness * SLIP, rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(compute_axle_force("linear", leaf, axle, SLIP), stiffness * SLIP, rtol=1e-9, atol=1e-6)
     # What moves both sides alike, and another mass, change no tyre.
     moved = augment("nonlinear", {"road_bank": {"angle": 0.05}, "steering_lag": {"time_constant": 0.1}})
-    np.testing.assert_allclose(axle_force(moved, leaf, axle, SLIP), tyre_pair(leaf, axle), rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(compute_axle_force(moved, leaf, axle, SLIP), tyre_pair(leaf, axle), rtol=1e-4, atol=1e-6)
     with pytest.raises(StCoreError, match="kinematic: this model has no axle forces"):
-        axle_force("kinematic", leaf, axle, SLIP)
+        compute_axle_force("kinematic", leaf, axle, SLIP)
 
 
 @pytest.mark.parametrize("gradient", [-0.003, 0.002])
 def test_roll_steer_changes_the_front_curve_over_the_slip_of_the_measured_steering(leaf, gradient):
     model = augment("linear", {"roll_steer": {"gradient": gradient}})
-    front, rear = (axle_force(model, leaf, axle, SLIP) for axle in ("front", "rear"))
+    front, rear = (compute_axle_force(model, leaf, axle, SLIP) for axle in ("front", "rear"))
     a_y = (front + rear) / leaf.mass
     np.testing.assert_allclose(front, leaf.cornering_stiffness_front * (SLIP - gradient * a_y), rtol=2e-3, atol=1.0)
     np.testing.assert_allclose(rear, leaf.cornering_stiffness_rear * SLIP, rtol=2e-3, atol=1.0)
@@ -51,8 +52,9 @@ def test_saturated_axle_tends_to_its_limit_and_compliance_makes_it_softer(leaf):
     stiff = augment("linear", {"front_saturation": {"saturation": 1.0}})
     soft = augment(stiff, {"steering_compliance": {"compliance": 2e-6}})
     load = GRAVITY * leaf.mass * leaf.cg_to_rear_axle / leaf.wheelbase
-    assert axle_force(stiff, leaf, "front", np.array([1.4]))[0] == pytest.approx(load, rel=0.02)
-    assert (axle_force(soft, leaf, "front", SLIP[1:]) < axle_force(stiff, leaf, "front", SLIP[1:])).all()
+    assert compute_axle_force(stiff, leaf, "front", np.array([1.4]))[0] == pytest.approx(load, rel=0.02)
+    soft_force, stiff_force = (compute_axle_force(model, leaf, "front", SLIP[1:]) for model in (soft, stiff))
+    assert (soft_force < stiff_force).all()
 
 
 def test_curve_has_the_band_of_its_draws_over_the_driven_slip(leaf):
@@ -60,47 +62,49 @@ def test_curve_has_the_band_of_its_draws_over_the_driven_slip(leaf):
                                    "front_stiffness": {"factor": 1.1}})
     spread = np.diag([{"peak": 0.1, "curvature": 0.0, "factor": 0.0}[p.name] ** 2 for _, p in model.free])
     driven = np.random.default_rng(1).normal(0.0, 0.02, 5000)
-    curve = axle_curve(model, leaf, "front", driven, draw_models(model, spread, leaf, 400))
+    curve = make_axle_curve(model, leaf, "front", driven, draw_models(model, spread, leaf, 400))
     assert curve.slip[-1] == pytest.approx(np.quantile(np.abs(driven), 0.995)) and curve.slip[0] == 0.0
     assert curve.force[1] / curve.file[1] == pytest.approx(1.1, rel=0.02) and curve.density.sum() == pytest.approx(1.0)
     assert curve.density[0] > 5 * curve.density[-1]
-    ends = [axle_force(model.with_values({"front_tyre_curve": {"peak": 0.8 + side * 0.1645}}), leaf, "front",
-                       curve.slip[-1:])[0] for side in (-1, 1)]
+    ends = [compute_axle_force(model.with_values({"front_tyre_curve": {"peak": 0.8 + side * 0.1645}}), leaf, "front",
+                               curve.slip[-1:])[0] for side in (-1, 1)]
     assert [curve.low[-1], curve.high[-1]] == pytest.approx(ends, rel=0.02)
-    stiff = axle_curve(model, leaf, "front", driven, (), also=[model.with_values({"front_stiffness": {"factor": 1.5}})])
+    alternative = model.with_values({"front_stiffness": {"factor": 1.5}})
+    stiff = make_axle_curve(model, leaf, "front", driven, (), alternatives=[alternative])
     assert (stiff.low == stiff.force).all() and stiff.high[1] / stiff.file[1] == pytest.approx(1.5, rel=0.02)
     assert (np.diff(curve.high - curve.low) > -1e-9).all() and curve.low[1] == pytest.approx(curve.high[1], rel=1e-3)
     with pytest.raises(StCoreError, match="0 driven slip angles"):
-        axle_curve(model, leaf, "front", np.zeros(0))
+        make_axle_curve(model, leaf, "front", np.zeros(0))
 
 
 def test_measured_forces_lie_on_the_tyres_curve(leaf, limit):
-    for one in axle_regressions(limit, leaf):
+    for one in fit_axle_regressions(limit, leaf):
         assert one.usable, one.reasons
         slip, force = one.samples.bin_forces()
         assert slip[-1] > 0.04 and len(slip) >= 10
-        np.testing.assert_allclose(force, axle_force("nonlinear", leaf, one.axle, slip), rtol=0.02, atol=30.0)
+        np.testing.assert_allclose(force, compute_axle_force("nonlinear", leaf, one.axle, slip), rtol=0.02, atol=30.0)
 
 
 def test_measured_forces_judge_models(leaf, limit):
-    front, rear = axle_regressions(limit, leaf)
+    front, rear = fit_axle_regressions(limit, leaf)
     stiff = replace(leaf, cornering_stiffness_front=1.5 * leaf.cornering_stiffness_front).with_derived_scales()
     for one in (front, rear):
-        assert force_error("nonlinear", leaf, one.samples) < 0.01
-        assert force_error("linear", leaf, one.samples) > 0.03
-    assert force_error("nonlinear", stiff, front.samples) > 10 * force_error("nonlinear", leaf, front.samples)
+        assert compute_force_error("nonlinear", leaf, one.samples) < 0.01
+        assert compute_force_error("linear", leaf, one.samples) > 0.03
+    wrong, right = (compute_force_error("nonlinear", car, front.samples) for car in (stiff, leaf))
+    assert wrong > 10 * right
 
 
 def test_offset_of_the_steering_shifts_no_folded_force(leaf, limit):
     moved = replace(leaf, steering_wheel_offset=leaf.steering_wheel_offset + 0.1)
-    there = axle_regressions(limit, moved)[0]
-    assert there.stiffness == pytest.approx(axle_regressions(limit, leaf)[0].stiffness, rel=0.02)
-    assert force_error("nonlinear", leaf, there.samples) < 0.03
+    there = fit_axle_regressions(limit, moved)[0]
+    assert there.stiffness == pytest.approx(fit_axle_regressions(limit, leaf)[0].stiffness, rel=0.02)
+    assert compute_force_error("nonlinear", leaf, there.samples) < 0.03
 
 
 def test_a_slope_of_the_wrong_sign_is_a_failed_fit_not_a_negative_stiffness(leaf, limit):
     wrong = [replace(log, steering_wheel_angle=None, road_wheel_angle=-log.road_wheel_angle) for log in limit]
-    front = axle_regressions(wrong, leaf)[0]
+    front = fit_axle_regressions(wrong, leaf)[0]
     assert np.isnan(front.stiffness) and not front.usable and "the fit failed" in front.reasons[-1]
     estimate = identify_stiffness(wrong, leaf)["cornering_stiffness_front"]
     assert estimate.status == "unidentifiable" and np.isnan(estimate.value) and "The fit failed" in estimate.verdict
@@ -108,5 +112,5 @@ def test_a_slope_of_the_wrong_sign_is_a_failed_fit_not_a_negative_stiffness(leaf
 
 def test_thin_driving_is_a_reason_not_an_exception(leaf):
     circle = drive(leaf, 8.0, lambda t: np.full_like(t, 0.08), 40.0, name="circle")
-    for one in axle_regressions([circle], leaf):
+    for one in fit_axle_regressions([circle], leaf):
         assert "too little excitation: lateral acceleration: 1 of 11 bins" in one.reasons[0]

@@ -2,18 +2,11 @@
 
 import numpy as np
 import pytest
-from st_core.bands import (
-    Bands,
-    CalibrationDomain,
-    ErrorSamples,
-    calibrate,
-    conformal_factors,
-    highest_level,
-    runs_needed,
-)
-from st_core.bands.file import configuration_of, times
-from st_core.bands.samples import error_samples, to_predicted_frame
-from st_core.bands.scale import fit_scale, floor_at
+from st_core.bands import Bands, CalibrationDomain, ErrorSamples, calibrate, compute_highest_level
+from st_core.bands.calibration import compute_conformal_factors, count_runs_needed
+from st_core.bands.file import hash_configuration, make_times
+from st_core.bands.samples import compute_error_samples, to_predicted_frame
+from st_core.bands.scale import compute_floor, fit_scale
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
@@ -23,7 +16,7 @@ from support import ROOT
 
 QUESTION = ("linear", "hindsight")
 SETTINGS = EvaluationSettings()
-TIME = times(5.0, 0.05)
+TIME = make_times(5.0, 0.05)
 FILE = ROOT / "config" / "vehicle" / "leaf.yaml"
 
 
@@ -54,7 +47,7 @@ def test_one_window_a_run_is_the_split_conformal_quantile_of_crepes():
     # Levels that leave whole numbers of 40 without rounding: crepes cuts 0.2 * 40 off to 7.
     for level in (0.5, 0.75, 0.875, 0.975):
         low, high = regressor.predict_int(np.zeros(1), confidence=level)[0]
-        mine, = conformal_factors([np.abs([r]) for r in residuals], [level])
+        mine, = compute_conformal_factors([np.abs([r]) for r in residuals], [level])
         assert mine == pytest.approx(0.5 * (high - low), rel=1e-12)
 
 
@@ -63,20 +56,21 @@ def test_a_run_to_come_is_covered_as_promised_though_windows_repeat_each_other()
     covered = {0.5: [], 0.9: []}
     for _ in range(400):
         runs = [np.abs(np.exp(0.5 * draw.standard_normal()) * draw.standard_normal(30)) for _ in range(13)]
-        for shares, c in zip(covered.values(), conformal_factors(runs[1:], list(covered)), strict=True):
+        for shares, c in zip(covered.values(), compute_conformal_factors(runs[1:], list(covered)), strict=True):
             shares.append(np.mean(runs[0] <= c))
     for level, shares in covered.items():
         assert np.mean(shares) == pytest.approx(level, abs=0.03)
 
 
 def test_more_than_the_runs_can_promise_is_refused():
-    assert highest_level(8) == pytest.approx(8 / 9) and runs_needed(0.9) == 9 and runs_needed(0.5) == 1
+    assert compute_highest_level(8) == pytest.approx(8 / 9)
+    assert count_runs_needed(0.9) == 9 and count_runs_needed(0.5) == 1
     with pytest.raises(StCoreError, match=r"^8 runs support at most 88\.9%.*give 9 runs") as caught:
-        conformal_factors([np.ones(5)] * 8, [0.9])
+        compute_conformal_factors([np.ones(5)] * 8, [0.9])
     assert "\n" not in str(caught.value)
-    assert np.isfinite(conformal_factors([np.arange(5.0)] * 9, [0.9])).all()
+    assert np.isfinite(compute_conformal_factors([np.arange(5.0)] * 9, [0.9])).all()
     with pytest.raises(StCoreError, match="not finite"):
-        conformal_factors([np.array([1.0, np.nan])] * 9, [0.5])
+        compute_conformal_factors([np.array([1.0, np.nan])] * 9, [0.5])
 
 
 def test_the_scale_that_errors_were_drawn_with_is_found():
@@ -86,18 +80,18 @@ def test_the_scale_that_errors_were_drawn_with_is_found():
     for second in (1.0, 2.0, 5.0):
         point = int(np.abs(TIME - second).argmin())
         found, true = scale(probe)[:, point], true_scale(probe)[:, point]
-        assert np.hypot(true, floor_at(scale.floor, TIME)[point]) == pytest.approx(found, rel=0.25)
+        assert np.hypot(true, compute_floor(scale.floor, TIME)[point]) == pytest.approx(found, rel=0.25)
 
 
 def test_bands_cover_runs_they_were_not_learnt_from_and_not_everything():
     # Runs much alike, so that one set of them says what the method does: 0.1/sqrt(24) moves a coverage by 0.02.
     band = calibrate([drawn(k, spread=0.1) for k in range(24)], QUESTION, TIME)
-    scores = [band.scores(r.conditions, r.errors[QUESTION]).max(axis=1)
+    scores = [band.compute_scores(r.conditions, r.errors[QUESTION]).max(axis=1)
               for r in (drawn(100 + k, spread=0.1) for k in range(60))]
     shares = {level: np.mean([(one <= band.factors[level]).mean() for one in scores]) for level in (0.5, 0.9)}
     assert shares[0.9] == pytest.approx(0.9, abs=0.04) and shares[0.5] == pytest.approx(0.5, abs=0.06)
     factors = list(band.factors.values())
-    assert factors == sorted(factors) and max(band.factors) <= highest_level(24)
+    assert factors == sorted(factors) and max(band.factors) <= compute_highest_level(24)
 
 
 def test_no_band_of_few_runs_or_errors_that_are_not_finite():
@@ -135,7 +129,7 @@ def test_a_run_shorter_than_the_horizon_is_refused(leaf):
     zero = np.zeros(len(time))
     log = DriveLog("short", time, time * 1e-8, zero, zero, zero + 10.0, zero, zero, time, zero)
     with pytest.raises(StCoreError, match=r"overlap for 4\.0 s, less than the horizon of 5 s"):
-        error_samples([get_model("linear")], leaf, SETTINGS.signals(log), SETTINGS)
+        compute_error_samples([get_model("linear")], leaf, SETTINGS.signals(log), SETTINGS)
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +140,7 @@ def bands(leaf):
     band = calibrate(runs, QUESTION, TIME)
     return Bands(leaf.name, leaf.hash, settings, {"a.csv": "0" * 64}, 12,
                  CalibrationDomain.of([r.conditions for r in runs]),
-                 {QUESTION: band, other: band}, {"linear": configuration_of(leaf, settings, "")})
+                 {QUESTION: band, other: band}, {"linear": hash_configuration(leaf, settings, "")})
 
 
 def test_a_file_is_read_back_and_an_edited_one_refused(bands):

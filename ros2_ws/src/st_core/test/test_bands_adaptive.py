@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from st_core.bands import AdaptiveBand, AdaptiveBands, Band
 from st_core.bands.adaptive import GAIN, MAX_FACTOR, MIN_FACTOR, START_GAIN, WARM_UP
-from st_core.bands.scale import Scale, features, knots_of
+from st_core.bands.scale import Scale, compute_features, make_knots
 from st_core.evaluation import make_score
 
 TIME = 0.5 * np.arange(1, 11)
@@ -16,8 +16,8 @@ CONDITION = np.array([10.0, 1.0, 0.2, 0.02])
 
 def band(half=2.0, ninety=4.0) -> Band:
     """A scale of 1 everywhere."""
-    knots = knots_of(5.0)
-    coefficients = np.zeros((3, len(knots), features(np.zeros((1, 4))).shape[1]))
+    knots = make_knots(5.0)
+    coefficients = np.zeros((3, len(knots), compute_features(np.zeros((1, 4))).shape[1]))
     return Band(Scale(coefficients, np.zeros((2, 3)), TIME, knots), {0.5: half, 0.9: ninety}, np.ones((3, 19)))
 
 

@@ -12,12 +12,12 @@ from st_core.bands import (
     LiveBands,
     activity_instants,
     calibrate,
+    compute_error_samples,
     conditions_at,
     conditions_now,
-    error_samples,
     steering_activity,
 )
-from st_core.bands.file import configuration_of
+from st_core.bands.file import hash_configuration
 from st_core.bands.live import ALTERNATIVE_RATIO, HORIZONS, BandCoverage
 from st_core.evaluation import make_score
 from st_core.log import DriveLog
@@ -55,10 +55,10 @@ def _columns(rows, car):
 @pytest.fixture(scope="module")
 def bands(leaf, logs):
     models = [get_model(name) for name in MODELS]
-    runs = [error_samples(models, leaf, SETTINGS.signals(log), SETTINGS) for log in logs[:10]]
+    runs = [compute_error_samples(models, leaf, SETTINGS.signals(log), SETTINGS) for log in logs[:10]]
     time = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
     found = {(m, q): calibrate(runs, (m, q), time) for m in MODELS for q in ("hindsight", "forecast")}
-    hashes = {m: configuration_of(leaf, SETTINGS.as_dict(), "") for m in MODELS}
+    hashes = {m: hash_configuration(leaf, SETTINGS.as_dict(), "") for m in MODELS}
     domain = CalibrationDomain.of([r.conditions for r in runs])
     return Bands(leaf.name, leaf.hash, SETTINGS.as_dict(), {}, 10, domain, found, hashes)
 
@@ -123,7 +123,7 @@ def test_a_path_is_inside_when_all_points_and_axes_are_in_the_predicted_frame():
         coverages.expect("linear", k * SECOND, {("forecast", 0.9): widths, ("forecast", 0.5): 0.01 * widths})
         coverages.add(a_score(k * SECOND, np.array([[0, 0, 0], point, [0, 0, 0]], float)))
     one = coverages.by_pair["linear", "forecast"]
-    assert one.n == 4 and one.inside[0.9] == sum(inside for _, inside in cases) and one.share(0.5) == 0.0
+    assert one.n == 4 and one.inside[0.9] == sum(inside for _, inside in cases) and one.coverage_at(0.5) == 0.0
     coverages.expect("linear", 9 * SECOND, {("forecast", 0.9): widths})
     coverages.add(a_score(9 * SECOND, widths, complete=False))
     coverages.add(a_score(10 * SECOND, widths))  # nothing was stated of it

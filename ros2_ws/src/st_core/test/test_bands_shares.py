@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from st_core.augmented import augment
-from st_core.bands.shares import PARAMETERS, SENSORS, squared_contributions
+from st_core.bands.shares import PARAMETERS, SENSORS, sum_squared_contributions
 from st_core.log import INS_SIGNALS, DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import get_model
@@ -26,7 +26,8 @@ def straight(noise: float = 0.0, offset: float = 0.0) -> DriveLog:
 
 
 def shares(model, vehicle, log, intervals=None):
-    count, total, parts = squared_contributions(get_model(model), vehicle, SETTINGS.signals(log), SETTINGS, intervals)
+    count, total, parts = sum_squared_contributions(get_model(model), vehicle, SETTINGS.signals(log), SETTINGS,
+                                                    intervals)
     return total / count, {cause: squares / count for cause, squares in parts.items()}
 
 

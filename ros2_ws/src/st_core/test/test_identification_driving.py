@@ -15,7 +15,7 @@ from st_core.identification.driving_prediction import (
     identify_yaw_inertia,
 )
 from st_core.identification.ins_mounting import identify_ins_mounting
-from st_core.identification.steering_offset import DIRECT, PAPER, identify_steering_offset
+from st_core.identification.steering_offset import DIRECT_NAME, PAPER_NAME, identify_steering_offset
 
 SPEEDS = {6.0: 0.10, 9.0: 0.07, 12.0: 0.045, 15.0: 0.035}
 
@@ -91,9 +91,9 @@ def test_steering_ratio_from_slow_and_fast_bends(leaf, weaving, unknown):
 def test_steering_offset_both_ways(leaf, unknown):
     logs = [drive(leaf, speed, straight, 40.0, seed=2) for speed in (8.0, 12.0)]
     found = identify_steering_offset(logs, unknown)
-    for name in (PAPER, DIRECT):
+    for name in (PAPER_NAME, DIRECT_NAME):
         assert found[name].value == pytest.approx(leaf.steering_wheel_offset, abs=np.deg2rad(0.1))
-    assert not found.warnings and found[PAPER].status == "identified"
+    assert not found.warnings and found[PAPER_NAME].status == "identified"
 
 
 def test_steering_offset_that_depends_on_how_it_is_found_is_doubtful(leaf, unknown):
@@ -101,8 +101,8 @@ def test_steering_offset_that_depends_on_how_it_is_found_is_doubtful(leaf, unkno
     log = drive(leaf, 10.0, straight, 60.0, seed=2)
     turning = replace(log, yaw=log.yaw + 0.01 * np.abs((log.ins_time_ns - log.start_ns) * 1e-9 - 30.0))
     found = identify_steering_offset([turning], unknown)
-    assert found[DIRECT].standard_uncertainty > 10 * identify_steering_offset([log], unknown)[
-        DIRECT].standard_uncertainty
+    assert found[DIRECT_NAME].standard_uncertainty > 10 * identify_steering_offset([log], unknown)[
+        DIRECT_NAME].standard_uncertainty
 
 
 def test_ins_mounting_from_slow_driving(leaf):

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from experiment_tables import axle_lift, flat_plank, turntable, weighings
-from st_core.identification.cg_height import LiftedCar, identify_cg_height, pitch_from_lift
+from st_core.identification.cg_height import LiftedCar, compute_pitch, identify_cg_height
 from st_core.identification.magic_formula import fit_tyre, identify_magic_formula
 from st_core.identification.mass_and_cg import describe_swapped_axles, identify_mass_and_cg
 from st_core.identification.result import IdentificationError
@@ -100,9 +100,9 @@ def test_exact_lift_gives_the_exact_height_at_every_pitch(leaf, lifted):
 def test_pitch_from_the_lift_counts_the_tyres_deflection():
     # 0.4 m under the front wheels of a 2.7 m wheelbase; rear tyres 20 mm lower then.
     lift, front, rear = np.array([0.0, 0.4]), np.array([0.3, 0.3]), np.array([0.3, 0.28])
-    assert pitch_from_lift(lift, front, rear, 2.7)[1] == pytest.approx(math.asin(0.42 / 2.7))
+    assert compute_pitch(lift, front, rear, 2.7)[1] == pytest.approx(math.asin(0.42 / 2.7))
     with pytest.raises(IdentificationError, match="lift of 400"):
-        pitch_from_lift(lift * 1000.0, front, rear, 2.7)
+        compute_pitch(lift * 1000.0, front, rear, 2.7)
 
 
 @pytest.mark.parametrize(("change", "said"), [

@@ -150,7 +150,7 @@ def test_a_bound_opens_the_interval_and_takes_the_parameter_out_of_the_covarianc
     x = np.linspace(0.0, 10.0, 12)
     y = 1.0 + 0.5 * x + np.random.default_rng(3).normal(0.0, 0.3, len(x))
     fit = fit_curve(line(x, y), [[0.0, 0.1]], [-10.0, -10.0], [10.0, 0.45])
-    assert fit.at_bound(1) and fit.standard_errors[1] == 0.0
+    assert fit.is_at_bound(1) and fit.standard_errors[1] == 0.0
     assert find_interval_end(line(x, y), fit, 1, 1.0) == (0.45, True)
 
 

@@ -25,18 +25,18 @@ from st_core.relations.candidates import (
     PAIRS,
     QUANTITIES,
     TYPICAL_SIZES,
-    candidates,
-    run_time,
+    compute_run_time,
+    find_candidates,
 )
-from st_core.relations.formulas import fitted_shapes, simulated_formulas
+from st_core.relations.formulas import fit_shapes, simulate_formulas
 from st_core.relations.relation_fit import SMOOTHING, RelationFits, RunWindows
 from st_core.relations.relation_search import _find_imitated_fault
 from st_core.relations.selection import (
+    compute_lower_bound,
     describe_deterioration,
     describe_small_gain,
     describe_unusable_curve,
     find_equally_good,
-    lower_bound,
 )
 from st_core.vehicle import VehicleParameters
 from support import ROOT
@@ -143,7 +143,7 @@ def read(candidate: Candidate, formula, noise=0.0, pinned=False):
     beside = np.random.default_rng(6).normal(size=(BLOCKS, len(at))) * noise
     hessian = np.broadcast_to(splines @ splines.T, (BLOCKS, SPLINES, SPLINES))
     seen = Quadratic(np.zeros(BLOCKS), beside @ splines.T, hessian)
-    return fitted_shapes(candidate, heights, seen, np.arange(BLOCKS) // 3)
+    return fit_shapes(candidate, heights, seen, np.arange(BLOCKS) // 3)
 
 
 @pytest.mark.parametrize(("shape", "formula"), [
@@ -169,7 +169,7 @@ def test_shapes_without_a_mirror_image_are_read(shape, formula):
 
 def test_a_constant_that_a_parameter_of_the_car_can_do_is_no_part_of_the_shape():
     first = read(Candidate("front_grip", "speed", 0.0, 4.0, 20.0), lambda u: 2.0 - 0.1 * u, pinned=True)[0]
-    assert first.shape == "linear" and first.numbers == pytest.approx([-0.1], rel=1e-3)
+    assert first.shape == "linear" and first.parameters == pytest.approx([-0.1], rel=1e-3)
 
 
 def test_a_shape_that_misses_much_of_the_curve_does_not_stand_for_it_however_little_the_drives_tell():
@@ -192,7 +192,7 @@ def test_a_curve_that_one_run_alone_shows_is_read():
     heights = np.linalg.lstsq(splines.T, np.linspace(-2.0, 2.0, 60), rcond=1e-6)[0]
     hessian = (np.arange(BLOCKS) < 3)[:, None, None] * (splines @ splines.T)
     seen = Quadratic(np.zeros(BLOCKS), np.zeros((BLOCKS, SPLINES)), hessian)
-    assert fitted_shapes(law, heights, seen, np.arange(BLOCKS) // 3)[0].numbers == pytest.approx([2.0])
+    assert fit_shapes(law, heights, seen, np.arange(BLOCKS) // 3)[0].parameters == pytest.approx([2.0])
 
 
 def test_rivals_are_told_apart_by_all_their_blocks_and_harm_by_one_run():
@@ -200,7 +200,8 @@ def test_rivals_are_told_apart_by_all_their_blocks_and_harm_by_one_run():
     near = find_equally_good(np.stack([draw[0] + 3.0, draw[1] + 0.1, 5.0 * draw[2]]), 0.05, 0)
     assert near.tolist() == [False, True, True]
     assert find_equally_good(np.zeros((0, 20)), 0.05, 0).size == 0
-    assert lower_bound(np.full(9, 2.0), 0.05) == pytest.approx(18.0) and lower_bound(draw[0], 0.05) < 0.0
+    assert compute_lower_bound(np.full(9, 2.0), 0.05) == pytest.approx(18.0)
+    assert compute_lower_bound(draw[0], 0.05) < 0.0
 
 
 def test_a_law_that_makes_one_run_surely_worse_is_no_proposal(laws):
@@ -242,7 +243,7 @@ def test_law_that_is_there_is_proposed_with_its_slope(leaf):
     settings = DiscoverySettings(where=False)
     said = find_relation(discover(logs, leaf, "nonlinear", (), settings), logs, leaf, settings)
     one = said.relation
-    assert one is not None, said.why
+    assert one is not None, said.reason
     assert (one.candidate.term, one.candidate.quantity) == ("sensor_yaw_rate", "acceleration_y")
     # A scale of the yaw rate, which the library has, takes a part of it.
     linear = next(r for r in one.formulas if r.shape == "linear")
@@ -275,10 +276,11 @@ def test_a_law_with_memory_is_the_rate_and_the_lag_it_says(leaf):
 def test_time_in_the_run_is_counted_anew_in_each(leaf):
     logs = recorded(leaf, {}, 3, ("lane_change", "slalom", "brake_in_turn"))
     windows = RunWindows(logs, leaf, DiscoverySettings(where=False))
-    time = run_time(windows, windows.starts_ns)
+    time = compute_run_time(windows, windows.starts_ns)
     assert time == pytest.approx(windows.seconds)
-    assert {c.name for c in candidates(windows, leaf)} >= {"both_grip over run_time", "front_steer over steering_rate"}
-    assert {c.factor for c in candidates(windows, leaf)} == {"", *(by for *_, by in PAIRS)}
+    found = find_candidates(windows, leaf)
+    assert {c.name for c in found} >= {"both_grip over run_time", "front_steer over steering_rate"}
+    assert {c.factor for c in found} == {"", *(by for *_, by in PAIRS)}
 
 
 @pytest.mark.slow
@@ -287,7 +289,7 @@ def test_nothing_is_proposed_where_nothing_is_left(leaf, seed):
     logs = recorded(leaf, {}, seed, DRIVEN)
     settings = DiscoverySettings(where=False)
     said = find_relation(discover(logs, leaf, "nonlinear", (), settings), logs, leaf, settings)
-    assert said.relation is None and said.why and said.tried
+    assert said.relation is None and said.reason and said.tried
 
 
 def test_few_blocks_and_one_run_are_said(leaf):
@@ -295,9 +297,9 @@ def test_few_blocks_and_one_run_are_said(leaf):
     settings = DiscoverySettings(where=False, effects=("mass",))
     found = discover(logs, leaf, "nonlinear", (), settings)
     said = find_relation(found, logs, leaf, settings)
-    assert said.relation is None and "a curve needs 10" in said.why
+    assert said.relation is None and "a curve needs 10" in said.reason
     said = find_relation(found, logs[:1], leaf, settings)
-    assert said.relation is None and said.why.startswith("only one run: a relation needs a second drive")
+    assert said.relation is None and said.reason.startswith("only one run: a relation needs a second drive")
 
 
 @pytest.fixture(scope="module")
@@ -310,7 +312,7 @@ def laws():
 
 def curved(laws, candidate, heights):
     """A fit of no law, with a curve put into it."""
-    without = laws.without_relation()
+    without = laws.fit_without_relation()
     vector = without.vector.copy()
     vector[laws.relation] = heights
     indices = np.concatenate([without.indices, laws.relation])
@@ -343,7 +345,7 @@ def test_what_was_not_driven_is_said(leaf):
     straight = [drive(leaf, speed, lambda t: 0.0 * t, seconds=70.0, name=f"{speed:g}") for speed in (10.0, 14.0)]
     settings = DiscoverySettings(where=False)
     said = find_relation(discover(straight, leaf, "nonlinear", (), settings), straight, leaf, settings)
-    assert said.relation is None and {"front_grip", "rear_grip", "both_grip"} <= set(said.not_examined())
+    assert said.relation is None and {"front_grip", "rear_grip", "both_grip"} <= set(said.find_unexamined_terms())
     assert not any("acceleration_y" in name or "steering" in name for name in said.detection_limits)
 
 
@@ -355,7 +357,7 @@ def test_a_formula_is_reported_only_if_it_keeps_the_gain_when_simulated(leaf, mo
     settings = DiscoverySettings(where=False, block=4.0)
     windows = RunWindows(logs, leaf, settings)
     fits = RelationFits(windows, augment("nonlinear", {}), 0.0, (), settings)
-    without = fits.without_relation()
+    without = fits.fit_without_relation()
     low, high = np.quantile(windows.joined.velocity_x, [0.01, 0.99])
     fit = fits.fit(Candidate("yaw_moment", "speed", 0.0, float(low), float(high)), without)
     losses = {}
@@ -363,8 +365,8 @@ def test_a_formula_is_reported_only_if_it_keeps_the_gain_when_simulated(leaf, mo
         monkeypatch.setattr(relation_fit, "SMOOTHING", (smooth,))
         losses[smooth] = float(fits.fit(fit.candidate, without).held_out.sum())
     assert fit.smooth == min(losses, key=losses.get) < max(SMOOTHING)
-    formulas = simulated_formulas(fits, fit, without)
-    assert formulas and all(0.9 <= one.kept < 1.2 for one in formulas)
+    formulas = simulate_formulas(fits, fit, without)
+    assert formulas and all(0.9 <= one.retained < 1.2 for one in formulas)
     assert not any(re.fullmatch(r"y = \S+ u( \|u\|)?", one.text) for one in formulas)
 
 
@@ -372,7 +374,7 @@ def test_a_kinematic_answer_without_tyre_slip_is_refused_in_one_sentence(leaf):
     logs = recorded(leaf, {}, 3, ("lane_change", "slalom"))
     settings = DiscoverySettings(where=False, effects=("steering_ratio",))
     said = find_relation(discover(logs, leaf, "kinematic", (), settings), logs, leaf, settings)
-    assert said.relation is None and "use --base linear or --base nonlinear" in said.why
+    assert said.relation is None and "use --base linear or --base nonlinear" in said.reason
 
 
 def test_a_relation_that_imitates_a_reported_sensor_is_recognised():

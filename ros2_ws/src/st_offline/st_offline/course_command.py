@@ -39,9 +39,9 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
             print_line(f"[red]{escape(source.name)}: {escape(' '.join(str(error).split()))}[/red]", console)
             continue
         passes += new
-        length = SPACING * sum(len(one.points) for one in new)
-        plural = "s" * (len(new) != 1)
-        print_line(f"{escape(source.name)}: {length / 1000.0:.2f} km in {len(new)} part{plural}", console)
+        length = SPACING * sum(len(part.points) for part in new)
+        parts = f"{len(new)} part{'s' * (len(new) != 1)}"
+        print_line(f"{escape(source.name)}: {length / 1000.0:.2f} km in {parts}", console)
     if not passes:
         raise ConfigurationError("no run can be used for a course, for the reasons above")
     try:
@@ -49,6 +49,6 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
         output.write_text(Course(tuple(passes), origin).to_yaml(), encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{output}: cannot be written: {error.strerror}") from None
-    drives = len({one.recording for one in passes})
+    drives = len({part.recording for part in passes})
     print_line(f"{escape(str(output))}: course of {drives} drive{'s' * (drives != 1)}", console)
     return 1 if failed else 0

@@ -11,8 +11,8 @@ from st_core import __version__
 from st_core.augmented import AugmentedModel
 from st_core.backends.casadi_backend import SymbolicModel, Variable, build
 from st_core.bands import LEVELS, Band, Bands
-from st_core.bands.conditions import magnitudes
-from st_core.bands.scale import features_of_one, floor_at, interpolation_matrix
+from st_core.bands.conditions import compute_magnitudes
+from st_core.bands.scale import compute_floor, compute_scalar_features, make_interpolation_matrix
 from st_core.errors import ConfigurationError
 from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
@@ -103,7 +103,7 @@ def _describe_variable(variable: Variable) -> dict[str, Any]:
 
 def _format_readme(description: dict[str, Any], kind: Format) -> str:
     name, p = description["model"], ", p" if description["parameters"] else ""
-    states, inputs, parameters = (", ".join(f"{one['name']} [{one['unit']}]" for one in description[key]) or "none"
+    states, inputs, parameters = (", ".join(f"{v['name']} [{v['unit']}]" for v in description[key]) or "none"
                                   for key in ("states", "inputs", "parameters"))
     stable = ", ".join(f"{h} s: {v:g} m/s" for h, v in description["stable_above_m_s"].items())
     missing = ", ".join(description["effects_not_in_the_equations"])
@@ -134,13 +134,14 @@ def make_half_width_function(band: Band, level: float, vehicle: VehicleParameter
     [rad/s]: root mean square rate of the road-wheel angle in the last second. Its values equal `Band.half_widths`; the
     calibration domain is not checked. Raises ConfigurationError for a level without a band."""
     if level not in band.factors:
-        known = ", ".join(f"{one:g}" for one in band.factors)
+        known = ", ".join(f"{existing:g}" for existing in band.factors)
         raise ConfigurationError(f"the bands have no level {level:g}; use {known}")
     x, u, activity = casadi.SX.sym("x", 6), casadi.SX.sym("u", 2), casadi.SX.sym("steering_activity")
     velocity_x = x[2] - x[5] * vehicle.cg_to_ins_y
-    phi = casadi.vertcat(*features_of_one(magnitudes(velocity_x, x[5], u[1], activity), casadi.log, casadi.fmax))
+    condition = compute_magnitudes(velocity_x, x[5], u[1], activity)
+    phi = casadi.vertcat(*compute_scalar_features(condition, casadi.log, casadi.fmax))
     scale = band.scale
-    between, floor = interpolation_matrix(scale.knots, scale.time), floor_at(scale.floor, scale.time)
+    between, floor = make_interpolation_matrix(scale.knots, scale.time), compute_floor(scale.floor, scale.time)
     columns = []
     for axis, coefficients in enumerate(scale.coefficients):
         at_knots = casadi.fmin(casadi.fmax(2.0 * casadi.DM(coefficients) @ phi, -MAX_LOG_SCALE), MAX_LOG_SCALE)

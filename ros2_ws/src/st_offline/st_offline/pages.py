@@ -27,24 +27,25 @@ class Table:
     about: str = ""
 
 
-def columns(head: Sequence[str], rows: Iterable[Sequence[Any]], names: int) -> list[tuple[str, str, tuple[Any, ...]]]:
-    """(title, CSS class, cells) of each column that is not empty. names: number of leading text columns."""
+def make_columns(head: Sequence[str], rows: Iterable[Sequence[Any]],
+                 text_columns: int) -> list[tuple[str, str, tuple[Any, ...]]]:
+    """(title, CSS class, cells) of each column that is not empty. text_columns: number of leading text columns."""
     result = []
     for k, (title, cells) in enumerate(zip(head, zip(*rows, strict=True), strict=True)):
         texts = [str(cell) for cell in cells]
         if any(text not in ("", "-") for text in texts):
-            is_text = k < names or any(one[:1].isalpha() for one in texts)
+            is_text = k < text_columns or any(text[:1].isalpha() for text in texts)
             kind = "words" if max(map(len, texts)) > MAX_UNWRAPPED else "name" if is_text else ""
             result.append((title, kind, cells))
     return result
 
 
-def template(name: str, **filters: Callable) -> jinja2.Template:
+def load_template(name: str, **filters: Callable) -> jinja2.Template:
     """Load a template, by its path in this package. filters: added to the filters `drawing`, which inserts an SVG
     unescaped, and `cells`, the values of a row."""
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True,
                                      undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters.update(drawing=Markup, cells=lambda row: list(row.values()), **filters)
-    environment.globals.update(checking=check_report, columns=columns, findings_in=check_report.findings_from_json,
+    environment.globals.update(checking=check_report, columns=make_columns, findings_in=check_report.findings_from_json,
                                colours=MODEL_COLOUR, dark=DARK)
     return environment.get_template(name)

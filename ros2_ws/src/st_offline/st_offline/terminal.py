@@ -9,12 +9,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 
-def progress_bars(console: Console) -> Progress:
+def make_progress_bars(console: Console) -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     return Progress(*columns, console=console, transient=True)
 
 
-def rows_table(rows: Sequence[Mapping[str, str]], **options) -> Table:
+def make_table(rows: Sequence[Mapping[str, str]], **options) -> Table:
     """Table with the keys of the first row as titles. options: of rich's Table."""
     table = Table(box=None, **options)
     for title in rows[0] if rows else ():

@@ -1,8 +1,8 @@
 """Scores of bands that have few levels."""
 
 import numpy as np
-from st_core.bands.calibration import RELIABILITY, Band
-from st_offline.bands.bands_report import band_rows
+from st_core.bands.calibration import RELIABILITY_LEVELS, Band
+from st_offline.bands.bands_report import make_band_rows
 from st_offline.bands.scoring import sum_band_scores, summarise_bands
 
 TIME = np.array([0.5, 1.0])
@@ -20,8 +20,9 @@ class Constant:
 def test_bands_from_too_few_runs_are_scored_at_the_highest_level_they_have():
     random, conditions = np.random.default_rng(2), np.column_stack([np.full(400, 10.0), np.zeros((400, 3))])
     errors = 0.1 * random.standard_normal((400, len(TIME), 3)) * Constant()(conditions)
-    sums = sum_band_scores(Band(Constant(), {0.5: 0.2, 0.8: 0.4}, np.ones((3, len(RELIABILITY)))), conditions, errors)
+    band = Band(Constant(), {0.5: 0.2, 0.8: 0.4}, np.ones((3, len(RELIABILITY_LEVELS))))
+    sums = sum_band_scores(band, conditions, errors)
     content = summarise_bands({"models": {"linear": {"hindsight": {**sums, "without_band": 0}}}})
-    (row,) = band_rows(content)
+    (row,) = make_band_rows(content)
     assert "80 % covers" in row and "90 % covers" not in row and row["worst cell"] != "-"
     assert content["models"]["linear"]["hindsight"]["worst_cell"]["starts"] == 400

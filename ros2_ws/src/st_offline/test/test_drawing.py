@@ -7,12 +7,19 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from st_core.palette import MODEL_COLOUR
-from st_offline.evaluation.drawing import MAX_POINTS, FigureOutput, break_at_gaps, reduce_points, save_figure, style
+from st_offline.evaluation.drawing import (
+    MAX_POINTS,
+    FigureOutput,
+    apply_style,
+    break_at_gaps,
+    reduce_points,
+    save_figure,
+)
 
 
 @pytest.fixture
 def drawn(tmp_path):
-    with style():
+    with apply_style():
         figure, axes = plt.subplots()
         axes.plot([0, 1], [0.123456789, 1], color=MODEL_COLOUR["nonlinear"])
         axes.plot([0, 1], [1, 0], ".", rasterized=True)

@@ -43,7 +43,7 @@ def report(name: str, models: dict) -> RunReport:
 
 
 def test_latex_is_the_papers_row():
-    text = tables.latex_table([report("S$_1$", PAPER_S1)], "means", "Leaf_ZE0, 100 %.")
+    text = tables.make_latex_table([report("S$_1$", PAPER_S1)], "means", "Leaf_ZE0, 100 %.")
     rows = [line for line in text.splitlines() if line.endswith(r"\\") and "m$_" in line]
     assert rows == [
         r"\multirow[c]{3}{*}{S\$\_1\$} & m$_{1}$ & $\phantom{-}0.10 \mid 0.19 \mid 0.12$ & "
@@ -73,7 +73,7 @@ def test_numbers_to_the_centimetre(value, text):
 def test_terminal_shows_every_run_and_escapes_names():
     console = Console(width=110, record=True, file=io.StringIO())
     models = {"kinematic": entry((0.1, 0.2, 0.3), (1, 2, 3)), "linear": entry((None,) * 3, (None,) * 3)}
-    console.print(tables.terminal_table([report("[red]day[/red]", models)], "samples", "A [b]title[/b]", 110))
+    console.print(tables.make_terminal_table([report("[red]day[/red]", models)], "samples", "A [b]title[/b]", 110))
     text = console.export_text()
     assert "[red]day[/red]" in text and "A [b]title[/b]" in text
     assert " 1.00 |  2.00 |  3.00" in text and "- |     - |     -" in text
@@ -81,7 +81,7 @@ def test_terminal_shows_every_run_and_escapes_names():
 
 def test_csv_has_one_row_per_run_model_and_mode(tmp_path):
     file = tmp_path / "table.csv"
-    tables.write_csv(file, tables.csv_rows([report("S1", PAPER_S1), report("S,2", PAPER_S1)])["table"])
+    tables.write_csv(file, tables.make_csv_rows([report("S1", PAPER_S1), report("S,2", PAPER_S1)])["table"])
     rows = list(csv.DictReader(file.open()))
     assert len(rows) == 2 * 3 * 2 and {r["run"] for r in rows} == {"S1", "S,2"}
     assert float(rows[0]["lateral_rmse_m"]) == 0.33 and rows[0]["n_starts"] == "7"

@@ -194,7 +194,7 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
     drives = NextDrives([(-3.0, -2.0), (1.0, 1.5)], {rival: 1.0},
                         [Option(brake, 0.5 * one.deviation, {rival: 6.0}, (4.0, 0.0)),
                          Option(sweep, 0.8 * one.deviation, {rival: 1.5}, (0.0, 0.1))])
-    one = replace(one, drives=drives)
+    one = replace(one, next_drives=drives)
     assert "y = 1 rad/s² corresponds to a moment of 2925 N m, with the yaw" in text_of(RelationSearch(one, "", {}))
     text = "\n".join(next_drive_sentences(one))
     assert "from side force on the body as a function of the speed: brake_in_turn, 3 times" in text
@@ -204,12 +204,12 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
     content = relation_document(RelationSearch(one, "", {}))["proposal"]["next_drives"]
     assert content["most_separating"] == {"manoeuvre": "brake_in_turn", "from": rival}
     assert content["most_precise"] == "brake_in_turn" and len(content["options"]) == 2
-    weak = replace(one, drives=replace(drives, options=drives.options[1:]))
+    weak = replace(one, next_drives=replace(drives, options=drives.options[1:]))
     assert "no manoeuvre of the catalogue separates it much better from" in "\n".join(next_drive_sentences(weak))
-    hardly = replace(one, drives=replace(drives, options=[Option(brake, 0.9 * one.deviation, {}, (0.0, 0.0))]))
+    hardly = replace(one, next_drives=replace(drives, options=[Option(brake, 0.9 * one.deviation, {}, (0.0, 0.0))]))
     assert "for a narrower interval" not in "\n".join(next_drive_sentences(hardly))
-    of_a_place = replace(one, others={"side_force over position_x": 0.9}, drives=replace(drives, current_separation={},
-                                                                                         options=[]))
+    without_options = replace(drives, current_separation={}, options=[])
+    of_a_place = replace(one, others={"side_force over position_x": 0.9}, next_drives=without_options)
     text = "\n".join(next_drive_sentences(of_a_place))
     assert "from effects of place, heading or time: repeat the drive twice" in text and "much better" not in text
 

@@ -32,6 +32,8 @@ DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}  # median and 90 % quantile of the larges
 SCALE_FORGETTING = 120.0  # s; two minutes contain most manoeuvres of a driver on a road
 DEFAULT_SCALE = (0.3, 0.3, 0.02)  # m, m, rad at 1 s ahead, proportional to the squared time; errors soon replace it
 WARM_UP = 120.0  # s of scored driving before a band without a calibration is issued
+PRIOR_WEIGHT = 5.0  # s; weight of DEFAULT_SCALE against the errors
+MIN_SQUARED_ERROR = 1.0e-8  # m^2, m^2, rad^2
 MAX_WEIGHT = 1.0  # s; longest time that one score represents, also after a pause
 MAX_WAITING = 10_000  # number of predictions stored until their scores arrive
 
@@ -42,13 +44,14 @@ class AdaptiveBand:
 
     def __init__(self, time: np.ndarray, band: Band | None = None, levels: Sequence[float] = LEVELS):
         self._time, self._band, self.is_calibrated = np.asarray(time, float), band, band is not None
-        self._logs = {}
+        self._logs = {}  # logarithm of the factor, by level
+        known = {} if band is None else band.factors
         for level in sorted(levels):
             # Without a factor of this level, that of the nearest level is scaled by the ratio of the default factors.
-            known = {} if band is None else band.factors
+            default = _interpolate_default(level)
             nearest = min(known, key=lambda other: abs(other - level), default=level)
-            factor = known.get(nearest, _default_factor(level)) * _default_factor(level) / _default_factor(nearest)
-            self._logs[level] = math.log(known.get(level, factor))
+            ratio = default / _interpolate_default(nearest)
+            self._logs[level] = math.log(known.get(nearest, default) * ratio)
         self._squares = np.square(np.outer(self._time**2, DEFAULT_SCALE))
         self._weight = self._elapsed = 0.0
         self._last_ns: int | None = None
@@ -105,8 +108,8 @@ class AdaptiveBand:
             self._logs[level] = min(max(updated, math.log(MIN_FACTOR)), math.log(MAX_FACTOR))
         if self._band is None:  # the running mean square of the errors, forgotten after SCALE_FORGETTING
             self._weight = min(self._weight + weight, SCALE_FORGETTING)
-            share = weight / (self._weight + 5.0)
-            self._squares += share * (np.maximum(np.square(errors), 1.0e-8) - self._squares)
+            share = weight / (self._weight + PRIOR_WEIGHT)
+            self._squares += share * (np.maximum(np.square(errors), MIN_SQUARED_ERROR) - self._squares)
         return {level: score <= issued for level, issued in factors.items()}
 
     def follow(self, starts_ns: np.ndarray, conditions: np.ndarray,
@@ -131,5 +134,6 @@ class AdaptiveBand:
         return {level: np.array(values) for level, values in factors.items()}, scales
 
 
-def _default_factor(level: float) -> float:
+def _interpolate_default(level: float) -> float:
+    """DEFAULT_FACTORS at any level."""
     return float(np.interp(level, list(DEFAULT_FACTORS), list(DEFAULT_FACTORS.values())))

@@ -28,12 +28,12 @@ from .scale import Scale, fit_scale
 ROUNDING = 1.0e-9  # tolerance for rounding errors of levels
 
 
-def highest_level(runs: int) -> float:
+def compute_highest_level(runs: int) -> float:
     """The highest level that this number of runs supports, n/(n + 1) [1]."""
     return runs / (runs + 1.0)
 
 
-def runs_needed(level: float) -> int:
+def count_runs_needed(level: float) -> int:
     """Minimum number of runs that support a level in (0, 1): the smallest n with n/(n + 1) >= level."""
     return max(1, math.ceil(level / (1.0 - level) - ROUNDING))
 
@@ -45,13 +45,13 @@ def check_levels(levels: Sequence[float], runs: int) -> None:
     for level in levels:
         if not 0.0 < level < 1.0:
             raise StCoreError(f"level {level:g}: must be between 0 and 1")
-        if level > highest_level(runs) + ROUNDING:
-            support = f"run{' supports' if runs == 1 else 's support'} at most {highest_level(runs):.1%}, n/(n + 1)"
-            raise StCoreError(f"{runs} {support}, not {level:.0%}: give {runs_needed(level)} runs or more, or a lower "
-                              "--level")
+        if level > compute_highest_level(runs) + ROUNDING:
+            verb = "run supports" if runs == 1 else "runs support"
+            raise StCoreError(f"{runs} {verb} at most {compute_highest_level(runs):.1%}, n/(n + 1), not {level:.0%}: "
+                              f"give {count_runs_needed(level)} runs or more, or a lower --level")
 
 
-def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> np.ndarray:
+def compute_conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> np.ndarray:
     """Factors c of the levels, (levels,) [1]; see the module. scores: for each run, the scores of its windows [1].
 
     Raises StCoreError for scores that are not finite, a run without scores, and as `check_levels`.
@@ -79,7 +79,7 @@ def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> 
 
 
 LEVELS = (0.5, 0.9)
-RELIABILITY = tuple(round(0.05 * k, 2) for k in range(1, 20))  # levels of `Band.ratios` and of the reliability diagram
+RELIABILITY_LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))  # of `Band.ratios` and the reliability diagram
 FOLDS = 5  # largest number of groups of runs in cross-fitting
 MIN_RUNS = 3  # the calibration domain of a scored run requires two other runs
 
@@ -96,7 +96,7 @@ class Band:
         """Half-widths (n, points, 3) along, across [m] and in yaw [rad], without the start, under conditions (n, 4)."""
         return self.factors[level] * self.scale(conditions)
 
-    def scores(self, conditions: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    def compute_scores(self, conditions: np.ndarray, errors: np.ndarray) -> np.ndarray:
         """Smallest factor (n, points) with which errors (n, points, 3) are inside the band in all axes."""
         return (np.abs(errors) / self.scale(conditions)).max(axis=2)
 
@@ -135,11 +135,11 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
         except StCoreError as error:
             raise StCoreError(f"{len(runs) - len(scores)} of {len(runs)} runs were driven under conditions that "
                               f"fewer than two other runs have; {error}") from None
-    levels = sorted({*levels, *(level for level in RELIABILITY if level <= highest_level(len(scores)))})
-    factors = dict(zip(levels, conformal_factors(scores, levels).tolist(), strict=True))
+    levels = sorted({*levels, *(level for level in RELIABILITY_LEVELS if level <= compute_highest_level(len(scores)))})
+    factors = dict(zip(levels, compute_conformal_factors(scores, levels).tolist(), strict=True))
     # Quantiles of the mean distribution function of the runs.
     pooled = np.concatenate([np.quantile(ratio, np.linspace(0.0, 1.0, 201), axis=0) for ratio in ratios])
-    return Band(_fit_scale_of(runs, pair, time), factors, np.quantile(pooled, RELIABILITY, axis=0).T)
+    return Band(_fit_scale_of(runs, pair, time), factors, np.quantile(pooled, RELIABILITY_LEVELS, axis=0).T)
 
 
 def _fit_scale_of(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray) -> Scale:

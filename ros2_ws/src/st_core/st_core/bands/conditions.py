@@ -40,11 +40,11 @@ def conditions(velocity_x: float | np.ndarray, yaw_rate: float | np.ndarray, vel
                activity: float | np.ndarray) -> np.ndarray:
     """Conditions (..., 4), columns as CONDITIONS, from velocity_x [m/s], yaw_rate [rad/s] and velocity_x_dot [m/s^2] at
     the INS point, and `steering_activity` [rad/s]."""
-    parts = np.broadcast_arrays(*magnitudes(*map(np.asarray, (velocity_x, yaw_rate, velocity_x_dot, activity))))
+    parts = np.broadcast_arrays(*compute_magnitudes(*map(np.asarray, (velocity_x, yaw_rate, velocity_x_dot, activity))))
     return np.stack([np.asarray(part, float) for part in parts], axis=-1)
 
 
-def magnitudes(velocity_x: Any, yaw_rate: Any, velocity_x_dot: Any, activity: Any) -> tuple[Any, ...]:
+def compute_magnitudes(velocity_x: Any, yaw_rate: Any, velocity_x_dot: Any, activity: Any) -> tuple[Any, ...]:
     """The four conditions as separate arrays, or as floats, which take a tenth of the time for one start."""
     return abs(velocity_x), abs(velocity_x * yaw_rate), abs(velocity_x_dot), abs(activity)
 
@@ -63,7 +63,7 @@ CELL_EDGES = {CONDITIONS.index("speed"): SPEED_EDGES,
 """Edges of the cells by column of the conditions."""
 
 
-def cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def find_cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cells of conditions (n, 4): indices (n,) of the bins of speed, and of lateral acceleration."""
     row, column = (np.searchsorted(edges, conditions[:, k], side="right") - 1 for k, edges in CELL_EDGES.items())
     return row, column
@@ -81,7 +81,7 @@ class CalibrationDomain:
         """The domain of conditions (n, 4), one array for each run."""
         starts = np.zeros((len(conditions), *map(len, CELL_EDGES.values())), int)
         for run, counts in zip(conditions, starts, strict=True):
-            np.add.at(counts, cells(run), 1)
+            np.add.at(counts, find_cells(run), 1)
         enough = (starts >= MIN_STARTS).sum(axis=0) >= MIN_RUNS
         rows = np.concatenate(conditions)
         return cls(np.where(enough, starts.sum(axis=0), 0), (float(rows[:, 2].max()), float(rows[:, 3].max())))
@@ -90,7 +90,7 @@ class CalibrationDomain:
         """(n,) bool: whether conditions (n, 4) are in the domain; False where one is NaN."""
         known = np.isfinite(conditions).all(axis=1)
         rows = np.where(known[:, None], conditions, 0.0)
-        return known & (self.starts[cells(rows)] > 0) & (rows[:, 2:] <= self.largest).all(axis=1)
+        return known & (self.starts[find_cells(rows)] > 0) & (rows[:, 2:] <= self.largest).all(axis=1)
 
     def describe_outside(self, condition: Sequence[float]) -> str:
         """One-line reason why four conditions are outside the domain; empty if they are inside."""

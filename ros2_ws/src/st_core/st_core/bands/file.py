@@ -28,7 +28,7 @@ from ..yaml_text import check_keys, format_number, load, quote
 from .calibration import Band
 from .conditions import CalibrationDomain
 from .samples import ModelMode
-from .scale import Scale, features, knots_of
+from .scale import Scale, compute_features, make_knots
 
 SCHEMA = 2
 HEADER = "# Prediction bands by model and mode. Written by `st calibrate`.\n"
@@ -57,7 +57,7 @@ class Bands:
     @property
     def time(self) -> np.ndarray:
         """Times (points,) of the half-widths [s ahead], without the start at 0."""
-        return times(self.settings["horizon"], self.settings["step"])
+        return make_times(self.settings["horizon"], self.settings["step"])
 
     def half_widths(self, model: str, mode: str, conditions: np.ndarray, level: float) -> np.ndarray:
         """Half-widths (n, points + 1, 3) along and across the predicted path [m] and in yaw [rad], 0 at the start.
@@ -91,7 +91,7 @@ class Bands:
             if model not in self.hashes:
                 raise ConfigurationError(f"bands.{model}: missing; the file has {', '.join(self.models)}; calibrate "
                                          "with that model")
-            if configuration_of(vehicle, self.settings, digest) != self.hashes[model]:
+            if hash_configuration(vehicle, self.settings, digest) != self.hashes[model]:
                 raise ConfigurationError(f"bands.{model}: calibrated with another model file of that name; calibrate "
                                          "with this one")
 
@@ -107,14 +107,14 @@ class Bands:
             "recordings": dict(self.recordings), "runs": self.runs,
             "seen": {"starts": self.domain.starts.tolist(), "most": list(self.domain.largest)}, "bands": entries}
         lines = [HEADER + f"schema: {SCHEMA}", f"units: {json.dumps(UNITS)}"]
-        lines += [f"{key}: {_flow(document[key])}" for key in ("vehicle", "settings", "runs", "seen")]
-        lines += ["recordings:", *(f"  {_flow(k)}: {_flow(v)}" for k, v in document["recordings"].items())]
+        lines += [f"{key}: {_to_flow(document[key])}" for key in ("vehicle", "settings", "runs", "seen")]
+        lines += ["recordings:", *(f"  {_to_flow(k)}: {_to_flow(v)}" for k, v in document["recordings"].items())]
         lines.append("bands:")
         for model, entry in document["bands"].items():
-            lines += [f"  {model}:", f"    configuration_hash: {_flow(entry['configuration_hash'])}"]
+            lines += [f"  {model}:", f"    configuration_hash: {_to_flow(entry['configuration_hash'])}"]
             for mode in (m for m in MODES if m in entry):
-                lines += [f"    {mode}:", *(f"      {k}: {_flow(v)}" for k, v in entry[mode].items())]
-        return "\n".join([*lines, f"hash: {_flow(_digest(document))}"]) + "\n"
+                lines += [f"    {mode}:", *(f"      {k}: {_to_flow(v)}" for k, v in entry[mode].items())]
+        return "\n".join([*lines, f"hash: {_to_flow(_digest(document))}"]) + "\n"
 
     @classmethod
     def from_yaml(cls, text: str, origin: str = "bands") -> "Bands":
@@ -138,15 +138,15 @@ class Bands:
         if _digest(content) != document["hash"]:
             raise ConfigurationError("hash: the content was edited; run st calibrate again")
         settings = document["settings"]
-        time = times(settings["horizon"], settings["step"])
+        time = make_times(settings["horizon"], settings["step"])
         bands: dict[ModelMode, Band] = {}
         hashes = {}
         for model, entry in document["bands"].items():
             hashes[model] = str(entry["configuration_hash"])
             for mode in (m for m in MODES if m in entry):
                 of_mode = entry[mode]
-                coefficients, knots = np.array(of_mode["coefficients"], float), knots_of(float(time[-1]))
-                if coefficients.shape != (3, len(knots), features(np.zeros((1, 4))).shape[1]):
+                coefficients, knots = np.array(of_mode["coefficients"], float), make_knots(float(time[-1]))
+                if coefficients.shape != (3, len(knots), compute_features(np.zeros((1, 4))).shape[1]):
                     raise ConfigurationError("coefficients: written by another version; calibrate again")
                 scale = Scale(coefficients, np.array(of_mode["floor"], float), time, knots)
                 bands[model, mode] = Band(scale, {float(k): float(v) for k, v in of_mode["factors"].items()},
@@ -157,25 +157,25 @@ class Bands:
                    int(document["runs"]), domain, bands, hashes)
 
 
-def times(horizon: float, step: float) -> np.ndarray:
+def make_times(horizon: float, step: float) -> np.ndarray:
     """Times (points,) of the horizon without the start [s]."""
     return step * np.arange(1, round(horizon / step) + 1)
 
 
-def configuration_of(vehicle: VehicleParameters, settings: Mapping[str, Any], model_hash: str) -> str:
+def hash_configuration(vehicle: VehicleParameters, settings: Mapping[str, Any], model_hash: str) -> str:
     """The configuration hash of predictions with these settings. model_hash: "" for a model of the paper."""
     prediction = EvaluationSettings().prediction
     return configuration_hash(vehicle, type(prediction)(**{key: settings[key] for key in vars(prediction)}), model_hash)
 
 
-def _flow(value: Any) -> str:
+def _to_flow(value: Any) -> str:
     """A value as JSON, which is valid YAML; floats have a decimal point, since YAML reads 1e-05 as text."""
     if isinstance(value, float):
         return format_number(value)
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{quote(str(k))}: {_flow(v)}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(f"{quote(str(k))}: {_to_flow(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list):
-        return "[" + ", ".join(map(_flow, value)) + "]"
+        return "[" + ", ".join(map(_to_flow, value)) + "]"
     return json.dumps(value, ensure_ascii=False)
 
 

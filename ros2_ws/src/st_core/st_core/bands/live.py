@@ -27,10 +27,10 @@ from ..measurement_history import DERIVATIVE, VELOCITY_X, YAW_RATE, MeasurementH
 from ..timeseries import NANOSECOND
 from .adaptive import AdaptiveBand
 from .calibration import LEVELS
-from .conditions import activity_instants, magnitudes, steering_activity
+from .conditions import activity_instants, compute_magnitudes, steering_activity
 from .file import Bands
 from .samples import ModelMode, to_predicted_frame
-from .scale import features_of_one, floor_at, interpolation_matrix
+from .scale import compute_floor, compute_scalar_features, make_interpolation_matrix
 
 HalfWidths = dict[tuple[str, float], np.ndarray]
 """Half-widths (points + 1, 3) along, across [m] and in yaw [rad], float32, 0 at the start, by (mode, level)."""
@@ -41,7 +41,7 @@ def conditions_now(history: MeasurementHistory, time_ns: int) -> tuple[float, ..
     row = history.ins.row_at(time_ns)
     activity = float(steering_activity(history.steering.sample(activity_instants(time_ns))[:, 0]))
     velocity, rate, acceleration = (math.nan if row is None else row[k] for k in (VELOCITY_X, YAW_RATE, DERIVATIVE))
-    return magnitudes(velocity, rate, acceleration, activity)
+    return compute_magnitudes(velocity, rate, acceleration, activity)
 
 
 class LiveBands:
@@ -58,10 +58,10 @@ class LiveBands:
         chosen = [bands.bands[pair] for pair in pairs]
         self.levels = tuple(level for level in LEVELS if all(level in band.factors for band in chosen))
         scale = chosen[0].scale
-        self._interpolation = interpolation_matrix(scale.knots, scale.time).T
+        self._interpolation = make_interpolation_matrix(scale.knots, scale.time).T
         coefficients = np.concatenate([2.0 * band.scale.coefficients for band in chosen])
         self._coefficients = coefficients.reshape(-1, coefficients.shape[-1])
-        self._floor = np.square(np.concatenate([floor_at(band.scale.floor, band.scale.time).T for band in chosen]))
+        self._floor = np.square(np.concatenate([compute_floor(band.scale.floor, band.scale.time).T for band in chosen]))
         factors = np.array([[band.factors[level] for band in chosen] for level in self.levels], np.float32)
         self._factors = factors.repeat(3, axis=1)[:, :, None]
         widths = np.zeros((len(self.levels), len(chosen), 3, len(scale.time) + 1), np.float32)
@@ -76,7 +76,7 @@ class LiveBands:
         if not self.domain(np.array([condition]))[0]:
             return False
         # Clipping at the few knots also limits the interpolated values.
-        logs = (self._coefficients @ features_of_one(condition)).clip(-60.0, 60.0)
+        logs = (self._coefficients @ compute_scalar_features(condition)).clip(-60.0, 60.0)
         scale = np.exp(logs.reshape(-1, len(self._interpolation)) @ self._interpolation)
         scale += self._floor
         np.sqrt(scale, out=scale)
@@ -84,7 +84,7 @@ class LiveBands:
         np.multiply(self._factors, scale.astype(np.float32), out=self._ahead)
         return True
 
-    def scale_of(self, pair: ModelMode) -> np.ndarray | None:
+    def get_scale(self, pair: ModelMode) -> np.ndarray | None:
         """Scale (points, 3) along, across [m] and in yaw [rad] of the last update; None without a calibration."""
         row = self._row.get(pair)
         return None if row is None else self._scale[3 * row:3 * row + 3].T
@@ -127,7 +127,7 @@ class AdaptiveBands:
         for model, half_widths in self.half_widths.items():
             for mode in modes:
                 pair = model, mode
-                scale = self._calibrated.scale_of(pair) if self._calibrated and not reason else None
+                scale = self._calibrated.get_scale(pair) if self._calibrated and not reason else None
                 band = self._bands[pair]
                 if reason and band.is_calibrated:
                     continue
@@ -164,7 +164,7 @@ class BandCoverage:
     evidence: float = 0.0  # S, see module
     _last_ns: int | None = None
 
-    def share(self, level: float) -> float:
+    def coverage_at(self, level: float) -> float:
         """Observed coverage of a level; NaN without scored windows."""
         return self.inside[level] / self.n if level in self.inside else math.nan
 
@@ -212,10 +212,10 @@ class CoverageMonitor:
 
     def describe_warnings(self) -> str:
         """One-line warning of bands with coverage significantly below the nominal level; empty if there are none."""
-        found = [f"{mode} of {model} ({coverage.share(level):.0%} so far, nominal level {level:.0%})"
-                 for (model, mode), coverage in self.by_pair.items() if coverage.warns
-                 for level in [max(coverage.inside)]]
-        if not found:
-            return ""
+        found = []
+        for (model, mode), coverage in self.by_pair.items():
+            if coverage.warns:
+                level = max(coverage.inside)
+                found.append(f"{mode} of {model} ({coverage.coverage_at(level):.0%} so far, nominal level {level:.0%})")
         return (f"coverage of bands is far below the nominal level: {', '.join(found)}; has the car, the road or the "
-                "driving changed?")
+                "driving changed?") if found else ""

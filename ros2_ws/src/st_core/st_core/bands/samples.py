@@ -13,7 +13,7 @@ from ..readings import correct_log
 from ..timeseries import NANOSECOND, half_step_grid
 from ..vehicle import VehicleParameters
 from .conditions import conditions_at
-from .scale import evenly_spaced
+from .scale import select_evenly
 
 STARTS_PER_RUN = 1000  # more predictions overlap more and need 1.2 kB each per model and mode
 ModelMode = tuple[str, str]  # (model, mode); errors in hindsight are due to the model, in a forecast also to the driver
@@ -45,8 +45,8 @@ def to_predicted_frame(errors: np.ndarray) -> np.ndarray:
     return np.stack([along, across, errors[..., 2]], axis=-1)
 
 
-def error_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
-                  settings: EvaluationSettings) -> ErrorSamples:
+def compute_error_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
+                          settings: EvaluationSettings) -> ErrorSamples:
     """Error curves of one drive from at most STARTS_PER_RUN starts with known conditions and a measured horizon.
 
     Raises a one-line StCoreError for a drive without such a start, and NotFiniteError.
@@ -60,7 +60,7 @@ def error_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: 
                               settings.prediction.minimum_speed)
     conditions = conditions_at(signals, starts)
     starts = starts[np.isfinite(conditions).all(axis=1) & _is_measured(models, signals, starts, settings)]
-    starts = starts[evenly_spaced(len(starts), STARTS_PER_RUN)]
+    starts = starts[select_evenly(len(starts), STARTS_PER_RUN)]
     scored: list[np.ndarray] = []
     parts: dict[ModelMode, list[np.ndarray]] = {}
     for rows, block in evaluate_blocks(models, vehicle, signals, starts, settings):

@@ -39,7 +39,7 @@ _PAIRS = tuple(itertools.combinations_with_replacement(range(4), 2))
 _LEFT, _RIGHT = np.array(_PAIRS).T
 
 
-def features(conditions: np.ndarray) -> np.ndarray:
+def compute_features(conditions: np.ndarray) -> np.ndarray:
     """Features phi (..., 20), of magnitude about 1, of the conditions (..., 4) in `conditions.CONDITIONS`.
 
     1; the four logarithms  log(v / 10 m/s),  log((a_y + 0.3 m/s^2) / 1.5 m/s^2),  log((a_x + 0.2 m/s^2) / 0.6 m/s^2),
@@ -51,8 +51,8 @@ def features(conditions: np.ndarray) -> np.ndarray:
     return np.concatenate([np.ones_like(z[..., :1]), logs, logs[..., _LEFT] * logs[..., _RIGHT], splines], axis=-1)
 
 
-def features_of_one(condition: Sequence[Any], log: Callable[[Any], Any] = math.log,
-                    largest: Callable[[Any, Any], Any] = max) -> list[Any]:
+def compute_scalar_features(condition: Sequence[Any], log: Callable[[Any], Any] = math.log,
+                            largest: Callable[[Any, Any], Any] = max) -> list[Any]:
     """`features` of the four conditions of one start as floats, in half the time (a third with cold caches).
 
     log, largest: functions for another number type, such as CasADi's symbols.
@@ -63,17 +63,17 @@ def features_of_one(condition: Sequence[Any], log: Callable[[Any], Any] = math.l
     return [1.0, *logs, *(logs[k] * logs[m] for k, m in _PAIRS), *splines]
 
 
-def knots_of(horizon: float) -> np.ndarray:
+def make_knots(horizon: float) -> np.ndarray:
     """Knots of a horizon [s]."""
     return np.array(KNOTS) * (horizon / KNOTS[-1])
 
 
-def interpolation_matrix(knots: np.ndarray, time: np.ndarray) -> np.ndarray:
+def make_interpolation_matrix(knots: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Matrix (time, knots) for interpolation from knots to times ahead [s, > 0]: linear in log t, constant outside."""
     return np.stack([np.interp(np.log(time), np.log(knots), row) for row in np.eye(len(knots))], axis=-1)
 
 
-def floor_at(floor: np.ndarray, time: np.ndarray) -> np.ndarray:
+def compute_floor(floor: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Floor (points, 3) [m, m, rad] at times ahead (points,). floor: (2, 3), its constant part, and the value of its
     part proportional to time at the end of the horizon."""
     return np.hypot(floor[0], floor[1] * (time / time[-1])[:, None])
@@ -90,23 +90,23 @@ class Scale:
 
     @cached_property
     def _interpolation(self) -> np.ndarray:
-        return interpolation_matrix(self.knots, self.time)
+        return make_interpolation_matrix(self.knots, self.time)
 
     def __call__(self, conditions: np.ndarray) -> np.ndarray:
         """s (n, points, 3) [m, m, rad] under conditions (n, 4)."""
-        phi = features(conditions)
+        phi = compute_features(conditions)
         logs = phi @ self.coefficients.reshape(-1, phi.shape[-1]).T  # (n, 3 * knots)
         logs = logs.reshape(len(phi), *self.coefficients.shape[:2]).transpose(0, 2, 1)
         sigma = np.exp(np.clip(self._interpolation @ logs, -30.0, 30.0))
-        return np.hypot(sigma, floor_at(self.floor, self.time))
+        return np.hypot(sigma, compute_floor(self.floor, self.time))
 
 
 def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], time: np.ndarray) -> Scale:
     """Scale of the errors of several runs. conditions, errors: (n, 4) and (n, points, 3) for each run. time: (points,)
     ahead [s]. Raises StCoreError if the fit fails."""
-    knots = knots_of(float(time[-1]))
-    selected = [evenly_spaced(len(run)) for run in conditions]
-    phi = np.concatenate([features(run[rows]) for run, rows in zip(conditions, selected, strict=True)])
+    knots = make_knots(float(time[-1]))
+    selected = [select_evenly(len(run)) for run in conditions]
+    phi = np.concatenate([compute_features(run[rows]) for run, rows in zip(conditions, selected, strict=True)])
     weights = np.concatenate([np.full(len(rows), 1.0 / (len(rows) * len(selected))) for rows in selected])
     squares = [np.maximum(np.square(run[rows].astype(float)), np.square(ERROR_RESOLUTION))
                for run, rows in zip(errors, selected, strict=True)]
@@ -127,7 +127,7 @@ def _fit_gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndar
     ridge[0] = 0.0
     regularisation = 0.02 * phi.T @ (weights[:, None] * phi) + 2.0 * np.diag(ridge[:, 0]) + 1.0e-9 * np.eye(len(ridge))
 
-    def loss(c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def evaluate_loss(c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(loss (m,), its derivative (features, m), e^2 / sigma^2 (n, m))."""
         eta = phi @ c
         ratio = squares * np.exp(-2.0 * np.clip(eta, -30.0, 30.0))
@@ -136,14 +136,14 @@ def _fit_gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndar
 
     c = np.zeros((phi.shape[1], squares.shape[1]))
     c[0] = 0.5 * np.log(weights @ squares)  # log of the root mean square error of all starts
-    value, slope, ratio = loss(c)
+    value, slope, ratio = evaluate_loss(c)
     for _ in range(MAX_STEPS):
         if np.abs(slope).max() < TOLERANCE:
             return c
         hessian = np.stack([phi.T @ ((2.0 * weights * column)[:, None] * phi) for column in ratio.T]) + regularisation
         step, share = np.linalg.solve(hessian, slope.T[:, :, None])[:, :, 0].T, np.ones(c.shape[1])
         for _ in range(MAX_HALVINGS):
-            tried, tried_slope, tried_ratio = loss(c - share * step)
+            tried, tried_slope, tried_ratio = evaluate_loss(c - share * step)
             worse = ~(tried <= value + 1.0e-12)
             if not worse.any():
                 break
@@ -153,6 +153,6 @@ def _fit_gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndar
                       "of a few starts larger by orders of magnitude?")
 
 
-def evenly_spaced(count: int, limit: int = FIT_STARTS) -> np.ndarray:
+def select_evenly(count: int, limit: int = FIT_STARTS) -> np.ndarray:
     """Indices of at most `limit` of `count` rows, evenly spaced."""
     return np.arange(count) if count <= limit else np.linspace(0, count - 1, limit).round().astype(int)

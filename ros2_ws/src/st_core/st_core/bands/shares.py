@@ -27,7 +27,7 @@ from ..readings import predict_readings
 from ..regression import white_noise
 from ..types import map_to_body, wrap_angle
 from ..vehicle import VehicleParameters, value_of
-from .scale import evenly_spaced
+from .scale import select_evenly
 
 PARAMETERS, SENSORS = "parameters", "sensors and start"
 STARTS = 200  # largest number of starts of a run; neighbouring starts are redundant
@@ -37,8 +37,9 @@ Intervals = Mapping[tuple[str, str], tuple[float, float]]  # 95 % interval by ef
 Cause = tuple[str, str]  # (PARAMETERS or SENSORS, name)
 
 
-def squared_contributions(model: Model, vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
-                          intervals: Intervals | None = None) -> tuple[int, np.ndarray, dict[Cause, np.ndarray]]:
+def sum_squared_contributions(
+        model: Model, vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
+        intervals: Intervals | None = None) -> tuple[int, np.ndarray, dict[Cause, np.ndarray]]:
     """(number of starts, squared errors, squared contributions by cause) of one run.
 
     Squares are summed over all starts: (seconds, 3) [m^2, m^2, rad^2], along, across and in yaw at 1, 2, ... s ahead.
@@ -47,32 +48,32 @@ def squared_contributions(model: Model, vehicle: VehicleParameters, signals: Log
     seconds = np.arange(1, int(settings.prediction.horizon + 1e-9) + 1, dtype=float)
     starts, _ = usable_starts(signals, vehicle, regular_starts(signals.log, settings.interval),
                               settings.prediction.minimum_speed)
-    starts = starts[evenly_spaced(len(starts), STARTS)]
+    starts = starts[select_evenly(len(starts), STARTS)]
 
-    def batch(drive: LogSignals) -> LogBatch:
+    def make_batch(drive: LogSignals) -> LogBatch:
         return LogBatch(drive, starts, settings.prediction.horizon, settings.prediction.step, points=seconds.tolist())
 
-    def path(drive: LogSignals, changed: Model, car: VehicleParameters) -> np.ndarray:
-        states = batch(drive).predict(changed, car).states
+    def predict_path(drive: LogSignals, changed: Model, car: VehicleParameters) -> np.ndarray:
+        states = make_batch(drive).predict(changed, car).states
         with np.errstate(all="ignore"):
             r = predict_readings(changed, car, tuple(np.moveaxis(states, -1, 0)))
             return np.stack([r.x, r.y, r.yaw])
 
-    measured = batch(signals)
-    errors, base = measured.errors(measured.predict(model, vehicle)), path(signals, model, vehicle)
+    measured = make_batch(signals)
+    errors, base = measured.errors(measured.predict(model, vehicle)), predict_path(signals, model, vehicle)
     complete = np.isfinite(errors).all(axis=(1, 2))
     # Predictions with each cause one standard deviation lower and higher.
     ends: dict[Cause, list[np.ndarray]] = {}
     for key, cars in _vary_vehicle(vehicle).items():
-        wheel = signals.log.steering_wheel_angle
-        ends[PARAMETERS, key] = [path(signals if wheel is None else settings.signals(signals.log.with_steering(car)),
-                                      model, car) for car in cars]
+        drives = [signals if signals.log.steering_wheel_angle is None
+                  else settings.signals(signals.log.with_steering(car)) for car in cars]
+        ends[PARAMETERS, key] = [predict_path(drive, model, car) for drive, car in zip(drives, cars, strict=True)]
     for key, models in _vary_model(model, intervals or {}).items():
-        ends[PARAMETERS, key] = [path(signals, changed, vehicle) for changed in models]
+        ends[PARAMETERS, key] = [predict_path(signals, changed, vehicle) for changed in models]
     noise = {name: white_noise(getattr(signals.log, name)) if len(signals.log.x) > 3 else 0.0 for name in INS_SIGNALS}
     for name, sigma in noise.items():
         shifted = [replace(signals.log, **{name: getattr(signals.log, name) + by}) for by in (-sigma, sigma)]
-        ends[SENSORS, f"{name} at the start"] = [path(settings.signals(log), model, vehicle) for log in shifted]
+        ends[SENSORS, f"{name} at the start"] = [predict_path(settings.signals(log), model, vehicle) for log in shifted]
     squares: dict[Cause, np.ndarray] = {}
     for cause, (low_end, high_end) in ends.items():
         moved = np.stack([*map_to_body(0.5 * (high_end[0] - low_end[0]), 0.5 * (high_end[1] - low_end[1]), base[2]),

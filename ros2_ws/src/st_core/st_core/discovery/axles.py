@@ -9,8 +9,15 @@ from ..augmented import AugmentedModel
 from ..effects import COMBINATIONS, EFFECTS, TOTAL_DELAY, get_effect
 from ..errors import StCoreError
 from ..handling import stability_factor
-from ..identification.axle_curve import axle_curve, axle_force, axle_forces, draw_models, force_error, valid_models
-from ..identification.cornering_stiffness import axle_regressions
+from ..identification.axle_curve import (
+    compute_axle_force,
+    compute_axle_forces,
+    compute_force_error,
+    draw_models,
+    make_axle_curve,
+    select_valid_models,
+)
+from ..identification.cornering_stiffness import fit_axle_regressions
 from ..log import DriveLog
 from ..readings import correct_log
 from ..sideslip import steady_velocity_y
@@ -48,8 +55,9 @@ class Axles:
             angle = corrected.inputs(log.road_wheel_angle, np.zeros(len(log.road_wheel_angle)), p)[0]
             log = replace(log, road_wheel_angle=np.asarray(angle), steering_wheel_angle=None)
             logs.append(log if self.sideslip else replace(log, velocity_y=steady_velocity_y(log, car)))
-        self.regressions = axle_regressions(logs, car)
-        self.near = valid_models([problem.space.at(vector) for vector in near], vehicle) if joint is not None else []
+        self.regressions = fit_axle_regressions(logs, car)
+        self.near = ([] if joint is None else
+                     select_valid_models([problem.space.at(vector) for vector in near], vehicle))
         self.draws: list[AugmentedModel] = []
         if joint is not None:
             inside = joint.indices < len(problem.space) - 1  # the last parameter is the gain of the accelerometer
@@ -63,8 +71,8 @@ class Axles:
 
     def curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
         """`ForceCurve` of each axle in the slip range of the drives. base: model for its `file` values."""
-        found = (axle_curve(self.model, self.vehicle, regression.axle, regression.samples.slip, self.draws, base,
-                            also=self.near) for regression in self.regressions)
+        found = (make_axle_curve(self.model, self.vehicle, regression.axle, regression.samples.slip, self.draws, base,
+                                 alternatives=self.near) for regression in self.regressions)
         return tuple(ForceCurve(c.axle, *(tuple(values.tolist()) for values in (
             c.slip, c.force, c.low, c.high, c.file, c.density))) for c in found)
 
@@ -83,7 +91,7 @@ class Axles:
         found = {}
         for regression in self.regressions:
             slip = np.linspace(0.0, MAX_SLIP, 61)
-            force = axle_force(self.model, self.vehicle, regression.axle, slip)
+            force = compute_axle_force(self.model, self.vehicle, regression.axle, slip)
             largest = float(np.quantile(np.abs(regression.samples.slip), 0.995))
             reached = float(np.interp(largest, slip, np.maximum.accumulate(force)))
             found[regression.axle] = reached / max(float(force.max()), 1.0)
@@ -93,11 +101,11 @@ class Axles:
         """The effects among `names` that change the force of an axle at the slip angles of the drives."""
         samples = next(regression.samples for regression in self.regressions if regression.axle == axle)
         slip = np.quantile(np.abs(samples.slip), (0.5, 0.95))
-        force = axle_force(self.model, self.vehicle, axle, slip)
+        force = compute_axle_force(self.model, self.vehicle, axle, slip)
         acting = []
         for name in names:
             without = self.problem.space.at(self.problem.vector_without(self.fit, name))
-            if np.abs(axle_force(without, self.vehicle, axle, slip) / force - 1.0).max() > MIN_FORCE_CHANGE:
+            if np.abs(compute_axle_force(without, self.vehicle, axle, slip) / force - 1.0).max() > MIN_FORCE_CHANGE:
                 acting.append(name)
         return tuple(acting)
 
@@ -118,7 +126,7 @@ class Axles:
                 samples = replace(regression.samples, **{name: getattr(regression.samples, name)[of_run]
                                                          for name in ("slip", "force", "run_of", "time", "used")})
                 without = self.model.with_values(leave_one_out.get(run.name, {}))
-                sums += [force_error(m, self.vehicle, samples) ** 2 for m in (without, base)]
+                sums += [compute_force_error(m, self.vehicle, samples) ** 2 for m in (without, base)]
             if sums[0] > sums[1]:
                 found.append(regression.axle)
         return tuple(found)
@@ -129,7 +137,7 @@ def _combined(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
     car = model.effective_vehicle(vehicle)
     limits = VEHICLE_QUANTITIES["cornering_stiffness_front"]  # random draws are clipped to these
     front, rear = (min(max(float(force[0]) / SMALL_SLIP, limits.minimum), limits.maximum)
-                   for force in axle_forces(model, vehicle, np.array([SMALL_SLIP])))
+                   for force in compute_axle_forces(model, vehicle, np.array([SMALL_SLIP])))
     understeer = stability_factor(replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear))
     gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))
     w = model.inputs(1.0 / vehicle.steering_ratio, 0.0, model.parameters(vehicle))

@@ -16,11 +16,11 @@ from ..augmented import AugmentedModel
 from ..errors import ConfigurationError, StCoreError
 from ..models import Model, get_model
 from ..vehicle import VehicleParameters
-from .cornering_stiffness import SLIP_QUANTILE, AxleSamples
+from .cornering_stiffness import AXLES, SLIP_QUANTILE, AxleSamples
 
 SPEED = 20.0  # m/s, at which the curve is evaluated; above every minimum_slip_speed
 MIN_DRAWS = 20
-SECANT_STEPS = 6  # for the lateral acceleration; the error is below 0.1 % at the bounds of roll steer
+SECANT_STEPS = 6  # largest number, for the lateral acceleration; error below 0.1 % at the bounds of roll steer
 BAND = (0.05, 0.95)  # quantiles of the draws
 
 
@@ -37,7 +37,8 @@ class AxleCurve:
     density: np.ndarray  # (m - 1,) fraction of the driving between two values of slip [1], with sum 1
 
 
-def axle_forces(model: str | Model, vehicle: VehicleParameters, slip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compute_axle_forces(model: str | Model, vehicle: VehicleParameters,
+                        slip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Forces of the front and the rear axle that oppose slip angles >= 0 [rad], (n,) each [N]; see the module.
 
         v_y = l_r r + v tan(slip),   delta = atan((v_y + l_f r) / v) - slip,   r = a_y / v
@@ -54,7 +55,7 @@ def axle_forces(model: str | Model, vehicle: VehicleParameters, slip: np.ndarray
     p, car = model.parameters(vehicle), model.effective_vehicle(vehicle)
     zero = np.zeros_like(slip)
 
-    def accelerations(a_y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def compute_accelerations(a_y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(v_y_dot + v_x r [m/s^2], r_dot [rad/s^2], road wheel angle [rad]) of the model in a turn with this a_y."""
         r = a_y / SPEED
         v_y = car.cg_to_rear_axle * r + SPEED * np.tan(slip)
@@ -63,12 +64,12 @@ def axle_forces(model: str | Model, vehicle: VehicleParameters, slip: np.ndarray
         rates = model.rhs(model.start_state((zero, zero, zero + SPEED, v_y, zero, r), w, p), w, p)
         return rates[3] + SPEED * r, rates[5], angle
 
-    a_y, (resulting, yaw_acceleration, angle) = zero, accelerations(zero)
+    a_y, (resulting, yaw_acceleration, angle) = zero, compute_accelerations(zero)
     slope = zero
     for _ in range(SECANT_STEPS):
         last_a_y, last_resulting = a_y, resulting
         a_y = a_y + (resulting - a_y) / (1.0 - slope)
-        resulting, yaw_acceleration, angle = accelerations(a_y)
+        resulting, yaw_acceleration, angle = compute_accelerations(a_y)
         change = a_y - last_a_y
         slope = np.divide(resulting - last_resulting, change, out=zero.copy(), where=np.abs(change) > 1e-9)
         if np.abs(resulting - a_y).max() < 1e-6:
@@ -79,18 +80,18 @@ def axle_forces(model: str | Model, vehicle: VehicleParameters, slip: np.ndarray
     return 0.5 * (front[0] - front[1]), 0.5 * (rear[0] - rear[1])
 
 
-def axle_force(model: str | Model, vehicle: VehicleParameters, axle: str, slip: np.ndarray) -> np.ndarray:
-    """`axle_forces` of one axle ("front" or "rear")."""
-    return axle_forces(model, vehicle, slip)[axle == "rear"]
+def compute_axle_force(model: str | Model, vehicle: VehicleParameters, axle: str, slip: np.ndarray) -> np.ndarray:
+    """`compute_axle_forces` of one axle ("front" or "rear")."""
+    return compute_axle_forces(model, vehicle, slip)[AXLES.index(axle)]
 
 
-def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven_slip: np.ndarray,
-               draws: Iterable[Model] = (), original: str | Model | None = None,
-               also: Iterable[Model] = ()) -> AxleCurve:
+def make_axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven_slip: np.ndarray,
+                    draws: Iterable[Model] = (), original: str | Model | None = None,
+                    alternatives: Iterable[Model] = ()) -> AxleCurve:
     """The force curve of one axle with its band, at 41 slip angles up to the driven slip.
 
     driven_slip: (n,) measured slip angles of the axle [rad], either sign. draws: models from `draw_models`; the band is
-    their central 90 % at each slip, extended to the curves of the models `also`. original: model of the vehicle file,
+    their central 90 % at each slip, extended to the curves of `alternatives`. original: model of the vehicle file,
     by default the base model without effects. Raises StCoreError for fewer than two driven slip angles.
     """
     abs_slip = np.abs(np.asarray(driven_slip, float))
@@ -101,10 +102,10 @@ def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven
     model = get_model(model)
     if original is None:
         original = model.base if isinstance(model, AugmentedModel) else model
-    force, file = (axle_force(candidate, vehicle, axle, slip) for candidate in (model, original))
-    rows = [axle_force(candidate, vehicle, axle, slip) for candidate in draws]
+    force, file = (compute_axle_force(candidate, vehicle, axle, slip) for candidate in (model, original))
+    rows = [compute_axle_force(candidate, vehicle, axle, slip) for candidate in draws]
     low, high = np.quantile(rows, BAND, axis=0) if rows else (force, force)
-    curves = [force, *(axle_force(candidate, vehicle, axle, slip) for candidate in also)]
+    curves = [force, *(compute_axle_force(candidate, vehicle, axle, slip) for candidate in alternatives)]
     counts = np.histogram(abs_slip, slip)[0]
     return AxleCurve(axle, slip, force, np.min([low, *curves], axis=0), np.max([high, *curves], axis=0), file,
                      counts / max(int(counts.sum()), 1))
@@ -119,14 +120,14 @@ def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleP
     """
     low, high = np.array([p.bounds for _, p in model.free]).T.reshape(2, -1)
     values = np.random.default_rng(0).multivariate_normal(model.vector, covariance, count, method="eigh")
-    models = valid_models([model.with_vector(row.tolist()) for row in np.clip(values, low, high)], vehicle)
+    models = select_valid_models([model.with_vector(row.tolist()) for row in np.clip(values, low, high)], vehicle)
     if len(models) < MIN_DRAWS:
         raise StCoreError(f"{len(models)} of {count} drawn parameter sets are within the limits of a vehicle file, "
                           f"{MIN_DRAWS} are needed: the values are too uncertain")
     return models
 
 
-def valid_models(models: Iterable[AugmentedModel], vehicle: VehicleParameters) -> list[AugmentedModel]:
+def select_valid_models(models: Iterable[AugmentedModel], vehicle: VehicleParameters) -> list[AugmentedModel]:
     """The models with values within the limits of a vehicle file."""
     found = []
     for candidate in models:
@@ -138,7 +139,7 @@ def valid_models(models: Iterable[AugmentedModel], vehicle: VehicleParameters) -
     return found
 
 
-def force_error(model: str | Model, vehicle: VehicleParameters, samples: AxleSamples) -> float:
+def compute_force_error(model: str | Model, vehicle: VehicleParameters, samples: AxleSamples) -> float:
     """RMS difference between modelled and measured axle force versus slip, divided by the measured peak [1].
 
         sqrt(mean over bins of (F_model(alpha) - mean F)^2) / max |mean F|
@@ -146,4 +147,4 @@ def force_error(model: str | Model, vehicle: VehicleParameters, samples: AxleSam
     The bins of `AxleSamples.bin_forces` divide the driven |slip| evenly, so that straights do not outweigh bends.
     """
     slip, force = samples.bin_forces()
-    return float(np.sqrt(np.mean((axle_force(model, vehicle, samples.axle, slip) - force) ** 2)) / force.max())
+    return float(np.sqrt(np.mean((compute_axle_force(model, vehicle, samples.axle, slip) - force) ** 2)) / force.max())

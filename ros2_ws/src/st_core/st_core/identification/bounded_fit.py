@@ -10,7 +10,6 @@ ch. 6. Checked by: test_identification_result.py.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
@@ -40,7 +39,7 @@ class CurveFit:
     def standard_errors(self) -> np.ndarray:
         return np.sqrt(np.diag(self.covariance))
 
-    def at_bound(self, index: int) -> bool:
+    def is_at_bound(self, index: int) -> bool:
         margin = BOUND_TOLERANCE * (self.upper[index] - self.lower[index])
         return not self.lower[index] + margin < self.values[index] < self.upper[index] - margin
 
@@ -65,7 +64,7 @@ def fit_curve(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Se
 
 def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.ndarray, high: np.ndarray,
            tolerance: float, max_evaluations: int) -> OptimizeResult:
-    def jacobian(values: np.ndarray) -> np.ndarray:
+    def compute_jacobian(values: np.ndarray) -> np.ndarray:
         """Forward differences in one call of `residuals`; backward where a step would cross the upper bound."""
         steps = 1e-7 * np.maximum(np.abs(values), 1e-3)
         steps = np.where(values + steps > high, -steps, steps)
@@ -73,8 +72,8 @@ def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.nd
         return ((rows[1:] - rows[0]) / steps[:, None]).T
 
     inside = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
-    return least_squares(residuals, inside, jacobian, (low, high), x_scale="jac", xtol=0.1 * tolerance, ftol=tolerance,
-                         gtol=1e-12, max_nfev=max_evaluations)
+    return least_squares(residuals, inside, compute_jacobian, (low, high), x_scale="jac", xtol=0.1 * tolerance,
+                         ftol=tolerance, gtol=1e-12, max_nfev=max_evaluations)
 
 
 def find_interval_end(residuals: Residuals, fit: CurveFit, index: int, side: float) -> tuple[float, bool]:
@@ -93,20 +92,21 @@ def find_interval_end(residuals: Residuals, fit: CurveFit, index: int, side: flo
     others = np.arange(len(fit.values)) != index
     slope = fit.covariance[others, index] / error**2 if error > 0.0 else np.zeros(int(others.sum()))
     start = fit.values[others] + slope * side * distance
-    previous = (0.0, 0.0)  # distance, and root of the relative increase of S
+    last_distance = last_root = 0.0  # root: square root of the increase of S divided by the threshold
     for _ in range(MAX_STEPS):
+        def compute_residuals(free: np.ndarray, fixed: float = value + side * distance) -> np.ndarray:
+            return residuals(np.insert(free, index, fixed, axis=-1))
+
         # At an end of the interval, S is larger by F / (n - k), 5 % for n - k = 80; 0.01 % is a sufficient tolerance.
-        remaining = partial(lambda fixed, free: residuals(np.insert(free, index, fixed, axis=-1)),
-                            value + side * distance)
-        found = _solve(remaining, start, fit.lower[others], fit.upper[others], 1e-4, 60)
+        found = _solve(compute_residuals, start, fit.lower[others], fit.upper[others], 1e-4, 60)
         start = found.x
         root = math.sqrt(max(2.0 * found.cost - minimum, 0.0) / threshold)
         if distance >= to_bound and root < 1.0:
             return bound, True
-        if abs(root - 1.0) < END_TOLERANCE or distance == previous[0]:
+        if abs(root - 1.0) < END_TOLERANCE or distance == last_distance:
             break
-        steepness = (root - previous[1]) / (distance - previous[0])
-        previous = (distance, root)
+        steepness = (root - last_root) / (distance - last_distance)
+        last_distance, last_root = distance, root
         step = (1.0 - root) / steepness if steepness > 0.0 else distance
         # The distance stays positive and grows at most fourfold per step.
         distance = min(max(distance + step, 0.3 * distance), 4.0 * distance, to_bound)

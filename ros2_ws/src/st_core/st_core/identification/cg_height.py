@@ -28,7 +28,7 @@ from .steering_ratio import Line, fit_line
 MAX_LEVEL_PITCH = math.radians(0.5)  # rows with a smaller pitch count as level
 MIN_PITCH_RANGE = math.radians(3.0)  # in a smaller range the rear load changes by a few kg only
 MAX_PITCH = math.radians(45.0)
-BIN = math.radians(3.0)
+PITCH_BIN_WIDTH = math.radians(3.0)
 RADIUS_UNCERTAINTY = 0.003  # m; standard uncertainty of a wheel radius read from a ruler
 MAX_LOAD_DIFFERENCE = 0.02  # largest error of the rear load of the level car, divided by the mass
 
@@ -55,8 +55,7 @@ class LiftedCar:
     wheelbase_uncertainty: float = 0.0
 
 
-def pitch_from_lift(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.ndarray,
-                    wheelbase: float) -> np.ndarray:
+def compute_pitch(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.ndarray, wheelbase: float) -> np.ndarray:
     """Pitch [rad] relative to the first row, from the lift of the ground under the front wheels [m]; (n,) each.
 
         theta_k = asin((lift_k + r_front,k - r_rear,k) / l),    pitch_k = theta_k - theta_0
@@ -83,10 +82,10 @@ def identify_cg_height(data: Lift, car: LiftedCar) -> Identification:
     radius, deflection = _compute_radii(data, car, level)
     arm = car.wheelbase * line.slope / car.mass
     height = radius + arm
-    share = car.cg_to_front_axle / car.wheelbase
+    rear_share = car.cg_to_front_axle / car.wheelbase  # of the load of the level car
     uncertainty = math.hypot(
         car.wheelbase / car.mass * line.uncertainty, arm * car.mass_uncertainty / car.mass,
-        arm * car.wheelbase_uncertainty / car.wheelbase, RADIUS_UNCERTAINTY * math.hypot(1.0 - share, share))
+        arm * car.wheelbase_uncertainty / car.wheelbase, RADIUS_UNCERTAINTY * math.hypot(1.0 - rear_share, rear_share))
     single, usable = _compute_single_heights(data, car, level, radius, line)
     average = float(single[usable].mean())
     # Only the uncertainty of the slope was estimated from a few rows; the other uncertainties are known.
@@ -103,13 +102,13 @@ def identify_cg_height(data: Lift, car: LiftedCar) -> Identification:
         "cg_height", height, "m", uncertainty, interval, method, used,
         f"The CG is {height:.3f} m above the ground, {arm:.3f} m above the wheel centres; the average over the pitch "
         f"angles, the method of the paper, is {average:.3f} m.{deflection_note}")
-    edges = np.arange(0.0, data.pitch.max() + BIN, BIN)
+    edges = np.arange(0.0, data.pitch.max() + PITCH_BIN_WIDTH, PITCH_BIN_WIDTH)
     counts = np.histogram(data.pitch, edges)[0]
     coverage = Coverage("pitch", "deg", np.degrees(edges), counts, 1, 2)
     warnings = [*_check_order(data), *_check_load(data, car, level)]
     if abs(average - height) > 2.0 * uncertainty:
         warnings.append(f"The average over the pitch angles, {average:.3f} m, differs from the fit, {height:.3f} m, by "
-                        "more than twice its uncertainty: it gives small pitch angles the same weight as large ones.")
+                        "more than twice the uncertainty of the fit: the average weights all pitch angles equally.")
     figure = {"pitch": data.pitch, "rear_load": data.rear_load, "lifts": data.lifts, "single": single, "usable": usable,
               "average": average, "slope": line.slope, "intercepts": line.intercepts, "radius": radius}
     return Identification("cg-height", (estimate,), used, (), None, (coverage,), tuple(warnings), figure)
@@ -149,8 +148,8 @@ def _compute_radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float
         if not (values.min() > 0.1 and values.max() < 1.0):
             raise IdentificationError(f"{name} wheel radius {values.min():.3g} to {values.max():.3g} m is not within "
                                       "0.1 to 1 m: is the unit in the header right?")
-    share = car.cg_to_front_axle / car.wheelbase
-    height = float(front.mean() * (1.0 - share) + rear.mean() * share)
+    rear_share = car.cg_to_front_axle / car.wheelbase
+    height = float(front.mean() * (1.0 - rear_share) + rear.mean() * rear_share)
     steepest = int(np.argmax(data.pitch))
     lifted = data.rear_radius[steepest]
     return height, float(rear.mean() - lifted) if math.isfinite(lifted) and not level[steepest] else None
@@ -158,7 +157,7 @@ def _compute_radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float
 
 def _compute_single_heights(data: Lift, car: LiftedCar, level: np.ndarray, radius: float,
                             line: Line) -> tuple[np.ndarray, np.ndarray]:
-    """(height from each single row (n,), mask of the rows that determine a height). The level load of a lift is the
+    """(height from each row alone (n,), mask of the rows that determine a height). The level load of a lift is the
     mean of its level rows."""
     groups = np.asarray(data.lifts)
     zero = np.array([data.rear_load[level & (groups == name)].mean() if (level & (groups == name)).any()
@@ -189,6 +188,6 @@ def _check_load(data: Lift, car: LiftedCar, level: np.ndarray) -> list[str]:
     expected = car.mass * car.cg_to_front_axle / car.wheelbase
     if abs(measured - expected) <= MAX_LOAD_DIFFERENCE * car.mass:
         return []
-    return [f"On the level, the rear wheels carry {measured:.1f} kg, but mass and CG position of the vehicle file give "
-            f"{expected:.1f} kg: the car was loaded differently. The height applies to the car as lifted, and only if "
-            f"its mass was {car.mass:.1f} kg."]
+    return [f"With the car level, the rear wheels carry {measured:.1f} kg, but mass and CG position of the vehicle "
+            f"file give {expected:.1f} kg: the car was loaded differently. The height applies to the car as lifted, "
+            f"and only if its mass was {car.mass:.1f} kg."]

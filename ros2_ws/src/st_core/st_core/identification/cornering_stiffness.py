@@ -15,6 +15,7 @@ test_stiffness_model_error.py.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,10 +28,10 @@ from .run_samples import (
     ACCELERATION_EDGES,
     SPEED_EDGES,
     RunSamples,
+    measure_coverage,
     prepare_drives,
     require_coverage,
-    run_samples,
-    signal_coverage,
+    sample_run,
 )
 
 AXLES = ("front", "rear")
@@ -43,8 +44,14 @@ MAX_RANGE_RATIO = 0.8  # of mean slip angles, lower / full range; above it, extr
 MAX_RELATIVE_UNCERTAINTY = 0.1  # ratio of standard uncertainty to stiffness above which the stiffness is doubtful
 SLIP_QUANTILE = 0.995  # quantile of |slip angle| that counts as the largest slip angle of the drives
 
-Slope = tuple[float, Spread, np.ndarray, np.ndarray]
-"""(stiffness C [N/rad], its uncertainty, index of each block, influence of each block on C)."""
+
+class Slope(NamedTuple):
+    """Slope of the force of an axle versus its slip angle."""
+
+    stiffness: float  # C [N/rad]
+    spread: Spread  # of (C, intercept)
+    blocks: np.ndarray  # index of each block
+    influence: np.ndarray  # of each block on C
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +61,7 @@ class AxleSamples:
     axle: str
     slip: np.ndarray  # slip angle [rad]
     force: np.ndarray  # N
-    run_of: np.ndarray  # number of the run
+    run_of: np.ndarray  # index of the run
     time: np.ndarray  # s
     used: np.ndarray  # whether a sample is used in the regression
 
@@ -64,15 +71,15 @@ class AxleSamples:
         The slip at zero force, which is due to offsets of steering and INS, is subtracted first. Bins are left out
         if they have less than 1 % of the samples that a uniform distribution would have there.
         """
-        slip = self.slip - self.zero_force_slip()
+        slip = self.slip - self.find_zero_force_slip()
         size, force = np.abs(slip), -self.force * np.sign(slip)
-        number = np.digitize(size, np.linspace(0.0, float(np.quantile(size, SLIP_QUANTILE)), SLIP_BIN_COUNT + 1)) - 1
-        members = [number == k for k in range(SLIP_BIN_COUNT)]
+        bins = np.digitize(size, np.linspace(0.0, float(np.quantile(size, SLIP_QUANTILE)), SLIP_BIN_COUNT + 1)) - 1
+        members = [bins == k for k in range(SLIP_BIN_COUNT)]
         members = [member for member in members if member.sum() >= max(0.01 * len(size) / SLIP_BIN_COUNT, 5)]
         return (np.array([size[member].mean() for member in members]),
                 np.array([force[member].mean() for member in members]))
 
-    def zero_force_slip(self) -> float:
+    def find_zero_force_slip(self) -> float:
         """Slip at zero force [rad], by linear regression; 0 if the force does not oppose the slip."""
         use = self.used if self.used.sum() >= 10 else np.ones(len(self.slip), bool)
         slope, intercept = np.polyfit(self.slip[use], -self.force[use], 1)
@@ -120,7 +127,7 @@ class AxleRegression:
                         (self.stiffness - half, self.stiffness + half), METHOD, runs, verdict, status)
 
 
-def axle_forces(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
+def compute_measured_forces(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
     """Lateral forces of (front, rear) axle [N] along the lateral axis of the wheels, left +; see the module."""
     lateral = vehicle.mass * samples.lateral_acceleration / vehicle.wheelbase
     yaw = vehicle.yaw_inertia * samples.yaw_acceleration / vehicle.wheelbase
@@ -128,24 +135,24 @@ def axle_forces(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.nda
             vehicle.cg_to_front_axle * lateral - yaw)
 
 
-def slip_angles(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
+def compute_slip_angles(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
     """Slip angles of (front, rear) axle [rad], + when the wheels travel to their left (`models.slip_angles`)."""
     angle = samples.road_wheel_angle
     state = 0.0, 0.0, samples.velocity_x, samples.velocity_y, 0.0, samples.yaw_rate  # position and yaw have no effect
     return models.slip_angles(state, (np.sin(angle), np.cos(angle)), vehicle)
 
 
-def axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[AxleRegression, AxleRegression]:
+def fit_axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[AxleRegression, AxleRegression]:
     """Regressions of (front, rear) axle on drives with measured sideslip.
 
     vehicle: its mass, inertia, lengths, lever arm and steering are used and must be correct; its stiffnesses are not
     used. Raises IdentificationError for no drive, a repeated name, or a drive that is too short.
     """
     drives, _ = prepare_drives(logs, vehicle)
-    return _regressions([run_samples(log, vehicle) for log in drives], vehicle)[0]
+    return _fit_regressions([sample_run(log, vehicle) for log in drives], vehicle)[0]
 
 
-def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tuple[
+def _fit_regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tuple[
         tuple[AxleRegression, AxleRegression], np.ndarray, tuple[tuple[str, str], ...]]:
     """(regressions, correlation of the two stiffnesses (2, 2), (run, reason why samples are left out))."""
     masks, rejected, times = [], [], [run.time for run in runs]
@@ -159,16 +166,16 @@ def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tupl
         rejected += [(run.name, f"{int(mask.sum())} of {len(run)} samples {reason}")
                      for reason, mask in reasons.items() if mask.any()]
     covered = (
-        signal_coverage("cornering speed", "m/s", SPEED_EDGES,
-                        [run.velocity_x[m] for run, m in zip(runs, masks, strict=True)], times, 2.0, 1),
-        signal_coverage("lateral acceleration", "m/s^2", ACCELERATION_EDGES,
-                        [run.lateral_acceleration[m] for run, m in zip(runs, masks, strict=True)], times, 1.0, 3))
+        measure_coverage("cornering speed", "m/s", SPEED_EDGES,
+                         [run.velocity_x[m] for run, m in zip(runs, masks, strict=True)], times, 2.0, 1),
+        measure_coverage("lateral acceleration", "m/s^2", ACCELERATION_EDGES,
+                         [run.lateral_acceleration[m] for run, m in zip(runs, masks, strict=True)], times, 1.0, 3))
     insufficient = "; ".join(c.describe() for c in covered if not c.sufficient)
     samples = []
     for index, name in enumerate(AXLES):
         rows = []
         for number, (run, mask) in enumerate(zip(runs, masks, strict=True)):
-            slip, force = slip_angles(run, vehicle)[index], axle_forces(run, vehicle)[index]
+            slip, force = compute_slip_angles(run, vehicle)[index], compute_measured_forces(run, vehicle)[index]
             fast = np.abs(run.velocity_x) >= MIN_SPEED
             rows.append([v[fast] for v in (slip, force, np.full(len(run), number), run.time,
                                            mask & (np.abs(slip) <= MAX_SLIP))])
@@ -178,8 +185,8 @@ def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tupl
                    for pair in zip(samples, slopes, strict=True))
     correlation = np.eye(2)
     if slopes[0] is not None and slopes[1] is not None:  # from the influence of common blocks
-        _, front_rows, rear_rows = np.intersect1d(slopes[0][2], slopes[1][2], return_indices=True)
-        influences = np.stack([slopes[0][3][front_rows], slopes[1][3][rear_rows]])
+        _, front_rows, rear_rows = np.intersect1d(slopes[0].blocks, slopes[1].blocks, return_indices=True)
+        influences = np.stack([slopes[0].influence[front_rows], slopes[1].influence[rear_rows]])
         if len(front_rows) > 2 and (influences.std(axis=1) > 0.0).all():
             correlation = np.corrcoef(influences)
     return (front, rear), correlation, tuple(rejected)
@@ -191,20 +198,20 @@ def _fit_slope(samples: AxleSamples) -> Slope:
     group = make_blocks(samples.run_of[samples.used], samples.time[samples.used])
     found, spread, influence = group.regression(np.stack([-slip, np.ones_like(slip)], axis=1),
                                                 samples.force[samples.used])
-    return float(found[0]), spread, (group.run.astype(np.int64) << 32) + group.block, influence[:, 0]
+    return Slope(float(found[0]), spread, (group.run.astype(np.int64) << 32) + group.block, influence[:, 0])
 
 
 def _estimate_model_error(samples: AxleSamples, slope: Slope) -> float:
     """Standard uncertainty of the secant as an estimate of the stiffness at zero slip [N/rad]; NaN if unknown."""
-    size = np.abs(samples.slip - samples.zero_force_slip())
+    size = np.abs(samples.slip - samples.find_zero_force_slip())
     low = replace(samples, used=samples.used & (size <= 0.5 * np.quantile(size[samples.used], SLIP_QUANTILE)))
     mean, mean_low = (float(np.average(used, weights=used**2)) if used.any() else np.inf
                       for used in (size[samples.used], size[low.used]))
     if low.used.sum() < MIN_AXLE_SAMPLES or mean_low > MAX_RANGE_RATIO * mean:
         return float("nan")
-    value, spread, *_ = _fit_slope(low)
-    return extrapolation_uncertainty((slope[0], float(slope[1].covariance[0, 0]), mean),
-                                     (value, float(spread.covariance[0, 0]), mean_low))
+    low_slope = _fit_slope(low)
+    return extrapolation_uncertainty((slope.stiffness, float(slope.spread.covariance[0, 0]), mean),
+                                     (low_slope.stiffness, float(low_slope.spread.covariance[0, 0]), mean_low))
 
 
 def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[Coverage, ...],
@@ -217,7 +224,7 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[C
     failed = (samples.axle, nan, nan, (nan, nan), samples, covered)
     if slope is None:
         return AxleRegression(*failed, tuple(reasons), f"{count} samples")
-    value, spread, *_ = slope
+    value, spread = slope.stiffness, slope.spread
     error = float(spread.deviations[0])
     basis = f"{count} samples, {spread.basis[0]}"
     interval = spread.interval(0, value)
@@ -236,8 +243,8 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
     A stiffness with zero inside its interval is NaN and unidentifiable. Raises IdentificationError.
     """
     logs, notes = prepare_drives(logs, vehicle, "velocity_y")
-    runs = [run_samples(log, vehicle) for log in logs]
-    regressions, correlation, rejected = _regressions(runs, vehicle)
+    runs = [sample_run(log, vehicle) for log in logs]
+    regressions, correlation, rejected = _fit_regressions(runs, vehicle)
     require_coverage(regressions[0].coverage,
                      "Drive bends to both sides at several speeds, with 0.5 to 4 m/s^2 of lateral acceleration.")
     for regression in regressions:

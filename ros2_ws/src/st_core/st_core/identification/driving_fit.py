@@ -39,7 +39,7 @@ from .result import IdentificationError
 MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name
 MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
 """Largest number of fits, each with the error scale of the previous one; relative change of the scale if converged."""
-BOUND_TOLERANCE = 1e-3  # distance within which a value is at its bound, as a fraction of the range of both bounds
+BOUND_TOLERANCE = 1e-3  # distance within which a value is at its bound, as a fraction of the range between both bounds
 MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
 MIN_CURVATURE_RATIO = 0.2  # of the loss to its Gauss-Newton approximation; 0.7 for the assumed distribution of errors
 Values = Mapping[str, float]
@@ -116,7 +116,7 @@ class _LimitedWindows(Windows):
 
     @cached_property
     def known(self) -> np.ndarray:
-        return Windows.known.func(self) & self.used[:, None]  # type: ignore[attr-defined]  # of cached_property
+        return super().known & self.used[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,12 +206,12 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     ratio = np.clip((np.diag(problem.loss.curvature(rows, slopes)) / np.diag(total)).mean(), MIN_CURVATURE_RATIO, 1.0)
     influence = group.leave_out(ratio * hessian, gradient)
 
-    def quantities(vector: np.ndarray) -> np.ndarray:
+    def to_quantities(vector: np.ndarray) -> np.ndarray:
         fitted = {f"{e}.{p}": value for e in effects for p, value in space.values(e, vector).items()}
         return np.array([FREE_PARAMETERS[name].value(windows.vehicle, fitted) for name in names])
 
-    values, step = quantities(vector), 1e-4
-    change = np.stack([(quantities(vector + step * space.scale * unit) - values) / step
+    values, step = to_quantities(vector), 1e-4
+    change = np.stack([(to_quantities(vector + step * space.scale * unit) - values) / step
                        for unit in np.eye(len(space))[indices]], axis=1)
     margin = BOUND_TOLERANCE * (space.high - space.low)
     stopped = {space.free[i].effect for i in indices

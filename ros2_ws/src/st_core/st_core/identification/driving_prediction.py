@@ -3,7 +3,7 @@
 Steering offset and INS misalignment are fitted too, since their errors resemble errors of the tyres.
 Stiffness: the nonlinear model yields the slope at small slip at the static load, given the tyre curve of the vehicle
 file, and the linear model the secant that predicts best in the driven slip range. For a tyre with another curve the
-value depends on the slip range, which the interval includes (`slip_range_uncertainty`).
+value depends on the slip range, which the interval includes (`estimate_slip_range_uncertainty`).
 
 Steering ratio, if no turntables are available:
 
@@ -34,7 +34,7 @@ from ..models import Model, get_model
 from ..regression import correlation_matrix, extrapolation_uncertainty
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
-from .cornering_stiffness import MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, SLIP_QUANTILE, slip_angles
+from .cornering_stiffness import MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, SLIP_QUANTILE, compute_slip_angles
 from .driving_fit import DELAY, FREE_PARAMETERS, MISALIGNMENT, RELAXATION, DrivingFit, DrivingFitSettings, fit_driving
 from .result import (
     Coverage,
@@ -45,12 +45,13 @@ from .result import (
     describe_contradiction,
     describe_correlations,
 )
-from .run_samples import ACCELERATION_EDGES, SPEED_EDGES, prepare_drives, require_coverage, run_samples, signal_coverage
+from .run_samples import ACCELERATION_EDGES, SPEED_EDGES, measure_coverage, prepare_drives, require_coverage, sample_run
 
 STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
 RATIO, OFFSET = "steering_ratio", "steering_wheel_offset"
 NUISANCE = (OFFSET, MISALIGNMENT)
-REQUIRED_COVERAGE = {"speed": (5.0, 1), "lateral acceleration": (2.0, 3)}  # see `driving_coverage`
+REQUIRED_COVERAGE = {"speed": (5.0, 1), "lateral acceleration": (2.0, 3)}  # see `measure_driving_coverage`
+TRANSIENT_COVERAGE = {"speed": (5.0, 1), "lateral acceleration": (1.0, 3)}  # for the yaw inertia
 UNCERTAINTY_GRADES: tuple[tuple[float, str, Status], ...] = (
     (MAX_RELATIVE_UNCERTAINTY, "Determined", "identified"),
     (5.0 * MAX_RELATIVE_UNCERTAINTY, "Poorly determined", "doubtful"),
@@ -76,16 +77,16 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
     names = tuple(dict.fromkeys((*STIFFNESSES, *also, *nuisance)))
     logs, notices = prepare_drives(logs, vehicle)
     required = REQUIRED_COVERAGE | ({"speed": (5.0, 2)} if RATIO in names else {})
-    covered = driving_coverage(logs, required, settings.minimum_speed)
+    covered = measure_driving_coverage(logs, required, settings.minimum_speed)
     require_coverage(covered, "Drive bends to both sides, at two or more speeds, with a lateral acceleration of 1 to 4 "
                               "m/s^2.")
     fit = fit_driving(logs, vehicle, names, base, settings)
     method = f"multi-step prediction, {describe_model(base)}"
-    systematic = slip_range_uncertainty(logs, vehicle, base, settings, fit)
-    result = make_identification("stiffness", vehicle, fit, method, (*STIFFNESSES, *also), covered, systematic)
+    systematic = estimate_slip_range_uncertainty(logs, vehicle, base, settings, fit)
+    result = _make_identification("stiffness", vehicle, fit, method, (*STIFFNESSES, *also), covered, systematic)
     kind = "Secant" if get_model(base).name.startswith("linear") else "Slope at zero slip of the file's tyre curve"
     estimates = []
-    for estimate, slip in zip(result.estimates, driven_slip(logs, vehicle, settings), strict=False):
+    for estimate, slip in zip(result.estimates, find_driven_slip(logs, vehicle, settings), strict=False):
         share = 100.0 * systematic.get(estimate.parameter, 0.0) / max(abs(estimate.value), 1e-300)
         model_error = (f"the value changes with the slip range, model error +/- {share:.1f} % included" if systematic
                        else "its change with the slip range is unknown: drive small and large lateral accelerations")
@@ -95,8 +96,8 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
                    warnings=(*notices, *result.warnings))
 
 
-def slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
-                           settings: DrivingFitSettings, fit: DrivingFit) -> dict[str, float]:
+def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
+                                    settings: DrivingFitSettings, fit: DrivingFit) -> dict[str, float]:
     """Standard uncertainty of each stiffness [N/rad] as the slope at zero slip, from a second fit to windows below the
     median of the peaks (`regression.extrapolation_uncertainty`); empty if the drives do not cover two ranges of slip.
 
@@ -115,13 +116,13 @@ def slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters,
             for name, k in indices.items()}
 
 
-def driven_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings) -> np.ndarray:
+def find_driven_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings) -> np.ndarray:
     """SLIP_QUANTILE of |slip angle| of (front, rear) axle [rad], at the speeds and accelerations of the settings."""
     driven = []
-    for run in (run_samples(log, vehicle) for log in logs):
+    for run in (sample_run(log, vehicle) for log in logs):
         used = ((run.velocity_x >= settings.minimum_speed)
                 & (np.abs(run.velocity_x * run.yaw_rate) <= settings.maximum_acceleration))
-        driven.append(np.abs(slip_angles(run, vehicle))[:, used])
+        driven.append(np.abs(compute_slip_angles(run, vehicle))[:, used])
     return np.quantile(np.concatenate(driven, axis=1), SLIP_QUANTILE, axis=1)
 
 
@@ -147,11 +148,11 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     """
     settings = TRANSIENT_SETTINGS
     logs, notices = prepare_drives(logs, vehicle)
-    runs = [run_samples(log, vehicle, cutoff=5.0) for log in logs]
+    runs = [sample_run(log, vehicle, cutoff=5.0) for log in logs]
     fast = [run.yaw_acceleration[run.velocity_x >= settings.minimum_speed] for run in runs]
-    covered = (*driving_coverage(logs, {"speed": (5.0, 1), "lateral acceleration": (1.0, 3)}, settings.minimum_speed),
-               signal_coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast,
-                               [run.time for run in runs], 0.5, 5))
+    covered = (*measure_driving_coverage(logs, TRANSIENT_COVERAGE, settings.minimum_speed),
+               measure_coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast,
+                                [run.time for run in runs], 0.5, 5))
     require_coverage(covered, "Steady bends do not excite the yaw inertia: drive steps, lane changes or a sine sweep.")
     fit = fit_driving(logs, vehicle, INERTIA_NAMES, base, settings)
     # Uncertainty of the dead time, propagated to the inertia; see the module.
@@ -162,7 +163,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     change = abs(float(covariance[inertia, delay] / covariance[delay, delay]))  # with all other parameters refitted
     timing = {DELAY: dead_time, "yaw_inertia": change * dead_time}
     method = f"multi-step prediction of transients, {describe_model(base)}"
-    result = make_identification("yaw-inertia", vehicle, fit, method, INERTIA_NAMES[:4], covered, timing)
+    result = _make_identification("yaw-inertia", vehicle, fit, method, INERTIA_NAMES[:4], covered, timing)
     found = result["yaw_inertia"]
     warnings = [*notices, *result.warnings]
     implausible = [text for text in objections(replace(vehicle, yaw_inertia=max(found.value, 10.0)))
@@ -177,7 +178,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                    warnings=(*warnings, conflict) if conflict else tuple(warnings))
 
 
-def make_identification(experiment: str, vehicle: VehicleParameters, fit: DrivingFit, method: str,
+def _make_identification(experiment: str, vehicle: VehicleParameters, fit: DrivingFit, method: str,
                         reported: Sequence[str], covered: Sequence[Coverage],
                         systematic: Mapping[str, float] | None = None) -> Identification:
     """Identification with the results of a fit. reported: parameters that become estimates. systematic: standard
@@ -232,16 +233,16 @@ def describe_model(base: str | Model) -> str:
     return f"{get_model(base).name} tyres"
 
 
-def driving_coverage(logs: Sequence[DriveLog], required: Mapping[str, tuple[float, int]],
-                     minimum_speed: float) -> tuple[Coverage, ...]:
+def measure_driving_coverage(logs: Sequence[DriveLog], required: Mapping[str, tuple[float, int]],
+                             minimum_speed: float) -> tuple[Coverage, ...]:
     """Coverage of speed and lateral acceleration v_x r by all driving above a minimum speed [m/s].
 
     required: by name, "speed" or "lateral acceleration": (seconds in a filled bin, number of filled bins).
     """
     times = [(log.ins_time_ns - log.ins_time_ns[:1]) * NANOSECOND for log in logs]
     fast = [log.velocity_x >= minimum_speed for log in logs]
-    return tuple(signal_coverage(name, unit, edges, [signal(log)[m] for log, m in zip(logs, fast, strict=True)], times,
-                                 *required[name])
+    return tuple(measure_coverage(name, unit, edges, [signal(log)[m] for log, m in zip(logs, fast, strict=True)], times,
+                                         *required[name])
                  for name, unit, edges, signal in (
                      ("speed", "m/s", SPEED_EDGES, lambda log: log.velocity_x),
                      ("lateral acceleration", "m/s^2", ACCELERATION_EDGES, lambda log: log.velocity_x * log.yaw_rate)))

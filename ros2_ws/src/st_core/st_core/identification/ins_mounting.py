@@ -25,7 +25,7 @@ from ..regression import Blocks, Spread, correlation_matrix, make_blocks
 from ..vehicle import VehicleParameters
 from .driving_fit import MISALIGNMENT
 from .result import Estimate, Identification, Status, describe_correlations
-from .run_samples import SPEED_EDGES, RunSamples, prepare_drives, require_coverage, run_samples, signal_coverage
+from .run_samples import SPEED_EDGES, RunSamples, measure_coverage, prepare_drives, require_coverage, sample_run
 
 MINIMUM_SPEED, MAXIMUM_SPEED = 1.5, 9.0  # m/s
 MAXIMUM_ACCELERATION = 2.5  # m/s^2, lateral
@@ -41,13 +41,14 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     vehicle: its lengths are used, its lever arm is not. Raises IdentificationError for too little excitation.
     """
     logs, notes = prepare_drives(logs, vehicle, "velocity_y")
-    runs = [run_samples(log, vehicle) for log in logs]
+    runs = [sample_run(log, vehicle) for log in logs]
     masks = [(run.velocity_x >= MINIMUM_SPEED) & (run.velocity_x <= MAXIMUM_SPEED)
              & (np.abs(run.velocity_x * run.yaw_rate) <= MAXIMUM_ACCELERATION) for run in runs]
     pairs, times = list(zip(runs, masks, strict=True)), [run.time for run in runs]
-    covered = (signal_coverage("speed", "m/s", SPEED_EDGES[:5], [run.velocity_x[m] for run, m in pairs], times, 5.0, 1),
-               signal_coverage("curvature", "1/m", CURVATURE_EDGES,
-                               [run.yaw_rate[m] / run.velocity_x[m] for run, m in pairs], times, 2.0, 3))
+    speeds = [run.velocity_x[m] for run, m in pairs]
+    covered = (measure_coverage("speed", "m/s", SPEED_EDGES[:5], speeds, times, 5.0, 1),
+               measure_coverage("curvature", "1/m", CURVATURE_EDGES,
+                                [run.yaw_rate[m] / run.velocity_x[m] for run, m in pairs], times, 2.0, 3))
     require_coverage(covered, "Drive slowly (2 to 8 m/s): straight on, and bends to both sides.")
     columns = [_make_columns(run, mask, vehicle) for run, mask in pairs]
     run_of = np.concatenate([np.full(len(c), i) for i, c in enumerate(columns)])

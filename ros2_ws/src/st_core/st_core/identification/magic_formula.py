@@ -44,7 +44,7 @@ class FlatPlank:
     name: str  # name of the data
 
 
-def load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
+def find_load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
     """(mean load of each level (m,), ascending [N], index of the level of each row (n,))."""
     if len(data.load) < MIN_POINTS or not (np.isfinite(data.load).all() and (data.load > 0.0).all()):
         lowest = float(np.min(data.load)) if len(data.load) else math.nan
@@ -95,7 +95,7 @@ def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_
     if distinct < MIN_POINTS:
         raise IdentificationError(f"{data.tyre}: {distinct} different slip angles at {levels[nominal]:.0f} N, at least "
                                   f"{MIN_POINTS} are needed")
-    coverage = slip_coverage(data, levels, level)[nominal]
+    coverage = measure_slip_coverage(data, levels, level)[nominal]
     if not coverage.sufficient:
         raise IdentificationError(f"{data.tyre}: {coverage.describe()}")
     trend = float(data.slip @ data.force) / math.sqrt(float(data.slip @ data.slip) * float(data.force @ data.force))
@@ -105,7 +105,7 @@ def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_
     return (replace(data, slip=-data.slip), True) if trend > 0.0 else (data, False)
 
 
-def slip_coverage(data: FlatPlank, levels: np.ndarray, level: np.ndarray) -> tuple[Coverage, ...]:
+def measure_slip_coverage(data: FlatPlank, levels: np.ndarray, level: np.ndarray) -> tuple[Coverage, ...]:
     """Coverage of the slip angle's magnitude, one entry per load."""
     magnitude = np.abs(data.slip)
     return tuple(Coverage(f"slip angle at {load:.0f} N", "deg", np.degrees(SLIP_BINS),
@@ -154,7 +154,7 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
 
     Raises IdentificationError for a table that does not determine a tyre.
     """
-    levels, level = load_levels(data)
+    levels, level = find_load_levels(data)
     data, flipped = check_table(data, levels, level, start.nominal_load)
     base = start._replace(lambda_ky=1.0, lambda_cy=1.0, lambda_muy=1.0)
     nominal = int(np.argmin(np.abs(levels - start.nominal_load)))
@@ -191,8 +191,8 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
         value, uncertainty = float(fit.values[k]), (high - low) / 3.92
         open_ends = low_open + high_open
         verdict = [f"{MEANING[name][0].upper()}{MEANING[name][1:]}."]
-        status: Status = "doubtful" if fit.at_bound(k) or open_ends else "identified"
-        if fit.at_bound(k):
+        status: Status = "doubtful" if fit.is_at_bound(k) or open_ends else "identified"
+        if fit.is_at_bound(k):
             end = min(fit.lower[k], fit.upper[k], key=lambda bound: abs(bound - value))
             verdict.append(f"{key} ended at its bound {end:g}: the bound, not the data, determines the value.")
         elif open_ends == 1:
@@ -212,8 +212,8 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
               "stiffness": np.array([found.stiffness(load) for load in levels])}
     warnings = [*_make_warnings(data, found, peak),
                 *describe_correlations([e.parameter for e in estimates], correlation, 0.98)]
-    return Identification("tyre", tuple(estimates), (data.name,), (), correlation, slip_coverage(data, levels, level),
-                          tuple(warnings), figure)
+    return Identification("tyre", tuple(estimates), (data.name,), (), correlation,
+                          measure_slip_coverage(data, levels, level), tuple(warnings), figure)
 
 
 def _fit_nominal_load(data: FlatPlank, base: MagicFormula) -> MagicFormula:
@@ -233,17 +233,17 @@ def _fit_load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[st
     """Stage 2: K at the nominal load is fixed, which determines p_ky1 from p_ky2 and p_ky4."""
     stiffness = float(magic_formula_stiffness(first.nominal_load, first))
 
-    def tyre(values: Any) -> MagicFormula:
+    def make_tyre(values: Any) -> MagicFormula:
         changed = _with_values(first, free, values)
         unscaled = magic_formula_stiffness(first.nominal_load, changed._replace(p_ky1=-1.0))
         return changed._replace(p_ky1=-stiffness / unscaled)
 
-    def residuals(values: np.ndarray) -> np.ndarray:
-        return tyre_force(data.slip, data.load, tyre(np.moveaxis(values, -1, 0)[..., None])) - data.force
+    def compute_residuals(values: np.ndarray) -> np.ndarray:
+        return tyre_force(data.slip, data.load, make_tyre(np.moveaxis(values, -1, 0)[..., None])) - data.force
 
     low, high = _get_bounds(free)
     start = {"p_dy2": -0.1, "p_ey2": 0.0, "p_ky2": 2.0, "p_ky4": 2.0}
-    return tyre(fit_curve(residuals, [[start[k] for k in free]], low, high).values.tolist())
+    return make_tyre(fit_curve(compute_residuals, [[start[k] for k in free]], low, high).values.tolist())
 
 
 def _fit(data: FlatPlank, starts: Sequence[MagicFormula], names: Sequence[str]) -> CurveFit:
@@ -253,11 +253,11 @@ def _fit(data: FlatPlank, starts: Sequence[MagicFormula], names: Sequence[str]) 
 
 
 def _make_residuals(data: FlatPlank, start: MagicFormula, names: Sequence[str]) -> Residuals:
-    def residuals(values: np.ndarray) -> np.ndarray:
+    def compute_residuals(values: np.ndarray) -> np.ndarray:
         columns = np.moveaxis(values, -1, 0)[..., None]
         return tyre_force(data.slip + columns[-1], data.load, _with_values(start, names, columns)) - data.force
 
-    return residuals
+    return compute_residuals
 
 
 def _with_values(tyre: MagicFormula, names: Sequence[str], values: Any) -> MagicFormula:
@@ -277,8 +277,8 @@ def _make_warnings(data: FlatPlank, found: TyreFit, peak: float) -> list[str]:
         sentences.append("In the table the force has the same sign as the slip angle (the other convention): the sign "
                          "of the slip angle was changed.")
     if len(found.levels) < 3:
-        kept = "p_ky4 is" if len(found.levels) == 2 else "p_dy2, p_ey2, p_ky2 and p_ky4 are"
-        sentences.append(f"The table has only {len(found.levels)} load{'s' * (len(found.levels) > 1)}: {kept} taken "
+        fixed = "p_ky4 is" if len(found.levels) == 2 else "p_dy2, p_ey2, p_ky2 and p_ky4 are"
+        sentences.append(f"The table has only {len(found.levels)} load{'s' * (len(found.levels) > 1)}: {fixed} taken "
                          "from the vehicle file.")
     shift, uncertainty = found.fit.values[-1], found.fit.standard_errors[-1]
     if abs(shift) > 3.0 * uncertainty and abs(shift) > math.radians(0.02):

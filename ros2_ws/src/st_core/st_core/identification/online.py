@@ -1,11 +1,11 @@
 """Online identification of steering offset, steering ratio and stiffness scale, by `driving_fit` on recent driving.
 
 After every FIT_INTERVAL of usable driving, both stiffnesses, ratio, offset, INS misalignment, dead time of the steering
-and relaxation of the tyres are fitted together to the last BUFFER seconds. The standard deviation is the sum in
-quadrature of the variation between blocks of driving, converted to a normal distribution with the same 95 % interval,
-and of SYSTEMATIC, the error of the single-track model. A value is estimated after sufficient excitation if its
-deviation is below MAX_DEVIATIONS. It is invalid if it is implausible for the car or if the residual of the model is too
-large. Valid for |a_y| <= 4 m/s^2 on dry, level roads. Checked by: test_online.py.
+and relaxation length of the tyres are fitted together to the last BUFFER_DURATION seconds. The standard deviation is
+the sum in quadrature of the variation between blocks of driving, converted to a normal distribution with the same 95 %
+interval, and of SYSTEMATIC_ERRORS, due to the single-track model. A value is estimated after sufficient excitation if
+its deviation is below MAX_DEVIATIONS. It is invalid if it is implausible for the car or if the residual of the model is
+too large. Valid for |a_y| <= 4 m/s^2 on dry, level roads. Checked by: test_online.py.
 """
 
 import math
@@ -30,13 +30,13 @@ UNITS = ("rad", "1", "1")
 STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
 FITTED = ("steering_wheel_offset", "steering_ratio", *STIFFNESSES, MISALIGNMENT, DELAY, RELAXATION)
 SETTINGS = DrivingFitSettings(interval=1.0, min_windows=20)
-BUFFER, SPACING_NS = 400.0, 19_000_000  # s of driving stored; ns between stored samples: 20 ms minus jitter
+BUFFER_DURATION, SPACING_NS = 400.0, 19_000_000  # s of driving stored; ns between stored samples: 20 ms minus jitter
 FIT_INTERVAL = 15.0  # s of usable driving
 MIN_SPEED = 2.0  # m/s; slower samples are not stored
 MAX_GAP = 0.1  # s; longer intervals between samples do not count as driving time
-SYSTEMATIC = (math.radians(0.05), 0.005, 0.03)  # largest errors on the simulated Leaf, ratio and scale relative
-UNKNOWN_DEVIATIONS = (math.radians(30.0), 0.2, 0.5)  # standard deviations without a fit, units as SYSTEMATIC
-MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # largest deviations of estimated values, units as SYSTEMATIC
+SYSTEMATIC_ERRORS = (math.radians(0.05), 0.005, 0.03)  # largest errors on the simulated Leaf, ratio and scale relative
+UNKNOWN_DEVIATIONS = (math.radians(30.0), 0.2, 0.5)  # standard deviations without a fit, units as SYSTEMATIC_ERRORS
+MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # largest deviations of estimated values, units as SYSTEMATIC_ERRORS
 MAX_OFFSET = math.radians(45.0)
 PLAUSIBLE_RANGES = ((0.6, 1.6), (0.3, 3.0))  # ratio of the steering ratio to the vehicle file's; stiffness scale
 MAX_UNEXPLAINED = 0.2  # largest RMS residual divided by RMS yaw rate; simulated Leaf 0.02 to 0.04, 0.1 with a noisy INS
@@ -89,7 +89,7 @@ def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
         logs, _ = prepare_drives([log], vehicle)
         fit = fit_driving(logs, vehicle, FITTED, "nonlinear", SETTINGS)
     except (StCoreError, np.linalg.LinAlgError) as error:
-        return _failed_fit(vehicle, str(error))
+        return _make_failed_fit(vehicle, str(error))
     files = [getattr(vehicle, name) for name in STIFFNESSES]
     # Offset, ratio, and mean of both stiffnesses, each divided by its value in the vehicle file.
     rows = np.zeros((3, len(FITTED)))
@@ -99,14 +99,14 @@ def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
     half = np.array([fit.spread.interval(k, 0.0)[1] for k in range(len(FITTED))])
     normal = half / 1.96 / np.maximum(fit.spread.deviations, 1e-300)
     covariance = rows @ (fit.spread.covariance * np.outer(normal, normal)) @ rows.T
-    systematic = np.array([SYSTEMATIC[0], SYSTEMATIC[1] * values[1], SYSTEMATIC[2] * values[2]])
+    systematic = np.array([SYSTEMATIC_ERRORS[0], SYSTEMATIC_ERRORS[1] * values[1], SYSTEMATIC_ERRORS[2] * values[2]])
     deviations = np.sqrt(np.diag(covariance) + systematic**2)
     rate = max(float(np.sqrt(np.mean(np.square(log.yaw_rate)))), MIN_YAW_RATE)
     residual = float(np.sqrt(np.mean(np.square(fit.residuals[:, 0]))))
     return OnlineFit(tuple(values.tolist()), tuple(deviations.tolist()), residual / rate, fit.at_bound)
 
 
-def _failed_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
+def _make_failed_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
     ratio = vehicle.steering_ratio
     return OnlineFit((vehicle.steering_wheel_offset, ratio, 1.0),
                      (UNKNOWN_DEVIATIONS[0], UNKNOWN_DEVIATIONS[1] * ratio, UNKNOWN_DEVIATIONS[2]), problem=problem)
@@ -122,14 +122,14 @@ class OnlineIdentifier:
         """Discard all stored driving and continue with this vehicle."""
         self.vehicle = vehicle
         self.driving_time = DrivingTime()
-        capacity = round(BUFFER / NANOSECOND / SPACING_NS)
+        capacity = round(BUFFER_DURATION / NANOSECOND / SPACING_NS)
         self._ins: deque[InsSample] = deque(maxlen=capacity)
         self._steering: deque[tuple[int, float]] = deque(maxlen=capacity)
         self._newest_ns, self._fitted_at = 0, 0.0
-        self.fit = _failed_fit(vehicle, "no fit yet")
+        self.fit = _make_failed_fit(vehicle, "no fit yet")
 
     def add_ins(self, sample: InsSample) -> bool:
-        """Add a sample at the INS point; False if it is not finite or not newer. A step back by over 1 s resets all."""
+        """Add a sample at the INS point; False if it is not finite or not newer. A jump back by over 1 s resets all."""
         if not all(map(math.isfinite, sample[1:7])):
             return False
         step = (sample.time_ns - self._newest_ns) * NANOSECOND
@@ -169,7 +169,7 @@ class OnlineIdentifier:
 
     def estimates(self) -> tuple[OnlineEstimate, ...]:
         """Current estimate of each parameter, or the reason why it is not estimated."""
-        missing, implausible = self._missing_driving(), self._implausible_values()
+        missing, implausible = self._describe_missing_driving(), self._describe_implausible_values()
         estimates = []
         for k, name in enumerate(NAMES):
             value, deviation = self.fit.values[k], self.fit.deviations[k]
@@ -198,24 +198,24 @@ class OnlineIdentifier:
         driven.loaded_right += time * (acceleration < -MIN_LOADED_ACCELERATION)
         driven.speeds[sum(speed >= edge for edge in SPEED_BINS[1:])] += time
 
-    def _missing_driving(self) -> Mapping[str, str]:
+    def _describe_missing_driving(self) -> Mapping[str, str]:
         """Text on the driving that is still missing, by parameter; "" if there is enough."""
-        driven = self.driving_time
-        bends = min(driven.left, driven.right)
-        filled = sum(time >= 5.0 for time in driven.speeds)
+        times = self.driving_time
+        bends = min(times.left, times.right)
+        filled = sum(time >= 5.0 for time in times.speeds)
         needs = {
-            "steering_wheel_offset": [(driven.used, 10.0, "driving"), (max(driven.straight, bends), 5.0, "straights")],
+            "steering_wheel_offset": [(times.used, 10.0, "driving"), (max(times.straight, bends), 5.0, "straights")],
             # Ratio and front stiffness are not separable at a single speed.
-            "steering_ratio": [(driven.left, 5.0, "left bends"), (driven.right, 5.0, "right bends"),
+            "steering_ratio": [(times.left, 5.0, "left bends"), (times.right, 5.0, "right bends"),
                                (filled, 2, "speeds, 5 s each")],
-            "stiffness_scale": [(driven.loaded_left, 3.0, "left bends above 1.5 m/s^2"),
-                                (driven.loaded_right, 3.0, "right bends above 1.5 m/s^2"),
+            "stiffness_scale": [(times.loaded_left, 3.0, "left bends above 1.5 m/s^2"),
+                                (times.loaded_right, 3.0, "right bends above 1.5 m/s^2"),
                                 (filled, 2, "speeds, 5 s each")],
         }
-        return {name: "; ".join(f"{have:.0f} of {needed:g}{'' if isinstance(needed, int) else ' s of'} {what}"
-                                for have, needed, what in rows if have < needed) for name, rows in needs.items()}
+        return {name: "; ".join(f"{driven:.0f} of {needed:g}{'' if isinstance(needed, int) else ' s of'} {kind}"
+                                for driven, needed, kind in rows if driven < needed) for name, rows in needs.items()}
 
-    def _implausible_values(self) -> Mapping[str, str]:
+    def _describe_implausible_values(self) -> Mapping[str, str]:
         """Reasons why values are implausible, by parameter."""
         fit, (offset, ratio, scale) = self.fit, self.fit.values
         if fit.unexplained > MAX_UNEXPLAINED:

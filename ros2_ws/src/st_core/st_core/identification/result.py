@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # `checks` imports this module
 Status = Literal["identified", "doubtful", "unidentifiable"]
 
 NORMAL_QUANTILE = 1.959963984540054  # quantile of the standard normal distribution, two-sided 5 %
-NOT_ZERO = " Not distinguishable from zero."
+ZERO_NOTE = " Not distinguishable from zero."
 
 
 class IdentificationError(StCoreError):
@@ -92,7 +92,7 @@ class Identification:
                 verdict = f"Not identifiable: zero is inside the interval. {estimate.verdict}"
                 estimates[k] = replace(estimate, status="unidentifiable", verdict=verdict)
             else:
-                verdict = f"{estimate.verdict.removesuffix(NOT_ZERO)}{NOT_ZERO}"
+                verdict = f"{estimate.verdict.removesuffix(ZERO_NOTE)}{ZERO_NOTE}"
                 estimates[k] = replace(estimate, status="doubtful", verdict=verdict)
         object.__setattr__(self, "estimates", tuple(estimates))
 

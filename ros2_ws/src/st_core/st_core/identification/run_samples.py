@@ -40,7 +40,7 @@ class RunSamples:
         return len(self.time)
 
 
-def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) -> RunSamples:
+def sample_run(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) -> RunSamples:
     """Samples of a drive at the INS sample times at which all signals are available.
 
     Velocity, yaw rate and steering pass the same zero-phase Butterworth filter of first order with `cutoff` [Hz]
@@ -98,7 +98,7 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
             raise IdentificationError(
                 f"{log.name}: {len(log.ins_time_ns)} INS samples, which overlap with the steering for "
                 f"{log.overlap:.1f} s; at least {MIN_SAMPLES} and {MIN_COMMON_TIME:g} s are needed")
-        bias = yaw_rate_bias(log)
+        bias = estimate_yaw_rate_bias(log)
         prepared[k] = replace(log, yaw_rate=log.yaw_rate - bias)
         if abs(bias) > MIN_REPORTED_BIAS:
             biases.append(f"{log.name} {bias:+.4f}")
@@ -106,7 +106,7 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     return prepared, (warning,) if biases else ()
 
 
-def yaw_rate_bias(log: DriveLog) -> float:
+def estimate_yaw_rate_bias(log: DriveLog) -> float:
     """Mean difference between yaw rate and rate of change of yaw, outside gaps [rad/s]."""
     spacing = np.diff(log.ins_time_ns) * NANOSECOND
     known = spacing <= MAXIMUM_GAP
@@ -114,8 +114,8 @@ def yaw_rate_bias(log: DriveLog) -> float:
     return float(difference.sum() / max(spacing[known].sum(), NANOSECOND))
 
 
-def signal_coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence[np.ndarray],
-                    times: Sequence[np.ndarray], seconds_needed: float, bins_needed: int) -> Coverage:
+def measure_coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence[np.ndarray],
+                            times: Sequence[np.ndarray], seconds_needed: float, bins_needed: int) -> Coverage:
     """Coverage of a signal by all drives. values: (n,) of each drive. times: times of all samples of each drive [s].
     seconds_needed: minimum time in a filled bin."""
     interval = float(np.median(np.concatenate([np.diff(time) for time in times])))

@@ -20,9 +20,9 @@ from ..timeseries import filtered_derivative
 from ..vehicle import VehicleParameters
 from .driving_fit import DrivingFitSettings, fit_driving
 from .result import Estimate, Identification, IdentificationError, describe_contradiction
-from .run_samples import RunSamples, prepare_drives, run_samples
+from .run_samples import RunSamples, prepare_drives, sample_run
 
-PAPER, DIRECT = "steering_wheel_offset", "steering_wheel_offset_direct"
+PAPER_NAME, DIRECT_NAME = "steering_wheel_offset", "steering_wheel_offset_direct"
 SETTINGS = DrivingFitSettings(horizon=2.0, maximum_acceleration=0.5, min_windows=40, channels=("yaw_rate",))
 WINDOW = 2.0  # s
 MIN_RADIUS = 500.0  # m
@@ -32,12 +32,12 @@ CUTOFF = 1.0  # Hz, low-pass on the measured yaw rate, forward and backward
 
 
 def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
-    """Offset at the steering wheel by both methods [rad], left +, as parameters PAPER and DIRECT.
+    """Offset at the steering wheel by both methods [rad], left +, as parameters PAPER_NAME and DIRECT_NAME.
 
     vehicle: its offset is the start value of the fit. Raises IdentificationError for too little straight driving.
     """
     logs, notes = prepare_drives(logs, vehicle)
-    runs = [run_samples(log, vehicle) for log in logs]
+    runs = [sample_run(log, vehicle) for log in logs]
     windows = [_find_straight_windows(run, vehicle) for run in runs]
     values = np.concatenate([w[:, 1] for w in windows])
     if len(values) < MIN_WINDOWS:
@@ -47,16 +47,16 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     # Without smoothing, road noise would cause an error of 0.02 deg at the steering wheel after four minutes.
     smooth = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, 0.1, "zero_phase")[0])
               for log in logs]
-    fit = fit_driving(smooth, vehicle, (PAPER,), "linear", SETTINGS)
+    fit = fit_driving(smooth, vehicle, (PAPER_NAME,), "linear", SETTINGS)
     predicted = {name: count for name, (count, _) in fit.windows.items()}
-    paper = _to_estimate(PAPER, fit.values[0], fit.spread, "predicted versus measured yaw rate (paper)", predicted,
+    paper = _to_estimate(PAPER_NAME, fit.values[0], fit.spread, "predicted versus measured yaw rate (paper)", predicted,
                          f"{fit.prediction_count} predictions on straights")
 
     run_of = np.concatenate([np.full(len(w), i) for i, w in enumerate(windows)])
     times = np.concatenate([w[:, 0] for w in windows])
     _, spread, _ = make_blocks(run_of, times).regression(np.ones((len(values), 1)), values)
     used = {run.name: len(w) for run, w in zip(runs, windows, strict=True)}
-    direct = _to_estimate(DIRECT, float(values.mean()), spread, "mean reading on steady straights", used,
+    direct = _to_estimate(DIRECT_NAME, float(values.mean()), spread, "mean reading on steady straights", used,
                           f"{len(values)} windows of {WINDOW:g} s")
     conflict = describe_contradiction(paper, direct.value, direct.standard_uncertainty,
                                       "the mean reading on steady straights")

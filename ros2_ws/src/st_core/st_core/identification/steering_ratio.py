@@ -81,7 +81,7 @@ MIN_ROWS = 5
 MIN_RANGE = math.radians(90.0)  # minimum range of the steering wheel angle
 MAX_STEERING_WHEEL_ANGLE = math.radians(1200.0)
 MAX_ROAD_WHEEL_ANGLE = math.radians(60.0)
-BIN = math.radians(90.0)
+ANGLE_BIN_WIDTH = math.radians(90.0)
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,8 @@ def identify_steering_ratio(data: Turntable) -> Identification:
         verdict += f" The ratio is not constant: {centre:.2f} on centre."
     estimate = Estimate("steering_ratio", ratio, "1", ratio**2 * line.uncertainty, (1.0 / high, 1.0 / low), method,
                         used, verdict)
-    edges = BIN * np.arange(math.floor(data.steering.min() / BIN), math.ceil(data.steering.max() / BIN) + 1)
+    first, last = data.steering.min() / ANGLE_BIN_WIDTH, data.steering.max() / ANGLE_BIN_WIDTH
+    edges = ANGLE_BIN_WIDTH * np.arange(math.floor(first), math.ceil(last) + 1)
     counts = np.histogram(data.steering, edges)[0]
     coverage = Coverage("steering-wheel angle", "deg", np.degrees(edges), counts, 1, 2)
     figure = {"steering": data.steering, "left": data.left, "right": data.right, "mean": mean, "sweeps": data.sweeps,

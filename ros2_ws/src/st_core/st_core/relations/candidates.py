@@ -11,7 +11,7 @@ from ..effects import _relation
 from ..timeseries import NANOSECOND, moving_average
 from ..vehicle import VehicleParameters
 
-ODD, NEITHER = -1.0, 0.0
+ODD, NEITHER = -1.0, 0.0  # parity of a curve
 TAIL_SHARE = 0.01  # fraction of the samples below and above the range of a curve; the curve is constant there
 MIN_SPEED = 2.0  # m/s; at lower speed, slip angles are ill-defined
 QUANTITIES = {"slip_front": "rad", "slip_rear": "rad", "steering": "rad", "acceleration_y": "m/s^2",
@@ -111,15 +111,15 @@ class Candidate:
     def constants(self) -> dict[str, float]:
         """Fixed parameters of the effect."""
         terms = ("front_grip", "rear_grip") if self.term == "both_grip" else (self.term,)
-        known = {"low": self.low, "spacing": (self.high - self.low) / _relation.INTERVALS, "parity": self.parity,
-                 **{f"to_{term}": self.typical_size for term in terms}}
-        for quantity, weight in ((self.quantity, "in"), (self.factor, "by")):
+        values = {"low": self.low, "spacing": (self.high - self.low) / _relation.INTERVALS, "parity": self.parity,
+                  **{f"to_{term}": self.typical_size for term in terms}}
+        for quantity, prefix in ((self.quantity, "in"), (self.factor, "by")):
             if quantity in FILTERED:
                 source, kind, tau = FILTERED[quantity]
-                known |= {f"of_{source}": 1.0, "tau": tau, f"{weight}_{kind}": 1.0}
+                values |= {f"of_{source}": 1.0, "tau": tau, f"{prefix}_{kind}": 1.0}
             elif quantity and quantity != "run_time":
-                known[f"{weight}_{quantity}"] = 1.0
-        return known | ({"by_one": 0.0} if self.factor else {})
+                values[f"{prefix}_{quantity}"] = 1.0
+        return values | ({"by_one": 0.0} if self.factor else {})
 
     def splines(self, u: np.ndarray) -> np.ndarray:
         """(SPLINES, ...) values of the basis splines [unit of the curve] at u [unit of the quantity]; the curve is a
@@ -130,7 +130,7 @@ class Candidate:
             _relation.spline(t - k) + self.parity * _relation.spline(s - k) for k in range(-1, _relation.SPLINES - 1)])
 
 
-def run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
+def compute_run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
     """Time since the start of the run [s], at instants of the common clock [ns]."""
     runs, first = np.unique(windows.run, return_index=True)
     begins = windows.starts_ns[first] - np.round(windows.seconds[first] / NANOSECOND).astype(np.int64)
@@ -139,7 +139,7 @@ def run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
     return (time_ns - begins[order][run]) * NANOSECOND
 
 
-def covered_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray]:
+def compute_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray]:
     """Every quantity at the INS samples with a speed above MIN_SPEED; slip angles are measured values."""
     log = windows.joined
     moving = log.velocity_x > MIN_SPEED
@@ -153,34 +153,36 @@ def covered_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str
                  "acceleration_y": speed * rate,
                  "acceleration_x": np.gradient(moving_average(stamps, speed, SMOOTHING_NS), time * NANOSECOND),
                  "speed": speed, "yaw_rate": rate, "north": np.sin(log.yaw), "east": np.cos(log.yaw),
-                 "position_x": log.x, "position_y": log.y, "run_time": run_time(windows, stamps)}
+                 "position_x": log.x, "position_y": log.y, "run_time": compute_run_time(windows, stamps)}
         for name, (source, kind, tau) in FILTERED.items():
             lagging = moving_average(stamps, found[source], round(2.0 * tau / NANOSECOND))
             found[name] = np.gradient(lagging, time * NANOSECOND) if kind == "rate" else lagging
     return {name: values[moving] for name, values in found.items()}
 
 
-def candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candidate]:
+def find_candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candidate]:
     """Candidates that these drives excite: quantities with a range above MIN_RANGES, sensor terms of measured channels,
     and positions only at a single site, because the maps of several sites may have different origins."""
-    values, found = covered_quantities(windows, vehicle), []
+    values, found = compute_quantities(windows, vehicle), []
     one_site = int(sites(windows).max()) == 0
-    admissible = [(p, q, parity, "") for p, quantities in ADMISSIBLE.items() for q, parity in quantities]
-    for term, quantity, parity, factor in [*admissible, *((p, q, NEITHER, factor) for p, q, factor in PAIRS)]:
+    forms = [(term, quantity, parity, "") for term, quantities in ADMISSIBLE.items() for quantity, parity in quantities]
+    forms += [(term, quantity, NEITHER, factor) for term, quantity, factor in PAIRS]
+    for term, quantity, parity, factor in forms:
         channel = term.removeprefix("sensor_")
         if term.startswith("sensor_") and channel != "heading" and channel not in windows.columns:
             continue
         if quantity.startswith("position_") and not one_site:
             continue
-        low, high = _range(values[quantity])
+        low, high = _find_range(values[quantity])
         if parity == ODD:
-            high = _range(np.abs(values[quantity]))[1]
+            high = _find_range(np.abs(values[quantity]))[1]
             low = -high
-        if high - low > MIN_RANGES[quantity] and (not factor or np.ptp(_range(values[factor])) > MIN_RANGES[factor]):
+        is_factor_excited = not factor or np.ptp(_find_range(values[factor])) > MIN_RANGES[factor]
+        if high - low > MIN_RANGES[quantity] and is_factor_excited:
             found.append(Candidate(term, quantity, parity, float(low), float(high), factor))
     return found
 
 
-def _range(values: np.ndarray) -> np.ndarray:
+def _find_range(values: np.ndarray) -> np.ndarray:
     """(low, high) of the finite values, without their tails."""
     return np.quantile(values[np.isfinite(values)], [TAIL_SHARE, 1.0 - TAIL_SHARE])

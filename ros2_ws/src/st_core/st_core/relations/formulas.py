@@ -16,7 +16,7 @@ MIN_EXPLAINED = 0.5  # fraction of the gain of the curve, from its quadratic, th
 MIN_EXPLAINED_MORE = 1e-3  # the same, that a shape must explain in addition to any shape with fewer parameters
 FULL_SHARE = 0.98  # fraction of the gain of the best shape: a simpler shape that explains more is preferred
 NEAR_SHARE = 0.9  # the same for a simpler shape with a held-out loss that is not significantly higher
-MIN_KEPT_GAIN = 0.9  # minimum fraction of the held-out gain of the curve that a formula retains when simulated
+MIN_RETAINED_GAIN = 0.9  # minimum fraction of the held-out gain of the curve that a formula retains when simulated
 MAX_RANGE = 2.0  # maximum ratio of the largest value of a formula to that of the curve, within its range
 
 ShapeFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -24,25 +24,25 @@ ShapeFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Formula:
-    """Formula of a relation. shape: name of the shape. text: formula y(u) with numbers; u is the quantity [SI]. kept
-    [1]: fraction of the held-out gain of the curve that the formula retains when simulated in its place. causes:
-    possible causes from textbooks."""
+    """Formula of a relation. shape: name of the shape. text: y as a function of the quantity u [SI], with numbers.
+    retained [1]: fraction of the held-out gain of the curve that the formula retains when simulated in its place.
+    causes: possible causes from textbooks."""
 
     shape: str
     text: str
-    kept: float
+    retained: float
     causes: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class FittedShape:
-    """A shape fitted by the quadratic about the curve. numbers: its parameters, fitted to all blocks; by_fold: fitted
+    """A shape fitted by the quadratic about the curve. parameters: fitted to all blocks; by_fold: fitted
     without each fold. explained [1]: fraction of the gain of the curve. held_out: (b,) increase of the loss."""
 
     shape: str
     text: str
     function: ShapeFunction
-    numbers: np.ndarray
+    parameters: np.ndarray
     by_fold: Mapping[int, np.ndarray]
     explained: float
     held_out: np.ndarray
@@ -53,7 +53,7 @@ SHAPES: dict[str, tuple[str, int, ShapeFunction]] = {
     "linear": ("y = {0:.3g} u", 1, lambda u, p: p[0] * u),
     "cubic": ("y = {0:.3g} u^3", 1, lambda u, p: p[0] * u**3),
     "square": ("y = {0:.3g} u |u|", 1, lambda u, p: p[0] * u * np.abs(u)),
-    "saturating": ("y = {0:.3g} tanh(u / {1:.3g})", 2, lambda u, p: p[0] * np.tanh(u / _nonzero(p[1]))),
+    "saturating": ("y = {0:.3g} tanh(u / {1:.3g})", 2, lambda u, p: p[0] * np.tanh(u / _avoid_zero(p[1]))),
     "dead zone": ("y = {0:.3g} (|u| - {1:.3g}) sign u beyond {1:.3g}, 0 within", 2,
                   lambda u, p: p[0] * np.sign(u) * np.maximum(np.abs(u) - np.abs(p[1]), 0.0)),
     "linear and cubic": ("y = {0:.3g} u + {1:.3g} u^3", 2, lambda u, p: p[0] * u + p[1] * u**3),
@@ -65,7 +65,7 @@ ONE_SIDED: dict[str, tuple[str, int, ShapeFunction]] = {
     "dead zone": SHAPES["dead zone"],
     "inverse": ("y = {0:.3g} + {1:.3g} / u", 2, lambda u, p: p[0] + p[1] / np.where(np.abs(u) < 1e-9, 1e-9, u)),
     "saturating": ("y = {0:.3g} + {1:.3g} tanh(u / {2:.3g})", 3,
-                   lambda u, p: p[0] + p[1] * np.tanh(u / _nonzero(p[2]))),
+                   lambda u, p: p[0] + p[1] * np.tanh(u / _avoid_zero(p[2]))),
 }
 """Shapes of a curve without odd symmetry."""
 
@@ -127,8 +127,8 @@ CONSTANT = {
 """Causes of a constant, by term."""
 
 
-def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadratic,
-                  fold: np.ndarray) -> Sequence[FittedShape]:
+def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadratic,
+               fold: np.ndarray) -> Sequence[FittedShape]:
     """Up to MAX_FORMULAS shapes, the preferred one first. profile: quadratic of the loss about the coefficients (8,),
     by block, all other parameters profiled out; fold: (b,).
 
@@ -140,11 +140,11 @@ def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadr
     at = np.linspace(candidate.low, candidate.high, POINTS)
     to_splines, value = np.linalg.pinv(candidate.splines(at).T, rcond=1e-6), coefficients @ candidate.splines(at)
 
-    def rise(distance: np.ndarray) -> np.ndarray:
+    def compute_rise(distance: np.ndarray) -> np.ndarray:
         """(b,) increase of the loss above that of the curve, at a `distance` from its coefficients."""
         return np.einsum("i,bij,j->b", distance, profile.hessian, distance) - 2.0 * profile.gradient @ distance
 
-    total = float(rise(-coefficients).sum())
+    total = float(compute_rise(-coefficients).sum())
     if total <= 1e-20:
         return ()
     found = []
@@ -152,49 +152,49 @@ def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadr
         if shape == "inverse" and np.abs(at).min() < 0.05 * np.abs(at).max():
             continue
 
-        def numbers(known: np.ndarray, count: int = count, function: ShapeFunction = function) -> np.ndarray:
+        def fit_parameters(known: np.ndarray, count: int = count, function: ShapeFunction = function) -> np.ndarray:
             h, g = add_ridge(profile.hessian[known].sum(axis=0)), profile.gradient[known].sum(axis=0)
             root, target = np.linalg.cholesky(h), coefficients + np.linalg.solve(h, g)
-            return _least_squares(lambda x: (to_splines @ function(at, x) - target) @ root, count, at, value)
+            return _fit_parameters(lambda x: (to_splines @ function(at, x) - target) @ root, count, at, value)
 
-        def distance(p: np.ndarray, function: ShapeFunction = function) -> np.ndarray:
+        def compute_distance(p: np.ndarray, function: ShapeFunction = function) -> np.ndarray:
             return to_splines @ function(at, p) - coefficients
 
-        best = numbers(np.ones(len(fold), bool))
+        best = fit_parameters(np.ones(len(fold), bool))
         if shape == "dead zone":
             best[1] = abs(best[1])
-        explained = min(1.0 - float(rise(distance(best)).sum()) / total, 1.0)
+        explained = min(1.0 - float(compute_rise(compute_distance(best)).sum()) / total, 1.0)
         if explained >= MIN_EXPLAINED:
-            by_fold = {int(k): numbers(fold != k) for k in np.unique(fold)}
+            by_fold = {int(k): fit_parameters(fold != k) for k in np.unique(fold)}
             held_out = np.zeros(len(fold))
             for k, others in by_fold.items():
-                held_out[fold == k] = rise(distance(others))[fold == k]
+                held_out[fold == k] = compute_rise(compute_distance(others))[fold == k]
             found.append(FittedShape(shape, text, function, best, by_fold, explained, held_out))
-    return _ordered(found)
+    return _sort_shapes(found)
 
 
-def _ordered(found: Sequence[FittedShape]) -> Sequence[FittedShape]:
+def _sort_shapes(found: Sequence[FittedShape]) -> Sequence[FittedShape]:
     """The preferred shape first, the others by held-out loss."""
     order = sorted((shape for shape in found if not any(
-        len(o.numbers) < len(shape.numbers) and o.explained > shape.explained - MIN_EXPLAINED_MORE for o in found)),
-                   key=lambda shape: float(shape.held_out.sum()))
+        len(other.parameters) < len(shape.parameters) and other.explained > shape.explained - MIN_EXPLAINED_MORE
+        for other in found)), key=lambda shape: float(shape.held_out.sum()))
     if not order:
         return ()
     best = order[0]
 
-    def as_good(shape: FittedShape) -> bool:
+    def is_as_good(shape: FittedShape) -> bool:
         worse, share = shape.held_out - best.held_out, shape.explained / best.explained
         within_error = float(worse.sum()) <= float(worse.std(ddof=1)) * np.sqrt(len(worse))
         return share >= FULL_SHARE or (share >= NEAR_SHARE and within_error)
 
-    first = min(filter(as_good, order), key=lambda shape: len(shape.numbers))
+    first = min(filter(is_as_good, order), key=lambda shape: len(shape.parameters))
     return (first, *(shape for shape in order if shape is not first))[:MAX_FORMULAS]
 
 
-def simulated_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit) -> tuple[Formula, ...]:
-    """Formulas that retain at least MIN_KEPT_GAIN of the held-out gain of the curve when simulated in its place.
+def simulate_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit) -> tuple[Formula, ...]:
+    """Formulas that retain at least MIN_RETAINED_GAIN of the held-out gain of the curve when simulated in its place.
 
-    Each fold is simulated with the numbers fitted to the other folds, after one refitting step of the parameters of the
+    Each fold is simulated with the formula fitted to the other folds, after one refitting step of the parameters of the
     discovered model. A curve without odd symmetry may be determined only up to a constant, which a parameter of the
     vehicle file can imitate; its formula gets an additional constant if it fails without one. Within the driven range,
     a formula must have the sign of the curve and stay below MAX_RANGE times its largest value, and it must not increase
@@ -204,53 +204,53 @@ def simulated_formulas(fits: RelationFits, fit: RelationFit, without: RelationFi
     candidate, gain = fit.candidate, float((without.held_out - fit.held_out).sum())
     found = []
     key = (candidate.term, candidate.quantity, *((candidate.factor,) if candidate.factor else ()))
-    for shape in fitted_shapes(candidate, fit.coefficients, fits.profile(fit), fits.fold):
+    for shape in fit_shapes(candidate, fit.coefficients, fits.profile(fit), fits.fold):
         offsets = (False, True) if candidate.parity == NEITHER and shape.shape != "constant" else (False,)
         for with_offset in offsets:
-            kept, offset = _simulated(fits, fit, without, shape, with_offset)
-            if kept >= MIN_KEPT_GAIN * gain:
-                text = shape.text.format(*shape.numbers)
+            retained, offset = _simulate_shape(fits, fit, without, shape, with_offset)
+            if retained >= MIN_RETAINED_GAIN * gain:
+                text = shape.text.format(*shape.parameters)
                 text += f" {'-' if offset < 0.0 else '+'} {abs(offset):.3g}" if with_offset else ""
                 constant = shape.shape == "constant" and not candidate.factor
                 causes = CONSTANT.get(candidate.term, "") if constant else CAUSES.get(key, "")
-                found.append(Formula(shape.shape, text, kept / gain, causes))
+                found.append(Formula(shape.shape, text, retained / gain, causes))
                 break
     return tuple(found)
 
 
-def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape: FittedShape,
-               with_offset: bool) -> tuple[float, float]:
+def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, shape: FittedShape,
+                    with_offset: bool) -> tuple[float, float]:
     """(held-out gain of a shape, its offset); the gain is -inf for a wrong sign, a large range or a worse path."""
     candidate = fit.candidate
     assert candidate is not None
     at = np.linspace(candidate.low, candidate.high, POINTS)
     splines = candidate.splines(at)
-    loss, to_splines = fits.loss_of(candidate), np.linalg.pinv(splines.T, rcond=1e-6)
+    loss, to_splines = fits.make_loss(candidate), np.linalg.pinv(splines.T, rcond=1e-6)
 
-    def refitted(numbers: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
+    def refit(parameters: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
         """(vector with the shape in place of the curve and all other parameters fitted to `known` blocks, offset)."""
         scale = fits.space.scale[fit.indices]
         count = len(fit.coefficients)
         fixed = np.zeros(len(scale))
-        fixed[-count:] = (to_splines @ shape.function(at, numbers) - fit.coefficients) / scale[-count:]
+        fixed[-count:] = (to_splines @ shape.function(at, parameters) - fit.coefficients) / scale[-count:]
         basis = np.eye(len(scale))[:, :len(scale) - count]
         if with_offset:
             constant = np.concatenate([np.zeros(len(scale) - count), (to_splines @ np.ones(POINTS)) / scale[-count:]])
             basis = np.column_stack([basis, constant])
-        h, g = fit.q.hessian[known].sum(axis=0), fit.q.gradient[known].sum(axis=0)
+        h, g = fit.quadratic.hessian[known].sum(axis=0), fit.quadratic.gradient[known].sum(axis=0)
         step = np.linalg.solve(add_ridge(basis.T @ h @ basis), basis.T @ (g - h @ fixed))
         vector = fit.vector.copy()
         vector[fit.indices] += (fixed + basis @ step) * scale
         return loss.space.inside(vector), float(step[-1]) if with_offset else 0.0
 
-    _, offset = refitted(shape.numbers, np.ones(fits.blocks, bool))
-    value, curve = shape.function(at, shape.numbers) + offset, fit.coefficients @ splines
+    _, offset = refit(shape.parameters, np.ones(fits.blocks, bool))
+    value, curve = shape.function(at, shape.parameters) + offset, fit.coefficients @ splines
     if value @ curve <= 0.0 or np.abs(value).max() > MAX_RANGE * np.abs(curve).max():
         return -np.inf, offset
     held_out, position = np.zeros(fits.blocks), np.full(len(fits.block), np.nan)
-    for k, numbers in shape.by_fold.items():
+    for k, parameters in shape.by_fold.items():
         in_fold = fits.fold == k
-        vector, _ = refitted(numbers, ~in_fold)
+        vector, _ = refit(parameters, ~in_fold)
         held_out[in_fold] = np.bincount(fits.block, loss.by_window(vector), fits.blocks)[in_fold]
         windows = in_fold[fits.block]
         position[windows] = fits.problem.position_error(loss.errors.at(vector))[windows]
@@ -260,17 +260,17 @@ def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape
     return float((without.held_out - held_out).sum()), offset
 
 
-def _nonzero(number: float) -> float:
+def _avoid_zero(number: float) -> float:
     """The number, or 1e-9 if its magnitude is smaller, for use as a divisor."""
     return number if abs(number) > 1e-9 else 1e-9
 
 
-def _least_squares(residual: Callable[[np.ndarray], np.ndarray], count: int, at: np.ndarray,
-                   value: np.ndarray) -> np.ndarray:
-    """Numbers of a shape by least squares, best of several starts. value: the curve at the points `at`."""
+def _fit_parameters(residual: Callable[[np.ndarray], np.ndarray], count: int, at: np.ndarray,
+                    value: np.ndarray) -> np.ndarray:
+    """Parameters of a shape by least squares, best of several starts. value: the curve at the points `at`."""
     size, reach = float(np.abs(value).max()), float(np.abs(at).max())
     sign = float(np.sign(np.sum(value * np.sign(at)))) or 1.0
     starts = [np.array([sign * size / max(reach, 1e-9), share * reach, share * reach][:count])
               for share in (0.15, 0.4, 0.8)]
     return min((least_squares(residual, start, x_scale=np.abs(start) + 1e-9) for start in starts),
-               key=lambda done: done.cost).x
+               key=lambda result: result.cost).x

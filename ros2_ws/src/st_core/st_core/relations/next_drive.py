@@ -11,7 +11,7 @@ from ..discovery.windows import Windows
 from ..effects._relation import SPLINES
 from ..manoeuvres import Manoeuvre
 from ..regression import add_ridge
-from .candidates import ODD, Candidate, covered_quantities
+from .candidates import ODD, Candidate, compute_quantities
 from .relation_fit import RIDGE, RelationFit, RelationFits
 
 MIN_IMPROVEMENT = 1.3  # factor on separation or precision; a manoeuvre with less is not suggested
@@ -41,13 +41,13 @@ class NextDrives:
     current_separation: Mapping[str, float] = field(default_factory=dict)
     options: Sequence[Option] = ()
 
-    def most_precise(self, deviation: np.ndarray) -> Option | None:
+    def find_most_precise(self, deviation: np.ndarray) -> Option | None:
         """The option with the lowest maximum deviation; None if the improvement is below MIN_IMPROVEMENT. deviation:
         (k,) in the existing runs."""
         best = min(self.options, key=lambda o: float(o.deviation.max()), default=None)
         return best if best is not None and MIN_IMPROVEMENT * best.deviation.max() <= deviation.max() else None
 
-    def most_separating(self) -> tuple[Option, str] | None:
+    def find_most_separating(self) -> tuple[Option, str] | None:
         """The option with the largest separation from its nearest rival, and that rival; None below MIN_SEPARATION or
         MIN_IMPROVEMENT."""
         weakest = [(option, min(option.separation, key=option.separation.__getitem__))
@@ -60,7 +60,7 @@ class NextDrives:
         return best if option.separation[rival] >= needed else None
 
 
-def sparse_ranges(at: np.ndarray, density: np.ndarray, parity: float) -> list[Range]:
+def find_sparse_ranges(at: np.ndarray, density: np.ndarray, parity: float) -> list[Range]:
     """Sparsely driven ranges, from the mean density of a point and its two neighbours. at, density: (k,) as in
     `Relation`. For an odd curve, positive values only."""
     if parity == ODD:
@@ -72,8 +72,8 @@ def sparse_ranges(at: np.ndarray, density: np.ndarray, parity: float) -> list[Ra
     return [(float(at[first] - half), float(at[last - 1] + half)) for first, last in ends.reshape(-1, 2)]
 
 
-def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, rivals: Mapping[str, RelationFit],
-                design_effect: float, at: np.ndarray, deviation: np.ndarray, sparse: Sequence[Range]) -> NextDrives:
+def suggest_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, rivals: Mapping[str, RelationFit],
+                   design_effect: float, at: np.ndarray, deviation: np.ndarray, sparse: Sequence[Range]) -> NextDrives:
     """Simulate what each manoeuvre would add to the runs. rivals: equally good relations. at, deviation: (k,) points of
     the curve and its standard deviations. Expected deviations are from the curvature of the loss at the fit."""
     if candidate.quantity in INDEPENDENT_OF_MANOEUVRE:
@@ -81,48 +81,49 @@ def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, riva
     splines = candidate.splines(at)
     rivals = {name: other for name, other in rivals.items()
               if other.candidate is not None and other.candidate.quantity not in INDEPENDENT_OF_MANOEUVRE}
-    recorded = {name: _joint(fits.loss, fit.rows, fit.sensitivities, other.sensitivities[-SPLINES:], fit)
+    recorded = {name: _compute_joint_curvature(fits.loss, fit.rows, fit.sensitivities,
+                                               other.sensitivities[-SPLINES:], fit)
                 for name, other in rivals.items()}
-    curvature = fit.q.hessian.sum(axis=0)
-    variance = _variance(curvature + fit.penalty, splines)
+    curvature = fit.quadratic.hessian.sum(axis=0)
+    variance = _compute_variance(curvature + fit.penalty, splines)
     options = []
     for manoeuvre, windows in simulate_manoeuvres(fits.windows, fits.model.base):
-        loss = _loss(fits, windows, candidate, fit)
+        loss = _make_loss(fits, windows, candidate, fit)
         rows = 0.0 * np.nan_to_num(loss.errors.at(fit.vector))
         sensitivities = loss.sensitivities(fit.vector, fit.indices)
-        more = REPETITIONS * loss.quadratic(rows, sensitivities).hessian.sum(axis=0)
-        ratio = np.sqrt(_variance(curvature + more + fit.penalty, splines) / np.maximum(variance, 1e-30))
+        added = REPETITIONS * loss.quadratic(rows, sensitivities).hessian.sum(axis=0)
+        ratio = np.sqrt(_compute_variance(curvature + added + fit.penalty, splines) / np.maximum(variance, 1e-30))
         separation = {}
         for name, other in rivals.items():
             assert other.candidate is not None
-            of_rival = _loss(fits, windows, other.candidate, other).sensitivities(other.vector, fits.relation)
-            more_joint = REPETITIONS * _joint(loss, rows, sensitivities, of_rival, fit)
-            separation[name] = _strength(recorded[name] + more_joint, fit, other, design_effect)
-        u = covered_quantities(windows, windows.vehicle)[candidate.quantity]
+            of_rival = _make_loss(fits, windows, other.candidate, other).sensitivities(other.vector, fits.relation)
+            added_joint = REPETITIONS * _compute_joint_curvature(loss, rows, sensitivities, of_rival, fit)
+            separation[name] = _compute_separation(recorded[name] + added_joint, fit, other, design_effect)
+        u = compute_quantities(windows, windows.vehicle)[candidate.quantity]
         size = np.abs(u) if candidate.parity == ODD else u
         seconds = [manoeuvre.duration * float(((size >= low) & (size <= high)).mean()) for low, high in sparse]
         options.append(Option(manoeuvre, deviation * np.minimum(ratio, 1.0), separation, seconds))
-    current = {name: _strength(h, fit, rivals[name], design_effect) for name, h in recorded.items()}
+    current = {name: _compute_separation(h, fit, rivals[name], design_effect) for name, h in recorded.items()}
     return NextDrives(sparse, current, options)
 
 
-def _loss(fits: RelationFits, windows: Windows, candidate: Candidate, fit: RelationFit) -> Loss:
+def _make_loss(fits: RelationFits, windows: Windows, candidate: Candidate, fit: RelationFit) -> Loss:
     """Loss of other windows, with the residual scale of the runs."""
-    loss = Loss(Errors(windows, fits.space_of(candidate), fits.threads), fit.vector)
+    loss = Loss(Errors(windows, fits.make_space(candidate), fits.threads), fit.vector)
     loss.scale = fits.loss.scale
     return loss
 
 
-def _joint(loss: Loss, rows: np.ndarray, sensitivities: np.ndarray, of_rival: np.ndarray,
-           fit: RelationFit) -> np.ndarray:
+def _compute_joint_curvature(loss: Loss, rows: np.ndarray, sensitivities: np.ndarray, of_rival: np.ndarray,
+                             fit: RelationFit) -> np.ndarray:
     """Curvature of the loss in the other parameters, the coefficients of a rival and a scale factor of the relation."""
     of_size = np.einsum("p,pnm->nm", fit.coefficients, sensitivities[-SPLINES:])
     joint = np.concatenate([sensitivities[:-SPLINES], of_rival, of_size[None]])
     return loss.quadratic(rows, joint).hessian.sum(axis=0)
 
 
-def _strength(h: np.ndarray, fit: RelationFit, other: RelationFit, design_effect: float) -> float:
-    """Separation of a relation from a rival, in standard deviations. h: result of `_joint`."""
+def _compute_separation(h: np.ndarray, fit: RelationFit, other: RelationFit, design_effect: float) -> float:
+    """Separation of a relation from a rival, in standard deviations. h: result of `_compute_joint_curvature`."""
     n_others = len(fit.indices) - SPLINES
     penalty = np.zeros((len(h) - 1, len(h) - 1))
     penalty[n_others:, n_others:] = other.penalty[-SPLINES:, -SPLINES:]
@@ -130,7 +131,7 @@ def _strength(h: np.ndarray, fit: RelationFit, other: RelationFit, design_effect
     return float(np.sqrt(max(2.0 * unexplained / design_effect, 0.0)))
 
 
-def _variance(h: np.ndarray, splines: np.ndarray) -> np.ndarray:
+def _compute_variance(h: np.ndarray, splines: np.ndarray) -> np.ndarray:
     """(k,) variance of the curve, up to a constant factor."""
     inverse = np.linalg.inv(h + RIDGE * np.eye(len(h)))[-SPLINES:, -SPLINES:]
     return np.einsum("ik,ij,jk->k", splines, inverse, splines)

@@ -17,7 +17,7 @@ from ..effects._relation import SPLINES, RelationEffect
 from ..log import DriveLog
 from ..regression import add_ridge
 from ..vehicle import VehicleParameters
-from .candidates import Candidate, run_time
+from .candidates import Candidate, compute_run_time
 
 RELATION = RelationEffect.name  # the three relation effects have the same indices in the vector
 SMOOTHING = (0.003, 0.03, 0.3)  # penalties on second differences, relative to the mean curvature of the coefficients
@@ -25,8 +25,8 @@ SIZE_PENALTY = 0.1  # penalty on coefficients, relative to that on second differ
 ITERATIONS, STEP_SHARES, MIN_LOSS_FALL = 8, (1.0, 0.5, 0.2), 2e-4  # as in discovery.fit
 BASE_FITS = 2  # fits of the discovered model without a relation
 RIDGE = 1e-6  # added to the diagonal of a curvature before inversion
-_SECOND = np.diff(np.eye(SPLINES), 2, axis=0)
-ROUGHNESS = _SECOND.T @ _SECOND + SIZE_PENALTY * np.eye(SPLINES)
+_SECOND_DIFFERENCE = np.diff(np.eye(SPLINES), 2, axis=0)
+ROUGHNESS = _SECOND_DIFFERENCE.T @ _SECOND_DIFFERENCE + SIZE_PENALTY * np.eye(SPLINES)
 """Penalty matrix: sum of squared second differences, plus SIZE_PENALTY times the sum of squares."""
 
 
@@ -34,8 +34,8 @@ ROUGHNESS = _SECOND.T @ _SECOND + SIZE_PENALTY * np.eye(SPLINES)
 class RelationFit:
     """A fit with a candidate, or of the discovered model without a relation (candidate None). smooth: one of SMOOTHING.
     vector: in the space of the candidate. rows: (n, m) residuals. indices: (a,) free parameters, the coefficients last.
-    sensitivities: (a, n, m) to these parameters. penalty: (a, a). q: quadratic by block. held_out: (b,) loss of each
-    block at values fitted without its fold. steps: by fold, step to these values."""
+    sensitivities: (a, n, m) to these parameters. penalty: (a, a). quadratic: of the loss, by block. held_out: (b,) loss
+    of each block at values fitted without its fold. steps: by fold, step to these values."""
 
     candidate: Candidate | None
     smooth: float
@@ -44,7 +44,7 @@ class RelationFit:
     indices: np.ndarray
     sensitivities: np.ndarray
     penalty: np.ndarray
-    q: Quadratic
+    quadratic: Quadratic
     held_out: np.ndarray
     steps: dict[int, np.ndarray]
 
@@ -52,10 +52,10 @@ class RelationFit:
     def coefficients(self) -> np.ndarray:
         return self.vector[self.indices[-SPLINES:]] if self.candidate else np.zeros(SPLINES)
 
-    def covariance(self) -> np.ndarray:
+    def compute_covariance(self) -> np.ndarray:
         """(SPLINES, SPLINES) sandwich covariance of the coefficients, with scores summed by block."""
-        inverse = np.linalg.inv(self.q.hessian.sum(axis=0) + self.penalty + RIDGE * np.eye(len(self.indices)))
-        scores, blocks = self.q.gradient, len(self.q.cost)
+        inverse = np.linalg.inv(self.quadratic.hessian.sum(axis=0) + self.penalty + RIDGE * np.eye(len(self.indices)))
+        scores, blocks = self.quadratic.gradient, len(self.quadratic.cost)
         scatter = scores.T @ scores * blocks / max(blocks - 1, 1)
         return (inverse @ scatter @ inverse)[-SPLINES:, -SPLINES:]
 
@@ -67,7 +67,7 @@ class RunWindows(Windows):
         super().__init__(runs, vehicle, settings)
         if len(self):
             time_ns = self.joined.ins_time_ns
-            self._batch.extra_signals["run_time"] = time_ns, run_time(self, time_ns)
+            self._batch.extra_signals["run_time"] = time_ns, compute_run_time(self, time_ns)
 
 
 class RelationFits:
@@ -92,7 +92,7 @@ class RelationFits:
         self.refitted = self.space.indices(*names, *always)
         self.car = np.setdiff1d(self.space.indices(*car_effects), self.refitted)
 
-    def space_of(self, candidate: Candidate) -> Space:
+    def make_space(self, candidate: Candidate) -> Space:
         """The parameter space for the term, quantity and range of a candidate."""
         kind = candidate.effect
         if kind not in self._spaces:
@@ -101,14 +101,14 @@ class RelationFits:
         space.model = space.model.with_values({kind: candidate.constants})
         return space
 
-    def loss_of(self, candidate: Candidate) -> Loss:
+    def make_loss(self, candidate: Candidate) -> Loss:
         """Loss of the same windows, at the same residual scale, in the space of a candidate."""
-        space = self.space_of(candidate)
+        space = self.make_space(candidate)
         loss = copy(self.loss)
         loss.errors, loss.space = Errors(self.windows, space, self.threads), space
         return loss
 
-    def without_relation(self) -> RelationFit:
+    def fit_without_relation(self) -> RelationFit:
         """The discovered model without a relation, refitted."""
         vector = self.start
         for _ in range(BASE_FITS):
@@ -116,11 +116,11 @@ class RelationFits:
             vector = fit.vector
         return fit
 
-    def quadratic(self, loss: Loss, rows: np.ndarray, sensitivities: np.ndarray) -> Quadratic:
-        """Quadratic approximation of the loss, by block."""
+    def sum_quadratic(self, loss: Loss, rows: np.ndarray, sensitivities: np.ndarray) -> Quadratic:
+        """Quadratic approximation of the loss, summed by block."""
         return loss.quadratic(rows, sensitivities).summed(self.block, self.blocks)
 
-    def penalty(self, candidate: Candidate | None, hessian: np.ndarray, smooth: float) -> np.ndarray:
+    def make_penalty(self, candidate: Candidate | None, hessian: np.ndarray, smooth: float) -> np.ndarray:
         """(a, a) penalty on all free parameters, the coefficients last. hessian: (a, a)."""
         penalty = np.zeros(hessian.shape)
         if candidate:
@@ -128,8 +128,8 @@ class RelationFits:
             penalty[-SPLINES:, -SPLINES:] = smooth * curvature * ROUGHNESS + 1e-9 * np.eye(SPLINES)
         return penalty
 
-    def left_out_steps(self, q: Quadratic, penalty: np.ndarray,
-                       distance: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
+    def find_left_out_steps(self, q: Quadratic, penalty: np.ndarray,
+                            distance: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """({fold: step to the values fitted without it}, (b,) loss of each block at the values without its fold).
         distance: (a,) distance of the vector from the start [parameter scales]."""
         h, g = add_ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ distance
@@ -139,22 +139,22 @@ class RelationFits:
             in_fold = self.fold == k
             d = np.linalg.solve(h - q.hessian[in_fold].sum(axis=0), g - q.gradient[in_fold].sum(axis=0)) - common
             steps[int(k)] = d
-            curved = np.einsum("i,bij,j->b", d, q.hessian[in_fold], d)
-            held_out[in_fold] = q.cost[in_fold] - 2.0 * q.gradient[in_fold] @ d + curved
+            curvature = np.einsum("i,bij,j->b", d, q.hessian[in_fold], d)
+            held_out[in_fold] = q.cost[in_fold] - 2.0 * q.gradient[in_fold] @ d + curvature
         return steps, held_out
 
-    def predicted_held_out(self, q: Quadratic, penalty: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    def predict_held_out_loss(self, q: Quadratic, penalty: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """(b,) held-out loss of each block for the optimum of the quadratic."""
         step = np.linalg.solve(add_ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ distance)
         cost = q.cost - 2.0 * q.gradient @ step + np.einsum("i,bij,j->b", step, q.hessian, step)
         optimum = Quadratic(cost, q.gradient - q.hessian @ step, q.hessian)
-        return self.left_out_steps(optimum, penalty, distance + step)[1]
+        return self.find_left_out_steps(optimum, penalty, distance + step)[1]
 
     def fit(self, candidate: Candidate, without: RelationFit) -> RelationFit:
         """Fit a candidate by Gauss-Newton with simulation, repeatedly with decreasing smoothing. The first fit starts
-        from zero coefficients, the others from the previous fit. Returns the last that lowers the held-out loss."""
+        from zero coefficients, the others from the previous fit. Returns the last fit that lowers the held-out loss."""
         indices = np.concatenate([self.refitted, self.relation])
-        loss = self.loss_of(candidate)
+        loss = self.make_loss(candidate)
         sensitivities = np.concatenate([without.sensitivities, np.zeros((SPLINES, *without.sensitivities.shape[1:]))])
         strong, *weaker = sorted(SMOOTHING, reverse=True)
         best = self._fit(candidate, loss, indices, strong, sensitivities, without.vector)
@@ -169,22 +169,22 @@ class RelationFits:
         """Quadratic by block about the fit, in the coefficients alone: all other parameters, including those of the
         vehicle file, are profiled out."""
         assert fit.candidate is not None
-        loss = self.loss_of(fit.candidate)
+        loss = self.make_loss(fit.candidate)
         car = loss.sensitivities(fit.vector, self.car)
-        q = self.quadratic(loss, fit.rows, np.concatenate([car, fit.sensitivities]))
+        q = self.sum_quadratic(loss, fit.rows, np.concatenate([car, fit.sensitivities]))
         whole = q.hessian.sum(axis=0)
         others = whole[:-SPLINES, :-SPLINES]
         projection = np.concatenate([-np.linalg.solve(add_ridge(others), whole[:-SPLINES, -SPLINES:]), np.eye(SPLINES)])
         hessian = np.einsum("ik,bij,jl->bkl", projection, q.hessian, projection)
         return Quadratic(q.cost, q.gradient @ projection, hessian)
 
-    def without_effect(self, candidate: Candidate, fit: RelationFit, name: str) -> RelationFit:
+    def fit_without_effect(self, candidate: Candidate, fit: RelationFit, name: str) -> RelationFit:
         """The relation with an effect of the discovered model removed and everything else refitted."""
         removed = self.space.indices(name)
         vector, others = fit.vector.copy(), np.setdiff1d(fit.indices[:-SPLINES], removed)
         null = {p.name: p.null for p in get_effect(name).parameters}
         vector[removed] = [null[self.space.free[i].parameter] for i in removed]
-        loss, indices = self.loss_of(candidate), np.concatenate([others, self.relation])
+        loss, indices = self.make_loss(candidate), np.concatenate([others, self.relation])
         return self._fit(candidate, loss, indices, fit.smooth, loss.sensitivities(vector, indices), vector)
 
     def _fit(self, candidate: Candidate | None, loss: Loss, indices: np.ndarray, smooth: float,
@@ -193,10 +193,10 @@ class RelationFits:
         for iteration in range(ITERATIONS):
             if candidate:
                 sensitivities = np.concatenate([sensitivities[:-SPLINES], loss.sensitivities(vector, self.relation)])
-            q = self.quadratic(loss, loss.errors.at(vector), sensitivities)
+            q = self.sum_quadratic(loss, loss.errors.at(vector), sensitivities)
             h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
             if not iteration:
-                penalty = self.penalty(candidate, h, smooth)
+                penalty = self.make_penalty(candidate, h, smooth)
             distance = ((vector - self.start) / scale)[indices]
             step = np.linalg.solve(add_ridge(h) + penalty, g - penalty @ distance)
             cost = loss.total(vector) + distance @ penalty @ distance
@@ -215,6 +215,6 @@ class RelationFits:
             if gained < MIN_LOSS_FALL * loss.residual_count:
                 break
         rows = loss.errors.at(vector)
-        q = self.quadratic(loss, rows, sensitivities)
-        steps, held_out = self.left_out_steps(q, penalty, ((vector - self.start) / scale)[indices])
+        q = self.sum_quadratic(loss, rows, sensitivities)
+        steps, held_out = self.find_left_out_steps(q, penalty, ((vector - self.start) / scale)[indices])
         return RelationFit(candidate, smooth, vector, rows, indices, sensitivities, penalty, q, held_out, steps)

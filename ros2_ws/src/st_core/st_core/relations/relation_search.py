@@ -12,19 +12,19 @@ from ..discovery.settings import DiscoverySettings, Limits
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from . import selection
-from .candidates import FACTORS, SENSOR_READINGS, TYPICAL_SIZES, Candidate, covered_quantities
-from .formulas import Formula, simulated_formulas
-from .next_drive import NextDrives, next_drives, sparse_ranges
+from .candidates import FACTORS, SENSOR_READINGS, TYPICAL_SIZES, Candidate, compute_quantities
+from .formulas import Formula, simulate_formulas
+from .next_drive import NextDrives, find_sparse_ranges, suggest_drives
 from .relation_fit import RelationFit, RelationFits, RunWindows
-from .selection import Screened
+from .selection import ScreenedCandidate
 
-REFITTED = 10  # largest number of candidates fitted by simulation
+MAX_FITTED = 10  # largest number of candidates fitted by simulation
 MIN_BLOCKS = 10  # minimum number of blocks for a curve with eight coefficients
 MAX_DETECTABLE = 3.0  # typical magnitudes; model terms with a higher detection limit are reported as not examined
 MIN_REPORTED_RATIO = 1.25  # smallest reported ratio of the held-out errors of a run with and without the relation
 STEERING_TIMING = ("steering_rate", "lagging_steering")
 """Quantities of relations of the front steering that imitate a delayed or advanced steering signal."""
-Fitted = dict[Screened, RelationFit]
+FitByCandidate = dict[ScreenedCandidate, RelationFit]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Relation:
     the relation, at the values fitted with it. others: equally good relations, with the cosine similarity of their
     effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. shares: size of the
     relation by run. redundant: effects of the result that the relation replaces, with the residual reduction [1] that
-    each still adds. drives: sparsely driven ranges, and manoeuvres to drive next.
+    each still adds. next_drives: sparsely driven ranges, and manoeuvres to drive next.
     """
 
     candidate: Candidate
@@ -57,25 +57,25 @@ class Relation:
     formulas: Sequence[Formula] = ()
     shares: Agreement = field(default_factory=lambda: Agreement({}, 1.0, 0.0))
     redundant: Mapping[str, float] = field(default_factory=dict)
-    drives: NextDrives = field(default_factory=NextDrives)
+    next_drives: NextDrives = field(default_factory=NextDrives)
 
-    def worse_runs(self) -> dict[str, tuple[float, float]]:
+    def find_worse_runs(self) -> dict[str, tuple[float, float]]:
         """Held-out position error (without, with) [m] of runs where the ratio is MIN_REPORTED_RATIO or more."""
         return {name: pair for name, pair in self.runs.items() if pair[1] >= MIN_REPORTED_RATIO * pair[0]}
 
 
 @dataclass(frozen=True)
 class RelationSearch:
-    """Result of a search. relation: None if none is significant and large enough. why: the reason for None, or the gain
+    """Result of a search. relation: None if none is significant and large enough. reason: why it is None, or the gain
     of the relation. tried: held-out gain [1] and p-value [1] of every candidate, best first. detection_limits: by
     candidate, the smallest detectable value of a linear relation at the end of its range [unit of the curve]."""
 
     relation: Relation | None
-    why: str
+    reason: str
     tried: Mapping[str, tuple[float, float]]
     detection_limits: Mapping[str, float] = field(default_factory=dict)
 
-    def not_examined(self) -> list[str]:
+    def find_unexamined_terms(self) -> list[str]:
         """Model terms with a detection limit above MAX_DETECTABLE typical magnitudes."""
         smallest: dict[str, float] = {}
         for name, limit in self.detection_limits.items():
@@ -105,8 +105,8 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
     Raises StCoreError if the drives contain no usable prediction.
     """
     settings = settings or DiscoverySettings()
-    used = tuple(c for c in settings.channels if c in found.noise)
-    settings = replace(settings, channels=used or settings.channels)
+    measured = tuple(c for c in settings.channels if c in found.noise)
+    settings = replace(settings, channels=measured or settings.channels)
     model = found.model or found.base
     if not model.has_tyres:
         return RelationSearch(None, "the model is kinematic without tyre slip, and has no axle forces for a relation "
@@ -122,7 +122,7 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
     names = [e.name for e in (*found.effects, *found.minor)]
     fits = RelationFits(windows, model, found.acceleration_gain, names, settings, threads)
     tick()
-    without = fits.without_relation()
+    without = fits.fit_without_relation()
     screened = selection.screen(fits, without, vehicle, settings.seed, tick)
     if not screened:
         return RelationSearch(None, "no candidate relation changes a prediction of these drives: turn to both sides, "
@@ -130,16 +130,16 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
     return _select(screened, fits, without, vehicle, settings, [e.name for e in found.effects], reported, tick)
 
 
-def _select(screened: Sequence[Screened], fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
+def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
             settings: DiscoverySettings, named: Sequence[str], reported: Collection[tuple[str, str]],
             tick: Callable[[], None]) -> RelationSearch:
     """The best significant candidate, or the reason why none is reported. named: effects of the result."""
     limits, number = settings.limits, fits.loss.residual_count
-    p_values = selection.p_values(screened, fits.blocks)
+    p_values = selection.compute_p_values(screened, fits.blocks)
     tried = {s.candidate.name: (s.gain / number, p_values[s.candidate.name])
              for s in sorted(screened, key=lambda s: -s.gain)}
     level = limits.false_alarm / len(screened)
-    detection_limits = {s.candidate.name: s.detectable(level, fits.blocks) for s in screened}
+    detection_limits = {s.candidate.name: s.compute_detection_limit(level, fits.blocks) for s in screened}
     significant = sorted((s for s in screened if p_values[s.candidate.name] <= limits.false_alarm),
                          key=lambda s: -s.gain)
     if not significant:
@@ -147,46 +147,46 @@ def _select(screened: Sequence[Screened], fits: RelationFits, without: RelationF
         return RelationSearch(None, f"no relation is significant. The best, {name}, lowers the held-out loss by "
                               f"{gain:.3f} per residual, p = {p_value:.2g} over all candidates; "
                               f"p < {limits.false_alarm:g} is required", tried, detection_limits)
-    explained = {trial: fault for trial in significant if (fault := _find_imitated_fault(trial.candidate, reported))}
-    fitted, accepted, against = _fit_candidates([s for s in significant if s not in explained], fits, without, vehicle,
-                                                limits, tick)
-    against |= {trial: f"{trial.candidate.name} is significant, but may be the sensor fault that st check reports: "
-                       f"{fault}. Correct it first and search again" for trial, fault in explained.items()}
+    imitated = {trial: fault for trial in significant if (fault := _find_imitated_fault(trial.candidate, reported))}
+    remaining = [s for s in significant if s not in imitated]
+    fitted, accepted, rejections = _fit_candidates(remaining, fits, without, vehicle, limits, tick)
+    rejections |= {trial: f"{trial.candidate.name} is significant, but may be the sensor fault that st check reports: "
+                          f"{fault}. Correct it first and search again" for trial, fault in imitated.items()}
     if not accepted:
-        first = next(trial for trial in significant if trial in against)
-        return RelationSearch(None, against[first], tried, detection_limits)
+        first = next(trial for trial in significant if trial in rejections)
+        return RelationSearch(None, rejections[first], tried, detection_limits)
     # A candidate of two quantities must be better by at least the smallest relevant gain.
     best = min(accepted, key=lambda s: float(accepted[s].held_out.sum())
                + (limits.relevant * number if s.candidate.factor else 0.0))
-    relation, why = _make_relation(best, fitted, without, fits, p_values, settings, vehicle, named)
-    return RelationSearch(relation, why, tried, detection_limits)
+    relation, gain_text = _make_relation(best, fitted, without, fits, p_values, settings, vehicle, named)
+    return RelationSearch(relation, gain_text, tried, detection_limits)
 
 
-def _fit_candidates(significant: Sequence[Screened], fits: RelationFits, without: RelationFit,
+def _fit_candidates(significant: Sequence[ScreenedCandidate], fits: RelationFits, without: RelationFit,
                     vehicle: VehicleParameters, limits: Limits,
-                    tick: Callable[[], None]) -> tuple[Fitted, Fitted, dict[Screened, str]]:
+                    tick: Callable[[], None]) -> tuple[FitByCandidate, FitByCandidate, dict[ScreenedCandidate, str]]:
     """Fit candidates by simulation: (fits with a usable curve, the accepted ones, reasons to reject the others)."""
-    fitted: Fitted = {}
-    accepted: Fitted = {}
-    against: dict[Screened, str] = {}
-    before = selection.held_out_positions(fits, without)
+    fitted: FitByCandidate = {}
+    accepted: FitByCandidate = {}
+    rejections: dict[ScreenedCandidate, str] = {}
+    before = selection.compute_position_errors(fits, without)
     # The best candidate of every term is fitted first.
     first = {trial.candidate.term: trial for trial in reversed(significant)}
-    for trial in list(dict.fromkeys([*sorted(first.values(), key=lambda s: -s.gain), *significant]))[:REFITTED]:
+    for trial in list(dict.fromkeys([*sorted(first.values(), key=lambda s: -s.gain), *significant]))[:MAX_FITTED]:
         tick()
         fit = fits.fit(trial.candidate, without)
-        name, after = trial.candidate.name, selection.held_out_positions(fits, fit)
+        name, after = trial.candidate.name, selection.compute_position_errors(fits, fit)
         if rejected := selection.describe_unusable_curve(fits, fit, vehicle):
-            against[trial] = rejected
+            rejections[trial] = rejected
             continue
         fitted[trial] = fit  # may be an alternative to the accepted relation, even if it is rejected
         reason = selection.describe_deterioration(fits, name, before, after, limits) or selection.describe_small_gain(
             fits, trial.candidate, without.held_out - fit.held_out, before - after, limits)
         if reason:
-            against[trial] = reason
+            rejections[trial] = reason
         else:
             accepted[trial] = fit
-    return fitted, accepted, against
+    return fitted, accepted, rejections
 
 
 def _find_imitated_fault(candidate: Candidate, reported: Collection[tuple[str, str]]) -> str:
@@ -196,34 +196,35 @@ def _find_imitated_fault(candidate: Candidate, reported: Collection[tuple[str, s
     return next((name for name, channel in reported if channel == SENSOR_READINGS.get(candidate.term)), "")
 
 
-def _make_relation(best: Screened, fitted: Fitted, without: RelationFit, fits: RelationFits,
+def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, without: RelationFit, fits: RelationFits,
                    p_values: Mapping[str, float], settings: DiscoverySettings, vehicle: VehicleParameters,
                    named: Sequence[str]) -> tuple[Relation, str]:
     """The relation with its statistics, and a sentence on its gain."""
     fit, limits, c = fitted[best], settings.limits, best.candidate
     gains = without.held_out - fit.held_out
-    before, after = (selection.held_out_positions(fits, f) for f in (without, fit))
+    before, after = (selection.compute_position_errors(fits, f) for f in (without, fit))
     rivals = [trial for trial in fitted if trial is not best]
     excess = np.array([fitted[trial].held_out - fit.held_out for trial in rivals])
     as_good = selection.find_equally_good(excess, limits.undecided_p, settings.seed)
     equal = {trial.candidate.name: fitted[trial] for trial, is_equal in zip(rivals, as_good, strict=True) if is_equal}
-    u = covered_quantities(fits.windows, vehicle)[c.quantity]
+    u = compute_quantities(fits.windows, vehicle)[c.quantity]
     at = np.linspace(c.low, c.high, selection.POINTS)
     splines = c.splines(at)
-    deviation = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", splines, fit.covariance(), splines), 0.0))
+    deviation = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", splines, fit.compute_covariance(), splines), 0.0))
     edges = np.concatenate([[-np.inf], 0.5 * (at[1:] + at[:-1]), [np.inf]])
     density = np.histogram(np.clip(u, c.low, c.high), edges)[0] / max(len(u), 1)
     runs = {name: (float(np.nanmean(before[of_run])), float(np.nanmean(after[of_run])))
             for k, name in enumerate(fits.windows.names) if (of_run := fits.windows.run == k).any()
             and np.isfinite(before[of_run]).any() and np.isfinite(after[of_run]).any()}
-    full = fits.space_of(c).at(fit.vector)
+    full = fits.make_space(c).at(fit.vector)
     library_part = full.only(e for e in full.effects if e.name != c.effect)
     relation = Relation(
         c, fit.coefficients, at, fit.coefficients @ splines, deviation, density,
         float(gains.sum()) / fits.loss.residual_count, p_values[c.name],
         (float(np.nanmean(before)), float(np.nanmean(after))), runs, library_part,
-        {name: selection.cosine(fits, fit, other) for name, other in equal.items()},
-        simulated_formulas(fits, fit, without), selection.compare_runs(fits, fit),
-        selection.redundant_effects(fits, c, fit, without, named, limits),
-        next_drives(fits, c, fit, equal, best.design_effect, at, deviation, sparse_ranges(at, density, c.parity)))
+        {name: selection.compute_cosine(fits, fit, other) for name, other in equal.items()},
+        simulate_formulas(fits, fit, without), selection.compare_runs(fits, fit),
+        selection.find_redundant_effects(fits, c, fit, without, named, limits),
+        suggest_drives(fits, c, fit, equal, best.design_effect, at, deviation,
+                       find_sparse_ranges(at, density, c.parity)))
     return relation, f"it {selection.describe_gain(fits, gains, before - after, limits)}"

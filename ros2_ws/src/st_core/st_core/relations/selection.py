@@ -14,7 +14,7 @@ from ..effects._relation import MAX_COEFFICIENT, SPLINES
 from ..models import get_model
 from ..regression import add_ridge
 from ..vehicle import VehicleParameters
-from .candidates import Candidate, candidates
+from .candidates import Candidate, find_candidates
 from .relation_fit import SMOOTHING, RelationFit, RelationFits
 
 DRAWS = 999  # number of draws of random block signs
@@ -24,7 +24,7 @@ MIN_INFORMATION = 0.02  # fraction of the information on the relation; a run wit
 
 
 @dataclass(frozen=True, eq=False)
-class Screened:
+class ScreenedCandidate:
     """Statistics of a candidate, linearised at the discovered model.
 
     observed, drawn: score statistic, and (DRAWS,) its values for random signs of the blocks, both divided by the mean
@@ -41,7 +41,7 @@ class Screened:
     gain: float
     information: np.ndarray
 
-    def detectable(self, p_value: float, blocks: int) -> float:
+    def compute_detection_limit(self, p_value: float, blocks: int) -> float:
         """Smallest detectable value of a linear relation at the end of its range [unit of the curve], at a p-value."""
         c = self.candidate
         at = np.linspace(c.low, c.high, POINTS)
@@ -52,21 +52,22 @@ class Screened:
 
 
 def screen(fits: RelationFits, without: RelationFit, vehicle: VehicleParameters, seed: int,
-           tick: Callable[[], None]) -> list[Screened]:
+           tick: Callable[[], None]) -> list[ScreenedCandidate]:
     """Statistics of every candidate that the drives excite and that changes a prediction. without: fit without a
     relation."""
     distance = ((without.vector - fits.start) / fits.space.scale)[without.indices]
-    base = fits.predicted_held_out(without.q, without.penalty, distance)
+    base = fits.predict_held_out_loss(without.quadratic, without.penalty, distance)
     car = fits.loss.sensitivities(without.vector, fits.car)
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, fits.blocks))
     found = []
-    for candidate in candidates(fits.windows, vehicle):
+    for candidate in find_candidates(fits.windows, vehicle):
         tick()
-        found.append(_screen(fits, without, base, car, candidate, signs))
-    return [trial for trial in found if trial is not None]
+        if trial := _screen_candidate(fits, without, base, car, candidate, signs):
+            found.append(trial)
+    return found
 
 
-def p_values(screened: Sequence[Screened], blocks: int) -> dict[str, float]:
+def compute_p_values(screened: Sequence[ScreenedCandidate], blocks: int) -> dict[str, float]:
     """p-value of each candidate, corrected for the number of candidates: the smaller of the p-values of two tests. Sign
     flips: the statistic is compared with the largest of all candidates under random block signs. Likelihood ratio (F
     test): twice the held-out gain divided by the design effect (at least the median of all) and by the degrees of
@@ -82,20 +83,21 @@ def p_values(screened: Sequence[Screened], blocks: int) -> dict[str, float]:
     return found
 
 
-def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.ndarray, candidate: Candidate,
-            signs: np.ndarray) -> Screened | None:
-    """Screen a candidate by the efficient scores of its coefficients, other parameters projected out. base: (b,)
-    held-out loss without a relation. car: sensitivities to the parameters of the vehicle file."""
-    loss = fits.loss_of(candidate)
+def _screen_candidate(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.ndarray, candidate: Candidate,
+                      signs: np.ndarray) -> ScreenedCandidate | None:
+    """Statistics of a candidate by the efficient scores of its coefficients, with other parameters projected out; None
+    if it changes no prediction. base: (b,) held-out loss without a relation. car: sensitivities to the parameters of
+    the vehicle."""
+    loss = fits.make_loss(candidate)
     sensitivities = loss.sensitivities(without.vector, fits.relation)
-    q = fits.quadratic(loss, without.rows, np.concatenate([without.sensitivities, sensitivities]))
+    q = fits.sum_quadratic(loss, without.rows, np.concatenate([without.sensitivities, sensitivities]))
     h = q.hessian.sum(axis=0)
     if float(np.trace(h[-SPLINES:, -SPLINES:])) <= 1e-9 * float(np.trace(h)):
         return None
-    q_all = fits.quadratic(loss, without.rows, np.concatenate([without.sensitivities, car, sensitivities]))
+    q_all = fits.sum_quadratic(loss, without.rows, np.concatenate([without.sensitivities, car, sensitivities]))
     distance = np.concatenate([((without.vector - fits.start) / fits.space.scale)[without.indices], np.zeros(SPLINES)])
-    penalties = {smooth: fits.penalty(candidate, h, smooth) for smooth in SMOOTHING}
-    losses = {smooth: fits.predicted_held_out(q, penalty, distance) for smooth, penalty in penalties.items()}
+    penalties = {smooth: fits.make_penalty(candidate, h, smooth) for smooth in SMOOTHING}
+    losses = {smooth: fits.predict_held_out_loss(q, penalty, distance) for smooth, penalty in penalties.items()}
     smooth = min(losses, key=lambda share: float(losses[share].sum()))
     h = q_all.hessian.sum(axis=0)
     cross = np.linalg.solve(add_ridge(h[:-SPLINES, :-SPLINES]), h[:-SPLINES, -SPLINES:])
@@ -109,11 +111,11 @@ def _screen(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.
     residual_gradient = q_all.gradient - q_all.hessian @ np.concatenate([-cross @ step, step])
     after = residual_gradient[:, -SPLINES:] - residual_gradient[:, :-SPLINES] @ cross
     design_effect = max(2.0 * float(np.einsum("bi,ij,bj->", after, inverse, after)) / degrees_of_freedom, 1.0)
-    return Screened(candidate, float(total @ inverse @ total) / mean, drawn / mean, degrees_of_freedom, design_effect,
-                    float((base - losses[smooth]).sum()), information)
+    return ScreenedCandidate(candidate, float(total @ inverse @ total) / mean, drawn / mean, degrees_of_freedom,
+                             design_effect, float((base - losses[smooth]).sum()), information)
 
 
-def lower_bound(values: np.ndarray, p: float) -> float:
+def compute_lower_bound(values: np.ndarray, p: float) -> float:
     """Lower confidence bound of the sum of `values` (b,) by block: one-sided, level 1 - p, by Student's t."""
     spread = float(values.std(ddof=1)) * np.sqrt(len(values))
     return float(values.sum() - stats.t.isf(p, len(values) - 1) * spread)
@@ -134,7 +136,7 @@ def describe_unusable_curve(fits: RelationFits, fit: RelationFit, vehicle: Vehic
     if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * MAX_COEFFICIENT:
         return (f"the curve of {name} reaches its bound of {MAX_COEFFICIENT * fit.candidate.typical_size:.3g} "
                 f"{fit.candidate.unit}, beyond any physical relation: check the vehicle file, and run st check")
-    model = fits.space_of(fit.candidate).at(fit.vector)
+    model = fits.make_space(fit.candidate).at(fit.vector)
     low, high = np.quantile(fits.windows.speeds[np.isfinite(fits.windows.speeds)], [0.05, 0.95])
     slow = max(float(low), vehicle.minimum_slip_speed)
     problem = describe_instability(get_model(model.base), model, vehicle, np.linspace(slow, max(float(high), slow), 4))
@@ -156,7 +158,7 @@ def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, af
         windows = fits.windows.run == k
         if len(of_run) <= 2 or np.nanmean(rise[windows]) < limits.relevant_position:
             continue
-        if lower_bound(of_run, limits.undecided_p / len(names)) > 0.0:  # Bonferroni over the runs
+        if compute_lower_bound(of_run, limits.undecided_p / len(names)) > 0.0:  # Bonferroni over the runs
             return (f"{name} is significant, but raises the held-out position error of {names[k]} after 5 s from "
                     f"{np.nanmean(before[windows]):.3f} to {np.nanmean(after[windows]):.3f} m")
     return ""
@@ -165,9 +167,9 @@ def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, af
 def describe_gain(fits: RelationFits, gains: np.ndarray, position_gain: np.ndarray, limits: Limits) -> str:
     """Describe the held-out gain. gains: (b,) reduction of the loss. position_gain: (n,) of the position error [m]."""
     gain, low = (-np.expm1(-total / fits.loss.residual_count)
-                 for total in (gains.sum(), lower_bound(gains, limits.undecided_p)))
+                 for total in (gains.sum(), compute_lower_bound(gains, limits.undecided_p)))
     return (f"reduces the held-out residual of all channels by {gain:.1%} (95 %: at least {low:.1%}), "
-            f"and the position error after 5 s by {100 * finite_mean(position_gain):.1f} cm")
+            f"and the position error after 5 s by {100 * average_finite(position_gain):.1f} cm")
 
 
 def describe_small_gain(fits: RelationFits, candidate: Candidate, gains: np.ndarray, position_gain: np.ndarray,
@@ -176,18 +178,18 @@ def describe_small_gain(fits: RelationFits, candidate: Candidate, gains: np.ndar
     significant, or a predicted path that does not improve significantly. The path is not tested for sensor errors, nor
     with fewer than two blocks with a position."""
     small = (gains.sum() < limits.relevant * fits.loss.residual_count
-             and finite_mean(position_gain) < limits.relevant_position)
-    if small or lower_bound(gains, limits.undecided_p) <= 0.0:
+             and average_finite(position_gain) < limits.relevant_position)
+    if small or compute_lower_bound(gains, limits.undecided_p) <= 0.0:
         return f"{candidate.name} is significant, but {describe_gain(fits, gains, position_gain, limits)}"
     blocks = average_by_block(fits, position_gain)
     blocks = blocks[np.isfinite(blocks)]
-    if not candidate.is_sensor_error and len(blocks) > 1 and lower_bound(blocks, limits.false_alarm) <= 0.0:
+    if not candidate.is_sensor_error and len(blocks) > 1 and compute_lower_bound(blocks, limits.false_alarm) <= 0.0:
         return (f"{candidate.name} is significant, but the gain in the predicted path is not: it "
                 f"{describe_gain(fits, gains, position_gain, limits)}")
     return ""
 
 
-def finite_mean(values: np.ndarray) -> float:
+def average_finite(values: np.ndarray) -> float:
     """Mean of the finite values; 0 if there are none."""
     return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
 
@@ -211,12 +213,12 @@ def find_equally_good(worse: np.ndarray, p: float, seed: int) -> np.ndarray:
 def compare_runs(fits: RelationFits, fit: RelationFit) -> Agreement:
     """Size of the relation in each run relative to the overall one, from the quadratic approximation, with all other
     parameters refitted."""
-    h = fit.q.hessian.sum(axis=0)
+    h = fit.quadratic.hessian.sum(axis=0)
     others, coefficients = h[:-SPLINES, :-SPLINES], fit.coefficients
     direction = np.concatenate([-np.linalg.solve(add_ridge(others), h[:-SPLINES, -SPLINES:] @ coefficients),
                                 coefficients])
-    gradient = fit.q.gradient @ direction
-    curvature = np.einsum("i,bij,j->b", direction, fit.q.hessian, direction)
+    gradient = fit.quadratic.gradient @ direction
+    curvature = np.einsum("i,bij,j->b", direction, fit.quadratic.hessian, direction)
     run = fits.problem.run_of_block
     informative = [k for k in np.unique(run) if curvature[run == k].sum() > MIN_INFORMATION * curvature.sum()]
     if len(informative) < 2:
@@ -231,7 +233,7 @@ def compare_runs(fits: RelationFits, fit: RelationFit) -> Agreement:
     return pool_ratios(ratios, variances, [fits.windows.names[k] for k in informative])
 
 
-def held_out_positions(fits: RelationFits, fit: RelationFit) -> np.ndarray:
+def compute_position_errors(fits: RelationFits, fit: RelationFit) -> np.ndarray:
     """(n,) position error at the end of the horizon with values fitted to other driving [m]."""
     rows = fit.rows.copy()
     for k, d in fit.steps.items():
@@ -240,7 +242,7 @@ def held_out_positions(fits: RelationFits, fit: RelationFit) -> np.ndarray:
     return fits.problem.position_error(rows)
 
 
-def cosine(fits: RelationFits, first: RelationFit, other: RelationFit) -> float:
+def compute_cosine(fits: RelationFits, first: RelationFit, other: RelationFit) -> float:
     """Cosine similarity of two relations' effects on the predictions, all other parameters projected out."""
     effects = []
     for fit in (first, other):
@@ -253,20 +255,20 @@ def cosine(fits: RelationFits, first: RelationFit, other: RelationFit) -> float:
     return float(effects[0] @ effects[1] / max(np.linalg.norm(effects[0]) * np.linalg.norm(effects[1]), 1e-30))
 
 
-def redundant_effects(fits: RelationFits, candidate: Candidate, fit: RelationFit, without: RelationFit,
-                      names: Sequence[str], limits: Limits) -> dict[str, float]:
+def find_redundant_effects(fits: RelationFits, candidate: Candidate, fit: RelationFit, without: RelationFit,
+                           names: Sequence[str], limits: Limits) -> dict[str, float]:
     """Effects of the result that the relation makes redundant, with the residual reduction [1] that each still adds. An
     effect is redundant if its held-out gain in addition to the relation is too small or not significant, and the
     relation without it explains significantly more than the result without the relation."""
     found = {}
-    with_both = held_out_positions(fits, fit)
+    with_both = compute_position_errors(fits, fit)
     # An effect that turns the base model into another (`converts`) is a precondition of the relation.
     for name in (n for n in names if not get_effect(n).converts):
-        alone = fits.without_effect(candidate, fit, name)
+        alone = fits.fit_without_effect(candidate, fit, name)
         gains = alone.held_out - fit.held_out
-        position = float(np.nanmean(held_out_positions(fits, alone) - with_both))
+        position = float(np.nanmean(compute_position_errors(fits, alone) - with_both))
         relevant = gains.sum() >= limits.relevant * fits.loss.residual_count or position >= limits.relevant_position
-        kept = relevant and lower_bound(gains, limits.undecided_p) > 0.0
-        if not kept and lower_bound(without.held_out - alone.held_out, limits.undecided_p) > 0.0:
+        is_needed = relevant and compute_lower_bound(gains, limits.undecided_p) > 0.0
+        if not is_needed and compute_lower_bound(without.held_out - alone.held_out, limits.undecided_p) > 0.0:
             found[name] = max(float(-np.expm1(-gains.sum() / fits.loss.residual_count)), 0.0)
     return found

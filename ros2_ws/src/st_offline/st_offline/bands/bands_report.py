@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
 from rich.console import Console
-from st_core.bands.shares import PARAMETERS, SENSORS, Intervals, squared_contributions
+from st_core.bands.shares import PARAMETERS, SENSORS, Intervals, sum_squared_contributions
 from st_core.log_evaluation import AXES, EvaluationSettings
 from st_core.log_signals import LogSignals
 from st_core.model_file import ModelFile
@@ -15,9 +15,9 @@ from st_core.models import Model
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 from st_core.vehicle import VehicleParameters
 
-from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
-from ..terminal import print_line, rows_table
-from .scoring import Sums, pool_sums, summarise_adaptive, summarise_bands, top_level
+from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
+from ..terminal import make_table, print_line
+from .scoring import Sums, find_top_level, pool_sums, summarise_adaptive, summarise_bands
 
 MODE_TITLES = {"hindsight": "model (measured inputs)", "forecast": "forecast (inputs held)"}
 NO_CONTENT: dict[str, Any] = {"models": {}}  # replaces the result of `summarise_bands` without scored runs
@@ -33,11 +33,11 @@ def draw_bands(content: dict[str, Any] | None, output: FigureOutput) -> list[Pag
               if any(scores["starts"] for scores in modes.values())}
     if not models:
         return []
-    top = _top_level(content)
+    top = _find_top_level(content)
     deviations = [(abs(scores["coverage"][top] - float(top)), f"{100 * scores['coverage'][top]:.0f} %, {model}, {mode}")
                   for model, modes in models.items() for mode, scores in modes.items() if scores["coverage"].get(top)]
     worst = max(deviations)[1] if deviations else "unknown"
-    with style():
+    with apply_style():
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 4.2), sharey=True)
         for axes, (mode, title) in zip(panels, MODE_TITLES.items(), strict=True):
             axes.plot([0, 100], [0, 100], color=MEASURED_COLOUR, lw=0.8)
@@ -51,13 +51,13 @@ def draw_bands(content: dict[str, Any] | None, output: FigureOutput) -> list[Pag
                    for m in models]
         figure.legend(handles=handles, loc="outside lower left", ncols=6)
         return [save_figure(figure, output, "bands_reliability",
-                            f"Reliability of the bands; largest deviation from {_percent(top)}: {worst}",
+                            f"Reliability of the bands; largest deviation from {_format_level(top)}: {worst}",
                             "Grey line: coverage equal to the nominal coverage. Below it, the band is too narrow.")]
 
 
-def band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
+def make_band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
     """Table row of each model and mode in the result of `summarise_bands`, by column title."""
-    rows, top = [], _top_level(content)
+    rows, top = [], _find_top_level(content)
     for model, modes in (content or NO_CONTENT)["models"].items():
         for mode, scores in modes.items():
             worst, widths = scores["worst_cell"], list((scores["half_width"].get(top) or {}).values())
@@ -66,29 +66,29 @@ def band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
                 "model": model, "inputs": mode,
                 "starts": str(scores["starts"]), "no band": str(scores["without_band"]),
                 "50 % covers": _format_share(scores["coverage"].get("0.5")),
-                f"{_percent(top)} covers": _format_share(scores["coverage"].get(top)),
+                f"{_format_level(top)} covers": _format_share(scores["coverage"].get(top)),
                 "worst cell": f"{worst['coverage']:.0%} ({worst['cell']}, {worst['starts']} starts)" if worst else "-",
-                f"interval score {_percent(top)}, along | across, m": _format_pair(interval_score),
+                f"interval score {_format_level(top)}, along | across, m": _format_pair(interval_score),
                 "CRPS, along | across, m": _format_pair(crps),
-                f"half-width {_percent(top)}, along | across, m": _format_pair(widths[-1] if widths else None)})
+                f"half-width {_format_level(top)}, along | across, m": _format_pair(widths[-1] if widths else None)})
     return rows
 
 
-def _top_level(content: dict[str, Any] | None) -> str:
+def _find_top_level(content: dict[str, Any] | None) -> str:
     """The highest scored level: "0.9", or lower for bands from too few runs."""
     models = (content or NO_CONTENT)["models"]
-    return top_level(next((scores["coverage"] for modes in models.values() for scores in modes.values()), {}))
+    return find_top_level(next((scores["coverage"] for modes in models.values() for scores in modes.values()), {}))
 
 
-def _percent(level: str) -> str:
+def _format_level(level: str) -> str:
     return f"{100 * float(level):g} %"
 
 
-def adaptive_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
+def make_adaptive_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
     """Table row of each model and mode in the result of `summarise_adaptive`, by column title."""
     return [{"model": model, "inputs": mode, "starts": str(scores["starts"]),
-             **{f"{_percent(level)} covers": _format_share(share) for level, share in scores["coverage"].items()},
-             **{f"{_percent(level)} after 2 min": _format_share(share)
+             **{f"{_format_level(level)} covers": _format_share(share) for level, share in scores["coverage"].items()},
+             **{f"{_format_level(level)} after 2 min": _format_share(share)
                 for level, share in scores["late_coverage"].items()}}
             for model, modes in (content or {}).items() for mode, scores in modes.items()]
 
@@ -99,7 +99,7 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
     pooled = pool_sums(sums)
     if tested:
         content = summarise_bands(pooled)
-        rows, level = band_rows(content), _percent(_top_level(content))
+        rows, level = make_band_rows(content), _format_level(_find_top_level(content))
         # A single table would be wider than 80 characters.
         for title, columns in (
                 ("Bands: share of paths entirely inside", ("starts", "no band", "50 % covers", f"{level} covers")),
@@ -108,17 +108,17 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
                     f"interval score {level}, along | across, m", "CRPS, along | across, m",
                     f"half-width {level}, along | across, m"))):
             reported = [{column: row[column] for column in ("model", "inputs", *columns)} for row in rows]
-            console.print(rows_table(reported, title=title, width=min(console.width, 120)), highlight=False)
+            console.print(make_table(reported, title=title, width=min(console.width, 120)), highlight=False)
         if known := content["known_recordings"]:
             print_line(f"[yellow]the calibration used {len(known)} of these files: this is no test of the bands; use "
                        "other runs[/yellow]", console)
     elif not adaptive:
         console.print(NO_BANDS, highlight=False, soft_wrap=True)
     if adaptive:
-        console.print(rows_table(adaptive_rows(summarise_adaptive(pooled)), width=min(console.width, 140),
+        console.print(make_table(make_adaptive_rows(summarise_adaptive(pooled)), width=min(console.width, 140),
                                  title="Adaptive bands: share of paths entirely inside"))
-    if rows := share_rows(summarise_shares(pooled)):
-        console.print(rows_table(rows, title="Decomposition of the error with measured inputs: shares of its mean "
+    if rows := make_share_rows(summarise_shares(pooled)):
+        console.print(make_table(rows, title="Decomposition of the error with measured inputs: shares of its mean "
                                  "square, along | across", width=min(console.width, 140)))
 
 
@@ -143,7 +143,7 @@ def sum_shares(models: Sequence[Model], vehicle: VehicleParameters, signals: Log
     """Squared contributions to the errors of one run by cause, summed over its starts."""
     shares: Sums = {}
     for model in models:
-        starts, total, parts = squared_contributions(model, vehicle, signals, settings, intervals.get(model.name))
+        starts, total, parts = sum_squared_contributions(model, vehicle, signals, settings, intervals.get(model.name))
         by_kind = {kind: {name: _name_seconds(squares) for (group, name), squares in parts.items() if group == kind}
                    for kind in (PARAMETERS, SENSORS)}
         shares[model.name] = {"starts": starts, "total": _name_seconds(total), "parts": by_kind}
@@ -176,7 +176,7 @@ def summarise_shares(sums: Sums) -> dict[str, Any]:
     return summary
 
 
-def share_rows(shares: Mapping[str, Any]) -> list[dict[str, str]]:
+def make_share_rows(shares: Mapping[str, Any]) -> list[dict[str, str]]:
     """Table row of each model and reported second, by column title."""
     rows = []
     for model, summary in shares.items():

@@ -13,12 +13,12 @@ from st_core.bands import (
     CalibrationDomain,
     ErrorSamples,
     calibrate,
-    error_samples,
-    highest_level,
+    compute_error_samples,
+    compute_highest_level,
     join_runs,
 )
 from st_core.bands.calibration import check_levels
-from st_core.bands.file import configuration_of, times
+from st_core.bands.file import hash_configuration, make_times
 from st_core.errors import StCoreError
 from st_core.log_evaluation import MODES
 from st_core.models import Model
@@ -28,7 +28,7 @@ from st_recordings.recorded_results import recorded_configuration
 from st_recordings.runs import LoadedRun, RunError, RunSource, find_runs, read
 
 from ..checking.gate import check_for_use
-from ..evaluation.work import Task, load_models, model_hashes
+from ..evaluation.work import Task, collect_model_hashes, load_models
 from ..terminal import print_line
 
 
@@ -61,9 +61,9 @@ def run_command(job: CalibrationJob, console: Console) -> int:
         job.output.write_text(bands.to_yaml(), encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{job.output}: cannot be written: {error.strerror}") from None
-    starts = sum(len(one.conditions) for one in samples)
+    starts = sum(len(run.conditions) for run in samples)
     print_line(f"{escape(str(job.output))}: bands of {', '.join(bands.models)} from {len(samples)} runs, {starts} "
-               f"starts; {len(samples)} runs support at most {highest_level(len(samples)):.1%}", console)
+               f"starts; {len(samples)} runs support at most {compute_highest_level(len(samples)):.1%}", console)
     return 1 if problems else 0
 
 
@@ -83,7 +83,8 @@ def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Mo
                                        "give each recording once")
                 _refuse_other_car(source, run, task.vehicle)
                 check_for_use(source.where, run, task.vehicle, task.force, models, task.settings.prediction.step)
-                samples.append(error_samples(models, task.vehicle, task.settings.signals(run.log), task.settings))
+                signals = task.settings.signals(run.log)
+                samples.append(compute_error_samples(models, task.vehicle, signals, task.settings))
         except (RunError, StCoreError) as error:
             problems.append(f"{source.name}: {' '.join(str(error).split())}")
             print_line(f"[red]{escape(problems[-1])}[/red]", console)
@@ -97,17 +98,17 @@ def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Mod
     """Calibrate the bands of all models. Raises StCoreError for too few runs."""
     check_levels(levels, len(samples))
     settings = task.settings.as_dict()
-    time = times(task.settings.prediction.horizon, task.settings.prediction.step)
+    time = make_times(task.settings.prediction.horizon, task.settings.prediction.step)
     calibrated: dict[tuple[str, str], Band] = {}
     for model in models:
         for mode in MODES:
             if console is not None:
                 console.print(f"[dim]{escape(model.name)}, {mode}[/dim]", highlight=False)
             calibrated[model.name, mode] = calibrate(samples, (model.name, mode), time, levels)
-    hashes = {name: configuration_of(task.vehicle, settings, digest)
-              for name, digest in model_hashes(task, models).items()}
+    hashes = {name: hash_configuration(task.vehicle, settings, digest)
+              for name, digest in collect_model_hashes(task, models).items()}
     return Bands(task.vehicle.name, task.vehicle.hash, settings, recordings, len(samples),
-                 CalibrationDomain.of([one.conditions for one in samples]), calibrated, hashes)
+                 CalibrationDomain.of([run.conditions for run in samples]), calibrated, hashes)
 
 
 def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:

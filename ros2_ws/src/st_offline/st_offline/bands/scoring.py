@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from st_core.bands import CONDITIONS, RELIABILITY, AdaptiveBand, Band, Bands, conditions_at, to_predicted_frame
+from st_core.bands import CONDITIONS, RELIABILITY_LEVELS, AdaptiveBand, Band, Bands, conditions_at, to_predicted_frame
 from st_core.binning import LATERAL_ACCELERATION_EDGES, SPEED_EDGES, STEERING_RATE_EDGES
 from st_core.log_evaluation import AXES, Block
 from st_core.log_signals import LogSignals
@@ -14,7 +14,8 @@ MIN_STARTS = 200  # in a cell, for a standard error of about 2 percentage points
 LEVELS = (0.5, 0.9)  # coverage levels in reports
 CONDITION_EDGES = {"speed": (SPEED_EDGES, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION_EDGES, "m/s²"),
                    "steering_activity": (STEERING_RATE_EDGES, "rad/s")}
-_PROBABILITIES = np.concatenate([0.5 - 0.5 * np.array(RELIABILITY)[::-1], [0.5], 0.5 + 0.5 * np.array(RELIABILITY)])
+_HALF_LEVELS = 0.5 * np.array(RELIABILITY_LEVELS)
+_PROBABILITIES = np.concatenate([0.5 - _HALF_LEVELS[::-1], [0.5], 0.5 + _HALF_LEVELS])
 
 
 class Scorer:
@@ -64,19 +65,19 @@ class AdaptiveScorer:
         conditions = conditions_at(self._signals, starts_ns)
         inside = np.isfinite(conditions).all(axis=1) if self._bands is None else self._bands.domain(conditions)
         late = (starts_ns - self._first) * 1e-9 >= self.LATE
-        for key, errors in block.errors.items():
-            band = None if self._bands is None else self._bands.bands.get(key)
-            adaptive = self._adaptive.setdefault(key, AdaptiveBand(self._time, band, LEVELS))
+        for (model, mode), errors in block.errors.items():
+            band = None if self._bands is None else self._bands.bands.get((model, mode))
+            adaptive = self._adaptive.setdefault((model, mode), AdaptiveBand(self._time, band, LEVELS))
             rotated = to_predicted_frame(errors[inside][:, 1:])
             factors, scales = adaptive.follow(starts_ns[inside], conditions[inside], rotated)
             scored = np.isfinite(rotated).all(axis=(1, 2))
             score = np.abs(rotated[scored] / scales[scored]).max(axis=(1, 2), initial=0.0)
-            covered = {f"{level:g}": score <= factor[scored] for level, factor in factors.items()}
+            covered = {f"{nominal:g}": score <= factor[scored] for nominal, factor in factors.items()}
             late_rows = late[inside][scored]
-            entry = {"starts": len(score), "coverage": {key: int(one.sum()) for key, one in covered.items()},
+            entry = {"starts": len(score), "coverage": {level: int(rows.sum()) for level, rows in covered.items()},
                      "late_starts": int(late_rows.sum()),
-                     "late_coverage": {key: int(one[late_rows].sum()) for key, one in covered.items()}}
-            self._sums.append({key[0]: {key[1]: entry}})
+                     "late_coverage": {level: int(rows[late_rows].sum()) for level, rows in covered.items()}}
+            self._sums.append({model: {mode: entry}})
 
     def sums(self) -> Sums:
         """{"adaptive": {model: {mode: counts}}}."""
@@ -123,18 +124,18 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
         sums["half_width"][key] = {f"{time[k]:g}": _name_axes(c * scale[:, k].sum(axis=0)) for k in whole}
     inside = {f"{level:g}": np.stack([(by_point[:, second == s] <= band.factors[level]).all(axis=1)
                                       for s in np.unique(second)], axis=1) for level in levels}
-    sums["seconds"] = {key: {str(s): int(value) for s, value in zip(np.unique(second), one.sum(axis=0), strict=True)}
-                       for key, one in inside.items()}
+    sums["seconds"] = {key: {str(s): int(count) for s, count in zip(np.unique(second), rows.sum(axis=0), strict=True)}
+                       for key, rows in inside.items()}
     cells = {name: np.searchsorted(np.array(edges), conditions[:, CONDITIONS.index(name)], side="right") - 1
               for name, (edges, _) in CONDITION_EDGES.items()}
     for name, cell in cells.items():
         sums["conditions"][name.replace("_", " ")] = {
-            _cell_label(name, k): _count_coverage(cell == k, within) for k in np.unique(cell).tolist()}
+            _label_cell(name, k): _count_coverage(cell == k, within) for k in np.unique(cell).tolist()}
     for v, a in np.unique(np.stack([cells["speed"], cells["lateral_acceleration"]], axis=1), axis=0).tolist():
         rows = (cells["speed"] == v) & (cells["lateral_acceleration"] == a)
         for column, s in enumerate(np.unique(second)):
-            name = f"{_cell_label('speed', v)}, {_cell_label('lateral_acceleration', a)}, second {s}"
-            sums["cells"][name] = _count_coverage(rows, {key: one[:, column] for key, one in inside.items()})
+            name = f"{_label_cell('speed', v)}, {_label_cell('lateral_acceleration', a)}, second {s}"
+            sums["cells"][name] = _count_coverage(rows, {key: values[:, column] for key, values in inside.items()})
     return sums
 
 
@@ -159,7 +160,7 @@ def _name_axes(values: np.ndarray) -> dict[str, float]:
     return dict(zip(AXES, np.asarray(values).tolist(), strict=True))
 
 
-def _cell_label(name: str, cell: int) -> str:
+def _label_cell(name: str, cell: int) -> str:
     edges, unit = CONDITION_EDGES[name]
     if cell + 1 == len(edges):
         return f"above {edges[-1]:g} {unit}"
@@ -169,7 +170,7 @@ def _cell_label(name: str, cell: int) -> str:
 def pool_sums(entries: Sequence[Mapping[str, Any]]) -> Sums:
     """Add nested sums, key by key; lists are concatenated."""
     total: Sums = {}
-    for key, value in (item for one in entries for item in one.items()):
+    for key, value in (item for entry in entries for item in entry.items()):
         if isinstance(value, Mapping):
             total[key] = pool_sums([total.get(key, {}), value])
         else:
@@ -180,7 +181,7 @@ def pool_sums(entries: Sequence[Mapping[str, Any]]) -> Sums:
 def summarise_bands(sums: Sums) -> dict[str, Any]:
     """models: shares and means by model and mode, None without scored starts; known_recordings: as in `Scorer.sums`."""
     return {"known_recordings": sums.get("known_recordings", []),
-            "models": {model: {mode: _summarise_scores(one) for mode, one in modes.items()}
+            "models": {model: {mode: _summarise_scores(scores) for mode, scores in modes.items()}
                        for model, modes in sums.get("models", {}).items()}}
 
 
@@ -188,26 +189,26 @@ def _summarise_scores(sums: Sums) -> dict[str, Any]:
     count = sums["starts"]
     means = _divide({key: sums[key] for key in ("coverage", "axes", "seconds", "interval_score", "crps", "half_width",
                                                  "reliability") if key in sums}, count)
-    conditions = [{"quantity": quantity, "label": label, "starts": one["starts"],
-                   "coverage": _divide(one["coverage"], one["starts"])}
-                  for quantity, labels in sums["conditions"].items() for label, one in labels.items()]
+    conditions = [{"quantity": quantity, "label": label, "starts": counts["starts"],
+                   "coverage": _divide(counts["coverage"], counts["starts"])}
+                  for quantity, labels in sums["conditions"].items() for label, counts in labels.items()]
     return {"starts": count, "without_band": sums["without_band"], **means, "conditions": conditions,
-            "worst_cell": worst_cell(sums["cells"], top_level(sums["coverage"]))}
+            "worst_cell": find_worst_cell(sums["cells"], find_top_level(sums["coverage"]))}
 
 
 def _divide(value: Any, count: int) -> Any:
     """Divide a number, or all numbers of a nested mapping, by `count`; None for a count of 0."""
     if isinstance(value, Mapping):
-        return {key: _divide(one, count) for key, one in value.items()}
+        return {key: _divide(part, count) for key, part in value.items()}
     return value / count if count else None
 
 
-def top_level(by_level: Mapping[str, Any]) -> str:
+def find_top_level(by_level: Mapping[str, Any]) -> str:
     """The highest scored level; "0.9" if nothing was scored."""
     return max(by_level, key=float, default="0.9")
 
 
-def worst_cell(cells: Mapping[str, Mapping[str, Any]], level: str) -> dict[str, Any] | None:
+def find_worst_cell(cells: Mapping[str, Mapping[str, Any]], level: str) -> dict[str, Any] | None:
     """The cell with at least MIN_STARTS and the lowest coverage at a level; None without such a cell."""
     known = [(counts["coverage"][level] / counts["starts"], name, counts["starts"]) for name, counts in cells.items()
              if counts["starts"] >= MIN_STARTS and level in counts["coverage"]]

@@ -16,7 +16,7 @@ from st_recordings.runs.bag import read_metadata_records
 from st_recordings.runs.errors import join_problems
 from st_recordings.runs.raw import summarise_alignment
 
-from ..terminal import list_files, print_line, progress_bars, report_problem
+from ..terminal import list_files, make_progress_bars, print_line, report_problem
 from .check_page import write_page
 from .check_report import CheckedRun, document, print_runs
 from .gate import RUN_ERRORS, check_log, describe_problem
@@ -53,7 +53,7 @@ def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str],
     folder = new_folder(job.output, "check", create=False)
     good: list[CheckedRun] = []
     failed: dict[str, str] = {}
-    with progress_bars(console) as progress:
+    with make_progress_bars(console) as progress:
         for source in progress.track(sources, description="checking"):
             try:
                 good.append(check_run(source, job))

@@ -13,7 +13,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from ..evaluation import drawing
 from ..evaluation.evaluation_report import MAX_FIGURES
 from ..evaluation.work import to_file_name
-from ..pages import template
+from ..pages import load_template
 from . import check_report
 from .check_report import CheckedRun, residual_rms
 
@@ -28,7 +28,7 @@ def draw_panel(pair: Comparison, checked: Checked, output: drawing.FigureOutput)
     """Draw one comparison, with the stretches of its findings shaded."""
     findings = sorted((finding for finding in checked.findings if finding.name in pair.findings),
                       key=check_report.severity_rank)
-    with drawing.style():
+    with drawing.apply_style():
         figure, (upper, lower) = plt.subplots(2, 1, figsize=(drawing.WIDTH, HEIGHT), sharex=True, height_ratios=(3, 2))
         time = np.asarray(pair.time, float)
         measured, derived = (np.asarray(v, float) for v in (pair.measured, pair.derived))
@@ -99,7 +99,7 @@ def page_summary(good: Sequence[CheckedRun]) -> list[str]:
 
 def write_page(file: Path, good: Sequence[CheckedRun], failed: Mapping[str, str], content: dict[str, Any]) -> None:
     """Write the page. content: of check.json."""
-    text = template("checking/check.html.jinja").render(
+    text = load_template("checking/check.html.jinja").render(
         title=page_title(good), summary=page_summary(good), runs=good, content=content, figures=_draw_figures(good),
         problems=failed, groups=check_report.group_by_name({run.name: run.checked.findings for run in good}))
     file.write_text(text, encoding="utf-8")

@@ -25,7 +25,7 @@ from st_recordings.runs import find_runs
 from st_recordings.runs.errors import join_problems
 
 from ..evaluation.drawing import FigureOutput, PageFigure, check_formats
-from ..terminal import progress_bars
+from ..terminal import make_progress_bars
 from .discovery_report import build_model_file, document, print_result, write_page
 from .drives import Drive, Request, cache_folder, clock_deviations, read_drives, read_result, result_key, write_result
 from .figures import Scene, draw_agreement, draw_axle_curves, draw_maps, draw_relation, draw_waterfall
@@ -45,7 +45,7 @@ def run_command(request: Request, console: Console) -> int:
     base = load_base_model(request.base, request.vehicle, request.vehicle_file)
     folder = new_folder(request.output, "discover")
     marks = [time.perf_counter()]
-    with progress_bars(console) as progress:
+    with make_progress_bars(console) as progress:
         drives, reference = _read_runs(request, progress)
         request = replace(request, drives=drives, reference_drives=reference, own_effects=own)
         marks.append(time.perf_counter())

@@ -20,8 +20,8 @@ from st_recordings.results import collect_versions
 
 from ..checking.check_report import findings_from_json
 from ..evaluation.drawing import PageFigure
-from ..pages import Table, template
-from ..terminal import list_files, report_problem, rows_table
+from ..pages import Table, load_template
+from ..terminal import list_files, make_table, report_problem
 from . import quantities, report_text
 from .drives import Drive, Request
 from .relation_report import RelationReport
@@ -119,7 +119,7 @@ def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, conte
     about, plain = content["provenance"], quantities.to_words
     refused = {name: {"findings": findings} for name, findings in about["refused"].items()}
     recordings = {**refused, **about["runs"], **about["reference"]}
-    text = template("discovery/discovery.html.jinja", plain=plain, channel=quantities.channel_label).render(
+    text = load_template("discovery/discovery.html.jinja", plain=plain, channel=quantities.channel_label).render(
         title=report_text.title(found), found=found, content=content, figures=figures, relation=relation,
         report=report_text,
         summary=report_text.summary(found, update, {name: findings_from_json(run) for name, run in recordings.items()}),
@@ -217,7 +217,7 @@ def print_result(found: Discovery, update: VehicleUpdate | None, recordings: Seq
     if found.effects:
         rows = [dict(zip(report_text.EFFECT_HEAD[:-1], map(escape, row[:-1]), strict=True)) for row in
                 report_text.effect_rows(found)]
-        console.print(rows_table(rows, padding=(0, 1)))
+        console.print(make_table(rows, padding=(0, 1)))
         console.print(f"[dim]{report_text.EFFECT_NOTE}.[/dim]", highlight=False)
     about = {drive.name: findings_from_json(drive.about) for drive in recordings}
     advice = report_text.recommend(found, update)[1:MAX_ADVICE]

@@ -18,7 +18,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.relations import Relation
 from st_core.relations.candidates import QUANTITIES
 
-from ..evaluation.drawing import BAD, TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
+from ..evaluation.drawing import BAD, TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from . import quantities, report_text
 from .relation_files import full_title
 
@@ -60,7 +60,7 @@ def draw_waterfall(scene: Scene) -> PageFigure | None:
     if not steps or not all(np.isfinite((s.position_5s.base, s.position_5s.augmented)).all() for s in steps):
         return None
     floor = scene.found.errors["position_5s"].floor if "position_5s" in scene.found.errors else 0.0
-    with style():
+    with apply_style():
         figure, axes = plt.subplots(figsize=(WIDTH, 1.1 + 0.3 * (len(steps) + 2)))
         axes.set_axisbelow(True)
         first, last = steps[0].position_5s.base, steps[-1].position_5s.augmented
@@ -118,7 +118,7 @@ def draw_axle_curves(scene: Scene) -> PageFigure | None:
     curves = scene.found.axle_curves
     if not curves or not scene.found.model:
         return None
-    with style():
+    with apply_style():
         figure, panels = plt.subplots(2, len(curves), figsize=(HALF_WIDTH, 3.3), sharex="col", squeeze=False,
                                       height_ratios=(3.0, 1.0))
         for (axes, below), curve in zip(panels.T, curves, strict=True):
@@ -151,7 +151,7 @@ def draw_maps(scene: Scene) -> PageFigure | None:
     models = [("base model", scene.before)] + ([("complete model", scene.after)] if scene.after else [])
     factor, unit = quantities.display_unit(UNITS[scene.channel])
     largest = factor * max(float(np.nanmax(errors)), 1e-12)
-    with style():
+    with apply_style():
         log = scene.runs[run]
         shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if _aspect_ratio(log) > MIN_ASPECT else 0.5
         size = (HALF_WIDTH, float(np.clip(0.4 * HALF_WIDTH * shape, 1.2, 3.5)) + 0.9)
@@ -212,7 +212,7 @@ def draw_agreement(scene: Scene) -> PageFigure | None:
              else (partition, where) for partition, where in parts}
     labels = sorted(dict.fromkeys(names.values()), key=lambda label: list(count).index(label[0]))
     rows = {key: labels.index(label) for key, label in names.items()}
-    with style():
+    with apply_style():
         figure, panels = plt.subplots(1, len(effects), figsize=(HALF_WIDTH, 1.3 + 0.17 * len(labels)), sharey=True,
                                       squeeze=False)
         for axes, effect in zip(panels[0], effects, strict=True):
@@ -255,13 +255,13 @@ def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
     (y_scale, unit), (x_scale, x_unit) = display_unit(c.unit), display_unit(QUANTITIES[c.quantity])
     at, value = x_scale * relation.at, y_scale * relation.value
     half_width = y_scale * report_text.Z95 * relation.deviation
-    with style():
+    with apply_style():
         figure, (curve, shares) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
         curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")
         curve.fill_between(at, value - half_width, value + half_width, color=AFTER, alpha=0.25, lw=0,
                            label="95 % interval")
         curve.plot(at, value, color=AFTER, label="proposed relation")
-        for k, (low, high) in enumerate(relation.drives.sparse):
+        for k, (low, high) in enumerate(relation.next_drives.sparse):
             for axes in (curve, shares):
                 axes.axvspan(x_scale * low, x_scale * high, color=MEASURED_COLOUR, alpha=0.12, lw=0,
                              label="sparsely driven" if axes is curve and not k else None)

@@ -115,7 +115,7 @@ def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
     knots = np.linspace(c.low, c.high, KNOTS)
     heights = relation.coefficients @ c.splines(knots)
     terms = "\n            + ".join(f"{h:.6g} * hat(t - {k}.0)" for k, h in enumerate(heights))
-    formulas = "\n".join(f"Formula {k}: {r.text} ({r.shape}, keeps {r.kept:.0%} of the curve's held-out gain)"
+    formulas = "\n".join(f"Formula {k}: {r.text} ({r.shape}, keeps {r.retained:.0%} of the curve's held-out gain)"
                          for k, r in enumerate(relation.formulas, 1)) or "No simple formula can replace the curve."
     return EFFECT_FILE.format(
         title=_title_with_causes(relation), count=len(runs), runs=", ".join(runs), created=created, low=c.low,
@@ -208,9 +208,9 @@ def relation_document(found: RelationSearch) -> dict:
     tried = [{"relation": name, "gain": gain, "p_value": p_value, "detection_limit": found.detection_limits.get(name)}
              for name, (gain, p_value) in found.tried.items()]
     if relation is None:
-        return {"proposal": None, "why": found.why, "tried": tried}
+        return {"proposal": None, "why": found.reason, "tried": tried}
     c = relation.candidate
-    return {"why": found.why, "tried": tried, "proposal": {
+    return {"why": found.reason, "tried": tried, "proposal": {
         "place": c.term, "quantity": c.quantity, "by": c.factor, "unit": c.unit,
         "quantity_unit": QUANTITIES[c.quantity], "range": [c.low, c.high],
         "curve": {key: getattr(relation, key).tolist() for key in ("at", "value", "deviation", "density")},
@@ -219,13 +219,13 @@ def relation_document(found: RelationSearch) -> dict:
         "redundant": dict(relation.redundant), "next_drives": _drives_document(relation),
         "shares": {name: list(pair) for name, pair in relation.shares.ratios.items()},
         "p_equal": relation.shares.p_equal,
-        "readings": [{"shape": r.shape, "text": r.text, "explained": r.kept, "causes": r.causes}
+        "readings": [{"shape": r.shape, "text": r.text, "explained": r.retained, "causes": r.causes}
                      for r in relation.formulas]}}
 
 
 def _drives_document(relation: Relation) -> dict:
-    drives, separating = relation.drives, relation.drives.most_separating()
-    precise = drives.most_precise(relation.deviation)
+    drives, separating = relation.next_drives, relation.next_drives.find_most_separating()
+    precise = drives.find_most_precise(relation.deviation)
     return {"sparse": [list(between) for between in drives.sparse],
             "most_separating": {"manoeuvre": separating[0].manoeuvre.name, "from": separating[1]} if separating
             else None,

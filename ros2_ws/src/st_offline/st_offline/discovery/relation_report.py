@@ -36,17 +36,17 @@ def relation_report(found: RelationSearch, discovery: Discovery, vehicle: Vehicl
                     folder: str) -> RelationReport:
     """Report of a search for a relation. folder: folder of the results, for the commands in the report."""
     relation = found.relation
-    terms = ", ".join(quantities.TERMS[name] for name in found.not_examined())
+    terms = ", ".join(quantities.TERMS[name] for name in found.find_unexamined_terms())
     excluded: Groups = [("not excluded", [f"a relation for a term that these drives do not excite enough: {terms}"]
                          )] if terms else []
     if relation is None:
-        why = found.why
+        why = found.reason
         for name in sorted(found.tried, key=len, reverse=True):  # a name may begin with another
             why = why.replace(name, quantities.spell_out(name))
         return RelationReport([("proposal", [f"none: {why}"]), *excluded])
     without, with_it = relation.position_5s
     runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)"
-                     for name, (before, after) in relation.worse_runs().items())
+                     for name, (before, after) in relation.find_worse_runs().items())
     worse = f"ERRORS LARGER by 25 % or more in {runs}"
     causes = relation.formulas[0].causes if relation.formulas else ""
     proposal = [f"{f'{worse}. ' if runs else ''}{full_title(relation)}. A proposal is not established: try it, then "
@@ -54,7 +54,7 @@ def relation_report(found: RelationSearch, discovery: Discovery, vehicle: Vehicl
                 *([f"textbook causes: {causes}. These drives do not show the cause"] if causes else [])]
     headline = (f"PROPOSAL, not established: {full_title(relation)}; {without:.2f} m → {with_it:.2f} m (held-out)"
                 f"{f'; {worse}' if runs else ''}")
-    groups: Groups = [("proposal", proposal), ("effect size", _effect_size(relation, discovery, found.why)),
+    groups: Groups = [("proposal", proposal), ("effect size", _effect_size(relation, discovery, found.reason)),
                       ("formula", _formula(relation, vehicle)), ("uncertainty of the curve", _uncertainty(relation)),
                       ("alternatives", _alternatives(relation)), ("next drive", next_drive_sentences(relation)),
                       *excluded, ("files", _files(relation, discovery.model is not None, folder))]
@@ -75,7 +75,7 @@ def _effect_size(relation: Relation, discovery: Discovery, why: str) -> list[str
 def _formula(relation: Relation, vehicle: VehicleParameters) -> list[str]:
     c = relation.candidate
     lines = [f"{'or ' if k else ''}{r.text.replace('^2', '²').replace('^3', '³')} "
-             f"({r.shape}; keeps {r.kept:.0%} of the curve's held-out gain when "
+             f"({r.shape}; keeps {r.retained:.0%} of the curve's held-out gain when "
              "simulated in its place)" for k, r in enumerate(relation.formulas)
              ] or ["no simple formula keeps 90 % of the curve's held-out gain when simulated in its place"]
     return [*lines, f"y: {quantities.axis_label(c)}, {c.unit.translate(SQUARES)}; u: "
@@ -92,10 +92,10 @@ def _uncertainty(relation: Relation) -> list[str]:
              f"{x_unit}; the curve is constant beyond this range",
              f"widest interval at {x_scale * relation.at[widest]:.3g} {x_unit}: {y_scale * relation.value[widest]:.2g} "
              f"± {y_scale * report_text.Z95 * relation.deviation[widest]:.2g} {unit} (95 %)"]
-    if relation.drives.sparse:
+    if relation.next_drives.sparse:
         mirrored = ", to either side" if c.parity == ODD else ""
         ranges = ", ".join(f"{x_scale * low:.2g} to {x_scale * high:.2g} {x_unit}"
-                           for low, high in relation.drives.sparse)
+                           for low, high in relation.next_drives.sparse)
         lines.append(f"sparsely driven: {ranges}{mirrored}. There the curve is interpolated, and the interval assumes "
                      "the same smoothness: drive some seconds in this range, turning to both sides")
     absent = [name for name, (ratio, deviation) in relation.shares.ratios.items()
@@ -175,11 +175,11 @@ def _values_with_and_without(relation: Relation, discovery: Discovery, vehicle: 
 
 def next_drive_sentences(relation: Relation) -> list[str]:
     """Manoeuvres that separate the relation from its alternatives, narrow its interval, and cover sparse ranges."""
-    c, drives = relation.candidate, relation.drives
+    c, drives = relation.candidate, relation.next_drives
     if c.quantity in INDEPENDENT_OF_MANOEUVRE:
         return [REPEAT_ELSEWHERE]
     lines = []
-    separating, precise = drives.most_separating(), drives.most_precise(relation.deviation)
+    separating, precise = drives.find_most_separating(), drives.find_most_precise(relation.deviation)
     if separating is not None:
         option, rival = separating
         gain = option.separation[rival] / max(drives.current_separation[rival], 1e-9)

@@ -117,7 +117,7 @@ def fold_named_effects(found: Discovery, request: Request) -> VehicleUpdate | No
     if SLIP_SPEED_KEY in changes:  # computed for stability, not estimated
         changes[SLIP_SPEED_KEY] = (*changes[SLIP_SPEED_KEY][:2], car.minimum_slip_speed, car.minimum_slip_speed)
     runs = [run for run in found.runs if run.role == "suspect"]
-    text = updated_vehicle_text(request, car, changes, runs, ", ".join(e.name for e in folded))
+    text = update_vehicle_text(request, car, changes, runs, ", ".join(e.name for e in folded))
     vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
     reported = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
     return VehicleUpdate(vehicle, text, model, tuple(effect.name for effect in folded), reported, not_folded, error,
@@ -236,8 +236,8 @@ def _confidence_interval(found: Discovery, vehicle: VehicleParameters, folded: S
     return centre - math.sqrt(below), centre + math.sqrt(above)
 
 
-def updated_vehicle_text(request: Request, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]],
-                         runs: Sequence[Run], effects: str) -> str:
+def update_vehicle_text(request: Request, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]],
+                        runs: Sequence[Run], effects: str) -> str:
     """The user's vehicle file with these keys replaced; comments and all other entries are unchanged. runs, effects:
     sources of the values. A derived lambda_ky is written only if the edited file would result in another value. If the
     edited file does not load as `car`, a new file is written."""

@@ -12,14 +12,21 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from st_core.bands import CONDITIONS, ErrorSamples, NotFiniteError, calibrate, error_samples, highest_level
+from st_core.bands import (
+    CONDITIONS,
+    ErrorSamples,
+    NotFiniteError,
+    calibrate,
+    compute_error_samples,
+    compute_highest_level,
+)
 from st_core.bands.calibration import MIN_RUNS
-from st_core.bands.file import times
+from st_core.bands.file import make_times
 from st_core.batch import LogBatch
 from st_core.binning import SPEED_EDGES
 from st_core.compiled import compile_models
 from st_core.errors import ConfigurationError, StCoreError
-from st_core.log_evaluation import EvaluationSettings, regular_starts, usable_starts
+from st_core.log_evaluation import AXES, EvaluationSettings, regular_starts, usable_starts
 from st_core.log_signals import LogSignals
 from st_core.models import Model
 from st_core.prediction import predict
@@ -28,14 +35,14 @@ from st_core.types import ControlInput, VehicleState
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, RunSource, read
 
-from ..terminal import list_files, print_line, rows_table
+from ..terminal import list_files, make_table, print_line
 from .tables import write_csv
 from .work import Task, load_models
 
 REPETITIONS = 5  # measurements of each call
 MIN_MEASUREMENT_TIME = 0.02  # s, processor time
 MAX_BATCH = 960  # predictions: 20 groups of the 48 that compiled code advances together
-LATERAL = 1  # index in (longitudinal, lateral, yaw)
+LATERAL = AXES.index("lateral")
 BAND_LEVELS = (0.9, 0.5)
 WITHIN_SHARE = 0.9  # fraction of the starts that must be within the tolerance
 MIN_STARTS = 100  # in a speed bin; ten seconds of driving at 10 Hz, or more with fewer starts per second
@@ -57,33 +64,33 @@ def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: 
                   settings: Mapping[float, EvaluationSettings]) -> dict[tuple[str, float], Cost]:
     """Cost by model and step [s], measured with the inputs of one drive. settings: by step."""
     calls: dict[tuple[str, float, str], tuple[Callable[[], object], int]] = {}  # (function, number of predictions)
-    for step, one in settings.items():
-        starts, _ = usable_starts(signals, vehicle, regular_starts(signals.log, one.interval),
-                                  one.prediction.minimum_speed)
+    for step, variant in settings.items():
+        starts, _ = usable_starts(signals, vehicle, regular_starts(signals.log, variant.interval),
+                                  variant.prediction.minimum_speed)
         starts = starts[:MAX_BATCH]
-        batch = LogBatch(signals, starts, one.prediction.horizon, step, inputs="held")
+        batch = LogBatch(signals, starts, variant.prediction.horizon, step, inputs="held")
         middle = starts[len(starts) // 2:][:1]
         state = VehicleState(*signals.states_at(middle, vehicle)[0])
         acceleration, = signals.ins_at(middle, "velocity_x_dot")
         held = ControlInput(float(signals.road_wheel_angle_at(middle)[0]), float(acceleration[0]))
-        compiled, _ = compile_models(models, vehicle, one.prediction)
+        compiled, _ = compile_models(models, vehicle, variant.prediction)
         for model in models:
             calls[model.name, step, "floats"] = partial(
-                predict, model, vehicle, state, held, one.prediction.horizon, step), 1
+                predict, model, vehicle, state, held, variant.prediction.horizon, step), 1
             if model.name in compiled:
                 calls[model.name, step, "compiled"] = partial(compiled[model.name], state, held), 1
             calls[model.name, step, "batch"] = partial(batch.predict, model, vehicle), len(starts)
     for call, _ in calls.values():
         call()  # warm-up
-    times_of: dict[tuple[str, float, str], list[float]] = {key: [] for key in calls}
+    times_by_call: dict[tuple[str, float, str], list[float]] = {key: [] for key in calls}
     for _ in range(REPETITIONS):  # rounds over all calls, so that a busy period does not affect only one of them
         for key, (call, predictions) in calls.items():
             count, begin = 0, time.process_time()
             while not count or time.process_time() - begin < MIN_MEASUREMENT_TIME:
                 call()
                 count += 1
-            times_of[key].append((time.process_time() - begin) / (count * predictions))
-    seconds = {key: float(np.median(values)) for key, values in times_of.items()}
+            times_by_call[key].append((time.process_time() - begin) / (count * predictions))
+    seconds = {key: float(np.median(values)) for key, values in times_by_call.items()}
     return {(model.name, step): Cost(seconds[model.name, step, "floats"], seconds.get((model.name, step, "compiled")),
                                      seconds[model.name, step, "batch"]) for model in models for step in settings}
 
@@ -102,26 +109,27 @@ class Accuracy:
     within: dict[float, tuple[float, ...]]
 
 
-def model_accuracy(runs: Sequence[ErrorSamples], model: str, settings: EvaluationSettings) -> Accuracy:
+def measure_accuracy(runs: Sequence[ErrorSamples], model: str, settings: EvaluationSettings) -> Accuracy:
     """Accuracy of a model over one or more runs. Raises StCoreError if no band can be fitted."""
     pair = model, "hindsight"
-    time = times(settings.prediction.horizon, settings.prediction.step)
+    time = make_times(settings.prediction.horizon, settings.prediction.step)
     seconds = range(1, math.floor(time[-1] + 1e-9) + 1)
     at = [int(np.abs(time - second).argmin()) for second in seconds]
     lateral = [np.abs(run.errors[pair][:, :, LATERAL].astype(float)) for run in runs]
-    rms = np.sqrt(np.mean([np.square(one[:, at]).mean(axis=0) for one in lateral], axis=0))
-    level = next((one for one in BAND_LEVELS if len(runs) >= MIN_RUNS and one <= highest_level(len(runs)) + 1e-9), None)
+    rms = np.sqrt(np.mean([np.square(errors[:, at]).mean(axis=0) for errors in lateral], axis=0))
+    highest = compute_highest_level(len(runs)) + 1e-9 if len(runs) >= MIN_RUNS else 0.0
+    level = next((level for level in BAND_LEVELS if level <= highest), None)
     width = None
     if level is not None:
         # Starts outside the calibration domain are included in the mean.
         band = calibrate(runs, pair, time, (level,))
         width = tuple(np.mean([band.half_widths(run.conditions, level)[:, at, LATERAL].mean(axis=0) for run in runs],
                               axis=0).tolist())
-    largest = [np.maximum.accumulate(one, axis=1)[:, at] for one in lateral]
+    largest = [np.maximum.accumulate(errors, axis=1)[:, at] for errors in lateral]
     within = {}
     for low, high in zip(SPEED_EDGES, (*SPEED_EDGES[1:], math.inf), strict=True):
         speed = [run.conditions[:, CONDITIONS.index("speed")] for run in runs]
-        parts = [one[(v >= low) & (v < high)] for one, v in zip(largest, speed, strict=True)]
+        parts = [errors[(v >= low) & (v < high)] for errors, v in zip(largest, speed, strict=True)]
         if sum(map(len, parts)) >= MIN_STARTS:
             # The same number of quantiles represents each run, whatever its length.
             quantiles = [np.quantile(part, np.linspace(0.0, 1.0, 201), axis=0) for part in parts if len(part)]
@@ -129,7 +137,7 @@ def model_accuracy(runs: Sequence[ErrorSamples], model: str, settings: Evaluatio
     return Accuracy(tuple(seconds), tuple(rms.tolist()), level, width, within)
 
 
-def processor_time(cost: Cost) -> float:
+def get_processor_time(cost: Cost) -> float:
     """Processor time of a single prediction [s], compiled if possible."""
     return cost.floats if cost.compiled is None else cost.compiled
 
@@ -138,9 +146,9 @@ def find_cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
                   tolerance: float) -> dict[float, tuple[Key | None, ...]]:
     """The (model, step) with the least processor time and a lateral error within the tolerance [m] in WITHIN_SHARE of
     the starts, by speed bin (lower edge [m/s]) and second ahead; None if no model and step reach it."""
-    order = sorted(accuracies, key=lambda key: processor_time(costs[key]))
-    speeds = sorted({low for one in accuracies.values() for low in one.within})
-    seconds = max((len(one.second) for one in accuracies.values()), default=0)
+    order = sorted(accuracies, key=lambda key: get_processor_time(costs[key]))
+    speeds = sorted({low for accuracy in accuracies.values() for low in accuracy.within})
+    seconds = max((len(accuracy.second) for accuracy in accuracies.values()), default=0)
     return {low: tuple(next((key for key in order if low in accuracies[key].within
                              and accuracies[key].within[low][k] <= tolerance), None) for k in range(seconds))
             for low in speeds}
@@ -159,10 +167,11 @@ def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: 
     """Print the tables and write advice.csv. Unusable runs are skipped silently. tolerance: lateral error [m]."""
     with console.status("cost and accuracy of each model and step"):
         advice = measure_runs(sources, task)
-    rows = advice_rows(advice.costs, advice.accuracies)
-    console.print(make_table(rows, "Cost, error and band of each model and step", table_caption(advice.accuracies)))
-    chosen = choice_rows(find_cheapest(advice.costs, advice.accuracies, tolerance))
-    console.print(make_table(chosen, choice_title(tolerance), ""))
+    rows = make_advice_rows(advice.costs, advice.accuracies)
+    title = "Cost, error and band of each model and step"
+    console.print(make_titled_table(rows, title, make_caption(advice.accuracies)))
+    chosen = make_choice_rows(find_cheapest(advice.costs, advice.accuracies, tolerance))
+    console.print(make_titled_table(chosen, make_choice_title(tolerance), ""))
     for (model, step), reason in advice.unusable.items():
         print_line(f"[yellow]{escape(model)}, {step:g} s: {escape(reason)}[/yellow]", console)
     if task.folder is None:
@@ -174,7 +183,7 @@ def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: 
 
 def measure_runs(sources: Sequence[RunSource], task: Task) -> Advice:
     """Measure costs and accuracies on all usable runs. Raises ConfigurationError if there is none."""
-    settings = {one.prediction.step: one for one in vary_step(task.settings)}
+    settings = {variant.prediction.step: variant for variant in vary_step(task.settings)}
     models = load_models(task)
     samples: dict[Key, list[ErrorSamples]] = {}
     unusable: dict[Key, str] = {}
@@ -192,10 +201,10 @@ def measure_runs(sources: Sequence[RunSource], task: Task) -> Advice:
                 continue
             if longest is None or log.overlap > longest.log.overlap:
                 longest = signals
-            for step, one in settings.items():
+            for step, variant in settings.items():
                 for model in models:
                     try:
-                        found = error_samples([model], task.vehicle, signals, one)
+                        found = compute_error_samples([model], task.vehicle, signals, variant)
                         samples.setdefault((model.name, step), []).append(found)
                     except NotFiniteError as error:
                         unusable[model.name, step] = f"{log.name}: {error}"
@@ -209,7 +218,7 @@ def measure_runs(sources: Sequence[RunSource], task: Task) -> Advice:
         if not runs or (name, step) in unusable:
             continue
         try:
-            accuracies[name, step] = model_accuracy(runs, name, settings[step])
+            accuracies[name, step] = measure_accuracy(runs, name, settings[step])
         except StCoreError as error:
             unusable[name, step] = str(error)
     return Advice(cost, accuracies, unusable)
@@ -227,11 +236,12 @@ def vary_step(settings: EvaluationSettings) -> list[EvaluationSettings]:
     return variants
 
 
-def advice_rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy]) -> list[dict[str, str]]:
+def make_advice_rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy]) -> list[dict[str, str]]:
     """One row for each model and step. Each cost is followed by its ratio to the lowest cost of the column."""
-    least = {kind: min(v for v in (getattr(one, kind) for one in costs.values()) if v is not None)
-             for kind in ("floats", "compiled", "batch") if any(getattr(one, kind) for one in costs.values())}
-    seconds = max((one.second for one in accuracies.values()), default=())
+    times_by_kind = {kind: [time for cost in costs.values() if (time := getattr(cost, kind)) is not None]
+                     for kind in ("floats", "compiled", "batch")}
+    least = {kind: min(times) for kind, times in times_by_kind.items() if times}
+    seconds = max((accuracy.second for accuracy in accuracies.values()), default=())
     rows = []
     for (model, step), cost in costs.items():
         row = {"model": model, "step, s": f"{step:g}"}
@@ -245,7 +255,7 @@ def advice_rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy]) -
     return rows
 
 
-def choice_rows(chosen: Mapping[float, tuple[Key | None, ...]]) -> list[dict[str, str]]:
+def make_choice_rows(chosen: Mapping[float, tuple[Key | None, ...]]) -> list[dict[str, str]]:
     """One row for each speed, one column for each second ahead."""
     labels = {low: f"{low:g} to {high:g} m/s" for low, high in itertools.pairwise(SPEED_EDGES)}
     return [{"speed": labels.get(low, f"above {low:g} m/s")}
@@ -253,20 +263,19 @@ def choice_rows(chosen: Mapping[float, tuple[Key | None, ...]]) -> list[dict[str
                                            for k, key in enumerate(keys)} for low, keys in chosen.items()]
 
 
-def make_table(rows: Sequence[Mapping[str, str]], title: str, caption: str) -> Table:
-    return rows_table(rows, title=title, title_justify="left", title_style="bold", caption=caption,
+def make_titled_table(rows: Sequence[Mapping[str, str]], title: str, caption: str) -> Table:
+    return make_table(rows, title=title, title_justify="left", title_style="bold", caption=caption,
                       caption_justify="left", padding=(0, 1))
 
 
-def table_caption(accuracies: Mapping[Key, Accuracy]) -> str:
-    levels = {one.level for one in accuracies.values()}
-    level = next(iter(levels), None)
+def make_caption(accuracies: Mapping[Key, Accuracy]) -> str:
+    level = next((accuracy.level for accuracy in accuracies.values()), None)
     bands = "band: none, fewer than 3 runs" if level is None else (
         f"band: mean lateral half-width of the {level:.0%} band, whole path, calibrated on these runs")
     return ("processor time per prediction, in brackets as a multiple of the lowest; error: lateral RMS error with "
             f"measured inputs; {bands}")
 
 
-def choice_title(tolerance: float) -> str:
+def make_choice_title(tolerance: float) -> str:
     return (f"Cheapest model and step with a lateral error within {tolerance:g} m up to each second, in "
             f"{WITHIN_SHARE:.0%} of the starts, with measured inputs")

@@ -63,7 +63,7 @@ def check_formats(formats: Sequence[str]) -> None:
         raise ConfigurationError(f"--figures: {unknown[0]} is not one of {', '.join(FORMATS)}")
 
 
-def style():
+def apply_style():
     """Matplotlib settings of all figures, as a context manager."""
     return plt.rc_context(RC_SETTINGS)
 
@@ -90,10 +90,10 @@ def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, capt
         figure.savefig(svg, format="svg", transparent=True, metadata={"Date": None}, dpi=PAGE_DPI,
                        bbox_inches=Bbox([[0.0, 0.0], [width, min(top, height)]]))
     plt.close(figure)
-    return PageFigure(key, title, caption, page_svg(svg.getvalue(), f"{output.prefix}{key}-"))
+    return PageFigure(key, title, caption, make_page_svg(svg.getvalue(), f"{output.prefix}{key}-"))
 
 
-def page_svg(svg: str, prefix: str) -> str:
+def make_page_svg(svg: str, prefix: str) -> str:
     """The <svg> element for a page, with CSS colour variables, the fonts of the page, unique ids and short numbers."""
     svg = svg[svg.index("<svg"):]
     svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", svg, flags=re.S)

@@ -15,10 +15,10 @@ from st_recordings.runs.errors import join_problems
 
 from ..bands.bands_report import print_tables
 from ..checking.check_report import describe_clock, findings_from_json, print_findings
-from ..terminal import list_files, print_line, progress_bars, report_problem
+from ..terminal import list_files, make_progress_bars, print_line, report_problem
 from .drawing import check_formats
-from .evaluation_report import Choices, describe_settings, headline, summary, write_results
-from .tables import terminal_table
+from .evaluation_report import Choices, describe_settings, make_headline, make_summary, write_results
+from .tables import make_terminal_table
 from .work import Progress, RunReport, Task, evaluate_run
 
 FILE_DESCRIPTIONS = {
@@ -44,11 +44,11 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
     found = evaluate_all(sources, task, workers, scheduler, console)
     _raise_if_all_failed([report.problem for report in found])
     good = [report for report in found if not report.problem]
-    title = headline(good, over)
+    title = make_headline(good, over)
     with console.status("writing the report"):
         files = write_results(found, choices, title)
-    console.print(terminal_table(good, over, title, console.width))
-    print_line(summary(good, over, task.settings.prediction.horizon)[0], console)
+    console.print(make_terminal_table(good, over, title, console.width))
+    print_line(make_summary(good, over, task.settings.prediction.horizon)[0], console)
     for key, value in describe_settings(choices).items():
         print_line(f"[dim]{key}: {escape(value)}[/dim]", console)
     print_tables([report.bands for report in good], task.bands is not None, task.adaptive, console)
@@ -81,7 +81,7 @@ def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, schedul
                  console: Console) -> list[RunReport]:
     """Evaluate all runs with a progress display; returns the reports in the order of the sources."""
     found: dict[str, RunReport] = {}
-    with progress_bars(console) as progress:
+    with make_progress_bars(console) as progress:
         runs = progress.add_task("runs", total=len(sources))
         starts = progress.add_task("", visible=False)
 

@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,13 @@ from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
 from st_recordings.results import collect_versions
 
-from ..bands.bands_report import adaptive_rows, band_rows, draw_bands, share_rows, summarise_shares
+from ..bands.bands_report import draw_bands, make_adaptive_rows, make_band_rows, make_share_rows, summarise_shares
 from ..bands.scoring import pool_sums, summarise_adaptive, summarise_bands
 from ..checking.check_report import describe_clocks, describe_effect, findings_from_json, group_by_name
-from ..pages import template
+from ..pages import load_template
 from . import tables
-from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
-from .tables import REPORTED_AXES, axis_statistics, format_metres, pool_entries, pool_models
+from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
+from .tables import REPORTED_AXES, format_metres, get_axis_statistics, pool_entries, pool_models
 from .work import RunReport, Task, to_file_name
 
 SCHEMA = 2
@@ -58,11 +59,11 @@ def describe_settings(choices: Choices) -> dict[str, str]:
     }
 
 
-def document(reports: Sequence[RunReport], choices: Choices) -> dict[str, Any]:
+def make_document(reports: Sequence[RunReport], choices: Choices) -> dict[str, Any]:
     """The content of evaluation.json."""
     good = [r for r in reports if not r.problem]
     vehicle: VehicleParameters = choices.task.vehicle
-    parts = [one for r in good for one in r.manoeuvres if _count_starts(one)]
+    parts = [part for r in good for part in r.manoeuvres if _count_starts(part)]
     return {
         "schema": SCHEMA,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -94,15 +95,15 @@ def _summarise_bands(good: Sequence[RunReport], task: Task) -> dict[str, Any]:
 
 def pool_bins(reports: Sequence[RunReport]) -> list[dict[str, Any]]:
     """Bins pooled over all runs, sorted by quantity and value."""
-    entries = pool_entries([one for r in reports for one in r.bins], "quantity", "label")
+    entries = pool_entries([entry for r in reports for entry in r.bins], "quantity", "label")
     quantities = list(dict.fromkeys(e["quantity"] for e in entries))
     direction_order = {"left": 0, "straight": 1, "right": 2}
     return sorted(entries, key=lambda e: (quantities.index(e["quantity"]), direction_order.get(e["label"], -1),
                                           -math.inf if e["low"] is None else e["low"]))
 
 
-def _count_starts(one: dict[str, Any]) -> int:
-    return max((modes["hindsight"]["n_starts"] for modes in one["models"].values()), default=0)
+def _count_starts(entry: dict[str, Any]) -> int:
+    return max((modes["hindsight"]["n_starts"] for modes in entry["models"].values()), default=0)
 
 
 def write_results(reports: Sequence[RunReport], choices: Choices, title: str) -> dict[str, Path]:
@@ -110,28 +111,30 @@ def write_results(reports: Sequence[RunReport], choices: Choices, title: str) ->
     folder = choices.task.folder
     assert folder is not None  # set by the command
     good = [r for r in reports if not r.problem]
-    content = document(reports, choices)
+    content = make_document(reports, choices)
     files = {"json": folder / "evaluation.json", "page": folder / "report.html", "latex": folder / "table.tex"}
-    files["json"].write_text(_json_by_line(content))
-    for name, rows in tables.csv_rows(good).items():
+    files["json"].write_text(_format_json(content))
+    for name, rows in tables.make_csv_rows(good).items():
         files[name] = folder / f"{name}.csv"
         tables.write_csv(files[name], rows)
-    words = describe_settings(choices)
-    about = f"{words['vehicle']}; starts {words['starts']}; horizon {words['horizon']}; {words['measured inputs']}."
-    files["latex"].write_text(tables.latex_table(good, choices.over, about))
-    drawn = draw_overview(good, choices.over, FigureOutput(folder, choices.task.formats))
-    of_bands = draw_bands(content.get("bands_all_runs"), FigureOutput(folder, choices.task.formats))
-    write_page(files["page"], title, reports, content, words, drawn, of_bands, choices.over)
+    settings = describe_settings(choices)
+    about = (f"{settings['vehicle']}; starts {settings['starts']}; horizon {settings['horizon']}; "
+             f"{settings['measured inputs']}.")
+    files["latex"].write_text(tables.make_latex_table(good, choices.over, about))
+    output = FigureOutput(folder, choices.task.formats)
+    overview = draw_overview(good, choices.over, output)
+    band_figures = draw_bands(content.get("bands_all_runs"), output)
+    write_page(files["page"], title, reports, content, settings, overview, band_figures, choices.over)
     return files
 
 
-def _json_by_line(content: dict[str, Any]) -> str:
-    # One line for each key and each list entry; the option `indent` of the json module is ten times slower.
-    def line(value: Any) -> str:
-        return json.dumps(value, allow_nan=False, ensure_ascii=False)
-
-    lines = (f"{line(key)}: " + (f"[\n  {joined}\n ]" if isinstance(value, list) and (joined := ",\n  ".join(
-        map(line, value))) else line(value)) for key, value in content.items())
+def _format_json(content: dict[str, Any]) -> str:
+    """JSON with one line for each key and list entry; the option `indent` of the json module is ten times slower."""
+    dump = partial(json.dumps, allow_nan=False, ensure_ascii=False)
+    lines = []
+    for key, value in content.items():
+        is_list = isinstance(value, list) and value
+        lines.append(f"{dump(key)}: " + ("[\n  " + ",\n  ".join(map(dump, value)) + "\n ]" if is_list else dump(value)))
     return "{\n " + ",\n ".join(lines) + "\n}\n"
 
 
@@ -140,23 +143,23 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
     """Write the page. content: of evaluation.json. bands: figures of the tested bands."""
     good = [r for r in reports if not r.problem]
     leading = [overview] if overview and len(good) > 1 else [f for r in good for f in r.figures[1:2]]
-    bytes_left, of_run = MAX_FIGURE_BYTES, list[PageFigure]()  # figures of the first run; other runs have only files
+    bytes_left, run_figures = MAX_FIGURE_BYTES, list[PageFigure]()  # of the first run; other runs have only files
     for figure in (f for f in good[0].figures if f not in leading) if good else ():
         bytes_left -= len(figure.svg.encode())
-        if len(leading) + len(bands) + len(of_run) < MAX_FIGURES and bytes_left > 0:
-            of_run.append(figure)
+        if len(leading) + len(bands) + len(run_figures) < MAX_FIGURES and bytes_left > 0:
+            run_figures.append(figure)
     modes = list(dict.fromkeys(mode for of_model in content["all_runs"].values() for mode in of_model))
     pooled_bands = content.get("bands_all_runs", {})
-    text = template("evaluation/page.html.jinja").render(
-        title=title, summary=summary(good, over, content["settings"]["horizon"]), reports=good, content=content,
+    text = load_template("evaluation/page.html.jinja").render(
+        title=title, summary=make_summary(good, over, content["settings"]["horizon"]), reports=good, content=content,
         problems={r.name: r.problem for r in reports if r.problem}, settings=settings,
         about={r.name: r.about for r in reports}, leading=leading, band_figures=bands,
-        band_rows=band_rows(pooled_bands or None),
-        adaptive_rows=adaptive_rows(content.get("adaptive_bands_all_runs")),
-        share_rows=share_rows(pooled_bands.get("shares", {})),
+        band_rows=make_band_rows(pooled_bands or None),
+        adaptive_rows=make_adaptive_rows(content.get("adaptive_bands_all_runs")),
+        share_rows=make_share_rows(pooled_bands.get("shares", {})),
         over=over, what=tables.OVER_LABELS[over], axes=tables.REPORTED_AXES, kinds=tables.STATISTICS, modes=modes,
-        figures={good[0].name: of_run} if of_run else {}, in_metres=tables.format_metres, best=tables.is_best,
-        values=tables.axis_statistics, slug=to_file_name)
+        figures={good[0].name: run_figures} if run_figures else {}, in_metres=tables.format_metres, best=tables.is_best,
+        values=tables.get_axis_statistics, slug=to_file_name)
     file.write_text(text, encoding="utf-8")
 
 
@@ -166,22 +169,22 @@ def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput)
         return None
     models = list(dict.fromkeys(m for r in reports for m in r.models))
 
-    def rmse(report: RunReport, model: str, axis: str) -> float:
+    def get_rmse(report: RunReport, model: str, axis: str) -> float:
         known = model in report.models
-        return (known and axis_statistics(report.models, model, "hindsight", axis, over)["rmse"]) or 0.0
+        return (known and get_axis_statistics(report.models, model, "hindsight", axis, over)["rmse"]) or 0.0
 
     chosen = list(reports)
     if len(chosen) > MAX_RUNS:
-        worst = sorted(chosen, key=lambda r: -max(rmse(r, m, "lateral") for m in models))[:MAX_RUNS]
+        worst = sorted(chosen, key=lambda r: -max(get_rmse(r, m, "lateral") for m in models))[:MAX_RUNS]
         chosen = [r for r in chosen if r in worst]
-    with style():
+    with apply_style():
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.4 + 0.24 * len(chosen)), sharey=True)
         layout = figure.get_layout_engine()
         assert isinstance(layout, ConstrainedLayoutEngine)  # set by `style`
         layout.set(w_pad=0.12)  # inch, between the last label of one axis and the first of the next
         for axes, axis in zip(panels, REPORTED_AXES, strict=True):
             for row, report in enumerate(chosen):
-                sizes = [rmse(report, model, axis) for model in models if model in report.models]
+                sizes = [get_rmse(report, model, axis) for model in models if model in report.models]
                 axes.plot([min(sizes), max(sizes)], [row, row], color=TEXT, lw=0.6, alpha=0.5, zorder=1)
                 for k, model in enumerate(m for m in models if m in report.models):
                     # The marker size decreases from model to model, so that equal values remain visible.
@@ -198,30 +201,29 @@ def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput)
         return save_figure(figure, output, "overview", "RMSE of each run and model", caption)
 
 
-def headline(reports: Sequence[RunReport], over: str) -> str:
+def make_headline(reports: Sequence[RunReport], over: str) -> str:
     """Lateral RMSE of each model in hindsight over all runs, the smallest first."""
     models = pool_models([r.models for r in reports])
-    sizes = [(axis_statistics(models, m, "hindsight", "lateral", over)["rmse"], m) for m in models]
+    sizes = [(get_axis_statistics(models, m, "hindsight", "lateral", over)["rmse"], m) for m in models]
     ranked = sorted((size, m) for size, m in sizes if size is not None)
     name = reports[0].name if len(reports) == 1 else f"{len(reports)} runs"
     return f"{name}: lateral RMSE " + ", ".join(f"{model} {format_metres(size)} m" for size, model in ranked)
 
 
-def summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str]:
+def make_summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str]:
     """At most three paragraphs: the errors, the findings of the checks, the steering clock."""
     models = pool_models([r.models for r in reports])
-    best = min(models, key=lambda m: axis_statistics(models, m, "hindsight", "lateral", over)["rmse"] or math.inf)
-    held, *ahead = (f"{words}{format_metres(axis_statistics(models, best, mode, 'lateral', over)['rmse'])} m"
-                    for mode, words in FORECAST_LABELS.items() if mode in models[best])
+    best = min(models, key=lambda m: get_axis_statistics(models, m, "hindsight", "lateral", over)["rmse"] or math.inf)
+    held, *ahead = (f"{label}{format_metres(get_axis_statistics(models, best, mode, 'lateral', over)['rmse'])} m"
+                    for mode, label in FORECAST_LABELS.items() if mode in models[best])
     minutes = sum(r.about["duration"] for r in reports) / 60.0
-    groups = [(one, names) for one, names in group_by_name({r.name: findings_from_json(r.about) for r in reports})
-              if one.severity is not Severity.NOTE]
-    biased = "; ".join(f"{one.name} in {', '.join(names)} ({describe_effect(one) or one.text})"
-                       for one, names in groups)
+    groups = group_by_name({r.name: findings_from_json(r.about) for r in reports})
+    faults = "; ".join(f"{finding.name} in {', '.join(names)} ({describe_effect(finding) or finding.text})"
+                       for finding, names in groups if finding.severity is not Severity.NOTE)
     steering = describe_clocks({report.name: report.about["alignment"] for report in reports})
     return [f"{minutes:.1f} minutes of driving, predictions over {horizon:g} s. With the measured inputs (hindsight), "
             "the error is due to the model; with the inputs of the start held (forecast), it also contains the effect "
             f"of the driver's later inputs: the lateral RMSE of {best} is then {', '.join([held, *ahead])}.",
-            f"Faults of the recordings bias these errors: {biased}." if biased else
+            f"Faults of the recordings bias these errors: {faults}." if faults else
             "The checks found no error or warning.",
             *([f"{steering}."] if steering else [])]

@@ -17,7 +17,7 @@ from st_core.readings import predict_readings
 from st_core.vehicle import VehicleParameters
 
 from .background import in_background
-from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, break_at_gaps, reduce_points, save_figure, style
+from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, break_at_gaps, reduce_points, save_figure
 
 POSITIVE_SIDE = {"longitudinal": "ahead", "lateral": "left"}
 AXIS_LABEL = {axis: f"{axis} error, m\n(+ = predicted {side})" for axis, side in POSITIVE_SIDE.items()}
@@ -45,14 +45,14 @@ class Drawing:
         return {"color": MODEL_COLOUR.get(model, TEXT), "ls": MODEL_LINE.get(model, "solid")}
 
 
-def completed_by_all(evaluation: LogEvaluation) -> np.ndarray:
+def find_complete_starts(evaluation: LogEvaluation) -> np.ndarray:
     """Mask of the starts with a complete horizon (hindsight) for every model."""
     return np.all([e.complete for (_, mode), e in evaluation.errors.items() if mode == "hindsight"], axis=0)
 
 
 def choose_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarray:
     """Rows of the complete starts nearest to the times [s]; without times, rows of four evenly spaced starts."""
-    complete = np.flatnonzero(completed_by_all(evaluation))
+    complete = np.flatnonzero(find_complete_starts(evaluation))
     if not len(complete):
         return complete
     if times:
@@ -76,7 +76,7 @@ def draw_run(drawing: Drawing) -> list[PageFigure]:
     if not any(e.n_starts for e in drawing.evaluation.errors.values()):
         return []
     first, others = (draw_segments, draw_horizon_means), (draw_slip_and_forces, draw_error_against_horizon)
-    with style(), in_background(lambda: [draw(drawing) for draw in others]) as get_others:
+    with apply_style(), in_background(lambda: [draw(drawing) for draw in others]) as get_others:
         drawn = [draw(drawing) for draw in first] + get_others()
     return [figure for figure in drawn if figure is not None]
 
@@ -222,7 +222,7 @@ def draw_slip_and_forces(drawing: Drawing) -> PageFigure | None:
     rows = choose_starts(evaluation, drawing.starts)
     if not models or not len(rows):
         return None
-    lateral = np.where(completed_by_all(evaluation), np.abs(evaluation.conditions["lateral_acceleration"]), -1.0)
+    lateral = np.where(find_complete_starts(evaluation), np.abs(evaluation.conditions["lateral_acceleration"]), -1.0)
     row = int(rows[0] if len(drawing.starts) == 1 else lateral.argmax())
     start = evaluation.starts_ns[row : row + 1]
     _, block = next(evaluate_blocks(models, vehicle, signals, start, evaluation.settings))
@@ -230,13 +230,13 @@ def draw_slip_and_forces(drawing: Drawing) -> PageFigure | None:
     angle, acceleration = signals.road_wheel_angle_at(times), signals.ins_at(times, "velocity_x_dot")[0]
     measured = signals.states_at(times, vehicle)
     figure, grid = plt.subplots(2, 2, figsize=(WIDTH, 4.6), sharex=True, sharey="row")
-    measured_slip = _slip_and_forces(get_model("linear"), drawing.vehicle, measured, angle, acceleration)[0]
+    measured_slip = _compute_slip_and_forces(get_model("linear"), drawing.vehicle, measured, angle, acceleration)[0]
     for column in (0, 1):
         grid[0, column].plot(evaluation.horizon, np.degrees(measured_slip[column]), color=MEASURED_COLOUR, lw=1.0)
     ends = []
     for model in models:
         states = block.trajectories[model.name, "hindsight"][0]
-        slips, forces = _slip_and_forces(model, drawing.vehicle, states, angle, acceleration)
+        slips, forces = _compute_slip_and_forces(model, drawing.vehicle, states, angle, acceleration)
         for column in (0, 1):
             grid[0, column].plot(evaluation.horizon, np.degrees(slips[column]), **drawing.line(model.name))
             grid[1, column].plot(evaluation.horizon, forces[column] / 1000.0, **drawing.line(model.name))
@@ -259,8 +259,8 @@ def draw_slip_and_forces(drawing: Drawing) -> PageFigure | None:
     return save_figure(figure, drawing.output, "slip_and_forces", title, caption)
 
 
-def _slip_and_forces(model: Model, vehicle: VehicleParameters, states: np.ndarray, angle: np.ndarray,
-                     acceleration: np.ndarray) -> tuple[tuple, tuple]:
+def _compute_slip_and_forces(model: Model, vehicle: VehicleParameters, states: np.ndarray, angle: np.ndarray,
+                             acceleration: np.ndarray) -> tuple[tuple, tuple]:
     """((front, rear) slip angles [rad], (front, rear) axle forces [N]) of a model for states (n, 6)."""
     p = model.parameters(vehicle)
     w = model.inputs(angle, acceleration, p)

@@ -24,7 +24,7 @@ Entry = dict[str, Any]
 DECIMALS = 2  # centimetres, as in the paper
 MIN_FORECAST_WIDTH = 100  # characters; a narrower terminal shows no forecasts
 REPORTED_AXES = ("longitudinal", "lateral")
-NOTE = "mean | max | RMSE over {what}, m; bold: smallest magnitude of each run"
+TABLE_NOTE = "mean | max | RMSE over {over}, m; bold: smallest magnitude of each run"
 OVER_LABELS = {"means": "the horizon means", "samples": "all samples of all horizons"}
 
 Models = Mapping[str, Any]  # {model: {mode: entry}}
@@ -35,7 +35,8 @@ def summarise_errors(errors: ModelErrors, select: np.ndarray | slice = ALL_ROWS)
     """Statistics of the horizon means and, in `samples`, of all points; values are None if no start was scored."""
     complete = errors.complete[select]
     count = int(complete.sum())
-    means, samples = ({axis: _statistics(*values) for axis, values in errors.statistics_by_axis(over, select).items()}
+    means, samples = ({axis: _name_statistics(*values)
+                       for axis, values in errors.statistics_by_axis(over, select).items()}
                       for over in ("means", "samples"))
     return {"n_starts": count, "n_incomplete": len(complete) - count, **means,
             "samples": {"n_starts": count, **samples}}
@@ -53,7 +54,7 @@ def summarise_by_second(evaluation: LogEvaluation) -> dict[str, dict[str, dict[s
     for (model, mode), errors in evaluation.errors.items():
         values = errors.at_seconds[errors.complete]
         found[model][mode] = {} if not len(values) else {
-            str(k + 1): {axis: _statistics(v.mean(), np.abs(v).max(), np.sqrt(np.square(v).mean()))
+            str(k + 1): {axis: _name_statistics(v.mean(), np.abs(v).max(), np.sqrt(np.square(v).mean()))
                          for axis, v in zip(AXES, values[:, k].T, strict=True)} for k in range(values.shape[1])}
     return found
 
@@ -77,39 +78,39 @@ def pool_models(entries: Sequence[Mapping[str, Mapping[str, Entry]]]) -> dict[st
     found: dict[str, dict[str, list[Entry]]] = {}
     for document in entries:
         for model, modes in document.items():
-            for mode, one in modes.items():
-                found.setdefault(model, {}).setdefault(mode, []).append(one)
-    return {model: {mode: _pool(parts) for mode, parts in modes.items()} for model, modes in found.items()}
+            for mode, entry in modes.items():
+                found.setdefault(model, {}).setdefault(mode, []).append(entry)
+    return {model: {mode: _pool_statistics(parts) for mode, parts in modes.items()} for model, modes in found.items()}
 
 
 def pool_entries(entries: Sequence[Entry], *keys: str) -> list[Entry]:
     """Pool the entries that agree in `keys`, in the order of their first appearance."""
     groups: dict[tuple, list[Entry]] = {}
-    for one in entries:
-        groups.setdefault(tuple(one[key] for key in keys), []).append(one)
+    for entry in entries:
+        groups.setdefault(tuple(entry[key] for key in keys), []).append(entry)
     return [{**{k: v for k, v in group[0].items() if k in {*keys, "low", "high"}}, "count": len(group),
-             "models": pool_models([one["models"] for one in group])} for group in groups.values()]
+             "models": pool_models([entry["models"] for entry in group])} for group in groups.values()]
 
 
-def _pool(entries: Sequence[Entry]) -> Entry:
+def _pool_statistics(entries: Sequence[Entry]) -> Entry:
     joined: Entry = {key: sum(e[key] for e in entries) for key in ("n_starts", "n_incomplete") if key in entries[0]}
     for axis in AXES:
         known = [(e["n_starts"], e[axis]) for e in entries if e["n_starts"]]
         total = sum(n for n, _ in known)
-        joined[axis] = _statistics(
+        joined[axis] = _name_statistics(
             sum(n * v["mean"] for n, v in known) / total, max(v["max"] for _, v in known),
-            math.sqrt(sum(n * v["rmse"] ** 2 for n, v in known) / total)) if total else _statistics(*[math.nan] * 3)
+            math.sqrt(sum(n * v["rmse"] ** 2 for n, v in known) / total)) if total else dict.fromkeys(STATISTICS)
     if "samples" in entries[0]:
-        joined["samples"] = _pool([e["samples"] for e in entries])
+        joined["samples"] = _pool_statistics([e["samples"] for e in entries])
     return joined
 
 
-def _statistics(*values: float) -> Entry:
+def _name_statistics(*values: float) -> Entry:
     """Statistics by name; None in place of NaN, which JSON cannot represent."""
     return {kind: float(v) if math.isfinite(v) else None for kind, v in zip(STATISTICS, values, strict=True)}
 
 
-def axis_statistics(models: Models, model: str, mode: str, axis: str, over: str) -> Mapping[str, float | None]:
+def get_axis_statistics(models: Models, model: str, mode: str, axis: str, over: str) -> Mapping[str, float | None]:
     """{mean, max, rmse} of a model. over: means or samples."""
     entry = models[model][mode]
     return entry[axis] if over == "means" else entry["samples"][axis]
@@ -118,7 +119,7 @@ def axis_statistics(models: Models, model: str, mode: str, axis: str, over: str)
 def is_best(models: Models, model: str, mode: str, axis: str, kind: str, over: str) -> bool:
     """Whether no model has a smaller printed magnitude; several models may be best, as in the paper."""
     sizes = {m: round(abs(size), DECIMALS) for m in models
-             if (size := axis_statistics(models, m, mode, axis, over)[kind]) is not None}
+             if (size := get_axis_statistics(models, m, mode, axis, over)[kind]) is not None}
     return model in sizes and sizes[model] == min(sizes.values())
 
 
@@ -129,12 +130,12 @@ def format_metres(value: float | None) -> str:
     return f"{value:.{DECIMALS}f}".replace(f"-{0:.{DECIMALS}f}", f"{0:.{DECIMALS}f}")
 
 
-def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) -> Table:
+def make_terminal_table(reports: Sequence[Any], over: str, title: str, width: int) -> Table:
     """The table of the paper (hindsight); in a wide terminal, with the RMSE of the forecasts."""
     wide = width >= MIN_FORECAST_WIDTH
     ahead = list(dict.fromkeys(mode for r in reports for modes in r.models.values() for mode in modes
                                if mode != "hindsight"))
-    heading = Text(f"{title}\n{NOTE.format(what=OVER_LABELS[over])}", style="bold")
+    heading = Text(f"{title}\n{TABLE_NOTE.format(over=OVER_LABELS[over])}", style="bold")
     table = Table(title=heading, title_justify="left", box=None, padding=(0, 1))
     table.add_column("run", overflow="fold")
     table.add_column("model", no_wrap=True)
@@ -143,11 +144,11 @@ def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) ->
     for report in reports:
         for number, model in enumerate(report.models):
             cells = [Text(" | ").join(
-                Text(f"{format_metres(axis_statistics(report.models, model, 'hindsight', axis, over)[kind]):>5}",
+                Text(f"{format_metres(get_axis_statistics(report.models, model, 'hindsight', axis, over)[kind]):>5}",
                      style="bold" if is_best(report.models, model, "hindsight", axis, kind, over) else "")
                 for kind in STATISTICS) for axis in REPORTED_AXES]
             forecasts = [" | ".join(
-                f"{format_metres(axis_statistics(report.models, model, mode, axis, over)['rmse']):>5}"
+                f"{format_metres(get_axis_statistics(report.models, model, mode, axis, over)['rmse']):>5}"
                 for axis in REPORTED_AXES) if mode in report.models[model] else "" for mode in ahead]
             starts = str(report.models[model]["hindsight"]["n_starts"])
             table.add_row(Text("" if number else report.name), Text(model, style=MODEL_COLOUR.get(model, "")), starts,
@@ -156,14 +157,14 @@ def terminal_table(reports: Sequence[Any], over: str, title: str, width: int) ->
     return table
 
 
-def latex_table(reports: Sequence[Any], over: str, what: str) -> str:
-    """The table in the form of the paper, for the packages booktabs and multirow. what: end of the caption."""
+def make_latex_table(reports: Sequence[Any], over: str, note: str) -> str:
+    """The table in the form of the paper, for the packages booktabs and multirow. note: end of the caption."""
     models = list(next((r.models for r in reports), {}))
     legend = ", ".join(f"m$_{{{k + 1}}}$ {_escape_tex(model)}" for k, model in enumerate(models))
     lines = [
         r"\begin{table}[t]", r"\centering",
         rf"\caption{{Mean error, maximum absolute error and RMSE over {OVER_LABELS[over]}; {legend}. "
-        rf"Bold: lowest magnitude. {_escape_tex(what)}}}",
+        rf"Bold: lowest magnitude. {_escape_tex(note)}}}",
         r"\begin{tabular}{cccc}",
         r"& & \multicolumn{2}{c}{\textbf{Error (mean $\mid$ max $\mid$ RMSE) [m]}} \\", r"\cmidrule(lr){3-4}",
         r"& & \textbf{Longitudinal} & \textbf{Lateral} \\",
@@ -172,7 +173,7 @@ def latex_table(reports: Sequence[Any], over: str, what: str) -> str:
     def format_triple(report: Any, model: str, axis: str) -> str:
         parts = []
         for kind in STATISTICS:
-            text = format_metres(axis_statistics(report.models, model, "hindsight", axis, over)[kind])
+            text = format_metres(get_axis_statistics(report.models, model, "hindsight", axis, over)[kind])
             bold = rf"\mathbf{{{text}}}" if is_best(report.models, model, "hindsight", axis, kind, over) else text
             parts.append(rf"\phantom{{-}}{bold}" if kind == "mean" and not text.startswith("-") else bold)
         return "$" + r" \mid ".join(parts) + "$"
@@ -199,30 +200,30 @@ def write_csv(file: Path, rows: Iterator[Row]) -> None:
             writer.writerows([row, row.values()] if not number else [row.values()])
 
 
-def csv_rows(reports: Sequence[Any]) -> dict[str, Iterator[Row]]:
+def make_csv_rows(reports: Sequence[Any]) -> dict[str, Iterator[Row]]:
     """Rows of each CSV file by its name: errors by run, model and mode, overall and by second, bin and drive part."""
-    bins = (({"run": r.name, "quantity": one["quantity"], "bin": one["label"], "low": one["low"], "high": one["high"]},
-             one["models"]) for r in reports for one in r.bins)
-    parts = (({"run": r.name, "manoeuvre": one["name"], "start_s": round(one["start"], 3),
-               "end_s": round(one["end"], 3), "heading_change_deg": round(one["heading_change_deg"], 2)}, one["models"])
-             for r in reports for one in r.manoeuvres)
+    bins = (({"run": r.name, "quantity": e["quantity"], "bin": e["label"], "low": e["low"], "high": e["high"]},
+             e["models"]) for r in reports for e in r.bins)
+    parts = (({"run": r.name, "manoeuvre": e["name"], "start_s": round(e["start"], 3),
+               "end_s": round(e["end"], 3), "heading_change_deg": round(e["heading_change_deg"], 2)}, e["models"])
+             for r in reports for e in r.manoeuvres)
     return {
-        "table": (row for r in reports for row in _model_rows({"run": r.name}, r.models)),
-        "seconds": ({"run": r.name, "model": model, "mode": mode, "horizon_s": second, **_flatten(entry)}
+        "table": (row for r in reports for row in _make_model_rows({"run": r.name}, r.models)),
+        "seconds": ({"run": r.name, "model": model, "mode": mode, "horizon_s": second, **_flatten_statistics(entry)}
                     for r in reports for model, modes in r.seconds_ahead.items() for mode, seconds in modes.items()
                     for second, entry in seconds.items()),
-        "bins": (row for head, models in bins for row in _model_rows(head, models)),
-        "manoeuvres": (row for head, models in parts for row in _model_rows(head, models))}
+        "bins": (row for head, models in bins for row in _make_model_rows(head, models)),
+        "manoeuvres": (row for head, models in parts for row in _make_model_rows(head, models))}
 
 
-def _model_rows(head: Row, models: Models) -> Iterator[Row]:
+def _make_model_rows(head: Row, models: Models) -> Iterator[Row]:
     for model, modes in models.items():
         for mode, entry in modes.items():
             yield {**head, "model": model, "mode": mode, "n_starts": entry["n_starts"],
-                   "n_incomplete": entry["n_incomplete"], **_flatten(entry),
-                   **{f"samples_{key}": value for key, value in _flatten(entry["samples"]).items()}}
+                   "n_incomplete": entry["n_incomplete"], **_flatten_statistics(entry),
+                   **{f"samples_{key}": value for key, value in _flatten_statistics(entry["samples"]).items()}}
 
 
-def _flatten(entry: Mapping[str, Any]) -> Row:
+def _flatten_statistics(entry: Mapping[str, Any]) -> Row:
     units = {"longitudinal": "m", "lateral": "m", "yaw": "rad"}
     return {f"{axis}_{kind}_{units[axis]}": entry[axis][kind] for axis in AXES for kind in STATISTICS}

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from st_core.bands import Bands
-from st_core.bands.file import times
+from st_core.bands.file import make_times
 from st_core.course import Course
 from st_core.course_tracker import course_inputs
 from st_core.effects import load_folder
@@ -107,15 +107,17 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         signals = task.settings.signals(run.log)
         bands = load_bands(task, models)
         scorer = Scorer(bands, signals) if bands else None
-        horizon = times(task.settings.prediction.horizon, task.settings.prediction.step)
+        horizon = make_times(task.settings.prediction.horizon, task.settings.prediction.step)
         adaptive = AdaptiveScorer(bands, signals, horizon) if task.adaptive else None
 
         def score(starts: np.ndarray, block: Block) -> None:
-            for one in filter(None, (scorer, adaptive)):
-                one.add(starts, block)  # type: ignore[attr-defined]
+            if scorer:
+                scorer.add(starts, block)
+            if adaptive:
+                adaptive.add(starts, block)
 
         try:
-            ahead = future_inputs(run, signals, task.vehicle, task.settings.prediction, load_course(task.course))
+            ahead = make_future_inputs(run, signals, task.vehicle, task.settings.prediction, load_course(task.course))
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
                                       on_block=score, future_inputs=ahead)
         finally:  # a finding of the checks explains more than the exception that the same fault causes here
@@ -124,7 +126,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
                 raise findings
     marks.append(time.perf_counter())
     _require_scores(source, run, evaluation)
-    output = _figure_output(task, source.name, evaluation)
+    output = _make_figure_output(task, source.name, evaluation)
     figures = draw_run(Drawing(evaluation, models, task.vehicle, signals, task.starts, output))
     marks.append(time.perf_counter())
     about = {
@@ -143,7 +145,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
                      tables.summarise_by_manoeuvre(evaluation, parts), figures, sums, seconds)
 
 
-def _figure_output(task: Task, name: str, evaluation: LogEvaluation) -> FigureOutput:
+def _make_figure_output(task: Task, name: str, evaluation: LogEvaluation) -> FigureOutput:
     """Create the folder of a run, with starts.csv; returns the output for its figures."""
     folder = task.folder / "runs" / to_file_name(name) if task.folder else None
     if folder:
@@ -199,7 +201,7 @@ def load_models(task: Task) -> list[Model]:
 
 
 def parse_model_files(task: Task) -> list[ModelFile]:
-    return [ModelFile.from_yaml(*reversed(one)) for one in task.models if not isinstance(one, str)]
+    return [ModelFile.from_yaml(text, name) for name, text in (m for m in task.models if not isinstance(m, str))]
 
 
 def load_bands(task: Task, models: Sequence[Model]) -> Bands | None:
@@ -209,13 +211,13 @@ def load_bands(task: Task, models: Sequence[Model]) -> Bands | None:
     origin, text = task.bands
     bands = Bands.from_yaml(text, origin)
     try:
-        bands.check(task.vehicle, model_hashes(task, models), task.settings)
+        bands.check(task.vehicle, collect_model_hashes(task, models), task.settings)
     except ConfigurationError as error:
         raise ConfigurationError(f"{origin}: {error}") from None
     return bands
 
 
-def model_hashes(task: Task, models: Sequence[Model]) -> dict[str, str]:
+def collect_model_hashes(task: Task, models: Sequence[Model]) -> dict[str, str]:
     """Hash of the model file by model; "" for a built-in model."""
     return {model.name: "" for model in models} | {file.model().name: file.hash for file in parse_model_files(task)}
 
@@ -237,14 +239,14 @@ def write_starts(file: Path, evaluation: LogEvaluation) -> None:
     tables.write_csv(file, (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)))
 
 
-def future_inputs(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters, prediction: PredictionSettings,
+def make_future_inputs(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters, prediction: PredictionSettings,
                  course: Course | None) -> dict[Mode, FutureInputs]:
     """Inputs over the horizon for `evaluate_log`: "plan" if the recording contains one, "course" if a course is given.
     The passes of this run are removed from the course. If both origins are known, the course is transformed into the
     map of the run; otherwise both must be in the same map. Raises RunError for planned columns that are not numbers,
     and for a course at another location."""
     inputs: dict[Mode, FutureInputs] = {}
-    plan = _planned_columns(run.provenance["files"], vehicle)
+    plan = _read_planned_columns(run.provenance["files"], vehicle)
     if plan is not None:
         inputs["plan"] = recorded_plan(*plan, prediction.steps, prediction.step, prediction.maximum_gap)
     if course is not None:
@@ -265,8 +267,8 @@ def load_course(file: tuple[str, str] | None) -> Course | None:
     return None if file is None else Course.from_yaml(file[1], file[0])
 
 
-def _planned_columns(files: Mapping[str, str],
-                     vehicle: VehicleParameters) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
+def _read_planned_columns(files: Mapping[str, str],
+                          vehicle: VehicleParameters) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
     """Time [ns] and inputs for `recorded_plan` from the first CSV with planned columns; None without one."""
     for file in (Path(name) for name in files if name.lower().endswith(".csv")):
         names = read_header(file)

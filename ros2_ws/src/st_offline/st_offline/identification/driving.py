@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -21,7 +22,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_recordings.runs import RunError, find_runs, read
 
 from ..checking.gate import check_log, refuse_errors
-from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
+from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from .experiment import Experiment, Setup, format_rounded
 
 MAX_POINTS = 4000  # in a scatter plot; more points would only overlap
@@ -36,7 +37,7 @@ RECORDINGS_HELP = "recordings of drives (several are better): folders, .ncom wit
 def draw_offset(found: Identification, output: FigureOutput) -> PageFigure:
     """Draw the offset in each straight window with both estimates, and the residuals of the yaw rate."""
     data = found.figure
-    with style():
+    with apply_style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.4), width_ratios=(2, 1))
         position = _concatenate_times(data["run"], data["time"])
         left.plot(position, data["offset"] * DEG, ".", color=MEASURED_COLOUR, ms=4, label="steady straight window")
@@ -57,7 +58,7 @@ def draw_offset(found: Identification, output: FigureOutput) -> PageFigure:
 def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
     """Draw v_y / v_x, corrected for slip, versus curvature (slope: INS ahead of the rear axle [m]), and residuals."""
     data = found.figure
-    with style():
+    with apply_style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
         drawn = _thin_rows(len(data["curvature"]))
         for index, name in enumerate(data["names"]):
@@ -83,7 +84,7 @@ def draw_stiffness(found: Identification, output: FigureOutput) -> PageFigure:
     paper = found.figure.get("paper")
     both = ", ".join(f"{axle} {_format_estimate(found[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
     points = "force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
-    with style():
+    with apply_style():
         if found.experiment == "stiffness-paper":
             figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
             _draw_force_and_slip(panels, found, (found,))
@@ -96,9 +97,9 @@ def draw_stiffness(found: Identification, output: FigureOutput) -> PageFigure:
                 axes.set_axis_off()
         pair = panels[2]
         _draw_region(pair, found, found.estimates[:2])
-        for one, colour, label in ((found, FIT_COLOUR, "prediction"), (paper, PAPER_COLOUR, "regression (paper)")):
-            if one is not None and np.isfinite([e.value for e in one.estimates[:2]]).all():
-                front, rear = one.estimates[:2]
+        for result, colour, label in ((found, FIT_COLOUR, "prediction"), (paper, PAPER_COLOUR, "regression (paper)")):
+            if result is not None and np.isfinite([e.value for e in result.estimates[:2]]).all():
+                front, rear = result.estimates[:2]
                 pair.errorbar(
                     front.value * 1e-3, rear.value * 1e-3, fmt="o", color=colour, mec=TEXT, label=label, zorder=3,
                     **{f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * 1e-3
@@ -113,7 +114,7 @@ def draw_stiffness(found: Identification, output: FigureOutput) -> PageFigure:
 def draw_prediction(found: Identification, output: FigureOutput) -> PageFigure:
     """Draw the residuals of a fit by prediction, and the first parameter versus the one most correlated with it."""
     data, first = found.figure, found.estimates[0]
-    with style():
+    with apply_style():
         figure, panels = plt.subplot_mosaic([["rate", "pair"], ["across", "pair"]], figsize=(WIDTH, 4.2),
                                             width_ratios=(1.5, 1))
         position = _concatenate_times(data["residual_run"], data["residual_time"])
@@ -134,13 +135,12 @@ def draw_prediction(found: Identification, output: FigureOutput) -> PageFigure:
             second = found.estimates[1 + int(np.argmax(np.abs(found.correlation[0, 1:])))]
         pair = panels["pair"]
         _draw_region(pair, found, (first, second))
-        x, y = (e.value * _display_unit(e.parameter)[0] for e in (first, second))
-        errors = [np.abs(np.array(e.interval95) - e.value)[:, None] * _display_unit(e.parameter)[0]
-                  for e in (first, second)]
-        pair.errorbar(x, y, xerr=errors[0], yerr=errors[1], fmt="o", ms=4, color=TEXT, label="95 % interval")
-        for axis, one in (("x", first), ("y", second)):
-            unit = _display_unit(one.parameter)[1]
-            getattr(pair, f"set_{axis}label")(one.parameter.replace("_", " ") + (f", {unit}" if unit != "1" else ""))
+        bars: dict[str, Any] = {}
+        for axis, e in (("x", first), ("y", second)):
+            factor, unit = _get_display_unit(e.parameter)
+            bars |= {axis: e.value * factor, f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * factor}
+            pair.set(**{f"{axis}label": e.parameter.replace("_", " ") + (f", {unit}" if unit != "1" else "")})
+        pair.errorbar(**bars, fmt="o", ms=4, color=TEXT, label="95 % interval")
         pair.legend(loc="lower left", fontsize=8)
         title = "; ".join(f"{e.parameter.replace('_', ' ')} {_format_estimate(e)}" for e in (first, second))
         caption = ("Left: predicted minus measured values, with dotted lines between runs. Right: the first parameter "
@@ -156,8 +156,8 @@ def _draw_force_and_slip(panels: Sequence[plt.Axes], points: Identification, lin
         # Each line passes through the mean of the samples, which an offset of steering or INS shifts from the origin.
         middle, ends = slip.mean(), np.array([slip.min(), slip.max()])
         styles = ((PAPER_COLOUR, "regression (paper)"), (FIT_COLOUR, "prediction"))
-        for one, (colour, label) in zip(lines, styles, strict=False):
-            estimate = one[f"cornering_stiffness_{axle}"]
+        for line, (colour, label) in zip(lines, styles, strict=False):
+            estimate = line[f"cornering_stiffness_{axle}"]
             if not np.isfinite(estimate.value):
                 continue
             axes.plot(ends * DEG, (force.mean() - estimate.value * (ends - middle)) * 1e-3, color=colour,
@@ -174,8 +174,9 @@ def _draw_region(axes: plt.Axes, found: Identification, pair: Sequence[Estimate]
     size = directions * np.sqrt(chi2.ppf(0.95, 2) * np.maximum(values, 0.0))
     angle = np.linspace(0.0, 2.0 * np.pi, 121)
     x, y = size @ np.stack([np.cos(angle), np.sin(angle)])
-    axes.plot((pair[0].value + x) * _display_unit(names[0])[0], (pair[1].value + y) * _display_unit(names[1])[0],
-              color=FIT_COLOUR, lw=1, label="95 % region")
+    x_factor, y_factor = (_get_display_unit(name)[0] for name in names)
+    axes.plot((pair[0].value + x) * x_factor, (pair[1].value + y) * y_factor, color=FIT_COLOUR, lw=1,
+              label="95 % region")
 
 
 def _thin_rows(count: int) -> np.ndarray:
@@ -192,7 +193,7 @@ def _concatenate_times(run: np.ndarray, time: np.ndarray) -> np.ndarray:
     return result
 
 
-def _display_unit(parameter: str) -> tuple[float, str]:
+def _get_display_unit(parameter: str) -> tuple[float, str]:
     unit = FREE_PARAMETERS[parameter].unit
     return DISPLAY_UNITS.get(unit, (1.0, unit))
 
@@ -204,8 +205,8 @@ def _format_estimate(estimate: Estimate) -> str:
     return text if unit == "1" else f"{text} {unit}"
 
 
-def drive_experiment(name: str, what: str, needs: str, compute: Callable[..., Identification], draw,
-                     predicts: bool = False) -> Experiment:
+def make_drive_experiment(name: str, description: str, needs: str, compute: Callable[..., Identification], draw,
+                          predicts: bool = False) -> Experiment:
     """Experiment that uses recorded drives. compute: called with (logs, vehicle) and, if `predicts`, with the model as
     keyword argument `base`."""
     def identify(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
@@ -229,11 +230,11 @@ def drive_experiment(name: str, what: str, needs: str, compute: Callable[..., Id
             raise next(iter(failed.values()), None) or IdentificationError(
                 "no drives were given; name at least one recording")
         found = compute(logs, setup.vehicle, **({"base": setup.model} if predicts else {}))
-        unread = ((source, str(error)) for source, error in failed.items())
-        return (replace(found, experiment=name, rejected=(*unread, *found.rejected),
+        unusable = ((source, str(error)) for source, error in failed.items())
+        return (replace(found, experiment=name, rejected=(*unusable, *found.rejected),
                         warnings=(*found.warnings, *warnings), findings=findings),)
 
-    return Experiment(name, what, f"{RECORDINGS_HELP}; {needs}", identify, draw, drives=True)
+    return Experiment(name, description, f"{RECORDINGS_HELP}; {needs}", identify, draw, drives=True)
 
 
 def compare_stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:
@@ -265,16 +266,16 @@ def compare_stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identif
 
 
 DRIVING = (
-    drive_experiment("steering-offset", "offset of the steering wheel sensor, by two methods",
-                     "straight driving above 5 m/s", identify_steering_offset, draw_offset),
-    drive_experiment("steering", "steering ratio and offset, without turntables",
-                     "bends and straights at several speeds", identify_steering, draw_prediction, predicts=True),
-    drive_experiment("ins", "lever arm and misalignment of the INS", "2 to 9 m/s, straights and bends to both sides",
-                     identify_ins_mounting, draw_mounting),
-    drive_experiment("stiffness", "cornering stiffnesses, by prediction", "bends to both sides, up to 4 m/s^2",
-                     compare_stiffness, draw_stiffness, predicts=True),
-    drive_experiment("stiffness-paper", "cornering stiffnesses, by the regression of the paper", "bends to both sides",
-                     identify_stiffness, draw_stiffness),
-    drive_experiment("yaw-inertia", "yaw inertia", "steps, lane changes, sweeps", identify_yaw_inertia,
-                     draw_prediction, predicts=True),
+    make_drive_experiment("steering-offset", "offset of the steering wheel sensor, by two methods",
+                          "straight driving above 5 m/s", identify_steering_offset, draw_offset),
+    make_drive_experiment("steering", "steering ratio and offset, without turntables",
+                          "bends and straights at several speeds", identify_steering, draw_prediction, predicts=True),
+    make_drive_experiment("ins", "lever arm and misalignment of the INS",
+                          "2 to 9 m/s, straights and bends to both sides", identify_ins_mounting, draw_mounting),
+    make_drive_experiment("stiffness", "cornering stiffnesses, by prediction", "bends to both sides, up to 4 m/s^2",
+                          compare_stiffness, draw_stiffness, predicts=True),
+    make_drive_experiment("stiffness-paper", "cornering stiffnesses, by the regression of the paper",
+                          "bends to both sides", identify_stiffness, draw_stiffness),
+    make_drive_experiment("yaw-inertia", "yaw inertia", "steps, lane changes, sweeps", identify_yaw_inertia,
+                          draw_prediction, predicts=True),
 )

@@ -29,7 +29,7 @@ class Setup:
     force: bool = False
     model: Model = MODELS["nonlinear"]
 
-    def uncertainty_of(self, parameter: str) -> float:
+    def get_uncertainty(self, parameter: str) -> float:
         """Standard uncertainty of a value of the vehicle file, SI; 0 if the file does not state it."""
         known = self.vehicle.provenance.get(parameter)
         return (known.uncertainty or 0.0) if known else 0.0

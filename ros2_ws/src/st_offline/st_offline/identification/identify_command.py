@@ -23,8 +23,8 @@ from st_recordings.runs.load import hash_files
 from ..checking.check_report import findings_as_json, print_findings
 from ..discovery.vehicle_update import edit_or_rewrite
 from ..evaluation.drawing import FigureOutput, PageFigure
-from ..pages import template
-from ..terminal import list_files, print_line, rows_table
+from ..pages import load_template
+from ..terminal import list_files, make_table, print_line
 from .driving import DRIVING
 from .experiment import COLUMN_NAMES, Experiment, Setup, estimate_rows
 from .workshop import CG_HEIGHT, LAMBDA, SCALES, STEERING_RATIO, TYRE
@@ -65,7 +65,7 @@ def run_command(job: IdentificationJob, console: Console) -> int:
     found = (replace(found[0], warnings=(*found[0].warnings, *objections(car, job.setup.vehicle))), *found[1:])
     stale = result.describe_stale_scales(job.setup.vehicle, found)
     with console.status("writing"):
-        files = write_results(job, found, car, provenance(job, now))
+        files = write_results(job, found, car, make_provenance(job, now))
     print_results(found, job.setup.vehicle, stale, console)
     list_files({files["identification.json"]: "values, uncertainties, verdicts",
                 files["vehicle.yaml"]: "vehicle file with the identified values",
@@ -76,9 +76,9 @@ def run_command(job: IdentificationJob, console: Console) -> int:
 def print_results(found: Sequence[result.Identification], vehicle: VehicleParameters, stale: Sequence[str],
                   console: Console) -> None:
     """Print the findings of the checks, and the table, verdicts and warnings of each result."""
-    print_findings(findings_by_drive(found), console)
+    print_findings(collect_findings_by_drive(found), console)
     for outcome in found:
-        console.print(rows_table([
+        console.print(make_table([
             {"parameter": escape(f"{name}{'' if unit == '1' else f', {unit}'}"), "value": value,
              "95 % interval": interval, "file": before, "status": f"[{STATUS_STYLE[status]}]{status}[/]"}
             for name, value, _, interval, unit, before, status in estimate_rows(outcome, vehicle)],
@@ -93,12 +93,12 @@ def print_results(found: Sequence[result.Identification], vehicle: VehicleParame
         print_line(f"  [yellow]{escape(sentence)}[/yellow]", console)
 
 
-def findings_by_drive(found: Sequence[result.Identification]) -> dict[str, tuple[Finding, ...]]:
+def collect_findings_by_drive(found: Sequence[result.Identification]) -> dict[str, tuple[Finding, ...]]:
     """Findings of the checks by drive."""
     return {name: findings for outcome in found for name, findings in outcome.findings.items()}
 
 
-def provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
+def make_provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
     """Provenance of the values: time, experiment, vehicle, files, versions."""
     data = list(job.files)
     if job.experiment.drives:  # the recordings instead of their folders
@@ -118,8 +118,8 @@ def write_results(job: IdentificationJob, found: Sequence[result.Identification]
     texts = {
         "identification.json": json_text({name: entry for outcome in found
                                           for name, entry in outcome.document().items()}),
-        "details.json": json_text({**facts, "experiments": [experiment_details(outcome) for outcome in found]}),
-        "vehicle.yaml": updated_vehicle_text(Path(job.vehicle_file), car, found),
+        "details.json": json_text({**facts, "experiments": [make_experiment_details(outcome) for outcome in found]}),
+        "vehicle.yaml": update_vehicle_text(Path(job.vehicle_file), car, found),
         "report.html": render_page(found, figures, job.setup.vehicle, facts),
     }
     for name, text in texts.items():
@@ -127,13 +127,13 @@ def write_results(job: IdentificationJob, found: Sequence[result.Identification]
     return {name: job.folder / name for name in texts}
 
 
-def updated_vehicle_text(file: Path, car: VehicleParameters, found: Sequence[result.Identification]) -> str:
+def update_vehicle_text(file: Path, car: VehicleParameters, found: Sequence[result.Identification]) -> str:
     """The user's vehicle file with the identified entries replaced; comments and other entries are unchanged. If the
     edited file does not load as `car`, for example because a derived scale changes, a new file is written."""
     keys = [e.parameter for outcome in found for e in outcome.estimates
             if find_quantity(e.parameter) is not None and e.status != "unidentifiable"]
 
-    def entry(key: str, unit: str, factor: float) -> str:
+    def make_entry(key: str, unit: str, factor: float) -> str:
         source = car.provenance.get(key, Provenance())
         source = replace(source, uncertainty=None if source.uncertainty is None else source.uncertainty / factor)
         return (f"{{value: {format_number(value_of(car, key) / factor)}, unit: {quote(unit)}, "
@@ -143,10 +143,10 @@ def updated_vehicle_text(file: Path, car: VehicleParameters, found: Sequence[res
         text = file.read_text(encoding="utf-8")
     except OSError:
         return car.to_yaml()
-    return edit_or_rewrite(text, {key: partial(entry, key) for key in keys}, car, 1e-12)
+    return edit_or_rewrite(text, {key: partial(make_entry, key) for key in keys}, car, 1e-12)
 
 
-def experiment_details(found: result.Identification) -> dict[str, Any]:
+def make_experiment_details(found: result.Identification) -> dict[str, Any]:
     """Entry of one experiment in details.json."""
     matrix = found.correlation
     return {
@@ -170,18 +170,18 @@ def render_page(found: Sequence[result.Identification], figures: Sequence[PageFi
               + (status if status == "unidentifiable" else f"{value} {unit}".removesuffix(" 1") + f" ({status})")
               for outcome in found for name, value, _, _, unit, _, status in estimate_rows(outcome, vehicle)]
 
-    def excitation(c: result.Coverage) -> tuple[list[str], list[list[str]]]:
+    def make_excitation_table(c: result.Coverage) -> tuple[list[str], list[list[str]]]:
         return [f"from, {c.unit}", *(f"{edge:.4g}" for edge in c.edges[:-1])], [["samples", *map(str, c.counts)]]
 
-    def correlation(outcome: result.Identification) -> tuple[list[str], list[list[str]]]:
+    def make_correlation_table(outcome: result.Identification) -> tuple[list[str], list[list[str]]]:
         names = [estimate.parameter for estimate in outcome.estimates]
         assert outcome.correlation is not None  # the template calls this only if there is one
         return ["correlation", *names], [[name, *(f"{x:+.2f}" for x in row[:len(names)])]
                                          for name, row in zip(names, outcome.correlation, strict=False)]
 
-    return template("identification/page.html.jinja").render(
+    return load_template("identification/page.html.jinja").render(
         title=f"{vehicle.name}: {', '.join(values)}", found=list(zip(found, figures, strict=True)), about=facts,
         recordings={name: {"findings": findings_as_json(findings)}
-                    for name, findings in findings_by_drive(found).items()},
-        heads=COLUMN_NAMES, rows=lambda outcome: estimate_rows(outcome, vehicle), excitation=excitation,
-        correlation=correlation)
+                    for name, findings in collect_findings_by_drive(found).items()},
+        heads=COLUMN_NAMES, rows=lambda outcome: estimate_rows(outcome, vehicle), excitation=make_excitation_table,
+        correlation=make_correlation_table)

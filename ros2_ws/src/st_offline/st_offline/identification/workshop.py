@@ -7,7 +7,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from st_core.identification import mass_and_cg
-from st_core.identification.cg_height import Lift, LiftedCar, identify_cg_height, pitch_from_lift
+from st_core.identification.cg_height import Lift, LiftedCar, compute_pitch, identify_cg_height
 from st_core.identification.lambda_ky import identify_lambda_ky
 from st_core.identification.magic_formula import FlatPlank, fit_tyre, identify_magic_formula
 from st_core.identification.result import Identification
@@ -16,7 +16,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.vehicle import TYRES
 from st_recordings.runs.errors import RunError
 
-from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, style
+from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from .experiment import Experiment, Setup, Table, read_columns
 
 NOTES = ("weighing", "driver", "payload")  # columns of text
@@ -44,7 +44,7 @@ def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification
         raise RunError(files[0], f"scale_uncertainty_kg has several values: {sorted(scales)}", "use one set of scales")
     vehicle = setup.vehicle
     weighings = mass_and_cg.Weighings(np.concatenate(readings), tuple(names), tuple(loads), scales.pop())
-    found = mass_and_cg.identify_mass_and_cg(weighings, vehicle.wheelbase, setup.uncertainty_of("wheelbase"))
+    found = mass_and_cg.identify_mass_and_cg(weighings, vehicle.wheelbase, setup.get_uncertainty("wheelbase"))
     swapped = mass_and_cg.describe_swapped_axles(found, vehicle.wheelbase, vehicle.cg_to_front_axle)
     return (replace(found, warnings=(*found.warnings, *([swapped] if swapped else []))),)
 
@@ -53,7 +53,7 @@ def draw_scales(found: Identification, output: FigureOutput) -> PageFigure:
     """Draw all weighings, with the 95 % intervals of mass and CG position."""
     data = found.figure
     rows = np.arange(len(data["names"]))
-    with style():
+    with apply_style():
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.6 + 0.3 * len(rows)), sharey=True)
         for axes, key, values, label in ((panels[0], "mass", data["masses"], "mass, kg"),
                                          (panels[1], "cg_to_front_axle", data["distances"], "CG behind front axle, m")):
@@ -97,7 +97,7 @@ def draw_ratio(found: Identification, output: FigureOutput) -> PageFigure:
     """Draw road-wheel angles versus steering-wheel angle, with the fitted line and its residuals."""
     data, estimate = found.figure, found.estimates[0]
     steering, sweeps = np.degrees(data["steering"]), np.asarray(data["sweeps"])
-    with style():
+    with apply_style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
         left.plot(steering, np.degrees(data["left"]), "<", color=MEASURED_COLOUR, ms=4, mfc="none", label="left wheel")
         left.plot(steering, np.degrees(data["right"]), ">", color=MEASURED_COLOUR, ms=4, mfc="none",
@@ -150,7 +150,7 @@ def identify_height(files: Sequence[Path], setup: Setup) -> tuple[Identification
     pitch, load, front, rear = (np.concatenate(column) for column in zip(*parts, strict=True))
     weighed = masses.pop() if masses else None
     car = LiftedCar(weighed or vehicle.mass, vehicle.wheelbase, vehicle.cg_to_front_axle,
-                    0.0 if weighed else setup.uncertainty_of("mass"), setup.uncertainty_of("wheelbase"))
+                    0.0 if weighed else setup.get_uncertainty("mass"), setup.get_uncertainty("wheelbase"))
     return (identify_cg_height(Lift(pitch, load, tuple(names), front, rear), car),)
 
 
@@ -164,14 +164,14 @@ def _read_pitch(table: Table, wheelbase: float) -> np.ndarray:
     if "lift" not in columns or not set(RADII) <= set(columns):
         raise RunError(table.file, "has neither a column pitch_deg, nor lift_m with front_radius_m and rear_radius_m",
                        "measure pitch or lift in every row")
-    return pitch_from_lift(columns["lift"], columns["front_radius"], columns["rear_radius"], wheelbase)
+    return compute_pitch(columns["lift"], columns["front_radius"], columns["rear_radius"], wheelbase)
 
 
 def draw_height(found: Identification, output: FigureOutput) -> PageFigure:
     """Draw rear load versus pitch with the fitted curve, and the CG height computed from each row alone."""
     data, estimate = found.figure, found.estimates[0]
     pitch, lifts = np.degrees(data["pitch"]), np.asarray(data["lifts"])
-    with style():
+    with apply_style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
         grid = np.linspace(0.0, data["pitch"].max(), 60)
         for k, (name, level) in enumerate(data["intercepts"].items()):
@@ -239,7 +239,7 @@ def draw_tyre(found: Identification, output: FigureOutput) -> PageFigure:
     """Draw measured and fitted lateral force, residuals, and stiffness versus load."""
     data = found.figure
     slip = np.degrees(data["slip"])
-    with style():
+    with apply_style():
         figure, (left, middle, right) = plt.subplots(1, 3, figsize=(WIDTH, 3.2), width_ratios=(1.4, 1.0, 1.0))
         for k, load in enumerate(data["levels"]):
             row, colour = data["level"] == k, LOAD_COLOURS[k % len(LOAD_COLOURS)]

@@ -144,7 +144,7 @@ def read_bands(message: Prediction) -> HalfWidths:
 
 def make_coverage_check(coverages: CoverageMonitor) -> Check:
     """Diagnostic check of the evaluator: observed coverage of the bands."""
-    values = {f"{model} {mode} {100 * level:g} %": f"{coverage.share(level):.3f} of {coverage.n}"
+    values = {f"{model} {mode} {100 * level:g} %": f"{coverage.coverage_at(level):.3f} of {coverage.n}"
               for (model, mode), coverage in coverages.by_pair.items() for level in sorted(coverage.inside)}
     if warning := coverages.describe_warnings():
         return Check("bands", diagnostics.WARN, warning, values)
@@ -155,6 +155,7 @@ def add_coverage(message: ErrorStatistics, coverages: CoverageMonitor) -> ErrorS
     """The message with the observed coverage of the bands of its model and mode."""
     coverage = coverages.by_pair.get((message.model, message.mode))
     message.n_bands = coverage.n if coverage else 0
-    message.coverage_50, message.coverage_90 = (coverage.share(level) if coverage else math.nan for level in (0.5, 0.9))
+    message.coverage_50, message.coverage_90 = (coverage.coverage_at(level) if coverage else math.nan
+                                                for level in (0.5, 0.9))
     return message
 
