@@ -5,9 +5,11 @@ from typing import Any
 
 import numpy as np
 from st_core.bands import CONDITIONS, RELIABILITY_LEVELS, AdaptiveBand, Band, Bands, conditions_at, to_predicted_frame
+from st_core.bands.file import make_times
 from st_core.binning import LATERAL_ACCELERATION_EDGES, SPEED_EDGES, STEERING_RATE_EDGES
 from st_core.log_evaluation import AXES, Block
 from st_core.log_signals import LogSignals
+from st_core.prediction import PredictionSettings
 
 Sums = dict[str, Any]
 MIN_STARTS = 200  # in a cell, for a standard error of about 2 percentage points at a coverage of 90 %
@@ -51,8 +53,9 @@ class AdaptiveScorer:
 
     LATE = 120.0  # s after the first start; coverage from then on is counted separately
 
-    def __init__(self, bands: Bands | None, signals: LogSignals, time: np.ndarray):
-        self._bands, self._signals, self._time = bands, signals, time
+    def __init__(self, bands: Bands | None, signals: LogSignals, prediction: PredictionSettings):
+        self._bands, self._signals = bands, signals
+        self._time = make_times(prediction.horizon, prediction.step)
         self._adaptive: dict[tuple[str, str], AdaptiveBand] = {}
         self._first: int | None = None
         self._sums: list[Sums] = []

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from st_core.bands import Bands
-from st_core.bands.file import make_times
 from st_core.course import Course
 from st_core.course_tracker import course_inputs
 from st_core.effects import load_folder
@@ -102,22 +101,20 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     marks = [time.perf_counter()]
     run = read(source, task.vehicle, task.read)
     marks.append(time.perf_counter())
-    models = load_models(task)
+    models, prediction = load_models(task), task.settings.prediction
     with in_background(lambda: (_check_run(source, run, task, models), segment_drive(run.log, run.labels))) as checked:
         signals = task.settings.signals(run.log)
         bands = load_bands(task, models)
         scorer = Scorer(bands, signals) if bands else None
-        horizon = make_times(task.settings.prediction.horizon, task.settings.prediction.step)
-        adaptive = AdaptiveScorer(bands, signals, horizon) if task.adaptive else None
+        adaptive = AdaptiveScorer(bands, signals, prediction) if task.adaptive else None
+        active_scorers: list[Any] = [s for s in (scorer, adaptive) if s]
 
         def score(starts: np.ndarray, block: Block) -> None:
-            if scorer:
-                scorer.add(starts, block)
-            if adaptive:
-                adaptive.add(starts, block)
+            for active in active_scorers:
+                active.add(starts, block)
 
         try:
-            ahead = make_future_inputs(run, signals, task.vehicle, task.settings.prediction, load_course(task.course))
+            ahead = make_future_inputs(run, signals, task.vehicle, prediction, load_course(task.course))
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
                                       on_block=score, future_inputs=ahead)
         finally:  # a finding of the checks explains more than the exception that the same fault causes here
@@ -126,8 +123,8 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
                 raise findings
     marks.append(time.perf_counter())
     _require_scores(source, run, evaluation)
-    output = _make_figure_output(task, source.name, evaluation)
-    figures = draw_run(Drawing(evaluation, models, task.vehicle, signals, task.starts, output))
+    figures = draw_run(Drawing(evaluation, models, task.vehicle, signals, task.starts,
+                               _make_figure_output(task, source.name, evaluation)))
     marks.append(time.perf_counter())
     about = {
         "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
