@@ -21,7 +21,8 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from .channels import Value
-from .motion import Accuracy, Motion, Quaternion, Vector, flu_from_frd, variances
+from .geometry import Quaternion, Vector, flu_from_frd
+from .motion import Accuracy, Motion, variances
 from .ncom import BY_STATUS, Counters, fix_status, mode_text
 from .status import StatusTracker
 from .stream import Received

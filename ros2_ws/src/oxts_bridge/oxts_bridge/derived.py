@@ -11,7 +11,8 @@ import numpy as np
 from scipy.signal import lfilter, lfilter_zi
 
 from .file_decoder import EMPTY, REGULAR, UNKNOWN_TIME, Columns
-from .ncom import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS, STATUS_ONLY
+from .geometry import Attitude, Vector, flu_from_frd, radii
+from .ncom import STATUS_ONLY
 
 EARTH_RATE = 7.2921151467e-5  # rad/s
 # Accuracy of the horizontal speed until the unit sends one [m/s].
@@ -43,21 +44,21 @@ def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
     acceleration = np.where(fix, columns.acceleration, np.nan)
     rate = np.where(fix, columns.angular_rate, np.nan)
     out: dict[str, np.ndarray] = {}
-    sp, cp, sr, cr = np.sin(pitch), np.cos(pitch), np.sin(roll), np.cos(roll)
-    # Rotation from vehicle axes to level axes, Ry(pitch) Rx(roll), (3, 3, n).
-    level = np.array([[cp, sp * sr, sp * cr], [0 * sp, cr, -sr], [-sp, cp * sr, cp * cr]])
+    attitude, level = Attitude.from_ned(heading, pitch, roll), Attitude(0.0 * heading, -pitch, roll)
     seconds = float_seconds(columns)
-    level_velocity, level_rate = _to_level_heading(velocity, heading), _apply(level, rate)
-    out["Vf"], out["Vl"] = level_velocity[0], level_velocity[1]
+    north, east, down = velocity
+    level_rate = flu_from_frd(level.to_enu(flu_from_frd(rate)))
+    s, c = np.sin(heading), np.cos(heading)
+    out["Vf"], out["Vl"] = north * c + east * s, east * c - north * s
     _add_speed_and_slip(out, velocity, heading, level_rate[2], _forward_fill(settings.speed_accuracy, len(columns)))
     _add_distances(out, columns, seconds)
-    out["Af"], out["Al"], out["Ad"] = _apply(level, acceleration)
+    out["Af"], out["Al"], out["Ad"] = flu_from_frd(level.to_enu(flu_from_frd(acceleration)))
     out["Wf"], out["Wl"], out["Wd"] = np.degrees(level_rate)
     _add_angular_acceleration(out, columns, seconds)
     _add_filtered(out, columns, seconds, settings)
-    for prefix, frd in (("IsoVo", _apply_transposed(level, level_velocity)), ("IsoVh", level_velocity),
-                        ("IsoAo", _without_gravity(columns, velocity, heading, level, acceleration))):
-        out[f"{prefix}X"], out[f"{prefix}Y"], out[f"{prefix}Z"] = frd[0], -frd[1], -frd[2]
+    for prefix, flu in (("IsoVo", attitude.to_body((east, north, -down))), ("IsoVh", (out["Vf"], -out["Vl"], -down)),
+                        ("IsoAo", _without_gravity(columns, velocity, attitude, acceleration))):
+        out[f"{prefix}X"], out[f"{prefix}Y"], out[f"{prefix}Z"] = flu
     return out
 
 
@@ -71,20 +72,6 @@ def float_seconds(columns: Columns) -> np.ndarray:
     minutes, remainder = np.divmod(np.where(known, columns.gps_ns, 0), 60_000_000_000)
     milliseconds, fine = np.divmod(remainder, 1_000_000)
     return np.where(known, minutes * 60.0 + milliseconds * 0.001 + fine * 1e-9, np.nan)
-
-
-def _apply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    return (matrix * vector).sum(axis=1)
-
-
-def _apply_transposed(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    return (matrix * vector[:, None]).sum(axis=0)
-
-
-def _to_level_heading(ned: np.ndarray, heading: np.ndarray) -> np.ndarray:
-    """Forward, right, down components of vectors given as north, east, down."""
-    s, c = np.sin(heading), np.cos(heading)
-    return np.array([ned[0] * c + ned[1] * s, -ned[0] * s + ned[1] * c, ned[2]])
 
 
 def _add_speed_and_slip(out: dict, velocity: np.ndarray, heading: np.ndarray, yaw_rate: np.ndarray,
@@ -201,23 +188,22 @@ def low_pass(seconds: np.ndarray, values: np.ndarray,
     return output
 
 
-def _without_gravity(columns: Columns, velocity: np.ndarray, heading: np.ndarray, level: np.ndarray,
-                     acceleration: np.ndarray) -> np.ndarray:
-    """Acceleration relative to the ground [m/s^2], vehicle axes (FRD): a = A + R_no^T (g - (2 w_ie + w_en) x v).
+def _without_gravity(columns: Columns, velocity: np.ndarray, attitude: Attitude, acceleration: np.ndarray) -> Vector:
+    """Acceleration relative to the ground [m/s^2], FLU: a = A + R^T (g - (2 w_ie + w_en) x v), R from body axes to ENU.
 
     A: specific force. g: gravity. w_ie: earth rate. w_en: transport rate, of the local frame relative to the earth.
+    velocity: north, east, down [m/s]. acceleration: specific force in FRD.
     """
     latitude, height = columns.latitude, columns.altitude
     north, east, _ = velocity
     s, c = np.sin(latitude), np.cos(latitude)
-    w = 1 - ECCENTRICITY_SQUARED * s**2
-    normal = SEMI_MAJOR_AXIS / np.sqrt(w)
-    meridian = normal * (1 - ECCENTRICITY_SQUARED) / w
+    meridian, normal = radii(latitude)
     rotation = np.array([2 * EARTH_RATE * c + east / (normal + height), -north / (meridian + height),
                          -2 * EARTH_RATE * s - east * s / c / (normal + height)])
-    correction = -np.cross(rotation, velocity, axis=0)
-    correction[2] += gravity(latitude, height)
-    return acceleration + _apply_transposed(level, _to_level_heading(correction, heading))
+    coriolis = np.cross(rotation, velocity, axis=0)
+    correction = attitude.to_body((-coriolis[1], -coriolis[0], coriolis[2] - gravity(latitude, height)))
+    forward, left, up = flu_from_frd(acceleration)
+    return forward + correction[0], left + correction[1], up + correction[2]
 
 
 def gravity(latitude: np.ndarray, height: np.ndarray) -> np.ndarray:

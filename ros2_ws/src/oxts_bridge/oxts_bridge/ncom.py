@@ -36,11 +36,6 @@ ANGULAR_RATE_UNIT = 1e-5
 VELOCITY_UNIT = 1e-4
 ANGLE_UNIT = 1e-6
 
-# WGS84, the reference ellipsoid of latitude and longitude.
-SEMI_MAJOR_AXIS = 6_378_137.0  # m
-FLATTENING = 1 / 298.257223563
-ECCENTRICITY_SQUARED = FLATTENING * (2 - FLATTENING)
-
 INVALID_I24 = -0x800000
 LARGEST_I24 = 0x7FFFFF
 
@@ -216,13 +211,6 @@ def encode(packet: Packet) -> bytes:
 def is_valid_position(latitude: Any, longitude: Any, altitude: Any) -> Any:
     """Whether latitude, longitude [rad] and altitude [m] (numbers or arrays) are finite and in range."""
     return (abs(latitude) <= math.pi / 2) & (abs(longitude) <= 2 * math.pi) & (abs(altitude) < math.inf)
-
-
-def radii(latitude: float) -> tuple[float, float]:
-    """(meridian, normal) radius of curvature [m] at a geodetic latitude [rad]."""
-    w = 1 - ECCENTRICITY_SQUARED * math.sin(latitude) ** 2
-    normal = SEMI_MAJOR_AXIS / math.sqrt(w)
-    return normal * (1 - ECCENTRICITY_SQUARED) / w, normal
 
 
 def inner_checksums_match(data: bytes) -> bool:

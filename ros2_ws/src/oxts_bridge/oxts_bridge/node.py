@@ -12,8 +12,9 @@ from st_ros.diagnostics import Diagnostics
 from st_ros.parameters import ConfigurationError, Parameter
 
 from .convert import Publishers, make_status, make_trigger
+from .geometry import Vector
 from .health import Health
-from .motion import FIRST_FIX, GIVEN, UNIT, Accuracy, Motion, Origin, Vector, extract_motion
+from .motion import FIRST_FIX, GIVEN, UNIT, Accuracy, Motion, Origin, extract_motion
 from .ncom import NcomError
 from .packet_time import DUPLICATE, NEW, SAME, unix_nanoseconds
 from .sources import Continuity, ReplaySource, Source, UdpSource, is_address

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import cos, degrees, isfinite, radians, sin, sqrt
 
 from .channels import FIELDS, TRIGGER_CHANNELS, Value, decode_channel, trigger_nanoseconds
-from .ncom import radii
+from .geometry import radii
 from .stream import Received
 
 # Fields that StatusTracker replaces by values derived from them.

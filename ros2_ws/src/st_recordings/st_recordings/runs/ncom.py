@@ -1,5 +1,6 @@
 """Reads NCOM packets of an INS from .ncom and .xcom files and network captures, in the axes of the suite."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -7,7 +8,8 @@ import numpy as np
 from oxts_bridge import file_decoder, packet_time
 from oxts_bridge.channels import decode_channel
 from oxts_bridge.file_decoder import Columns
-from oxts_bridge.ncom import BATCH_S, BY_STATUS, ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS, NcomError
+from oxts_bridge.geometry import Attitude, LocalFrame, flu_from_frd
+from oxts_bridge.ncom import BATCH_S, BY_STATUS, NcomError
 from st_core.checks import InsQuality
 
 from .errors import RunError, check_readable, format_share
@@ -57,14 +59,12 @@ def read_ncom(file: Path) -> NcomLog:
     warnings += [f"{file}: {note}" for note in notes]
     latitude, longitude, altitude = (c[rows] for c in (columns.latitude, columns.longitude, columns.altitude))
     origin = float(latitude[0]), float(longitude[0]), float(altitude[0])
-    # Converts body axes from FRD to FLU, and map axes from NED to ENU; the signs of y, z and pitch change.
-    flip = np.array([[1.0], [-1.0], [-1.0]])
     yaw = np.unwrap(np.pi / 2 - columns.heading[rows])
     pitch, roll = -columns.pitch[rows], columns.roll[rows]
     north, east, down = columns.velocity_ned[:, rows]
     stamped = (columns.kind == file_decoder.REGULAR) & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
     return NcomLog(
-        file=file, time_ns=columns.utc_ns[rows], position=to_enu(origin, latitude, longitude, altitude),
+        file=file, time_ns=columns.utc_ns[rows], position=np.stack(LocalFrame(*origin).enu(latitude, longitude, altitude)),
         yaw=yaw, pitch=pitch, roll=roll, velocity=rotate_to_body(np.stack([east, north, -down]), yaw, pitch, roll),
         rate=columns.angular_rate[:, rows] * flip, acceleration=columns.acceleration[:, rows] * flip, origin=origin,
         stamps_ns=columns.utc_ns[stamped], quality=collect_quality(columns, rows), columns=columns, rows=rows,
@@ -72,39 +72,10 @@ def read_ncom(file: Path) -> NcomLog:
     )
 
 
-def rotate_to_body(vector: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
-    """Rotates vectors v (3, n) from map to body axes: (Rz(yaw) Ry(pitch) Rx(roll))^T v, angles [rad]."""
-    x, y, z = vector
-    c, s = np.cos(yaw), np.sin(yaw)
-    x, y = c * x + s * y, -s * x + c * y
-    c, s = np.cos(pitch), np.sin(pitch)
-    x, z = c * x - s * z, s * x + c * z
-    c, s = np.cos(roll), np.sin(roll)
-    return np.stack([x, c * y + s * z, -s * y + c * z])
-
-
-def to_enu(origin: tuple[float, float, float], latitude: np.ndarray, longitude: np.ndarray,
-           altitude: np.ndarray) -> np.ndarray:
-    """East, north, up [m], (3, n), in the tangent plane of the origin (oxts_bridge.motion.LocalFrame); angles [rad]."""
-    dx, dy, dz = to_ecef(latitude, longitude, altitude) - to_ecef(*(np.array([v]) for v in origin))
-    s_lat, c_lat, s_lon, c_lon = np.sin(origin[0]), np.cos(origin[0]), np.sin(origin[1]), np.cos(origin[1])
-    outward = c_lon * dx + s_lon * dy
-    return np.stack([-s_lon * dx + c_lon * dy, -s_lat * outward + c_lat * dz, c_lat * outward + s_lat * dz])
-
-
 def origin_offset(origin: tuple[float, float], latitude: float, longitude: float) -> tuple[float, float]:
     """East and north offset [m] of a point from the origin (latitude, longitude), all in deg at altitude 0."""
-    at, point = np.radians(origin).tolist(), np.radians([[latitude], [longitude]])
-    east, north, _ = to_enu((at[0], at[1], 0.0), point[0], point[1], np.zeros(1))[:, 0].tolist()
-    return east, north
-
-
-def to_ecef(latitude: np.ndarray, longitude: np.ndarray, altitude: np.ndarray) -> np.ndarray:
-    """Converts to Earth-centred x, y, z [m], (3, n), from latitude, longitude [rad] and ellipsoidal altitude [m]."""
-    normal = SEMI_MAJOR_AXIS / np.sqrt(1 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
-    equatorial = (normal + altitude) * np.cos(latitude)
-    polar = (normal * (1 - ECCENTRICITY_SQUARED) + altitude) * np.sin(latitude)
-    return np.stack([equatorial * np.cos(longitude), equatorial * np.sin(longitude), polar])
+    frame = LocalFrame(*map(math.radians, origin), 0.0)
+    return frame.enu(math.radians(latitude), math.radians(longitude), 0.0)[:2]
 
 
 def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:

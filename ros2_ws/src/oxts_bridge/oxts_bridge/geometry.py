@@ -1,0 +1,143 @@
+"""Attitude, the WGS84 ellipsoid, and local frames on it, for single values and for columns.
+
+NED and FRD (forward, right, down), as in a packet, become ENU and FLU (forward, left, up):
+
+    R_enu_flu = T R_no F,  T = [[0,1,0],[1,0,0],[0,0,-1]],  F = diag(1,-1,-1),  R_no = Rz(heading) Ry(pitch) Rx(roll)
+    as fixed-axis angles: roll = roll, pitch = -pitch, yaw = pi/2 - heading
+
+Source: NCOM manual 260702, REP-103. Checked by: test_geometry.py (worked examples; short distances against the radii of
+the ellipsoid), and the inverse in st_sim.
+"""
+
+import math
+from math import cos, isfinite, pi, sin, tau
+from typing import Any, TypeAlias
+
+import numpy as np
+
+Number: TypeAlias = Any
+"""A float, or a column of floats."""
+Vector: TypeAlias = tuple[Number, Number, Number]
+Quaternion: TypeAlias = tuple[Number, Number, Number, Number]
+
+SEMI_MAJOR_AXIS = 6_378_137.0  # m
+FLATTENING = 1 / 298.257223563
+ECCENTRICITY_SQUARED = FLATTENING * (2 - FLATTENING)
+
+
+def _functions(value: Number) -> Any:
+    """The module with sin(), cos(), ... for a value: numpy for columns, math for floats (ten times as fast)."""
+    return np if isinstance(value, np.ndarray) else math
+
+
+def yaw_from_heading(heading: Number) -> Number:
+    """Yaw in (-pi, pi], counter-clockwise from east [rad], of a heading clockwise from north [rad]."""
+    return pi - (pi / 2 + heading) % tau
+
+
+class Attitude:
+    """Orientation of the vehicle (FLU) in ENU: yaw, pitch (nose down +) and roll about fixed axes [rad]."""
+
+    __slots__ = ("_rows", "pitch", "roll", "yaw")
+
+    def __init__(self, yaw: Number, pitch: Number, roll: Number) -> None:
+        self.yaw, self.pitch, self.roll = yaw, pitch, roll
+        functions = _functions(yaw)
+        (sy, sp, sr), (cy, cp, cr) = map(functions.sin, (yaw, pitch, roll)), map(functions.cos, (yaw, pitch, roll))
+        self._rows = (
+            cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr,
+            sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr,
+            -sp, cp * sr, cp * cr)
+
+    @classmethod
+    def from_ned(cls, heading: Number, pitch: Number, roll: Number) -> "Attitude":
+        """From the angles of a packet: heading clockwise from north, pitch nose up +, roll right side down + [rad]."""
+        return cls(yaw_from_heading(heading), -pitch, roll)
+
+    def quaternion(self) -> Quaternion:
+        """x, y, z, w of the rotation from body axes to ENU; w >= 0."""
+        functions = _functions(self.yaw)
+        sin, cos = functions.sin, functions.cos
+        yaw, pitch, roll = self.yaw / 2, self.pitch / 2, self.roll / 2
+        sy, cy, sp, cp, sr, cr = sin(yaw), cos(yaw), sin(pitch), cos(pitch), sin(roll), cos(roll)
+        w = cr * cp * cy + sr * sp * sy
+        sign = functions.copysign(1.0, w)
+        return (sign * (sr * cp * cy - cr * sp * sy), sign * (cr * sp * cy + sr * cp * sy),
+                sign * (cr * cp * sy - sr * sp * cy), sign * w)
+
+    def to_body(self, enu: Vector) -> Vector:
+        """Forward, left, up components of a vector given as east, north, up."""
+        a, b, c, d, e, f, g, h, i = self._rows
+        x, y, z = enu
+        return a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
+
+    def to_enu(self, body: Vector) -> Vector:
+        """East, north, up components of a vector given as forward, left, up."""
+        a, b, c, d, e, f, g, h, i = self._rows
+        x, y, z = body
+        return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+
+    def covariance_to_body(self, enu_variances: Vector) -> tuple[float, ...]:
+        """Covariance of independent ENU errors in body axes, row by row: R^T diag(enu_variances) R."""
+        rows = self._rows
+        ve, vn, vu = enu_variances
+        xx, xy, xz = (
+            ve * rows[0] * rows[j] + vn * rows[3] * rows[3 + j] + vu * rows[6] * rows[6 + j] for j in (0, 1, 2)
+        )
+        yy, yz = (ve * rows[1] * rows[j] + vn * rows[4] * rows[3 + j] + vu * rows[7] * rows[6 + j] for j in (1, 2))
+        zz = ve * rows[2] ** 2 + vn * rows[5] ** 2 + vu * rows[8] ** 2
+        return xx, xy, xz, xy, yy, yz, xz, yz, zz
+
+    def orientation_covariance(self, attitude_variances: Vector) -> tuple[float, ...]:
+        """Covariance about the fixed axes at small pitch and roll, row by row: Rz(yaw) diag(variances) Rz(yaw)^T.
+
+        attitude_variances: of roll, pitch, heading [rad^2]."""
+        functions = _functions(self.yaw)
+        s, c = functions.sin(self.yaw), functions.cos(self.yaw)
+        roll, pitch, heading = attitude_variances
+        cross = (roll - pitch) * s * c
+        return c * c * roll + s * s * pitch, cross, 0.0, cross, s * s * roll + c * c * pitch, 0.0, 0.0, 0.0, heading
+
+
+def flu_from_frd(frd: Vector) -> Vector:
+    """Converts a vector from (forward, right, down) to (forward, left, up), or back."""
+    return frd[0], -frd[1], -frd[2]
+
+
+def radii(latitude: Number) -> tuple[Number, Number]:
+    """(meridian, normal) radius of curvature [m] at a geodetic latitude [rad]."""
+    functions = _functions(latitude)
+    w = 1 - ECCENTRICITY_SQUARED * functions.sin(latitude) ** 2
+    normal = SEMI_MAJOR_AXIS / functions.sqrt(w)
+    return normal * (1 - ECCENTRICITY_SQUARED) / w, normal
+
+
+def to_ecef(latitude: Number, longitude: Number, height: Number) -> Vector:
+    """Earth-centred x, y, z [m] from latitude, longitude [rad] and height above the ellipsoid [m]."""
+    functions, normal = _functions(latitude), radii(latitude)[1]
+    axis_distance = (normal + height) * functions.cos(latitude)
+    z = (normal * (1 - ECCENTRICITY_SQUARED) + height) * functions.sin(latitude)
+    return axis_distance * functions.cos(longitude), axis_distance * functions.sin(longitude), z
+
+
+class LocalFrame:
+    """East-north-up frame, tangent to the ellipsoid at an origin."""
+
+    def __init__(self, latitude: float, longitude: float, altitude: float) -> None:
+        """Origin: latitude, longitude [rad], altitude [m] above the reference (geoid or ellipsoid) of the positions.
+
+        Raises ValueError for an origin that is not finite.
+        """
+        if not (isfinite(latitude) and isfinite(longitude) and isfinite(altitude)):
+            raise ValueError(f"origin {latitude}, {longitude}, {altitude} is not finite")
+        self._ecef = to_ecef(latitude, longitude, altitude)
+        self._rotation = sin(latitude), cos(latitude), sin(longitude), cos(longitude)
+
+    def enu(self, latitude: Number, longitude: Number, altitude: Number) -> Vector:
+        """East, north, up [m] of a position relative to the origin."""
+        x, y, z = to_ecef(latitude, longitude, altitude)
+        x0, y0, z0 = self._ecef
+        dx, dy, dz = x - x0, y - y0, z - z0
+        s_lat, c_lat, s_lon, c_lon = self._rotation
+        outward = c_lon * dx + s_lon * dy
+        return -s_lon * dx + c_lon * dy, -s_lat * outward + c_lat * dz, c_lat * outward + s_lat * dz
