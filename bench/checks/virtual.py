@@ -5,10 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from oxts_bridge.geometry import Attitude
 from st_core.checks import AuxiliaryData, Series
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_recordings.runs.ncom import rotate_to_body
 from st_sim.car import GRAVITY, read_car
 from st_sim.scenarios import load
 from st_sim.sensors import Ins, InsReading, SteeringSensor, read_wheel_speeds
@@ -83,7 +83,7 @@ def _make_log(name: str, readings: list, steering: np.ndarray, vehicle: VehicleP
     cosine, sine = np.cos(column("yaw")), np.sin(column("yaw"))
     forward, left = column("velocity_x"), column("velocity_y")
     level = np.stack([cosine * forward - sine * left, sine * forward + cosine * left, column("velocity_z")])
-    velocity = rotate_to_body(round_to_resolution(level, "velocity"), yaw, -pitch, roll)
+    velocity = Attitude(yaw, -pitch, roll).to_body(round_to_resolution(level, "velocity"))
     angle = round_to_resolution(steering[:, 1], "steering")
     force = round_to_resolution(column("specific_force"), "force")
     return DriveLog(name, _to_nanoseconds(column("stamp")), column("x"), column("y"), np.unwrap(yaw), velocity[0],

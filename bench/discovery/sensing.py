@@ -7,10 +7,10 @@ as on NCOM and CAN, and converted to the axes of the suite. Checked by: tests/be
 from collections.abc import Sequence
 
 import numpy as np
+from oxts_bridge.geometry import Attitude
 from scipy.signal import lfilter
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_recordings.runs.ncom import rotate_to_body
 from st_sim.car import GRAVITY, Car
 from st_sim.dynamics import A_X, A_Y, A_Y_RATE, STATES, VX, VY, YAW, YAW_RATE, X, Y, Z
 from st_sim.sensors import FULL_VIBRATION_SPEED, NOISE
@@ -38,7 +38,7 @@ def make_log(name: str, recording: Recording, car: Car, vehicle: VehicleParamete
     cosine, sine = np.cos(r["yaw"]), np.sin(r["yaw"])
     level = np.stack([cosine * r["velocity_x"] - sine * r["velocity_y"], sine * r["velocity_x"] +
                       cosine * r["velocity_y"], r["velocity_z"]])
-    velocity = rotate_to_body(round_to_resolution(level, "velocity"), yaw, -pitch, roll)
+    velocity = Attitude(yaw, -pitch, roll).to_body(round_to_resolution(level, "velocity"))
     steering = recording.steering_wheel + car.steering_wheel_offset
     if settings["steering_sensor_noise"]:
         steering = steering + settings["steering_sensor_noise"] * _stream(np.random.default_rng([seed, 4]), count, 256)

@@ -173,7 +173,7 @@ def test_every_field_of_the_manual(tmp_path):
             got = shown.get((packet, row["field"]))
             ok = got is not None and same(row["field"], row["value"], got[2])
         else:
-            value = decode_channel(int(row["channel"]), columns.batch_s(packet))[row["field"]]
+            value = decode_channel(int(row["channel"]), columns.batch_s[:, packet].tobytes())[row["field"]]
             ok = (value is not None) == (row["valid"] == "1") and (value is None or same("", row["value"], repr(value)))
         if not ok:
             different.append(row)

@@ -236,7 +236,7 @@ def _nibbles(at: int, low: str, high: str) -> list[Field]:
 
 
 def _trigger(channel: int) -> list[Field]:
-    """GPS time of an event (minutes, milliseconds and units of 4 us) and its count; see trigger_nanoseconds()."""
+    """GPS time of an event (minutes, milliseconds and units of 4 us) and its count; see event_nanoseconds()."""
     name = TRIGGER_CHANNELS[channel].removesuffix("Time")
     return [F(f"{name}Minutes", "i32", 0, "min", validity=POSITIVE), F(f"{name}Milliseconds", "u16", 4, "ms"),
             F(f"{name}Fine", "i8", 6, "4 us"), F(f"{name}Count", "u8", 7, validity=POSITIVE)]
@@ -419,11 +419,13 @@ def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
     return values
 
 
-def trigger_nanoseconds(data: bytes) -> int | None:
+def event_nanoseconds(channel: int, data: bytes) -> int | None:
     """GPS time of an event [ns since 1980-01-06, in steps of 4 us] from the 8 bytes of a trigger channel.
 
-    None if no event has occurred yet.
+    None for another channel, and if no event has occurred yet.
     """
+    if channel not in TRIGGER_CHANNELS:
+        return None
     minutes, milliseconds, fine, count = _TRIGGER.unpack(data)
     if not 0 < minutes <= LAST_MINUTE or not count:
         return None

@@ -12,7 +12,8 @@ from scipy.signal import lfilter, lfilter_zi
 
 from .file_decoder import EMPTY, REGULAR, UNKNOWN_TIME, Columns
 from .geometry import Attitude, Vector, flu_from_frd, radii
-from .ncom import STATUS_ONLY
+from .motion import Motion
+from .ncom import STATUS_ONLY, Packet
 
 EARTH_RATE = 7.2921151467e-5  # rad/s
 # Accuracy of the horizontal speed until the unit sends one [m/s].
@@ -39,26 +40,25 @@ class Settings:
 def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
     """Derived columns by name, in the order and units (deg, deg/s, m, m/s, m/s^2) of the vendor's tools."""
     fix = (columns.kind != EMPTY) & ~columns.approximate
-    velocity = np.where(fix, columns.velocity_ned, np.nan)
-    heading, pitch, roll = (np.where(fix, angle, np.nan) for angle in (columns.heading, columns.pitch, columns.roll))
-    acceleration = np.where(fix, columns.acceleration, np.nan)
-    rate = np.where(fix, columns.angular_rate, np.nan)
+    names = ("acceleration", "angular_rate", "latitude", "longitude", "altitude", "velocity_ned", "heading", "pitch",
+             "roll")
+    motion = Motion.from_packet(Packet(**{name: np.where(fix, getattr(columns, name), np.nan) for name in names}))
     out: dict[str, np.ndarray] = {}
-    attitude, level = Attitude.from_ned(heading, pitch, roll), Attitude(0.0 * heading, -pitch, roll)
-    seconds = float_seconds(columns)
-    north, east, down = velocity
-    level_rate = flu_from_frd(level.to_enu(flu_from_frd(rate)))
-    s, c = np.sin(heading), np.cos(heading)
-    out["Vf"], out["Vl"] = north * c + east * s, east * c - north * s
-    _add_speed_and_slip(out, velocity, heading, level_rate[2], _forward_fill(settings.speed_accuracy, len(columns)))
+    attitude, seconds = motion.attitude, float_seconds(columns)
+    level_axes = Attitude(np.zeros(len(columns)), attitude.pitch, attitude.roll)
+    level_rate = flu_from_frd(level_axes.to_enu(motion.angular_velocity))
+    s, c = np.sin(attitude.yaw), np.cos(attitude.yaw)
+    east, north, up = motion.velocity
+    out["Vf"], out["Vl"] = east * c + north * s, east * s - north * c
+    _add_speed_and_slip(out, motion, level_rate[2], _forward_fill(settings.speed_accuracy, len(columns)))
     _add_distances(out, columns, seconds)
-    out["Af"], out["Al"], out["Ad"] = flu_from_frd(level.to_enu(flu_from_frd(acceleration)))
+    out["Af"], out["Al"], out["Ad"] = flu_from_frd(level_axes.to_enu(motion.acceleration))
     out["Wf"], out["Wl"], out["Wd"] = np.degrees(level_rate)
     _add_angular_acceleration(out, columns, seconds)
     _add_filtered(out, columns, seconds, settings)
-    for prefix, flu in (("IsoVo", attitude.to_body((east, north, -down))), ("IsoVh", (out["Vf"], -out["Vl"], -down)),
-                        ("IsoAo", _without_gravity(columns, velocity, attitude, acceleration))):
-        out[f"{prefix}X"], out[f"{prefix}Y"], out[f"{prefix}Z"] = flu
+    for prefix, vector in (("IsoVo", motion.body_velocity), ("IsoVh", (out["Vf"], -out["Vl"], up)),
+                           ("IsoAo", _acceleration_over_ground(motion))):
+        out[f"{prefix}X"], out[f"{prefix}Y"], out[f"{prefix}Z"] = vector
     return out
 
 
@@ -74,16 +74,16 @@ def float_seconds(columns: Columns) -> np.ndarray:
     return np.where(known, minutes * 60.0 + milliseconds * 0.001 + fine * 1e-9, np.nan)
 
 
-def _add_speed_and_slip(out: dict, velocity: np.ndarray, heading: np.ndarray, yaw_rate: np.ndarray,
-                        accuracy: np.ndarray) -> None:
-    north, east, down = velocity
+def _add_speed_and_slip(out: dict, motion: Motion, yaw_rate: np.ndarray, accuracy: np.ndarray) -> None:
+    """yaw_rate: clockwise, in level axes [rad/s]. accuracy: as Settings.speed_accuracy."""
+    east, north, up = motion.velocity
     speed = np.hypot(north, east)
     out["Speed2d"] = speed
-    out["Speed3d"] = np.sqrt(north**2 + east**2 + down**2)
+    out["Speed3d"] = np.sqrt(north**2 + east**2 + up**2)
     limit = np.where(np.isnan(accuracy), UNKNOWN_SPEED_ACCURACY, accuracy)
     moving = np.greater(speed, limit, where=~np.isnan(speed), out=np.zeros(len(speed), bool))
     track = np.where(moving, np.degrees(np.arctan2(east, north)), np.nan)
-    slip = track - np.degrees(heading)
+    slip = track - 90.0 + np.degrees(motion.attitude.yaw)
     out["Track"] = track
     out["Slip"] = slip - 360.0 * np.ceil((slip - 180.0) / 360.0)
     out["Curvature"] = np.divide(yaw_rate, speed, where=moving, out=np.full(len(speed), np.nan))
@@ -188,22 +188,22 @@ def low_pass(seconds: np.ndarray, values: np.ndarray,
     return output
 
 
-def _without_gravity(columns: Columns, velocity: np.ndarray, attitude: Attitude, acceleration: np.ndarray) -> Vector:
+def _acceleration_over_ground(motion: Motion) -> Vector:
     """Acceleration relative to the ground [m/s^2], FLU: a = A + R^T (g - (2 w_ie + w_en) x v), R from body axes to ENU.
 
     A: specific force. g: gravity. w_ie: earth rate. w_en: transport rate, of the local frame relative to the earth.
-    velocity: north, east, down [m/s]. acceleration: specific force in FRD.
     """
-    latitude, height = columns.latitude, columns.altitude
-    north, east, _ = velocity
+    latitude, height = motion.latitude, motion.altitude
+    east, north, _ = motion.velocity
     s, c = np.sin(latitude), np.cos(latitude)
     meridian, normal = radii(latitude)
-    rotation = np.array([2 * EARTH_RATE * c + east / (normal + height), -north / (meridian + height),
-                         -2 * EARTH_RATE * s - east * s / c / (normal + height)])
-    coriolis = np.cross(rotation, velocity, axis=0)
-    correction = attitude.to_body((-coriolis[1], -coriolis[0], coriolis[2] - gravity(latitude, height)))
-    forward, left, up = flu_from_frd(acceleration)
-    return forward + correction[0], left + correction[1], up + correction[2]
+    rotation = np.array([-north / (meridian + height), 2 * EARTH_RATE * c + east / (normal + height),
+                         2 * EARTH_RATE * s + east * s / c / (normal + height)])
+    correction = -np.cross(rotation, motion.velocity, axis=0)
+    correction[2] -= gravity(latitude, height)
+    x, y, z = motion.acceleration
+    a, b, c = motion.attitude.to_body(tuple(correction))
+    return x + a, y + b, z + c
 
 
 def gravity(latitude: np.ndarray, height: np.ndarray) -> np.ndarray:

@@ -108,7 +108,7 @@ def _read_status(columns: Columns) -> tuple[list[Change], Settings]:
         channel = int(columns.channel[i])
         seconds = None if columns.gps_ns[i] == UNKNOWN_TIME else columns.gps_ns[i] / 1e9
         position = tuple(positions[i]) if channel == 25 and not np.isnan(positions[i]).any() else None
-        fields = tracker.update(channel, columns.batch_s(i), seconds, position)
+        fields = tracker.update(channel, columns.batch_s[:, i].tobytes(), seconds, position)
         for name, sent in fields.items():
             value = min(sent, _LARGEST_UMAC_STATUS) if name == "UmacStatus" and sent is not None else sent
             if name not in RAW_FIELDS and (value is not None or name not in _RETAINED) and known.get(name) != value:

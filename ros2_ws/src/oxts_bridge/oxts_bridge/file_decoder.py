@@ -5,15 +5,15 @@ time, as in the parser. Checked by: tests/golden and test_stream.py, which compa
 """
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 from st_core.leap_seconds import GPS_EPOCH_UNIX, leap_seconds_at_gps_times
 
 from . import ncom, packet_time
-from .channels import FIELDS, TRIGGER_CHANNELS, UTC_CHANNEL, trigger_nanoseconds, utc_offset
-from .ncom import BATCH_S, BY_STATUS, PACKET_SIZE, Counters, NcomError, is_valid_position, next_packet
+from .channels import FIELDS, UTC_CHANNEL, event_nanoseconds, utc_offset
+from .ncom import BATCH_S, BY_STATUS, PACKET_SIZE, Counters, NcomError, Packet, is_valid_position, next_packet
 
 CAPTURE_MARKS = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\n\r\r\n")
 """First bytes of a network capture: pcap in either byte order with times in us or ns, and pcapng."""
@@ -46,16 +46,13 @@ _UTC_OFFSET = np.array([
     _INVALID_UTC_OFFSET if (offset := utc_offset(bytes([*[0] * 7, byte]))) is None else offset for byte in range(256)])
 
 
-@dataclass
-class Columns:
-    """One entry per accepted packet, in file order; structure B packets are included as EMPTY.
+@dataclass(kw_only=True)
+class Columns(Packet):
+    """The accepted packets of a file as columns, in file order; structure B packets are included as EMPTY.
 
     offset: byte position in the file.  raw: (n, 72) uint8.  kind: index into KINDS.  order: as in stream.Received.
-    gps_ns: [ns since 1980-01-06], utc_ns: [ns since 1970], UNKNOWN_TIME where unknown.  milliseconds,
-    navigation_status, channel: as sent.  acceleration: (3, n), specific force (z about -9.81 at rest) [m/s^2],
-    angular_rate: (3, n) [rad/s], both in vehicle axes FRD.  latitude, longitude [rad], altitude [m]: as sent.
-    velocity_ned: (3, n) [m/s].  heading: clockwise from true north, pitch: nose up +, roll: right side down + [rad].
-    NaN = invalid.  approximate: true for navigation values sent before the first fix.  has_status: batch S is valid.
+    gps_ns: [ns since 1980-01-06], utc_ns: [ns since 1970], UNKNOWN_TIME where unknown.  approximate: true for
+    navigation values sent before the first fix.  has_status: batch S is valid.
     """
 
     offset: np.ndarray
@@ -64,18 +61,6 @@ class Columns:
     order: np.ndarray
     gps_ns: np.ndarray
     utc_ns: np.ndarray
-    milliseconds: np.ndarray
-    navigation_status: np.ndarray
-    channel: np.ndarray
-    acceleration: np.ndarray
-    angular_rate: np.ndarray
-    latitude: np.ndarray
-    longitude: np.ndarray
-    altitude: np.ndarray
-    velocity_ned: np.ndarray
-    heading: np.ndarray
-    pitch: np.ndarray
-    roll: np.ndarray
     approximate: np.ndarray
     has_status: np.ndarray
     counters: Counters
@@ -84,9 +69,9 @@ class Columns:
     def __len__(self) -> int:
         return len(self.offset)
 
-    def batch_s(self, index: int) -> bytes:
-        """The 8 status bytes of a packet."""
-        return self.raw[index, BATCH_S].tobytes()
+    def take(self, rows: np.ndarray) -> Packet:
+        """The values of the packets at some indices, or where a mask is true."""
+        return Packet(**{field.name: getattr(self, field.name)[..., rows] for field in fields(Packet)})
 
 
 def decode_file(source: str | Path | bytes) -> Columns:
@@ -132,17 +117,18 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     packets = raw.view(_FIELDS).ravel()
     status, channel = packets["status"].copy(), packets["channel"].copy()
     kind, gps_ns, order, jumps = _times(raw, packets)
-    heading, pitch, roll = _i24(raw, ncom.ANGLES_AT, ncom.ANGLE_UNIT)
+    acceleration, angular_rate, velocity, (heading, pitch, roll) = (_decode_vectors(raw, at, unit) for at, unit in (
+        (ncom.ACCELERATION_AT, ncom.ACCELERATION_UNIT), (ncom.ANGULAR_RATE_AT, ncom.ANGULAR_RATE_UNIT),
+        (ncom.VELOCITY_AT, ncom.VELOCITY_UNIT), (ncom.ANGLES_AT, ncom.ANGLE_UNIT)))
     with np.errstate(invalid="ignore"):  # structure B and empty packets may contain a signalling NaN
         altitude = packets["altitude"].astype(np.float64)
     columns = Columns(
         offset=offset, raw=raw, kind=kind, order=order, gps_ns=gps_ns,
         utc_ns=_utc_times(raw, status, channel, gps_ns), milliseconds=packets["milliseconds"].astype(np.int64),
-        navigation_status=status, channel=channel,
-        acceleration=_i24(raw, ncom.ACCELERATION_AT, ncom.ACCELERATION_UNIT),
-        angular_rate=_i24(raw, ncom.ANGULAR_RATE_AT, ncom.ANGULAR_RATE_UNIT),
+        navigation_status=status, channel=channel, batch_s=raw[:, BATCH_S].T,
+        acceleration=acceleration, angular_rate=angular_rate, velocity_ned=velocity,
         latitude=packets["latitude"].copy(), longitude=packets["longitude"].copy(), altitude=altitude,
-        velocity_ned=_i24(raw, ncom.VELOCITY_AT, ncom.VELOCITY_UNIT), heading=heading, pitch=pitch, roll=roll,
+        heading=heading, pitch=pitch, roll=roll,
         approximate=_IS_APPROXIMATE[status], has_status=_HAS_STATUS[status], counters=counters, time_jumps=jumps)
     _fill_counters(columns)
     _mask_invalid(columns)
@@ -158,7 +144,7 @@ def _rows(data: bytes, offset: np.ndarray) -> np.ndarray:
     return (runs[0] if len(runs) == 1 else np.concatenate(runs)).reshape(-1, PACKET_SIZE)
 
 
-def _i24(raw: np.ndarray, at: int, unit: float) -> np.ndarray:
+def _decode_vectors(raw: np.ndarray, at: int, unit: float) -> np.ndarray:
     """Physical values (3, n) of three consecutive i24; each is read as the upper 24 bits of an i32."""
     number = np.ndarray((3, len(raw)), "<i4", raw.reshape(-1).data, at - 1, (3, PACKET_SIZE)) >> 8
     values = number * unit
@@ -185,7 +171,7 @@ def _times(raw: np.ndarray, packets: np.ndarray) -> tuple[np.ndarray, np.ndarray
     previous = b""
     for i in np.flatnonzero(kind == TRIGGER):
         packet = raw[i].tobytes()
-        event_ns = trigger_nanoseconds(packet[BATCH_S]) if packet[ncom.CHANNEL_AT] in TRIGGER_CHANNELS else None
+        event_ns = event_nanoseconds(packet[ncom.CHANNEL_AT], packet[BATCH_S])
         if event_ns is None:
             kind[i] = EMPTY
         else:
@@ -270,21 +256,16 @@ def _mask_invalid(columns: Columns) -> None:
     """Replace values that the navigation status declares invalid, and impossible positions, by NaN."""
     status, usable = columns.navigation_status, columns.kind != EMPTY
     columns.approximate &= usable
-    no_imu = ~(_HAS_IMU[status] & usable)
-    if no_imu.any():
-        columns.acceleration[:, no_imu] = columns.angular_rate[:, no_imu] = np.nan
-    no_navigation = ~(_HAS_NAVIGATION[status] & usable)
-    if no_navigation.any():
-        columns.velocity_ned[:, no_navigation] = np.nan
-        for angle in (columns.heading, columns.pitch, columns.roll):
-            angle[no_navigation] = np.nan
+    no_imu, no_navigation = ~(_HAS_IMU[status] & usable), ~(_HAS_NAVIGATION[status] & usable)
     with np.errstate(invalid="ignore"):
         impossible = ~is_valid_position(columns.latitude, columns.longitude, columns.altitude)
     columns.counters.impossible_positions = int((impossible & ~no_navigation).sum())
-    impossible |= no_navigation
-    if impossible.any():
-        for value in (columns.latitude, columns.longitude, columns.altitude):
-            value[impossible] = np.nan
+    for names, is_invalid in ((("acceleration", "angular_rate"), no_imu),
+                              (("velocity_ned", "heading", "pitch", "roll"), no_navigation),
+                              (("latitude", "longitude", "altitude"), no_navigation | impossible)):
+        packets = np.flatnonzero(is_invalid)
+        for name in names:
+            getattr(columns, name)[..., packets] = np.nan
 
 
 def _no_packet_message(name: str, data: bytes) -> str:

@@ -25,9 +25,13 @@ FLATTENING = 1 / 298.257223563
 ECCENTRICITY_SQUARED = FLATTENING * (2 - FLATTENING)
 
 
+# For single values, the functions of `math` are ten times as fast.
+_OF_FLOATS, _OF_COLUMNS = (math.sin, math.cos, math.sqrt), (np.sin, np.cos, np.sqrt)
+
+
 def _functions(value: Number) -> Any:
-    """The module with sin(), cos(), ... for a value: numpy for columns, math for floats (ten times as fast)."""
-    return np if isinstance(value, np.ndarray) else math
+    """Sine, cosine and square root for values of this type."""
+    return _OF_COLUMNS if isinstance(value, np.ndarray) else _OF_FLOATS
 
 
 def yaw_from_heading(heading: Number) -> Number:
@@ -42,8 +46,8 @@ class Attitude:
 
     def __init__(self, yaw: Number, pitch: Number, roll: Number) -> None:
         self.yaw, self.pitch, self.roll = yaw, pitch, roll
-        functions = _functions(yaw)
-        (sy, sp, sr), (cy, cp, cr) = map(functions.sin, (yaw, pitch, roll)), map(functions.cos, (yaw, pitch, roll))
+        sin, cos, _ = _functions(yaw)
+        sy, cy, sp, cp, sr, cr = sin(yaw), cos(yaw), sin(pitch), cos(pitch), sin(roll), cos(roll)
         self._rows = (
             cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr,
             sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr,
@@ -56,12 +60,11 @@ class Attitude:
 
     def quaternion(self) -> Quaternion:
         """x, y, z, w of the rotation from body axes to ENU; w >= 0."""
-        functions = _functions(self.yaw)
-        sin, cos = functions.sin, functions.cos
+        sin, cos, _ = _functions(self.yaw)
         yaw, pitch, roll = self.yaw / 2, self.pitch / 2, self.roll / 2
         sy, cy, sp, cp, sr, cr = sin(yaw), cos(yaw), sin(pitch), cos(pitch), sin(roll), cos(roll)
         w = cr * cp * cy + sr * sp * sy
-        sign = functions.copysign(1.0, w)
+        sign = 1.0 - 2.0 * (w < 0.0)
         return (sign * (sr * cp * cy - cr * sp * sy), sign * (cr * sp * cy + sr * cp * sy),
                 sign * (cr * cp * sy - sr * sp * cy), sign * w)
 
@@ -92,8 +95,8 @@ class Attitude:
         """Covariance about the fixed axes at small pitch and roll, row by row: Rz(yaw) diag(variances) Rz(yaw)^T.
 
         attitude_variances: of roll, pitch, heading [rad^2]."""
-        functions = _functions(self.yaw)
-        s, c = functions.sin(self.yaw), functions.cos(self.yaw)
+        sin, cos, _ = _functions(self.yaw)
+        s, c = sin(self.yaw), cos(self.yaw)
         roll, pitch, heading = attitude_variances
         cross = (roll - pitch) * s * c
         return c * c * roll + s * s * pitch, cross, 0.0, cross, s * s * roll + c * c * pitch, 0.0, 0.0, 0.0, heading
@@ -106,18 +109,19 @@ def flu_from_frd(frd: Vector) -> Vector:
 
 def radii(latitude: Number) -> tuple[Number, Number]:
     """(meridian, normal) radius of curvature [m] at a geodetic latitude [rad]."""
-    functions = _functions(latitude)
-    w = 1 - ECCENTRICITY_SQUARED * functions.sin(latitude) ** 2
-    normal = SEMI_MAJOR_AXIS / functions.sqrt(w)
+    sin, _, sqrt = _functions(latitude)
+    w = 1 - ECCENTRICITY_SQUARED * sin(latitude) ** 2
+    normal = SEMI_MAJOR_AXIS / sqrt(w)
     return normal * (1 - ECCENTRICITY_SQUARED) / w, normal
 
 
 def to_ecef(latitude: Number, longitude: Number, height: Number) -> Vector:
     """Earth-centred x, y, z [m] from latitude, longitude [rad] and height above the ellipsoid [m]."""
-    functions, normal = _functions(latitude), radii(latitude)[1]
-    axis_distance = (normal + height) * functions.cos(latitude)
-    z = (normal * (1 - ECCENTRICITY_SQUARED) + height) * functions.sin(latitude)
-    return axis_distance * functions.cos(longitude), axis_distance * functions.sin(longitude), z
+    sin, cos, _ = _functions(latitude)
+    normal = radii(latitude)[1]
+    axis_distance = (normal + height) * cos(latitude)
+    z = (normal * (1 - ECCENTRICITY_SQUARED) + height) * sin(latitude)
+    return axis_distance * cos(longitude), axis_distance * sin(longitude), z
 
 
 class LocalFrame:

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from math import degrees, isfinite, isnan, radians
 from typing import NamedTuple
 
-from .geometry import Attitude, LocalFrame, Vector, flu_from_frd
+from .geometry import Attitude, LocalFrame, Number, Vector, flu_from_frd, yaw_from_heading
+from .ncom import Packet
 from .packet_time import NEW, SAME
 from .status import StatusTracker
 from .stream import HostMinute, NcomParser, Received
@@ -40,20 +41,28 @@ def variances(deviations: Vector) -> Vector | None:
 
 @dataclass(slots=True)
 class Motion:
-    """Motion of the INS point at one instant.
+    """Motion of the INS point in ROS axes, at one instant or in columns.
 
     latitude, longitude [rad], altitude [m]: as sent.  velocity: ENU [m/s].  body_velocity [m/s], angular_velocity
     [rad/s], acceleration [m/s^2]: FLU.  acceleration: specific force, +9.8 up at rest.
     """
 
-    latitude: float
-    longitude: float
-    altitude: float
+    latitude: Number
+    longitude: Number
+    altitude: Number
     attitude: Attitude
     velocity: Vector
     body_velocity: Vector
     angular_velocity: Vector
     acceleration: Vector
+
+    @classmethod
+    def from_packet(cls, packet: Packet) -> "Motion":
+        attitude = Attitude(yaw_from_heading(packet.heading), -packet.pitch, packet.roll)
+        north, east, down = packet.velocity_ned
+        velocity = east, north, -down
+        return cls(packet.latitude, packet.longitude, packet.altitude, attitude, velocity, attitude.to_body(velocity),
+                   flu_from_frd(packet.angular_rate), flu_from_frd(packet.acceleration))
 
     def position(self, frame: LocalFrame) -> Vector:
         """East, north, up [m] in a local frame."""
@@ -67,13 +76,7 @@ def extract_motion(received: Received) -> Motion | None:
     packet = received.packet
     total = sum(packet.velocity_ned) + sum(packet.angular_rate) + packet.latitude + packet.heading
     total += packet.pitch + packet.roll
-    if not isfinite(total):
-        return None
-    attitude = Attitude.from_ned(packet.heading, packet.pitch, packet.roll)
-    north, east, down = packet.velocity_ned
-    velocity = east, north, -down
-    return Motion(packet.latitude, packet.longitude, packet.altitude, attitude, velocity, attitude.to_body(velocity),
-                  flu_from_frd(packet.angular_rate), flu_from_frd(packet.acceleration))
+    return Motion.from_packet(packet) if isfinite(total) else None
 
 
 class Origin:

@@ -14,9 +14,10 @@ Checked by: tests/golden/test_ncom_vectors.py.
 
 import math
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
+
+from .geometry import Number, Vector
 
 NAN = math.nan
 SYNC = 0xE7
@@ -39,7 +40,8 @@ ANGLE_UNIT = 1e-6
 INVALID_I24 = -0x800000
 LARGEST_I24 = 0x7FFFFF
 
-_LAYOUT = struct.Struct("<xH HbHbHb HbHbHb B x ddf HbHbHb HbHbHb x B 8s x")
+_LAYOUT = struct.Struct("<xH 9s9s B x ddf 9s9s x B 8s x")
+_VECTOR = struct.Struct("<HbHbHb")  # low 16 bits and high 8 bits of each i24
 
 
 class NcomError(ValueError):
@@ -120,7 +122,9 @@ def fix_status(mode: int | None) -> int:
 
 @dataclass(slots=True)
 class Packet:
-    """Values of one packet in the transmitted axes: NED, and FRD of the vehicle (forward, right, down). NaN = invalid.
+    """Values in the transmitted axes: NED, and FRD of the vehicle (forward, right, down). NaN = invalid.
+
+    Of one packet; or of several packets (columns): arrays (n,), vectors (3, n), and batch_s (8, n) of uint8.
 
     milliseconds: into the GPS minute, 0..59999; a larger number is kept, but gives no time.
     acceleration: specific force x, y, z [m/s^2], z about -9.81 at rest; each at most 838.8607.
@@ -132,19 +136,19 @@ class Packet:
     channel: number of the status channel.  batch_s: the 8 bytes of this channel, see channels.py.
     """
 
-    milliseconds: int = 0
-    acceleration: tuple[float, float, float] = (NAN, NAN, NAN)
-    angular_rate: tuple[float, float, float] = (NAN, NAN, NAN)
-    navigation_status: int = 0
-    latitude: float = NAN
-    longitude: float = NAN
-    altitude: float = NAN
-    velocity_ned: tuple[float, float, float] = (NAN, NAN, NAN)
-    heading: float = NAN
-    pitch: float = NAN
-    roll: float = NAN
-    channel: int = 255
-    batch_s: bytes = b"\xff" * 8
+    milliseconds: Any = 0
+    acceleration: Any = (NAN, NAN, NAN)
+    angular_rate: Any = (NAN, NAN, NAN)
+    navigation_status: Any = 0
+    latitude: Number = NAN
+    longitude: Number = NAN
+    altitude: Number = NAN
+    velocity_ned: Any = (NAN, NAN, NAN)
+    heading: Number = NAN
+    pitch: Number = NAN
+    roll: Number = NAN
+    channel: Any = 255
+    batch_s: Any = b"\xff" * 8
 
 
 def decode(data: bytes) -> Packet:
@@ -161,25 +165,19 @@ def decode(data: bytes) -> Packet:
 
 def decode_unchecked(data: bytes) -> Packet:
     """Physical values of 72 bytes already known to be a structure A packet."""
-    (ms, x0, x1, y0, y1, z0, z1, p0, p1, q0, q1, r0, r1, status, latitude, longitude, altitude,
-     n0, n1, e0, e1, d0, d1, h0, h1, t0, t1, l0, l1, channel, batch_s) = _LAYOUT.unpack(data)
-    # Written out because this runs for every packet: a call per component would double the time.
-    return Packet(
-        ms,
-        (NAN if x1 == -128 and not x0 else (x1 << 16 | x0) * ACCELERATION_UNIT,
-         NAN if y1 == -128 and not y0 else (y1 << 16 | y0) * ACCELERATION_UNIT,
-         NAN if z1 == -128 and not z0 else (z1 << 16 | z0) * ACCELERATION_UNIT),
-        (NAN if p1 == -128 and not p0 else (p1 << 16 | p0) * ANGULAR_RATE_UNIT,
-         NAN if q1 == -128 and not q0 else (q1 << 16 | q0) * ANGULAR_RATE_UNIT,
-         NAN if r1 == -128 and not r0 else (r1 << 16 | r0) * ANGULAR_RATE_UNIT),
-        status, latitude, longitude, altitude,
-        (NAN if n1 == -128 and not n0 else (n1 << 16 | n0) * VELOCITY_UNIT,
-         NAN if e1 == -128 and not e0 else (e1 << 16 | e0) * VELOCITY_UNIT,
-         NAN if d1 == -128 and not d0 else (d1 << 16 | d0) * VELOCITY_UNIT),
-        NAN if h1 == -128 and not h0 else (h1 << 16 | h0) * ANGLE_UNIT,
-        NAN if t1 == -128 and not t0 else (t1 << 16 | t0) * ANGLE_UNIT,
-        NAN if l1 == -128 and not l0 else (l1 << 16 | l0) * ANGLE_UNIT,
-        channel, batch_s)
+    (milliseconds, acceleration, angular_rate, status, latitude, longitude, altitude, velocity, angles, channel,
+     batch_s) = _LAYOUT.unpack(data)
+    return Packet(milliseconds, _decode_vector(acceleration, ACCELERATION_UNIT),
+                  _decode_vector(angular_rate, ANGULAR_RATE_UNIT), status, latitude, longitude, altitude,
+                  _decode_vector(velocity, VELOCITY_UNIT), *_decode_vector(angles, ANGLE_UNIT), channel, batch_s)
+
+
+def _decode_vector(data: bytes, unit: float) -> Vector:
+    x_low, x_high, y_low, y_high, z_low, z_high = _VECTOR.unpack(data)
+    # Written out because this runs for every packet: a call per component would take twice as long.
+    x, y, z = x_high << 16 | x_low, y_high << 16 | y_low, z_high << 16 | z_low
+    return (NAN if x == INVALID_I24 else x * unit, NAN if y == INVALID_I24 else y * unit,
+            NAN if z == INVALID_I24 else z * unit)
 
 
 def encode(packet: Packet) -> bytes:
@@ -193,19 +191,25 @@ def encode(packet: Packet) -> bytes:
         raise NcomError(f"batch_s must have 8 bytes, not {len(packet.batch_s)}")
     if packet.navigation_status == STRUCTURE_B:
         raise NcomError("structure B packets (navigation status 11) cannot be encoded")
-    angles = (packet.heading, packet.pitch, packet.roll)
-    imu = *_i24_parts(packet.acceleration, ACCELERATION_UNIT), *_i24_parts(packet.angular_rate, ANGULAR_RATE_UNIT)
-    navigation = *_i24_parts(packet.velocity_ned, VELOCITY_UNIT), *_i24_parts(angles, ANGLE_UNIT)
+    angles = packet.heading, packet.pitch, packet.roll
     try:
         data = bytearray(_LAYOUT.pack(
-            packet.milliseconds, *imu, packet.navigation_status, packet.latitude, packet.longitude, packet.altitude,
-            *navigation, packet.channel, packet.batch_s))
+            packet.milliseconds, _encode_vector(packet.acceleration, ACCELERATION_UNIT),
+            _encode_vector(packet.angular_rate, ANGULAR_RATE_UNIT), packet.navigation_status, packet.latitude,
+            packet.longitude, packet.altitude, _encode_vector(packet.velocity_ned, VELOCITY_UNIT),
+            _encode_vector(angles, ANGLE_UNIT), packet.channel, packet.batch_s))
     except (struct.error, OverflowError) as error:
         raise NcomError(f"a value is outside the range of its field: {error}") from None
     data[0] = SYNC
     for at in (CHECKSUM_1_AT, CHECKSUM_2_AT, CHECKSUM_3_AT):
         data[at] = sum(data[1:at]) & 0xFF
     return bytes(data)
+
+
+def _encode_vector(values: Vector, unit: float) -> bytes:
+    raw = [INVALID_I24 if math.isnan(value)
+           else round(max(-LARGEST_I24, min(LARGEST_I24, value / unit))) for value in values]
+    return b"".join(number.to_bytes(3, "little", signed=True) for number in raw)
 
 
 def is_valid_position(latitude: Any, longitude: Any, altitude: Any) -> Any:
@@ -262,14 +266,3 @@ def next_packet(data: bytes, at: int, in_sync: bool, counters: Counters) -> tupl
     return at, in_sync
 
 
-def _i24_parts(values: tuple[float, float, float], unit: float) -> Iterator[int]:
-    """The low 16 bits (unsigned) and high 8 bits (signed) of each value as an i24."""
-    for value in values:
-        if math.isnan(value):
-            raw = INVALID_I24
-        elif abs(value) >= LARGEST_I24 * unit:
-            raw = LARGEST_I24 if value > 0 else -LARGEST_I24
-        else:
-            raw = round(value / unit)
-        yield raw & 0xFFFF
-        yield raw >> 16

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import cos, degrees, isfinite, radians, sin, sqrt
 
-from .channels import FIELDS, TRIGGER_CHANNELS, Value, decode_channel, trigger_nanoseconds
+from .channels import FIELDS, TRIGGER_CHANNELS, Value, decode_channel, event_nanoseconds
 from .geometry import radii
 from .stream import Received
 
@@ -56,7 +56,7 @@ class StatusTracker:
             if previous is not None:
                 fields[name] = previous + (fields[name] - previous) % modulus
         if channel in TRIGGER_CHANNELS:
-            time, name = trigger_nanoseconds(data), TRIGGER_CHANNELS[channel]
+            time, name = event_nanoseconds(channel, data), TRIGGER_CHANNELS[channel]
             fields = {name: self.values.get(name) if time is None else time / 1e9}
         elif channel == 23:
             lag, code = fields["BnsLag"], fields.pop("UpTimeCode")
@@ -186,9 +186,7 @@ class EventLog:
         """The event that this packet is the first to report, else None."""
         packet = received.packet
         channel = packet.channel
-        if channel not in TRIGGER_CHANNELS or not received.rule.status:
-            return None
-        time = trigger_nanoseconds(packet.batch_s)
+        time = event_nanoseconds(channel, packet.batch_s) if received.rule.status else None
         if time is None:
             return None
         count = packet.batch_s[7]

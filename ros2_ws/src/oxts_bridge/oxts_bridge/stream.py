@@ -6,8 +6,17 @@ from dataclasses import dataclass
 from statistics import median
 
 from . import channels, ncom
-from .channels import TRIGGER_CHANNELS, Value
-from .ncom import Counters, Packet, Rule, decode_unchecked, inner_checksums_match, is_valid_position, next_packet
+from .channels import Value
+from .ncom import (
+    PACKET_SIZE,
+    Counters,
+    Packet,
+    Rule,
+    decode_unchecked,
+    inner_checksums_match,
+    is_valid_position,
+    next_packet,
+)
 from .packet_time import DUPLICATE, LAST_MINUTE, LATE, MINUTE_MS, NEW, SAME, GpsClock, host_minute, unix_nanoseconds
 
 _NO_VECTOR = (ncom.NAN, ncom.NAN, ncom.NAN)
@@ -66,17 +75,17 @@ class NcomParser:
     def feed(self, data: bytes, received_ns: int | None = None) -> list[Received]:
         """All packets completed by these bytes, in order; received_ns: host time of receipt [ns since 1970]."""
         buffer = self._tail + data if self._tail else bytes(data)
-        size, packet_size = len(buffer), ncom.PACKET_SIZE
         packets: list[Received] = []
         at = 0
-        while True:
+        while at < len(buffer):
             at, self._in_sync = next_packet(buffer, at, self._in_sync, self.counters)
-            if size - at < packet_size:
+            raw = buffer[at : at + PACKET_SIZE]
+            if len(raw) < PACKET_SIZE:
                 break
-            received = self._accept(buffer[at : at + packet_size], self._consumed + at, received_ns)
+            received = self._accept(raw, self._consumed + at, received_ns)
             if received is not None:
                 packets.append(received)
-            at += packet_size
+            at += PACKET_SIZE
         self._tail = buffer[at:]
         self._consumed += at
         return packets
@@ -124,7 +133,7 @@ class NcomParser:
         """GPS time [ns] of an event, None if the packet contains none, and order of the packet."""
         self.counters.triggers += 1
         before, self._last_trigger = self._last_trigger, raw
-        gps_ns = channels.trigger_nanoseconds(packet.batch_s) if packet.channel in TRIGGER_CHANNELS else None
+        gps_ns = channels.event_nanoseconds(packet.channel, packet.batch_s)
         if gps_ns is None or raw != before:
             return gps_ns, NEW
         self.counters.duplicates += 1

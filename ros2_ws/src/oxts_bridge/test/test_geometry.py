@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from oxts_bridge.motion import Attitude, LocalFrame, flu_from_frd, to_ecef, yaw_from_heading
-from oxts_bridge.ncom import radii
+from oxts_bridge.geometry import Attitude, LocalFrame, flu_from_frd, radii, to_ecef, yaw_from_heading
 from oxts_bridge.status import origin_from_channel_25, wrap_degrees
 
 POLAR_RADIUS = 6356752.314245179
@@ -45,11 +44,11 @@ def from_quaternion(x, y, z, w):
     ],
 )
 def test_worked_orientations(degrees, quaternion):
-    assert Attitude(*map(math.radians, degrees)).quaternion() == pytest.approx(quaternion, abs=1e-9)
+    assert Attitude.from_ned(*map(math.radians, degrees)).quaternion() == pytest.approx(quaternion, abs=1e-9)
 
 
 def test_worked_velocity():
-    attitude = Attitude(*map(math.radians, (30, 5, -10)))
+    attitude = Attitude.from_ned(*map(math.radians, (30, 5, -10)))
     assert attitude.to_body((5, 10, 0.5)) == pytest.approx((11.16136377, 0.74210656, -0.35105068), abs=1e-8)
 
 
@@ -70,7 +69,7 @@ vectors = st.tuples(*[st.floats(-100, 100)] * 3)
 
 @given(angles=angles, enu=vectors)
 def test_rotation_is_the_matrix_product(angles, enu):
-    attitude = Attitude(*angles)
+    attitude = Attitude.from_ned(*angles)
     matrix = T @ r_no(*angles) @ F
     assert from_quaternion(*attitude.quaternion()) == pytest.approx(matrix, abs=1e-9)
     assert attitude.to_body(enu) == pytest.approx(matrix.T @ enu, abs=1e-9)
@@ -81,13 +80,13 @@ def test_rotation_is_the_matrix_product(angles, enu):
 def test_velocity_covariance_is_rotated(angles, sigma):
     matrix = T @ r_no(*angles) @ F
     wanted = matrix.T @ np.diag(np.square(sigma)) @ matrix
-    got = Attitude(*angles).covariance_to_body(tuple(s * s for s in sigma))
+    got = Attitude.from_ned(*angles).covariance_to_body(tuple(s * s for s in sigma))
     assert np.reshape(got, (3, 3)) == pytest.approx(wanted, abs=1e-9)
 
 
 @given(heading=st.floats(-3.14, 3.14), sigma=st.tuples(*[st.floats(0.001, 1)] * 3))
 def test_orientation_covariance_is_turned_to_the_fixed_axes(heading, sigma):
-    attitude = Attitude(heading, 0.0, 0.0)
+    attitude = Attitude.from_ned(heading, 0.0, 0.0)
     s, c = math.sin(attitude.yaw), math.cos(attitude.yaw)
     rz = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     wanted = rz @ np.diag(np.square(sigma)) @ rz.T

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from oxts_bridge.channels import encode_channel
-from oxts_bridge.motion import Attitude
+from oxts_bridge.geometry import Attitude
 from oxts_bridge.ncom import Packet, encode
 from st_recordings.runs.ncom import NcomLog, read_ncom
 from st_recordings.runs.serialiser import UNKNOWN_VARIANCE, Covariances, body_to_map_rotation
@@ -34,7 +34,7 @@ def test_quaternions_of_the_bridge(ins: NcomLog) -> None:
     found = body_to_map_rotation(ins.yaw, ins.pitch, ins.roll).as_quat(canonical=True)
     columns = ins.columns
     for k, row in enumerate(ins.rows):
-        attitude = Attitude(columns.heading[row], columns.pitch[row], columns.roll[row])
+        attitude = Attitude.from_ned(columns.heading[row], columns.pitch[row], columns.roll[row])
         np.testing.assert_allclose(found[k], attitude.quaternion(), atol=1e-12)
 
 
@@ -42,7 +42,7 @@ def test_velocities_of_the_bridge(ins: NcomLog) -> None:
     columns = ins.columns
     for k, row in enumerate(ins.rows):
         north, east, down = columns.velocity_ned[:, row]
-        attitude = Attitude(columns.heading[row], columns.pitch[row], columns.roll[row])
+        attitude = Attitude.from_ned(columns.heading[row], columns.pitch[row], columns.roll[row])
         np.testing.assert_allclose(ins.velocity[:, k], attitude.to_body((east, north, -down)), atol=1e-12)
 
 
@@ -50,7 +50,7 @@ def test_covariances_of_the_bridge(ins: NcomLog) -> None:
     pose, twist = Covariances(ins.columns).of(ins, slice(0, 40))
     for k in range(40):
         columns, row = ins.columns, int(ins.rows[k])
-        attitude = Attitude(columns.heading[row], columns.pitch[row], columns.roll[row])
+        attitude = Attitude.from_ned(columns.heading[row], columns.pitch[row], columns.roll[row])
         expected_pose, expected_twist = np.zeros((6, 6)), np.zeros((6, 6))
         expected_pose[range(6), range(6)] = expected_twist[range(6), range(6)] = UNKNOWN_VARIANCE
         if k >= 10:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from oxts_bridge.motion import LocalFrame
+from oxts_bridge.geometry import LocalFrame
 from oxts_bridge.ncom import Packet, encode
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.ncom import read_ncom

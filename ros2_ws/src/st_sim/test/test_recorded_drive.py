@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from oxts_bridge.motion import LocalFrame
+from oxts_bridge.geometry import LocalFrame
 from oxts_bridge.stream import NcomParser
 from st_sim import run
 from st_sim.car import read_car

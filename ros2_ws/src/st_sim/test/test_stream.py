@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from canedge_bridge.decode import Decoder
 from oxts_bridge.channels import decode_channel
-from oxts_bridge.motion import LocalFrame
+from oxts_bridge.geometry import LocalFrame
 from oxts_bridge.stream import NcomParser
 from st_sim.can_wire import CAR_CAN_RATE, INS_BUS, VEHICLE_BUS, CanWire, Frame
 from st_sim.car import read_car

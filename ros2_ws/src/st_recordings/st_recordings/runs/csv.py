@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from oxts_bridge.geometry import LocalFrame
 from st_core.checks import AuxiliaryData
 from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.types import wrap_angle
@@ -22,7 +23,6 @@ from .columns import (
 from .csv_table import Table, all_finite, differentiate_yaw, join_tables, read_header, read_table
 from .errors import RunError, format_share
 from .ins_log import SPEEDS, InsLog, build_planar_ins_log, compute_car_speed, is_mostly_known, yaw_from_quaternion
-from .ncom import to_enu
 from .run_types import LoadedRun, ReadSettings, RunSource, SteeringField, make_drive_log
 
 MOTION_SIGNALS = ("velocity_x", "yaw_rate")
@@ -248,7 +248,7 @@ def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarr
         latitude, longitude = (np.where(has_fix, values, np.nan) for values in (latitude, longitude))
         found = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.used)
         origin = (float(latitude[found[0]]), float(longitude[found[0]]), 0.0) if len(found) else None
-        columns["x"], columns["y"], _ = to_enu(origin or (0.0, 0.0, 0.0), latitude, longitude, np.zeros(len(latitude)))
+        columns["x"], columns["y"], _ = LocalFrame(*(origin or (0.0, 0.0, 0.0))).enu(latitude, longitude, 0.0)
         _check_distance(table, columns, latitude, longitude)
     _interpolate_lower_rates(table, columns, notes)
     _interpolate_held_positions(table, columns, notes)
@@ -303,8 +303,8 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
 
     def compare(latitude: np.ndarray, longitude: np.ndarray) -> tuple[float, float]:
         """Medians over steps: (ratio of position distance to driven distance, |course - heading| [rad])."""
-        origin, at = (float(latitude[rows[0]]), float(longitude[rows[0]]), 0.0), rows[::step]
-        east, north, _ = (np.diff(v) for v in to_enu(origin, latitude[at], longitude[at], np.zeros(len(at))))
+        frame, at = LocalFrame(float(latitude[rows[0]]), float(longitude[rows[0]]), 0.0), rows[::step]
+        east, north, _ = map(np.diff, frame.enu(latitude[at], longitude[at], 0.0))
         ratio = np.median((np.hypot(east, north) / np.maximum(np.diff(driven), 1e-9))[moving])
         if heading is None:
             return float(ratio), np.nan

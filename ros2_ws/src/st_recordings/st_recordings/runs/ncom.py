@@ -8,7 +8,8 @@ import numpy as np
 from oxts_bridge import file_decoder, packet_time
 from oxts_bridge.channels import decode_channel
 from oxts_bridge.file_decoder import Columns
-from oxts_bridge.geometry import Attitude, LocalFrame, flu_from_frd
+from oxts_bridge.geometry import LocalFrame
+from oxts_bridge.motion import Motion
 from oxts_bridge.ncom import BATCH_S, BY_STATUS, NcomError
 from st_core.checks import InsQuality
 
@@ -57,24 +58,21 @@ def read_ncom(file: Path) -> NcomLog:
     used, notes = select_usable_rows(columns.utc_ns[found], "packets")
     rows = found[used]
     warnings += [f"{file}: {note}" for note in notes]
-    latitude, longitude, altitude = (c[rows] for c in (columns.latitude, columns.longitude, columns.altitude))
-    origin = float(latitude[0]), float(longitude[0]), float(altitude[0])
-    yaw = np.unwrap(np.pi / 2 - columns.heading[rows])
-    pitch, roll = -columns.pitch[rows], columns.roll[rows]
-    north, east, down = columns.velocity_ned[:, rows]
+    motion = Motion.from_packet(columns.take(rows))
+    origin = float(motion.latitude[0]), float(motion.longitude[0]), float(motion.altitude[0])
     stamped = (columns.kind == file_decoder.REGULAR) & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
     return NcomLog(
-        file=file, time_ns=columns.utc_ns[rows], position=np.stack(LocalFrame(*origin).enu(latitude, longitude, altitude)),
-        yaw=yaw, pitch=pitch, roll=roll, velocity=rotate_to_body(np.stack([east, north, -down]), yaw, pitch, roll),
-        rate=columns.angular_rate[:, rows] * flip, acceleration=columns.acceleration[:, rows] * flip, origin=origin,
-        stamps_ns=columns.utc_ns[stamped], quality=collect_quality(columns, rows), columns=columns, rows=rows,
-        warnings=tuple(warnings),
+        file=file, time_ns=columns.utc_ns[rows], position=np.stack(motion.position(LocalFrame(*origin))),
+        yaw=np.unwrap(np.pi / 2 - columns.heading[rows]), pitch=motion.attitude.pitch, roll=motion.attitude.roll,
+        velocity=np.stack(motion.body_velocity), rate=np.stack(motion.angular_velocity),
+        acceleration=np.stack(motion.acceleration), origin=origin, stamps_ns=columns.utc_ns[stamped],
+        quality=collect_quality(columns, rows), columns=columns, rows=rows, warnings=tuple(warnings),
     )
 
 
 def origin_offset(origin: tuple[float, float], latitude: float, longitude: float) -> tuple[float, float]:
     """East and north offset [m] of a point from the origin (latitude, longitude), all in deg at altitude 0."""
-    frame = LocalFrame(*map(math.radians, origin), 0.0)
+    frame = LocalFrame(math.radians(origin[0]), math.radians(origin[1]), 0.0)
     return frame.enu(math.radians(latitude), math.radians(longitude), 0.0)[:2]
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from canedge_bridge.decode import SteeringCalibration
 from oxts_bridge import file_decoder, packet_time
-from oxts_bridge.motion import FIRST_FIX, GIVEN, Origin, reconstruct_odometry
+from oxts_bridge.motion import FIRST_FIX, GIVEN, Motion, Origin, reconstruct_odometry
 from oxts_bridge.ncom import NcomError
 from rosbags.typesys.store import Typestore
 from st_core.checks import AuxiliaryData, InsQuality, Series
@@ -24,7 +24,7 @@ from .bag_storage import Storage, Topic, recorded_parameters, recorded_text
 from .cdr import CAN_FRAMES, INS_ON_CAN, INS_STATUS, NCOM, WHEEL_FIELDS, WHEEL_SPEEDS, get_field
 from .errors import RunError
 from .ins_log import compute_car_speed, is_newer, make_series
-from .ncom import collect_quality, rotate_to_body
+from .ncom import collect_quality
 from .run_types import SteeringField
 
 ORIGIN_TOPIC, ORIGIN_TYPE = "ins/origin", "sensor_msgs/msg/NavSatFix"
@@ -213,9 +213,7 @@ def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
     rows = timed[is_newer(columns.utc_ns[timed])]
     if not len(rows):
         return None, None
-    north, east, down = columns.velocity_ned[:, rows]
-    forward = rotate_to_body(np.stack([east, north, -down]), np.pi / 2 - columns.heading[rows], -columns.pitch[rows],
-                             columns.roll[rows])[0]
+    forward = Motion.from_packet(columns.take(rows)).body_velocity[0]
     fix = ~columns.approximate[rows]
     return collect_quality(columns, rows), make_series(columns.utc_ns[rows][fix], forward[fix])
 
