@@ -12,7 +12,7 @@ import can
 import numpy as np
 import pytest
 from canedge_bridge.decode import Decoder
-from canedge_bridge.extraction import EXTENDED, decode_log
+from canedge_bridge.extraction import Extractor, stack_bytes
 from canedge_bridge.signals import load_dbc
 from support import ROOT, SETS, vectors
 
@@ -69,10 +69,13 @@ def assert_sampled(times, values, expected, every):
 
 
 def test_whole_log_decoder_on_the_drive(which, drive, samples):
-    columns = decode_log(load_dbc(DBC), drive["ID"], drive["DataBytes"], drive["DataLength"])
-    by_signal = {name: (c.rows, values) for c in columns.values() for name, values in c.signals.items()}
+    found = {}
+    for message in load_dbc(DBC).messages:
+        rows = drive["ID"] == message.frame_id
+        data = stack_bytes(drive["DataBytes"][rows], message.length)
+        found |= {s.name: (rows, Extractor.of(message, s).extract(data)) for s in message.signals}
     for name, expected in samples.items():
-        rows, values = by_signal[name]
+        rows, values = found[name]
         assert_sampled(drive["time"][rows], values, expected, EVERY[which])
 
 
@@ -135,8 +138,6 @@ def test_real_canedge2_file_frame_by_frame(which):
 def test_nothing_of_the_real_file_is_taken_for_a_leaf_message(which):
     """Its GNSS frames share the identifier 0x002 with the steering angle; their length tells them apart."""
     read = frames_of(vectors(which, f"can/{REAL}.MF4"))
-    ids = read["ID"] | (read["IDE"].astype(np.uint32) * EXTENDED)
-    assert decode_log(load_dbc(DBC), ids, read["DataBytes"], read["DataLength"]) == {}
     decoder = Decoder(DBC, TABLE)
     for identifier, extended, data, length in zip(read["ID"], read["IDE"], read["DataBytes"], read["DataLength"],
                                                   strict=True):

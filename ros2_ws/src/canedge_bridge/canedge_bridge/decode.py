@@ -1,9 +1,8 @@
 """Decodes CAN frames to checked signals under canonical names in SI units, and encodes frames for a simulated car."""
 
 import math
-from collections import deque
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import can
@@ -11,29 +10,25 @@ from cantools.database.can import Signal as DbcSignal
 from st_core import vehicle
 from st_core.types import Number
 
-from .checks import CounterCheck, Mode, compute_checksum
-from .extraction import decode_frame, strip_padding
+from .checks import CounterCheck, Mode
+from .extraction import raw_range, strip_padding
 from .ins_time import replace_gps_time, split_unix_time
+from .plausibility import Plausibility
 from .signals import ANGLES, MessageSpec, SignalSpec, SignalTable, load_table
 from .table_reader import TableError
-
-# A signal with more than MAX_IMPLAUSIBLE implausible values in PLAUSIBILITY_FRAMES frames (1 s at 100 Hz) is withheld
-# until MAX_IMPLAUSIBLE consecutive values are plausible: with a wrong DBC, plausible values are isolated.
-PLAUSIBILITY_FRAMES, MAX_IMPLAUSIBLE = 100, 10
 
 
 @dataclass(frozen=True)
 class Decoded:
     """One decoded frame.
 
-    values: by canonical name, in SI units. valid: false if a counter or checksum in mode `warn` was wrong. fault: why.
+    values: by canonical name, in SI units. valid: false if a counter or checksum in mode `warn` was wrong.
     """
 
     message: str
     time_ns: int
     values: Mapping[str, float]
     valid: bool = True
-    fault: str = ""
 
 
 @dataclass
@@ -60,59 +55,6 @@ class FrameStatistics:
     remote: int = 0
 
 
-class Plausibility:
-    """Checks the range and the rate of change of one signal, frame by frame.
-
-    This detects a wrong byte order while the wheel turns: one step of the low byte becomes a jump of 256 steps.
-    """
-
-    def __init__(self, spec: SignalSpec, period: float, timeout: float):
-        """period: time between frames [s]. timeout: largest time between two values that are compared [s]."""
-        self._spec = spec
-        self._period = period
-        self._timeout_ns = int(timeout * 1e9)
-        self._previous: tuple[int, float] | None = None  # time and value of the previous frame if in range
-        self._last_plausible: tuple[int, float] | None = None
-        self._recent: deque[bool] = deque(maxlen=PLAUSIBILITY_FRAMES)
-        self._consecutive_plausible = 0
-        self.implausible = 0
-
-    def accepts(self, si: float, time_ns: int) -> bool:
-        """Whether this value [SI] is in range and reachable from the previous value or from the last plausible one.
-
-        A single outlier or a true step therefore invalidates only one frame. Values out of range are never a reference.
-        """
-        value = si / self._spec.factor
-        in_range = self._spec.minimum <= value <= self._spec.maximum
-        plausible = in_range and self._is_reachable(value, time_ns)
-        self._previous = (time_ns, value) if in_range else None
-        if plausible:
-            self._last_plausible = self._previous
-        self._consecutive_plausible = self._consecutive_plausible + 1 if plausible else 0
-        self._recent.append(plausible)
-        self.implausible += not plausible
-        return plausible
-
-    def _is_reachable(self, value: float, time_ns: int) -> bool:
-        references = [reference for reference in (self._previous, self._last_plausible)
-                      if reference is not None and 0 < time_ns - reference[0] <= self._timeout_ns]
-        # An elapsed time of at least one period is assumed, because frames can arrive closer together than sent.
-        return not references or any(
-            abs(value - last) <= self._spec.max_rate * max((time_ns - last_ns) * 1e-9, self._period)
-            for last_ns, last in references)
-
-    @property
-    def fault(self) -> str:
-        """Reason why the signal is currently withheld; empty if it is not."""
-        bad = self._recent.count(False)
-        if bad <= MAX_IMPLAUSIBLE or self._consecutive_plausible >= MAX_IMPLAUSIBLE:
-            return ""
-        spec = self._spec
-        return (f"{spec.dbc.name} decodes to implausible values: {bad} of the last {len(self._recent)} frames are "
-                f"outside {spec.minimum:g} .. {spec.maximum:g} {spec.unit} or jump faster than {spec.max_rate:g} "
-                f"{spec.unit}/s; check byte order, start bit and factor in the DBC")
-
-
 @dataclass
 class _Row:
     spec: MessageSpec
@@ -131,8 +73,7 @@ class Decoder:
     def __init__(self, dbc_file: str | Path, signals_file: str | Path, needed: Iterable[str] = (),
                  checks: Mapping[str, str] | None = None):
         """checks: override the table; `MESSAGE`, `MESSAGE.counter` or `MESSAGE.checksum` -> off, warn or drop."""
-        self.table: SignalTable = load_table(dbc_file, signals_file, needed)
-        self.modes = _select_modes(self.table, checks or {})
+        self.table = _override_checks(load_table(dbc_file, signals_file, needed), checks or {})
         self.frames = FrameStatistics()
         self._rows = {spec.key: _make_row(spec) for spec in self.table.messages.values()}
         self._by_name = {row.spec.name: row for row in self._rows.values()}
@@ -168,12 +109,11 @@ class Decoder:
         if data is None:
             statistics.wrong_length += 1
             return None
-        fault, must_drop = self._check(row, data, time_ns)
-        if must_drop:
+        fault = self._find_fault(row, data, time_ns)
+        if fault is Mode.DROP:
             statistics.dropped += 1
             return None
-        physical = decode_frame(spec.dbc, data)
-        values = {signal.name: signal.to_si(physical) for signal in spec.signals if signal.dbc.name in physical}
+        values = spec.to_si(data)
         if not all(map(math.isfinite, values.values())):
             statistics.not_finite += 1
             return None
@@ -183,7 +123,7 @@ class Decoder:
         if not values:  # a multiplexed frame that carries none of the table's signals
             return None
         statistics.last_seen_ns = time_ns
-        return Decoded(spec.name, time_ns, replace_gps_time(values), not fault, fault)
+        return Decoded(spec.name, time_ns, replace_gps_time(values), fault is Mode.OFF)
 
     def _are_plausible(self, row: _Row, values: Mapping[str, float], time_ns: int) -> bool:
         """Whether all values are plausible; also false while too many recent values of a signal are implausible,
@@ -198,25 +138,22 @@ class Decoder:
         """A message for every signal that is currently withheld because of implausible values."""
         return [check.fault for row in self._rows.values() for _, check in row.plausibility if check.fault]
 
-    def _check(self, row: _Row, data: bytes, time_ns: int) -> tuple[str, bool]:
-        """(fault of the counter or checksum, empty if none; whether to drop the frame)."""
+    def _find_fault(self, row: _Row, data: bytes, time_ns: int) -> Mode:
+        """The mode of the check that the frame fails, checksum before counter; OFF if it fails none."""
         spec, statistics = row.spec, row.statistics
-        counter_mode, checksum_mode = self.modes[spec.name]
-        if spec.checksum is not None and spec.checksum.rule is not None and checksum_mode is not Mode.OFF:
-            found = spec.checksum.field.read(data)
-            expected = compute_checksum(spec.checksum.rule, spec.checksum.field, data, spec.dbc.frame_id)
-            if found != expected:
-                statistics.wrong_checksum += 1
-                if row.counter is not None:
-                    row.counter.skip(time_ns)
-                return f"{spec.checksum.signal} is {found:#x}, expected {expected:#x}", checksum_mode is Mode.DROP
-        if row.counter is not None and spec.counter is not None and counter_mode is not Mode.OFF:
+        checksum, counter = spec.checksum, spec.counter
+        if checksum and checksum.mode is not Mode.OFF and not checksum.is_correct(data, spec.dbc.frame_id):
+            statistics.wrong_checksum += 1
+            if row.counter is not None:
+                row.counter.skip(time_ns)
+            return checksum.mode
+        if counter and row.counter is not None and counter.mode is not Mode.OFF:
             is_correct = row.counter.accepts(data, time_ns)
             statistics.lost = row.counter.lost
             if not is_correct:
                 statistics.wrong_counter += 1
-                return f"{spec.counter.signal} did not increase by 1", counter_mode is Mode.DROP
-        return "", False
+                return counter.mode
+        return Mode.OFF
 
     def encode(self, message: str, values: Mapping[str, float], counter: int = 0) -> can.Message:
         """A frame with correct counter and checksum.
@@ -228,44 +165,41 @@ class Decoder:
         """
         dbc = self.table.database.get_message_by_name(message)
         spec = self.table.messages.get(message)
-        raw: dict[str, float] = dict.fromkeys((s.name for s in dbc.signals), 0)
-        given = dict(values)
-        if spec is not None:
-            raw.update(spec.fill)
-            names = frozenset(s.name for s in spec.signals)
-            if "ins_unix_time" in given and "ins_unix_time" not in names:
-                given.update(split_unix_time(given.pop("ins_unix_time"), names))
-        canonical = {s.name: s for s in spec.signals} if spec is not None else {}
+        canonical = {s.name: s for s in spec.signals} if spec else {}
         by_name = {s.name: s for s in dbc.signals}
+        raw: dict[str, float] = {**dict.fromkeys(by_name, 0), **(spec.fill if spec else {})}
+        given = dict(values)
+        if spec and "ins_unix_time" in given and "ins_unix_time" not in canonical:
+            given.update(split_unix_time(given.pop("ins_unix_time"), frozenset(canonical)))
         for name, value in given.items():
             if not math.isfinite(value):
                 raise ValueError(f"{message}.{name}: {value} cannot be encoded: expected a finite number")
             if name in canonical:
                 raw[canonical[name].dbc.name] = _si_to_raw(canonical[name], value)
-                if (sign_signal := canonical[name].sign_signal) is not None:
-                    raw[sign_signal.name] = int(canonical[name].to_physical(value) < 0)
+                if (sign := canonical[name].sign) is not None:
+                    raw[sign.signal.name] = int(canonical[name].to_physical(value) < 0)
             elif name in by_name:
                 raw[name] = _physical_to_raw(by_name[name], value)
             else:
                 raise KeyError(f"{message} has no signal {name}")
-        if spec is not None and spec.counter is not None:
+        if spec and spec.counter:
             raw[spec.counter.signal] = counter & spec.counter.field.mask
         data = dbc.encode(raw, scaling=False, strict=False)
-        check = spec.checksum if spec is not None else None
-        if check is not None and check.rule is not None:
-            data = check.field.with_value(data, compute_checksum(check.rule, check.field, data, dbc.frame_id))
+        if spec and spec.checksum:
+            raw[spec.checksum.signal] = spec.checksum.compute(data, dbc.frame_id)
+            data = dbc.encode(raw, scaling=False, strict=False)
         return can.Message(arbitration_id=dbc.frame_id, is_extended_id=dbc.is_extended_frame, data=data)
 
 
 def _make_row(spec: MessageSpec) -> _Row:
     counter = CounterCheck(spec.counter.field, int(spec.timeout * 1e9)) if spec.counter else None
     limited = [s for s in spec.signals if math.isfinite(s.maximum) or math.isfinite(s.max_rate)]
-    return _Row(spec, counter, tuple((s.name, Plausibility(s, spec.period, spec.timeout)) for s in limited))
+    return _Row(spec, counter, tuple((s.name, Plausibility(s, spec)) for s in limited))
 
 
 def _si_to_raw(spec: SignalSpec, si: float) -> float:
     physical = spec.to_physical(si)
-    if spec.sign_signal is not None:
+    if spec.sign is not None:
         physical = abs(physical)
     if spec.name in ANGLES and spec.dbc.minimum is not None:
         turn = 2 * math.pi / abs(spec.gain)
@@ -278,25 +212,24 @@ def _si_to_raw(spec: SignalSpec, si: float) -> float:
 def _physical_to_raw(signal: DbcSignal, physical: float) -> float:
     if signal.is_float:
         return (physical - signal.offset) / signal.scale
-    low = -(2 ** (signal.length - 1)) if signal.is_signed else 0
-    high = low + 2**signal.length - 1
+    low, high = raw_range(signal)
     return min(max(round((physical - signal.offset) / signal.scale), low), high)
 
 
-def _select_modes(table: SignalTable, overrides: Mapping[str, str]) -> dict[str, tuple[Mode, Mode]]:
-    """Modes of the counter and the checksum by message. Raises TableError for an invalid override."""
-    modes = {m.name: {"counter": m.counter.mode if m.counter else Mode.OFF,
-                      "checksum": m.checksum.mode if m.checksum else Mode.OFF} for m in table.messages.values()}
+def _override_checks(table: SignalTable, overrides: Mapping[str, str]) -> SignalTable:
+    """The table with other modes of counters and checksums. Raises TableError for an invalid override."""
+    messages = dict(table.messages)
     for key, text in overrides.items():
         message, _, kind = key.partition(".")
-        if message not in modes or kind not in ("", "counter", "checksum"):
+        if message not in messages or kind not in ("", "counter", "checksum"):
             raise TableError(f"check {key}: expected MESSAGE, MESSAGE.counter or MESSAGE.checksum; the messages are "
-                             f"{', '.join(modes)}")
+                             f"{', '.join(messages)}")
         if text not in list(Mode):
             raise TableError(f"check {key}: {text!r} is not one of {', '.join(Mode)}")
         for name in [kind] if kind else ["counter", "checksum"]:
-            modes[message][name] = Mode(text)
-    return {message: (m["counter"], m["checksum"]) for message, m in modes.items()}
+            if check := getattr(messages[message], name):
+                messages[message] = replace(messages[message], **{name: replace(check, mode=Mode(text))})
+    return replace(table, messages=messages)
 
 
 @dataclass(frozen=True)

@@ -1,21 +1,23 @@
-"""Extracts physical values of DBC signals from a single frame, or from all frames of a log as arrays.
+"""Extracts physical values of DBC signals from one frame, or from all frames of a log at once.
 
-cantools decodes single frames. The array decoder for logs gives bit-identical values. Checked by:
-test_extraction.py, test_log_decode.py.
+The same code serves both: `data` is either the bytes of one frame, or an array (length, n) from `stack_bytes`, in which
+row k is byte k of n frames. `data[k]` is then a number or an array. Checked by: test_extraction.py (against cantools).
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, cast
+from functools import cached_property
+from typing import Any
 
 import numpy as np
-from cantools.database import DecodeError
 from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
 
-EXTENDED = 0x8000_0000  # added to the identifier of a 29-bit frame in the `ids` of `decode_log`
+EXTENDED = 0x8000_0000  # flag of a 29-bit identifier, as in DBC files and in Linux
 PADDING = frozenset((0x00, 0x55, 0xAA, 0xCC, 0xFF))
 """Bytes that controllers append to fill a frame up to the next valid length."""
+
+Data = bytes | np.ndarray
 
 
 def strip_padding(data: bytes, length: int) -> bytes | None:
@@ -37,102 +39,97 @@ def has_length(payload: np.ndarray, lengths: np.ndarray, length: int) -> np.ndar
     return fits
 
 
-def decode_frame(message: DbcMessage, data: bytes) -> Mapping[str, float]:
-    """Physical values of the signals in a frame by DBC name. data: exactly as long as the message."""
-    try:
-        return cast("dict[str, float]", message.decode(data, decode_choices=False))
-    except DecodeError:  # the DBC does not list the multiplexer's value; signals that are not multiplexed are valid
-        columns = _decode_columns(message, np.frombuffer(data, np.uint8)[None])
-        return {name: float(values[0]) for name, values in columns.items() if not np.isnan(values[0])}
+def stack_bytes(payload: np.ndarray, length: int) -> np.ndarray:
+    """The first `length` bytes of n frames as rows (length, n) of uint64. payload: (n, length or more) uint8."""
+    return payload[:, :length].T.astype(np.uint64, order="C")
 
 
-def multiplexer_conditions(message: DbcMessage, signal: DbcSignal) -> list[tuple[DbcSignal, frozenset[int]]]:
-    """Conditions for a multiplexed signal to be in a frame: (selector, allowed raw values), innermost selector first.
-
-    All of them must be met; empty for a signal that is not multiplexed.
-    """
-    conditions = []
-    while signal.multiplexer_signal:
-        selector = message.get_signal_by_name(signal.multiplexer_signal)
-        conditions.append((selector, frozenset(signal.multiplexer_ids or ())))
-        signal = selector
-    return conditions
+def raw_range(signal: DbcSignal) -> tuple[int, int]:
+    """Smallest and largest integer that a signal can contain."""
+    lowest = -(1 << signal.length - 1) if signal.is_signed else 0
+    return lowest, lowest + (1 << signal.length) - 1
 
 
 @dataclass(frozen=True)
-class MessageColumns:
-    """All frames of one message. rows: their indices in the input arrays. signals: physical values by DBC name, NaN
-    where a multiplexed signal is not in the frame."""
+class Field:
+    """Position of an unsigned integer of up to 64 bits in a frame.
 
-    rows: np.ndarray
-    signals: Mapping[str, np.ndarray]
-
-
-def decode_log(database: Any, ids: np.ndarray, payload: np.ndarray, lengths: np.ndarray,
-               messages: Iterable[str] | None = None) -> dict[str, MessageColumns]:
-    """Decoded frames by message name, in input order; messages without a frame are omitted.
-
-    database: from `signals.load_dbc`. ids: (n,) identifiers, plus EXTENDED for 29-bit frames. payload: (n, 8 or more)
-    uint8; bytes after the end of a frame are ignored. lengths: (n,) bytes in each frame; a frame that is shorter than
-    in the DBC, or longer by anything but padding, is skipped. messages: names to decode, None: all.
-    Raises KeyError for an unknown message name, ValueError for a wrong shape.
+    higher: indices of its bytes from the highest to the last but one. lowest: index of its lowest byte. shift: number
+    of bits below it in its lowest byte. bits: width.
     """
-    payload = np.ascontiguousarray(payload, dtype=np.uint8)
-    ids, lengths = np.asarray(ids, dtype=np.uint32), np.asarray(lengths)
-    if payload.ndim != 2 or payload.shape[0] != ids.size or payload.shape[1] < 8 or lengths.shape != ids.shape:
-        raise ValueError("ids, payload, lengths: expected shapes (n,), (n, 8 or more), (n,), "
-                         f"not {ids.shape}, {payload.shape}, {lengths.shape}")
-    selected = database.messages if messages is None else map(database.get_message_by_name, messages)
-    # numpy uses radix sort, which is several times as fast, only for up to 16 bits; 29-bit identifiers need more.
-    order = np.argsort(ids.astype(np.uint16) if ids.size and ids.max() < 2**16 else ids, kind="stable")
-    sorted_ids = ids[order]
-    decoded = {}
-    for message in selected:
-        key = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
-        first, last = np.searchsorted(sorted_ids, [key, key + 1])
-        rows = order[first:last]
-        rows = rows[has_length(payload[rows], lengths[rows], message.length)]
-        if rows.size:
-            decoded[message.name] = MessageColumns(rows, _decode_columns(message, payload[rows]))
-    return decoded
+
+    higher: tuple[int, ...]
+    lowest: int
+    shift: int
+    bits: int
+
+    @classmethod
+    def of(cls, signal: DbcSignal) -> "Field":
+        first, bit = divmod(signal.start, 8)
+        if signal.byte_order == "little_endian":  # the start bit is the lowest
+            last = first + (bit + signal.length - 1) // 8
+            return cls(tuple(range(last, first, -1)), first, bit, signal.length)
+        last, unused = divmod(8 * first + 7 - bit + signal.length - 1, 8)  # the start bit is the highest
+        return cls(tuple(range(first, last)), last, 7 - unused, signal.length)
+
+    @cached_property
+    def mask(self) -> int:
+        return (1 << self.bits) - 1
+
+    def read(self, data: Data) -> Any:
+        number = 0
+        for k in self.higher:
+            number = number << 8 | data[k]
+        # The lowest byte is added last, because 64 bits may lie in nine bytes.
+        return (number << 8 - self.shift | data[self.lowest] >> self.shift) & self.mask
 
 
-def _extract_raw(signal: DbcSignal, payload: np.ndarray) -> np.ndarray:
-    """The bits of one signal from (n, width) payload bytes, as right-aligned uint64."""
-    first, lead = signal.start // 8, 7 - signal.start % 8 if signal.byte_order == "big_endian" else signal.start % 8
-    # Nine bytes: a signal of up to 64 bits may start inside a byte.
-    window = np.zeros((len(payload), 9), np.uint8)
-    available = payload[:, first : first + 9]
-    window[:, : available.shape[1]] = available
-    mask = np.uint64((1 << signal.length) - 1)
-    end = lead + signal.length
-    if signal.byte_order == "little_endian":
-        words = np.ascontiguousarray(window[:, :8]).view("<u8").ravel().astype(np.uint64) >> np.uint64(lead)
-        return (words | window[:, 8].astype(np.uint64) << np.uint64(64 - lead) if end > 64 else words) & mask
-    words = np.ascontiguousarray(window[:, :8]).view(">u8").ravel().astype(np.uint64)
-    if end > 64:
-        return (words << np.uint64(end - 64) | window[:, 8].astype(np.uint64) >> np.uint64(72 - end)) & mask
-    return words >> np.uint64(64 - end) & mask
+@dataclass(frozen=True)
+class Extractor:
+    """Extracts the physical value of one DBC signal: scale * number + offset.
+
+    sign: value of the sign bit; 0 for an unsigned integer or a float. float_size: bytes of a float; 0 for an integer.
+    selectors: (field, values) of the multiplexers; the signal is in the frame if each field has one of its values.
+    """
+
+    signal: DbcSignal
+    field: Field
+    sign: int
+    float_size: int
+    scale: float
+    offset: float
+    selectors: tuple[tuple[Field, tuple[int, ...]], ...]
+
+    @classmethod
+    def of(cls, message: DbcMessage, signal: DbcSignal) -> "Extractor":
+        is_float = signal.conversion.is_float
+        return cls(signal, Field.of(signal), (1 << signal.length - 1) * (signal.is_signed and not is_float),
+                   signal.length // 8 * is_float, signal.scale, signal.offset, tuple(_find_selectors(message, signal)))
+
+    def is_sent(self, data: Data) -> Any:
+        """Whether the signal is in the frame; True, not an array, for a signal that is not multiplexed."""
+        sent: Any = True
+        for field, values in self.selectors:
+            number, is_selected = field.read(data), False
+            for value in values:
+                is_selected = is_selected | (number == value)
+            sent = sent & is_selected
+        return sent
+
+    def extract(self, data: Data) -> Any:
+        """Physical value in the unit of the DBC."""
+        number = self.field.read(data)
+        if self.sign:
+            number = number - ((number & self.sign) << 1)  # two's complement; arrays calculate modulo 2**64
+        if self.float_size:
+            number = np.asarray(number, f"u{self.float_size}").view(f"f{self.float_size}").astype(np.float64)
+        elif isinstance(number, np.ndarray):
+            number = number.view(np.int64 if self.sign else np.uint64).astype(np.float64)
+        return number * self.scale + self.offset
 
 
-def _decode_columns(message: DbcMessage, payload: np.ndarray) -> dict[str, np.ndarray]:
-    columns = {}
-    for signal in message.signals:
-        values = _raw_to_physical(signal, _extract_raw(signal, payload))
-        for selector, ids in multiplexer_conditions(message, signal):
-            values = np.where(np.isin(_extract_raw(selector, payload), list(ids)), values, np.nan)
-        columns[signal.name] = values
-    return columns
-
-
-def _raw_to_physical(signal: DbcSignal, raw: np.ndarray) -> np.ndarray:
-    if signal.is_float:
-        unsigned, floating = {16: (np.uint16, np.float16), 32: (np.uint32, np.float32), 64: (np.uint64, np.float64)}[
-            signal.length]
-        values = raw.astype(unsigned).view(floating).astype(np.float64)
-    elif signal.is_signed:
-        unused_bits = 64 - signal.length  # shifting left and back right extends the sign
-        values = ((raw << np.uint64(unused_bits)).view(np.int64) >> np.int64(unused_bits)).astype(np.float64)
-    else:
-        values = raw.astype(np.float64)
-    return values * signal.scale + signal.offset
+def _find_selectors(message: DbcMessage, signal: DbcSignal) -> Iterator[tuple[Field, tuple[int, ...]]]:
+    while signal.multiplexer_signal:
+        selector = message.get_signal_by_name(signal.multiplexer_signal)
+        yield Field.of(selector), tuple(signal.multiplexer_ids or ())
+        signal = selector

@@ -5,15 +5,16 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import cantools
+import numpy as np
 from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
 from st_core.yaml_text import suggest_key
 
-from .checks import RULES, Field, Mode, Rule
-from .extraction import EXTENDED
+from .checks import RULES, Mode, Rule, compute_checksum
+from .extraction import EXTENDED, Data, Extractor, Field, raw_range
 from .ins_time import DATE_TIME_PARTS, GPS_SECONDS_PARTS
 from .table_reader import Entry, TableError, one_line, read_document
 
@@ -62,11 +63,11 @@ class SignalSpec:
     """One DBC signal and its conversion: si = gain * physical + bias, with `physical` in the unit of the DBC.
 
     unit: as in the table. factor: converts this unit to SI. minimum, maximum: possible range [unit]. max_rate: largest
-    possible rate of change [unit/s]. sign_signal: signal that makes `physical` negative if it is 1, for a sensor that
+    possible rate of change [unit/s]. sign: of a signal that makes `physical` negative unless it is 0, for a sensor that
     sends magnitude and sign separately.
     """
 
-    dbc: DbcSignal
+    extractor: Extractor
     name: str
     unit: str
     gain: float
@@ -75,13 +76,17 @@ class SignalSpec:
     minimum: float
     maximum: float
     max_rate: float
-    sign_signal: DbcSignal | None = None
+    sign: Extractor | None = None
 
-    def to_si(self, physical: Mapping[str, Any]) -> Any:
-        """The signal's value (number or array) in SI units. physical: values of a message by DBC name."""
-        value = physical[self.dbc.name]
-        if self.sign_signal is not None:
-            value = value * (1 - 2 * (physical.get(self.sign_signal.name, 0) != 0))
+    @property
+    def dbc(self) -> DbcSignal:
+        return self.extractor.signal
+
+    def to_si(self, data: Data) -> Any:
+        """The signal's value in SI units, in one frame or in all frames of a log."""
+        value = self.extractor.extract(data)
+        if self.sign is not None:
+            value = value * (1 - 2 * ((self.sign.extract(data) != 0) & self.sign.is_sent(data)))
         value = self.gain * value + self.bias
         return (value + math.pi) % (2 * math.pi) - math.pi if self.name in ANGLES else value
 
@@ -91,12 +96,24 @@ class SignalSpec:
 
 @dataclass(frozen=True)
 class CheckSpec:
-    """Counter or checksum of a message. signal: DBC name. rule: how the checksum is computed; None for a counter."""
+    """Counter or checksum of a message. signal: DBC name."""
 
     signal: str
     field: Field
     mode: Mode
-    rule: Rule | None
+
+
+@dataclass(frozen=True)
+class ChecksumSpec(CheckSpec):
+    """Checksum of a message. data: a frame or all frames of a log."""
+
+    rule: Rule
+
+    def compute(self, data: Data, arbitration_id: int) -> Any:
+        return compute_checksum(self.rule, self.field, data, arbitration_id)
+
+    def is_correct(self, data: Data, arbitration_id: int) -> Any:
+        return self.field.read(data) == self.compute(data, arbitration_id)
 
 
 @dataclass(frozen=True)
@@ -109,7 +126,7 @@ class MessageSpec:
     timeout: float
     signals: tuple[SignalSpec, ...]
     counter: CheckSpec | None
-    checksum: CheckSpec | None
+    checksum: ChecksumSpec | None
     fill: Mapping[str, int]
 
     @property
@@ -120,6 +137,16 @@ class MessageSpec:
     def key(self) -> tuple[int, bool]:
         """(arbitration id, whether it has 29 bits)."""
         return self.dbc.frame_id, self.dbc.is_extended_frame
+
+    def to_si(self, data: Data) -> dict[str, Any]:
+        """SI values by canonical name. A multiplexed signal that is not in the frame is omitted, or NaN in an array."""
+        values = {}
+        for signal in self.signals:
+            is_sent = signal.extractor.is_sent(data)
+            if is_sent is not False:
+                value = signal.to_si(data)
+                values[signal.name] = value if is_sent is True else np.where(is_sent, value, np.nan)
+        return values
 
 
 @dataclass(frozen=True)
@@ -241,8 +268,8 @@ def _read_message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
     return MessageSpec(
         dbc=dbc, needed=row.boolean("needed"), signals=signals,
         period=row.quantity("period", "s", 0.0005, 60.0), timeout=row.quantity("timeout", "s", 0.001, 600.0),
-        counter=_read_check(counter, dbc, dbc_path, row) if counter else None,
-        checksum=_read_check(checksum, dbc, dbc_path, row, with_rule=True) if checksum else None,
+        counter=_read_check(counter, dbc, dbc_path) if counter else None,
+        checksum=_read_checksum(checksum, dbc, dbc_path) if checksum else None,
         fill={} if fill is None else {name: fill.integer(
             name, 0, 2 ** _find_signal(dbc, name, dbc_path, row).length - 1) for name in fill})
 
@@ -273,14 +300,16 @@ def _read_signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Pa
     name = entry.choice("name", CANONICAL_SIGNALS)
     unit = _read_unit(entry, name, dbc, dbc_path)
     factor = UNITS[unit][1]
-    sign = entry.choice("sign", (1, -1))
+    direction = entry.choice("sign", (1, -1))
     scale = entry.number("scale", 0.01, 100.0, default=1.0)
     offset = entry.number("offset", -1e6, 1e6, default=0.0)
     low, high = entry.interval("range", default=(-math.inf, math.inf))
-    sign_signal = _find_signal(message, entry.text("sign_signal"), dbc_path, entry) if "sign_signal" in entry else None
-    spec = SignalSpec(dbc=dbc, name=name, unit=unit, gain=sign * scale * factor, bias=offset * factor, factor=factor,
-                      minimum=low, maximum=high, max_rate=entry.number("max_rate", 0.0, 1e9, default=math.inf),
-                      sign_signal=sign_signal)
+    sign = entry.text("sign_signal") if "sign_signal" in entry else None
+    spec = SignalSpec(
+        extractor=Extractor.of(message, dbc), name=name, unit=unit, gain=direction * scale * factor,
+        bias=offset * factor, factor=factor, minimum=low, maximum=high,
+        max_rate=entry.number("max_rate", 0.0, 1e9, default=math.inf),
+        sign=None if sign is None else Extractor.of(message, _find_signal(message, sign, dbc_path, entry)))
     _check_span(spec, entry, dbc_path)
     return spec
 
@@ -310,10 +339,8 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
         low, high = -MIN_STEERING_SPAN / spec.factor, MIN_STEERING_SPAN / spec.factor
     if not math.isfinite(high) or spec.dbc.is_float:
         return
-    raw_low = -(2 ** (spec.dbc.length - 1)) if spec.dbc.is_signed else 0
-    raw_high = raw_low + 2**spec.dbc.length - 1
-    physical = [raw * spec.dbc.scale + spec.dbc.offset for raw in (raw_low, raw_high)]
-    if spec.sign_signal is not None:
+    physical = [raw * spec.dbc.scale + spec.dbc.offset for raw in raw_range(spec.dbc)]
+    if spec.sign is not None:
         physical += [-value for value in physical]
     ends = [(spec.gain * value + spec.bias) / spec.factor for value in physical]
     # Half of the range suffices, because some sensors do not cover the whole range; no sensor covers less than half.
@@ -327,19 +354,24 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
             "sign_signal")
 
 
-def _read_check(entry: Entry, dbc: DbcMessage, dbc_path: Path, row: Entry, with_rule: bool = False) -> CheckSpec:
-    entry.allow_only(*(("signal", "rule", "check") if with_rule else ("signal", "check")))
-    signal = _find_signal(dbc, entry.text("signal"), dbc_path, row)
-    rule = RULES[entry.choice("rule", RULES)] if with_rule else None
-    shift = signal.start % 8 - (signal.length - 1 if signal.byte_order == "big_endian" else 0)
-    if signal.is_signed or signal.is_float or shift < 0 or shift + signal.length > 8:
+def _read_check(entry: Entry, dbc: DbcMessage, dbc_path: Path, keys: tuple[str, ...] = ("signal", "check")
+                ) -> CheckSpec:
+    entry.allow_only(*keys)
+    signal = _find_signal(dbc, entry.text("signal"), dbc_path, entry)
+    field = Field.of(signal)
+    if signal.is_signed or signal.is_float or field.higher:
         raise TableError(f"{entry.origin}: {entry.path}.signal: {signal.name} cannot be a counter or checksum: "
                          f"it must be unsigned and within one byte in {dbc_path}")
-    if rule is not None and rule.bits != signal.length:
+    return CheckSpec(signal.name, field, Mode(entry.choice("check", [str(m) for m in Mode])))
+
+
+def _read_checksum(entry: Entry, dbc: DbcMessage, dbc_path: Path) -> ChecksumSpec:
+    check = _read_check(entry, dbc, dbc_path, ("signal", "rule", "check"))
+    rule = RULES[entry.choice("rule", RULES)]
+    if rule.bits != check.field.bits:
         raise TableError(f"{entry.origin}: {entry.path}.rule: needs {rule.bits} bits, but "
-                         f"{signal.name} has {signal.length}")
-    mode = Mode(entry.choice("check", [str(m) for m in Mode]))
-    return CheckSpec(signal.name, Field(signal.start // 8, shift, signal.length), mode, rule)
+                         f"{check.signal} has {check.field.bits}")
+    return ChecksumSpec(check.signal, check.field, check.mode, rule)
 
 
 def _check_sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_path: Path) -> None:
@@ -356,8 +388,7 @@ def _check_sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...]
     if len(data) != dbc.length:
         raise TableError(f"{entry.origin}: {entry.path}.data: {frame} has {len(data)} bytes, but the DBC "
                          f"gives {dbc.length}")
-    physical = cast("dict[str, float]", dbc.decode(data, decode_choices=False))  # not a container message
-    value = (spec.gain * physical[spec.dbc.name] + spec.bias) / spec.factor
+    value = (spec.gain * spec.extractor.extract(data) + spec.bias) / spec.factor
     # The sign is not compared: the car's steering_sign corrects the direction of the sensor.
     if not math.isclose(abs(value), abs(expected), rel_tol=1e-6, abs_tol=abs(spec.dbc.scale) / 2):
         raise TableError(f"{dbc_path}: {spec.dbc.name} decodes {frame} incorrectly: {value:g} {spec.unit} instead of "

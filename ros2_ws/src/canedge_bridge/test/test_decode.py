@@ -97,8 +97,6 @@ def test_wrong_checksum(mode, valid, wrong, seen, dbc_file, signals_file):
     assert decoder.decode(steering(decoder, 0), 0).valid
     decoded = decoder.decode(spoiled(steering(decoder, 1)), STEP)
     assert (decoded.valid if decoded else None) is valid
-    if mode == "warn":
-        assert "SteeringXorNibble" in decoded.fault
     statistics = decoder.statistics("Leaf_Steering")
     assert (statistics.wrong_checksum, statistics.last_seen_ns) == (wrong, seen)
     # The frame after it is as good as any: its counter is not judged by the bad frame's.

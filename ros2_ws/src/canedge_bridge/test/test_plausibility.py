@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from canedge_bridge.decode import Plausibility
+from canedge_bridge.plausibility import Plausibility
 from canedge_bridge.signals import load_table
 
 STEP = 10_000_000
@@ -12,7 +12,7 @@ STEP = 10_000_000
 @pytest.fixture
 def plausibility(dbc_file, signals_file):
     message, signal = load_table(dbc_file, signals_file).find_source("steering_wheel_angle")
-    return Plausibility(signal, message.period, message.timeout)
+    return Plausibility(signal, message)
 
 
 def judge(plausibility, degrees, step=STEP):

@@ -5,11 +5,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from canedge_bridge.checks import RULES, Field, Mode, compute_checksum
-from canedge_bridge.decode import MAX_IMPLAUSIBLE, PLAUSIBILITY_FRAMES
-from canedge_bridge.extraction import decode_log
+from canedge_bridge.checks import Mode, find_counter_faults
+from canedge_bridge.extraction import has_length, stack_bytes
 from canedge_bridge.ins_time import replace_gps_time
-from canedge_bridge.signals import CheckSpec, MessageSpec, SignalSpec, SignalTable, load_table
+from canedge_bridge.plausibility import find_plausible
+from canedge_bridge.signals import ChecksumSpec, MessageSpec, SignalTable, load_table
 from st_core.checks import Series
 
 from .errors import RunError, format_share
@@ -79,10 +79,10 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
             if spec.needed and (fault := _describe_similar_id(frames.id, key)):
                 faults[message] = fault
             continue
-        found = _decode_message(frames, rows, spec, table)
+        found = _decode_message(frames, rows, spec)
         buses = np.unique(frames.bus[rows])
         if found.fault and len(buses) > 1:
-            single = [_decode_message(frames, rows[frames.bus[rows] == bus], spec, table) for bus in buses.tolist()]
+            single = [_decode_message(frames, rows[frames.bus[rows] == bus], spec) for bus in buses.tolist()]
             best = max(single, key=lambda one: one.n_valid)
             if best.n_valid >= found.n_valid:
                 others = f"{len(rows) - best.n_frames} frames of this identifier on other buses are not used"
@@ -122,16 +122,16 @@ class _DecodedMessage:
     n_valid: int = 0
 
 
-def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec, table: SignalTable) -> _DecodedMessage:
+def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec) -> _DecodedMessage:
     n_frames, payload, lengths = len(rows), frames.payload[rows], frames.length[rows]
-    decoded = decode_log(table.database, frames.id[rows], payload, lengths, [spec.name]).get(spec.name)
-    length_fault = _describe_length_fault(spec, lengths, 0 if decoded is None else len(decoded.rows))
-    if decoded is None:
+    fits = has_length(payload, lengths, spec.dbc.length)
+    rows = rows[fits]
+    length_fault = _describe_length_fault(spec, lengths, len(rows))
+    if not len(rows):
         return _DecodedMessage((), length_fault, np.zeros(0, np.int64), n_frames)
-    rows, payload = rows[decoded.rows], payload[decoded.rows, : max(spec.dbc.length, 8)]
-    time_ns = frames.time_ns[rows]
-    columns = {signal.name: signal.to_si(decoded.signals) for signal in spec.signals}
-    keep, valid, fault = check_frames(spec, payload, time_ns, columns)
+    data, time_ns = stack_bytes(payload[fits], spec.dbc.length), frames.time_ns[rows]
+    columns = spec.to_si(data)
+    keep, valid, fault = check_frames(spec, data, time_ns, columns)
     rejected = time_ns[~keep]
     keep &= np.diff(time_ns, prepend=time_ns[0] - 1) > 0
     found = tuple(Signal(name, spec.name, time_ns[good], values[good], valid[good], rows[good])
@@ -198,23 +198,22 @@ def load_signal_table(dbc: Path, table: Path) -> SignalTable:
         raise RunError(table, str(error).removeprefix(f"{table}: ")) from None
 
 
-def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
+def check_frames(spec: MessageSpec, data: np.ndarray, time_ns: np.ndarray,
                  values: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, str]:
     """(whether to use each frame of a message, whether each frame is valid, description of the faults).
 
-    payload: (n, 8) bytes or wider. time_ns: log times (n,). values: SI values (n,) by canonical signal name.
+    data: bytes of the frames from `stack_bytes`. time_ns: log times (n,). values: SI values (n,) by canonical name.
     """
-    n = len(payload)
-    keep, valid = np.ones(n, dtype=bool), np.ones(n, dtype=bool)
+    n = len(time_ns)
+    keep, valid, wrong_checksum = np.ones(n, bool), np.ones(n, bool), np.zeros(n, bool)
     faults = []
-    wrong_checksum = np.zeros(n, dtype=bool)
     for name, check in (("checksum", spec.checksum), ("counter", spec.counter)):
         if check is None or check.mode is Mode.OFF:
             continue
-        if name == "checksum":
-            wrong = wrong_checksum = ~checksum_matches(check, payload[:, : spec.dbc.length], spec.dbc.frame_id)
+        if isinstance(check, ChecksumSpec):
+            wrong = wrong_checksum = ~check.is_correct(data, spec.dbc.frame_id)
         else:
-            wrong = find_counter_faults(check.field, payload, time_ns, wrong_checksum, spec.timeout)
+            wrong = find_counter_faults(check.field, data, time_ns, wrong_checksum, spec.timeout)
         (keep if check.mode is Mode.DROP else valid)[wrong] = False
         if wrong.any():
             faults.append(f"{name} wrong in {wrong.sum()}")
@@ -228,66 +227,3 @@ def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,
                 worst = float(bad[np.argmax(np.abs(bad))])
                 faults.append(f"{signal.dbc.name} implausible (up to {worst:.6g} {signal.unit}) in {len(bad)}")
     return accepted, valid & accepted, f"{', '.join(faults)} of {n} frames" if faults else ""
-
-
-def find_plausible(signal: SignalSpec, spec: MessageSpec, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Whether each frame is in range, within the rate limit, and not isolated among implausible frames.
-
-    This is the check of canedge_bridge.decode.Plausibility, but it also uses later frames, so that the first frames
-    after implausible ones are accepted.
-    """
-    physical = values / signal.factor
-    in_range = (physical >= signal.minimum) & (physical <= signal.maximum)
-
-    def within_reach(frame: np.ndarray | int, reference: np.ndarray | int) -> tuple[np.ndarray, np.ndarray]:
-        """(whether two frames are close enough in time to be compared, whether they also obey the rate limit)."""
-        elapsed_ns = time_ns[frame] - time_ns[reference]
-        comparable = (elapsed_ns > 0) & (elapsed_ns <= int(spec.timeout * 1e9))
-        reach = signal.max_rate * np.maximum(elapsed_ns * 1e-9, spec.period)
-        return comparable, comparable & (np.abs(physical[frame] - physical[reference]) <= reach)
-
-    frames = np.arange(len(values))
-    comparable, reached = within_reach(frames, np.maximum(frames - 1, 0))
-    comparable[1:] &= in_range[:-1]
-    reached[1:] &= in_range[:-1]
-    possible = in_range & reached
-    earlier = np.maximum.accumulate(np.where(possible, frames, -1))
-    accepted = -1
-    for frame in np.flatnonzero(in_range & ~reached).tolist():  # a jump, or no previous frame to compare with
-        last = max(accepted, int(earlier[frame]))
-        is_comparable, is_close = within_reach(frame, last) if last >= 0 else (False, False)
-        if is_close or not (is_comparable or comparable[frame]):
-            possible[frame], accepted = True, frame
-    bad = np.concatenate(([0], np.cumsum(~possible)))
-    recent = bad[1:] - bad[np.maximum(frames + 1 - PLAUSIBILITY_FRAMES, 0)]
-    _, run, lengths = np.unique(bad[1:][possible], return_inverse=True, return_counts=True)
-    isolated = np.zeros(len(values), dtype=bool)
-    isolated[possible] = lengths[run] < MAX_IMPLAUSIBLE
-    return possible & ~((recent > MAX_IMPLAUSIBLE) & isolated)
-
-
-def checksum_matches(check: CheckSpec, payload: np.ndarray, arbitration_id: int) -> np.ndarray:
-    """Whether the checksum of each frame is correct. The two common rules are vectorised; others run frame by frame."""
-    found = (payload[:, check.field.byte] >> check.field.shift) & check.field.mask
-    if check.rule is RULES["xor_nibble"]:
-        value = np.bitwise_xor.reduce(payload, axis=1)
-        return (value >> 4) == (value & 0xF)
-    if check.rule is RULES["sum8_id"]:
-        total = payload.sum(axis=1, dtype=np.uint32) - found + (arbitration_id >> 8) + (arbitration_id & 0xFF)
-        return (total & 0xFF) == found
-    assert check.rule is not None  # a checksum has a rule; only a counter has none
-    expected = [compute_checksum(check.rule, check.field, row.tobytes(), arbitration_id) for row in payload]
-    return np.array(expected) == found
-
-
-def find_counter_faults(field: Field, payload: np.ndarray, time_ns: np.ndarray, unreadable: np.ndarray,
-                        restart_after: float) -> np.ndarray:
-    """Whether the counter of each frame did not increase by one. As in CounterCheck, an `unreadable` frame also
-    increases the expected counter. restart_after: gap [s] after which any counter is correct."""
-    value = ((payload[:, field.byte] >> field.shift) & field.mask).astype(np.int64)
-    index = np.arange(len(value))
-    before = np.concatenate(([-1], np.maximum.accumulate(np.where(unreadable, -1, index))[:-1]))  # last readable frame
-    expected = value[before] + (index - before)
-    wrong = (before >= 0) & ~unreadable & (((value - expected) & field.mask) != 0)
-    gap = np.diff(time_ns, prepend=time_ns[:1]) > restart_after * 1e9
-    return wrong & ~gap

@@ -1,0 +1,97 @@
+"""Checks the range and the rate of change of a signal, live frame by frame, or in all frames of a log at once."""
+
+from collections import deque
+from collections.abc import Iterable
+
+import numpy as np
+
+from .signals import MessageSpec, SignalSpec
+
+# A signal with more than MAX_IMPLAUSIBLE implausible values in PLAUSIBILITY_FRAMES frames (1 s at 100 Hz) is withheld
+# until MAX_IMPLAUSIBLE consecutive values are plausible: with a wrong DBC, plausible values are isolated.
+PLAUSIBILITY_FRAMES, MAX_IMPLAUSIBLE = 100, 10
+
+Reference = tuple[int, float]  # time [ns] and value, in the unit of the table, of an earlier frame
+
+
+def _is_reachable(signal: SignalSpec, message: MessageSpec, value: float, time_ns: int,
+                  references: Iterable[Reference | None]) -> bool:
+    """Whether the rate limit allows the value after at least one of the references within the timeout of the message;
+    true if there is none."""
+    recent = [reference for reference in references
+              if reference is not None and 0 < time_ns - reference[0] <= int(message.timeout * 1e9)]
+    # An elapsed time of at least one period is assumed, because frames can arrive closer together than sent.
+    return not recent or any(
+        abs(value - last) <= signal.max_rate * max((time_ns - last_ns) * 1e-9, message.period)
+        for last_ns, last in recent)
+
+
+class Plausibility:
+    """Checks the range and the rate of change of one signal, frame by frame.
+
+    This detects a wrong byte order while the wheel turns: one step of the low byte becomes a jump of 256 steps.
+    """
+
+    def __init__(self, signal: SignalSpec, message: MessageSpec):
+        self._signal, self._message = signal, message
+        self._previous: Reference | None = None  # previous frame if it is in range
+        self._last_plausible: Reference | None = None
+        self._recent: deque[bool] = deque(maxlen=PLAUSIBILITY_FRAMES)
+        self._consecutive_plausible = 0
+        self.implausible = 0
+
+    def accepts(self, si: float, time_ns: int) -> bool:
+        """Whether this value [SI] is in range and reachable from the previous value or from the last plausible one.
+
+        A single outlier or a true step therefore invalidates only one frame. Values out of range are never a reference.
+        """
+        signal = self._signal
+        value = si / signal.factor
+        in_range = signal.minimum <= value <= signal.maximum
+        plausible = in_range and _is_reachable(signal, self._message, value, time_ns,
+                                               (self._previous, self._last_plausible))
+        self._previous = (time_ns, value) if in_range else None
+        if plausible:
+            self._last_plausible = self._previous
+        self._consecutive_plausible = self._consecutive_plausible + 1 if plausible else 0
+        self._recent.append(plausible)
+        self.implausible += not plausible
+        return plausible
+
+    @property
+    def fault(self) -> str:
+        """Reason why the signal is currently withheld; empty if it is not."""
+        bad = self._recent.count(False)
+        if bad <= MAX_IMPLAUSIBLE or self._consecutive_plausible >= MAX_IMPLAUSIBLE:
+            return ""
+        signal = self._signal
+        return (f"{signal.dbc.name} decodes to implausible values: {bad} of the last {len(self._recent)} frames are "
+                f"outside {signal.minimum:g} .. {signal.maximum:g} {signal.unit} or jump faster than "
+                f"{signal.max_rate:g} {signal.unit}/s; check byte order, start bit and factor in the DBC")
+
+
+def find_plausible(signal: SignalSpec, message: MessageSpec, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Whether each frame of a log is in range, within the rate limit, and not isolated among implausible frames.
+
+    This is the check of Plausibility, but it also uses later frames, so that the first frames after implausible ones
+    are accepted. values: SI (n,). time_ns: (n,).
+    """
+    physical, frames = values / signal.factor, np.arange(len(values))
+    in_range = (physical >= signal.minimum) & (physical <= signal.maximum)
+    elapsed_ns = np.diff(time_ns)
+    possible = np.zeros(len(values), dtype=bool)
+    possible[1:] = in_range[1:] & in_range[:-1] & (elapsed_ns > 0) & (elapsed_ns <= int(message.timeout * 1e9)) & (
+        np.abs(np.diff(physical)) <= signal.max_rate * np.maximum(elapsed_ns * 1e-9, message.period))
+    last_possible = np.maximum.accumulate(np.where(possible, frames, -1))
+    accepted = -1
+    for frame in np.flatnonzero(in_range & ~possible).tolist():  # a jump, or no previous frame to compare with
+        earlier = {max(accepted, int(last_possible[frame])), frame - 1 if in_range[frame - 1] else -1} - {-1}
+        references = [(int(time_ns[k]), float(physical[k])) for k in earlier]
+        if _is_reachable(signal, message, float(physical[frame]), int(time_ns[frame]), references):
+            possible[frame], accepted = True, frame
+    bad = np.concatenate(([0], np.cumsum(~possible)))
+    recent = bad[1:] - bad[np.maximum(frames + 1 - PLAUSIBILITY_FRAMES, 0)]
+    _, run, lengths = np.unique(bad[1:][possible], return_inverse=True, return_counts=True)
+    isolated = np.zeros(len(values), dtype=bool)
+    isolated[possible] = lengths[run] < MAX_IMPLAUSIBLE
+    return possible & ~((recent > MAX_IMPLAUSIBLE) & isolated)
