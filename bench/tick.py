@@ -30,7 +30,7 @@ def run() -> dict:
     times: dict[bool, list[float]] = {False: [], True: []}
     for k in range(2 * TICKS):
         begin = time.thread_time()
-        start = predictor.start(LAST_NS)
+        start = predictor.find_start(LAST_NS)
         if isinstance(start, Skip):
             raise RuntimeError(start.reason)
         if with_bands := bool(k % 2):

@@ -59,7 +59,7 @@ def implied_forces(truth: Mapping[str, Any], folder: Path, found: Path,
     new = read_vehicle(found / "vehicle.yaml") if (found / "vehicle.yaml").exists() else original
     models = {"file": (augment("nonlinear", {}), original), "answer": (augment("nonlinear", stated), original),
               "model": (file.model(), file.vehicle or new) if file else (augment("nonlinear", {}), new)}
-    forces = {name: _forces(model.only([e for e in model.effects if _is_of_the_car(e)]), vehicle, truth)
+    forces = {name: _forces(model.select_effects([e for e in model.effects if _is_of_the_car(e)]), vehicle, truth)
               for name, (model, vehicle) in models.items()}
     return {axle: {"slip": grid.tolist(), "true": true.tolist(),
                    **{name: of[axle].tolist() for name, of in forces.items()}}

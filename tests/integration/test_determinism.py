@@ -28,7 +28,7 @@ for k, (t, x, y, yaw, vx, vy, yaw_rate, _, _, delta) in enumerate(weave(9.0).tol
     for side in (predictor, evaluator):
         side.add_ins(sample)
         side.add_steering(time_ns, delta)
-    start = predictor.start(time_ns) if k % 5 == 4 else None
+    start = predictor.find_start(time_ns) if k % 5 == 4 else None
     if isinstance(start, Start):
         for model in predictor.models:
             trajectory = predictor.run(start, model)

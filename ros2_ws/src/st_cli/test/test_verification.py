@@ -112,7 +112,7 @@ class LiveBag:
         return self.folder
 
     def _tick(self, now_ns: int) -> list[bytes]:
-        start = self._predictor.start(now_ns)
+        start = self._predictor.find_start(now_ns)
         if not isinstance(start, Start):
             return []
         found = []

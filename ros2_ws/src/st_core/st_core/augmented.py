@@ -93,9 +93,9 @@ class AugmentedModel(Model):
 
     def without_null_effects(self) -> "AugmentedModel":
         """The model without costly effects that have no influence (null values); its predictions are bit-identical."""
-        return self.only(e for e in self.effects if e in self.active or not e.costly)
+        return self.select_effects(e for e in self.effects if e in self.active or not e.costly)
 
-    def only(self, effects: Iterable[type[Effect]]) -> "AugmentedModel":
+    def select_effects(self, effects: Iterable[type[Effect]]) -> "AugmentedModel":
         """The model with only these of its effects."""
         selected = tuple(effects)
         return self if len(selected) == len(self.effects) else _compose(self.base, selected, self.values)

@@ -43,14 +43,15 @@ class LogPrediction:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A drive with the corrections of a model. sampled: road wheel angle and velocity_x_dot per block, arranged."""
+    """A drive with the corrections of a model."""
 
     signals: LogSignals
     sampled: dict[Hashable, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    """Cache of road wheel angle and velocity_x_dot at the instants of a block, by number and size of the block."""
 
 
 class LogBatch:
-    """Starts in one drive, sampled once, to be predicted with any models, cars and values.
+    """Starts in one drive, sampled once, to be predicted with any models, cars and parameter values.
 
     starts_ns: any instants [ns]. Starts that are multiples of half an integration step apart are fastest: quantities
     that depend only on the inputs are then computed once for the log, not for each start.
@@ -79,7 +80,7 @@ class LogBatch:
         self.signals = log if isinstance(log, LogSignals) else LogSignals(log, maximum_gap, filter_cutoff, acceleration)
         self.starts_ns = np.asarray(starts_ns, np.int64).ravel()
         self.step, self.steps = step, step_count(horizon, step)
-        self.points = np.arange(self.steps + 1) if points is None else self._point_numbers(points)
+        self.points = np.arange(self.steps + 1) if points is None else self._find_point_numbers(points)
         self._inputs, self._substeps, self.extra_signals = inputs, substeps, dict(signals or {})
         self._unique, first, self._inverse = np.unique(self.starts_ns, return_index=True, return_inverse=True)
         if not isinstance(inputs, str):
@@ -98,7 +99,7 @@ class LogBatch:
         self._recorded = Recording(self.signals)
         self._single_block: dict[tuple[int, bool], list[Block]] = {}
 
-    def _point_numbers(self, points: Sequence[float]) -> np.ndarray:
+    def _find_point_numbers(self, points: Sequence[float]) -> np.ndarray:
         requested = np.asarray(points, float).ravel()
         numbers = np.round(requested / self.step).astype(np.int64)
         off_grid = np.abs(numbers * self.step - requested) > 1.0e-9
@@ -125,7 +126,7 @@ class LogBatch:
         separate = not isinstance(self._inputs, str) or (self._inputs == "held" and has_steering_dynamics(model))
         signals = recording.signals
         result = np.full((len(self.points), len(STATE_NAMES), len(self._unique)), np.nan)
-        for block in self._blocks(count, separate):
+        for block in self._plan_blocks(count, separate):
             values = (self._sample_separately(block, signals, model) if separate else
                       self._sample(block, recording, model))
             states = signals.states_at(block.starts_ns, car).T
@@ -146,7 +147,7 @@ class LogBatch:
         stability.warn_if_too_long(model, vehicle, self._speeds, self.step / self._substeps)
         return self._substeps
 
-    def _blocks(self, count: int, separate: bool) -> Iterable[Block]:
+    def _plan_blocks(self, count: int, separate: bool) -> Iterable[Block]:
         """Blocks of all starts; cached if there is only one."""
         if (count, separate) not in self._single_block:
             # Held inputs are required only at the start, unless earlier steering still affects the wheels.
@@ -170,23 +171,24 @@ class LogBatch:
         if key in recording.sampled:
             angle, acceleration = recording.sampled[key]
         else:
-            known = self._recorded.sampled.get(key)
-            if known is None or not share_memory(signals.log, self.signals.log, "steering_time_ns", "road_wheel_angle"):
+            # Inputs that the model does not correct are those of the recorded drive.
+            recorded = self._recorded.sampled.get(key)
+            if recorded and share_memory(signals.log, self.signals.log, "steering_time_ns", "road_wheel_angle"):
+                angle = recorded[0]
+            else:
                 angle = block.arrange(signals.road_wheel_angle_at(times_ns))
+            if recorded and signals.velocity_x_dot is self.signals.velocity_x_dot:
+                acceleration = recorded[1]
             else:
-                angle = known[0]
-            if known is None or signals.velocity_x_dot is not self.signals.velocity_x_dot:
                 acceleration = block.arrange(signals.ins_at(times_ns, "velocity_x_dot")[0])
-            else:
-                acceleration = known[1]
         if block.shared:
             recording.sampled[key] = angle, acceleration
-        others = [block.arrange(signals.sample(*self.extra_signals[name], times_ns)) for name in model.signals]
-        return [angle, acceleration, *others]
+        extra = [block.arrange(signals.sample(*self.extra_signals[name], times_ns)) for name in model.signals]
+        return [angle, acceleration, *extra]
 
     def _sample_separately(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
-        """Like `_sample`, for starts that share no instants: planned inputs, or held inputs and a model with memory."""
-        times, raw = block.times_ns, self.signals.log
+        """Like `_sample`, for planned inputs, and for held inputs of a model with steering memory."""
+        times, log = block.times_ns, self.signals.log
         if isinstance(self._inputs, str):
             angle = self.signals.road_wheel_angle_at(times[0])
             acceleration, = signals.ins_at(times[0], "velocity_x_dot")
@@ -197,12 +199,12 @@ class LogBatch:
                 angle = path[0]
         angle, acceleration = (np.broadcast_to(v, times.shape) for v in (angle, acceleration))
         if has_steering_dynamics(model):
-            angle = np.array([wheel_angles_ahead(model, raw.steering_time_ns, raw.road_wheel_angle, *column,
+            angle = np.array([wheel_angles_ahead(model, log.steering_time_ns, log.road_wheel_angle, *column,
                                                  signals.maximum_gap)
                               for column in zip(times.T, angle.T, strict=True)]).T
-        others = [np.broadcast_to(signals.sample(*self.extra_signals[name], times[0]), times.shape)
-                  for name in model.signals]
-        return [block.arrange(v) for v in (angle, acceleration, *others)]
+        extra = [np.broadcast_to(signals.sample(*self.extra_signals[name], times[0]), times.shape)
+                 for name in model.signals]
+        return [block.arrange(v) for v in (angle, acceleration, *extra)]
 
     def _table(self, block: Block, values: list[np.ndarray], model: Model, p: Any) -> np.ndarray:
         """w at all instants of a block."""

@@ -1,6 +1,6 @@
 """Requirements on every effect, which `st effects check` applies to library and user-defined effects.
 
-Each function in `REQUIREMENTS` describes in one line how an effect on a car violates the requirement, or returns "".
+Each function in `REQUIREMENTS` describes in one line how an effect violates the requirement, or returns "".
 The checks cover all backends: floats, the numpy batch, the compiled lanes and CasADi. Checked by: test_contract.py.
 """
 
@@ -14,6 +14,7 @@ from .augmented import AugmentedModel, augment, set_effects_to_null
 from .backends import get_backend, has_numba
 from .effects import Effect, Measured
 from .errors import StCoreError
+from .integrate import rk4_step
 from .models import MODELS, Model
 from .prediction import predict
 from .stability import growth_factor, lateral_modes
@@ -51,7 +52,7 @@ def _check_docstring(effect: type[Effect], vehicle: VehicleParameters) -> str:
 
 
 def _check_null(effect: type[Effect], vehicle: VehicleParameters) -> str:
-    for base, active in _models(effect):
+    for base, active in _augment_bases(effect):
         model = set_effects_to_null(active)
         change = float(np.abs(_predict_floats(model, vehicle) - _predict_floats(base, vehicle)).max())
         if np.isnan(change) or change > 0.0:
@@ -63,7 +64,7 @@ def _check_null(effect: type[Effect], vehicle: VehicleParameters) -> str:
 
 
 def _check_change(effect: type[Effect], vehicle: VehicleParameters) -> str:
-    for base, model in _models(effect):
+    for base, model in _augment_bases(effect):
         time, angle = np.arange(100) * 0.01, 0.1 * np.sin(np.arange(100) * 0.2)
         steered = [np.array(a) for a in model.steering(time, angle, np.arange(100) == 0)]
         changed = (np.abs(_predict_floats(model, vehicle) - _predict_floats(base, vehicle)).max(),
@@ -75,7 +76,7 @@ def _check_change(effect: type[Effect], vehicle: VehicleParameters) -> str:
 
 
 def _check_finite(effect: type[Effect], vehicle: VehicleParameters) -> str:
-    for base, start in _models(effect):
+    for base, start in _augment_bases(effect):
         for p in (p for p in effect.parameters if p.fit):
             for value in p.bounds:
                 model = start.with_values({effect.name: {p.name: value}})
@@ -83,17 +84,18 @@ def _check_finite(effect: type[Effect], vehicle: VehicleParameters) -> str:
                     if not np.isfinite(_predict_floats(model, vehicle, speed, acceleration=0.0)).all():
                         return f"{p.name} = {value:g}, {base.name}: not finite from {speed:g} m/s"
                 parameters = model.parameters(vehicle)
-                w = model.inputs(0.05, 0.8, parameters, *(row[0] for row in _signals(model).values()))
-                rates = model.rhs(model.start_state(_start(SPEEDS[-1]), w, parameters), w, parameters)
+                w = model.inputs(0.05, 0.8, parameters, *(row[0] for row in _make_signals(model).values()))
+                rates = model.rhs(model.start_state(_make_start(SPEEDS[-1]), w, parameters), w, parameters)
                 if not np.isfinite([*rates, *model.observe(READING)]).all():
                     return f"{p.name} = {value:g}, {base.name}: not finite at {SPEEDS[-1]:g} m/s"
     return ""
 
 
 def _check_backends(effect: type[Effect], vehicle: VehicleParameters) -> str:
-    for base, model in _models(effect):
+    for base, model in _augment_bases(effect):
         floats = np.stack([_predict_floats(model, vehicle, speed) for speed in SPEEDS])
-        others = {name: _predict_backend(model, vehicle, name) for name in ("numpy", *["lanes"] * has_numba())}
+        backends = ("numpy", "lanes") if has_numba() else ("numpy",)
+        others = {name: _predict_backend(model, vehicle, name) for name in backends}
         if importlib.util.find_spec("casadi"):
             others["CasADi"] = _predict_casadi(model, vehicle)
         for name, path in others.items():
@@ -108,10 +110,10 @@ def _check_mirror(effect: type[Effect], vehicle: VehicleParameters) -> str:
     if effect.kind == "surroundings":
         return ""  # surroundings depend on the map and are not symmetric
     flipped = {p.name: -p.initial for p in effect.parameters if p.odd}
-    for base, model in _models(effect):
-        other = model.with_values({effect.name: flipped}) if flipped else model
-        paths = _predict_floats(other, vehicle, side=-1.0) - MIRROR_SIGNS * _predict_floats(model, vehicle)
-        readings = np.subtract(other.observe(_mirror(READING)), _mirror(model.observe(READING)))
+    for base, model in _augment_bases(effect):
+        mirrored = model.with_values({effect.name: flipped}) if flipped else model
+        paths = _predict_floats(mirrored, vehicle, side=-1.0) - MIRROR_SIGNS * _predict_floats(model, vehicle)
+        readings = np.subtract(mirrored.observe(_mirror(READING)), _mirror(model.observe(READING)))
         difference = float(max(np.abs(paths).max(), np.abs(readings).max()))
         if not difference < ROUNDING:
             return (f"a left turn is not the mirror image of a right one in the {base.name} model ({difference:.2g}); "
@@ -120,7 +122,7 @@ def _check_mirror(effect: type[Effect], vehicle: VehicleParameters) -> str:
 
 
 def _check_stability(effect: type[Effect], vehicle: VehicleParameters) -> str:
-    for base, model in _models(effect):
+    for base, model in _augment_bases(effect):
         problem = describe_instability(base, model, vehicle, SPEEDS)
         if problem:
             return f"at its initial values, {base.name}: {problem}"
@@ -145,13 +147,13 @@ def describe_instability(base: Model, model: Model, vehicle: VehicleParameters, 
 def _check_correction(effect: type[Effect], vehicle: VehicleParameters) -> str:
     if effect.observe is None:
         return ""
-    _, model = next(_models(effect))
+    _, model = next(_augment_bases(effect))
     observed = np.array(model.observe(READING), float)
     back = np.array(model.correct(Measured(*observed)), float)
     error, change = np.abs(back - READING).max(), np.abs(observed - READING).max()
     if error <= CORRECTION_RESIDUAL * change:
         return ""
-    return f"observe() changes a reading by {change:.3g}, of which {error:.3g} remain after correct()"
+    return f"observe() changes a reading by {change:.3g}; after correct() an error of {error:.3g} remains"
 
 
 REQUIREMENTS = {
@@ -167,31 +169,31 @@ REQUIREMENTS = {
 """For each requirement, the function of effect and car that describes a violation."""
 
 
-def _models(effect: type[Effect]) -> Iterator[tuple[Model, AugmentedModel]]:
+def _augment_bases(effect: type[Effect]) -> Iterator[tuple[Model, AugmentedModel]]:
     """(base, base with the effect at its initial values) for every base model to which the effect applies."""
     for name, base in MODELS.items():
         if name in effect.applies_to:
             yield base, augment(base, [effect.name])
 
 
-def _driver_inputs(side: float, acceleration: float) -> tuple[np.ndarray, np.ndarray]:
+def _make_driver_inputs(side: float, acceleration: float) -> tuple[np.ndarray, np.ndarray]:
     time = np.linspace(0.0, STEP * STEPS, 2 * STEPS + 1)
     return side * 0.05 * np.sin(4.0 * time), acceleration * np.cos(2.0 * time)
 
 
-def _signals(model: Model, side: float = 1.0) -> Mapping[str, np.ndarray]:
+def _make_signals(model: Model, side: float = 1.0) -> Mapping[str, np.ndarray]:
     return {name: side * 0.02 * np.ones(2 * STEPS + 1) for name in model.signals}
 
 
-def _start(speed: float, side: float = 1.0) -> tuple[float, ...]:
+def _make_start(speed: float, side: float = 1.0) -> tuple[float, ...]:
     return 3.0, -2.0 * side, speed, 0.1 * side, 0.3 * side, 0.1 * side
 
 
 def _predict_floats(model: Model, vehicle: VehicleParameters, speed: float = 12.0, side: float = 1.0,
                     acceleration: float = 0.8) -> np.ndarray:
     """States (STEPS + 1, 6) computed on floats."""
-    inputs = InputSequence(*_driver_inputs(side, acceleration), signals=_signals(model, side))
-    return predict(model, vehicle, VehicleState(*_start(speed, side)), inputs, STEP * STEPS, STEP).states
+    inputs = InputSequence(*_make_driver_inputs(side, acceleration), signals=_make_signals(model, side))
+    return predict(model, vehicle, VehicleState(*_make_start(speed, side)), inputs, STEP * STEPS, STEP).states
 
 
 def _predict_backend(model: Model, vehicle: VehicleParameters, backend: str) -> np.ndarray:
@@ -199,10 +201,10 @@ def _predict_backend(model: Model, vehicle: VehicleParameters, backend: str) -> 
     module, p = get_backend(backend), model.parameters(vehicle)
     speeds = np.pad(SPEEDS, (0, -len(SPEEDS) % module.LANES), mode="edge")
     columns = len(speeds)
-    angle, acceleration = (np.repeat(row, columns) for row in _driver_inputs(1.0, 0.8))
-    signals = [np.repeat(row, columns) for row in _signals(model).values()]
+    angle, acceleration = (np.repeat(row, columns) for row in _make_driver_inputs(1.0, 0.8))
+    signals = [np.repeat(row, columns) for row in _make_signals(model).values()]
     w = np.array([np.broadcast_to(f, angle.shape) for f in model.inputs(angle, acceleration, p, *signals)])
-    state = model.start_state(tuple(np.array([_start(v) for v in speeds]).T), tuple(w[:, :columns]), p)
+    state = model.start_state(tuple(np.array([_make_start(v) for v in speeds]).T), tuple(w[:, :columns]), p)
     begin = np.array([np.broadcast_to(row, columns) for row in state])
     offsets, points = np.arange(2 * STEPS + 1) * columns, np.arange(STEPS + 1)
     return module.advance(model, p, begin, w, offsets, STEP, points).transpose(2, 0, 1)[:len(SPEEDS)]
@@ -210,19 +212,18 @@ def _predict_backend(model: Model, vehicle: VehicleParameters, backend: str) -> 
 
 def _predict_casadi(model: Model, vehicle: VehicleParameters) -> np.ndarray:
     """Last states (speeds, 6), by integration of `dynamics`, because an exported step has constant inputs."""
-    from .backends.casadi_backend import build
-    from .integrate import rk4_step
+    from .backends.casadi_backend import build  # imported here because casadi is optional
 
     built = build(model, vehicle)
-    tail = [[row[0] for row in _signals(model).values()]] if model.signals else []
-    grid = list(zip(*_driver_inputs(1.0, 0.8), strict=True))
+    signals = [[row[0] for row in _make_signals(model).values()]] if model.signals else []
+    grid = list(zip(*_make_driver_inputs(1.0, 0.8), strict=True))
 
     def rates(state: tuple, u: tuple, _: None) -> tuple:
-        return tuple(np.asarray(built.dynamics(list(state), list(u), *tail)).ravel().tolist())
+        return tuple(np.asarray(built.dynamics(list(state), list(u), *signals)).ravel().tolist())
 
     ends = []
     for speed in SPEEDS:
-        state = tuple(np.asarray(built.start(list(_start(speed)), list(grid[0]), *tail)).ravel().tolist())
+        state = tuple(np.asarray(built.start(list(_make_start(speed)), list(grid[0]), *signals)).ravel().tolist())
         for k in range(STEPS):
             begin, middle, end = grid[2 * k:2 * k + 3]
             state = rk4_step(rates, state, begin, middle, end, None, STEP)

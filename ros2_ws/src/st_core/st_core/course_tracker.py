@@ -41,9 +41,10 @@ BLEND_TIME = 0.3  # s, time constant from the measured to the predicted steering
 DECAY_TIME = 0.7  # s, time constant of the decaying acceleration: pedals change about once a second
 FORGETTING_TIME = 10.0  # s, time constant of the mean square errors E: two horizons
 INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
-"""m^2, initial E, in the order of the module docstring, from leave-one-run-out errors of real laps."""
+"""Initial E [m^2], in the order of the forecasts in the module docstring, from errors of real laps held out in turn."""
 SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2: the accuracy of the INS, and the largest influence of one error
 MAX_JUMP = 2.0  # m, largest difference between displacement and distance driven; with a larger one the tracker restarts
+MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons that a pass must cover ahead of the car, and that are used of it
 MIN_SPEED = 0.5  # m/s, below which the course is not used: curvature is undefined at standstill
 
 
@@ -82,9 +83,22 @@ class CourseForecast:
     reason: str = ""  # why the course is not used, or ""
 
 
-_PendingForecast = tuple[int, float, EgoMotion, np.ndarray, np.ndarray]
-"""(end [ns], distance driven before the start [m], motion at the start, distance predicted by each speed forecast [m],
-path predicted by the course (points, 2) [m], SPACING apart)."""
+class _Candidate(NamedTuple):
+    """Prediction from one pass."""
+
+    squared_difference: float  # d^2
+    speed: np.ndarray  # m/s, every SPACING m ahead
+    curvature: np.ndarray  # 1/m, every SPACING m ahead
+
+
+class _PendingForecast(NamedTuple):
+    """Forecast to be scored when its horizon has ended."""
+
+    end_ns: int
+    distance: float  # driven before the start [m]
+    start: EgoMotion
+    distances: np.ndarray  # driven over the horizon, by each speed forecast [m]
+    path: np.ndarray  # predicted by the course, (points, 2) [m], SPACING apart
 
 
 class CourseTracker:
@@ -107,7 +121,7 @@ class CourseTracker:
         self._curvature_errors, self._speed_errors = np.array(INITIAL_CURVATURE_ERRORS), np.array(INITIAL_SPEED_ERRORS)
 
     def update(self, ego: EgoMotion) -> CourseForecast:
-        """The forecast from this start; without inputs if no pass fits, or the car is slow or its motion not finite."""
+        """The forecast from this start; without inputs if no pass fits, or if the car is slow or its motion unknown."""
         if not all(map(math.isfinite, ego)) or ego.velocity_x < MIN_SPEED:
             return CourseForecast(None, reason="course: the motion of the car is unknown, or the car is too slow")
         elapsed = self._advance(ego)
@@ -117,10 +131,10 @@ class CourseTracker:
         if not candidates:
             return CourseForecast(None, reason="course: it ends within the horizon" if near else
                                   "course: no earlier drive near the car in its direction")
-        squares = np.array([square for square, _, _ in candidates])
-        weights = np.exp(-0.5 * squares)
+        squares = np.array([candidate.squared_difference for candidate in candidates])
         if squares.min() > MAX_DIFFERENCE**2:
             return CourseForecast(None, reason="course: no earlier drive agrees with this one in line and speed")
+        weights = np.exp(-0.5 * squares)
         return self._mix(candidates, weights / weights.sum(), ego)
 
     def _advance(self, ego: EgoMotion) -> float:
@@ -143,8 +157,8 @@ class CourseTracker:
 
     def _score(self, ego: EgoMotion, elapsed: float) -> None:
         """Update the mean square errors with the errors of the forecasts that have ended."""
-        share = min(elapsed / FORGETTING_TIME, 1.0)
-        while self._pending and self._pending[0][0] <= ego.time_ns:
+        new_weight = min(elapsed / FORGETTING_TIME, 1.0)
+        while self._pending and self._pending[0].end_ns <= ego.time_ns:
             _, distance, start, distances, path = self._pending.popleft()
             driven = self._distance - distance
             row = min(max(driven / SPACING, 0.0), len(path) - 1.001)
@@ -156,18 +170,18 @@ class CourseTracker:
             positions = np.array([held, before + (row - int(row)) * (after - before)])
             squares = np.square(positions - (ego.x, ego.y)).sum(axis=1), np.square(distances - driven)
             self._curvature_errors, self._speed_errors = (
-                (1.0 - share) * errors + share * np.clip(new, *SQUARED_ERROR_LIMITS)
+                (1.0 - new_weight) * errors + new_weight * np.clip(new, *SQUARED_ERROR_LIMITS)
                 for errors, new in zip((self._curvature_errors, self._speed_errors), squares, strict=True))
 
-    def _predict_from_pass(self, point: NearPoint, ego: EgoMotion) -> tuple[float, np.ndarray, np.ndarray] | None:
-        """(d^2, speed and curvature every SPACING m ahead); None if the pass ends within the horizon."""
+    def _predict_from_pass(self, point: NearPoint, ego: EgoMotion) -> _Candidate | None:
+        """The prediction from a pass; None if the pass ends too soon after the car."""
         points = self.course.passes[point.pass_index].points
         x, y, direction, curvature, speed = points[point.row:].T
         speed = speed * (ego.velocity_x / speed[0])
         arrival = np.cumsum(SPACING / speed)
-        if arrival[-1] < 1.2 * self._time[-1]:
+        if arrival[-1] < MIN_COVERAGE * self._time[-1]:
             return None
-        count = int(np.searchsorted(arrival, 2.0 * self._time[-1])) + 2
+        count = int(np.searchsorted(arrival, MAX_COVERAGE * self._time[-1])) + 2
         curvature, speed = curvature[:count], speed[:count]
         distance_behind = np.array([self._distance - distance for distance, _ in self._past])
         rows = np.round(point.row - distance_behind / SPACING).astype(int)
@@ -183,37 +197,38 @@ class CourseTracker:
         (l_1, l_2), s = RETURN_LENGTHS, SPACING * np.arange(len(curvature))
         b = (direction_error + lateral_offset / l_1) / (1.0 / l_1 - 1.0 / l_2)
         curvature = curvature + (lateral_offset - b) / l_1**2 * np.exp(-s / l_1) + b / l_2**2 * np.exp(-s / l_2)
-        return min(square, 200.0), speed, curvature
+        return _Candidate(square, speed, curvature)
 
-    def _mix(self, candidates: list[tuple[float, np.ndarray, np.ndarray]], weights: np.ndarray,
-             ego: EgoMotion) -> CourseForecast:
+    def _mix(self, candidates: list[_Candidate], weights: np.ndarray, ego: EgoMotion) -> CourseForecast:
         """The forecast from weighted candidates, mixed with the other forecasts by their errors."""
-        length = min(len(speed) for _, speed, _ in candidates)
-        speeds = np.stack([speed[:length] for _, speed, _ in candidates])
-        course_speed, curvature = weights @ speeds, weights @ np.stack([k[:length] for *_, k in candidates])
+        length = min(len(candidate.speed) for candidate in candidates)
+        speeds, curvatures = (np.stack([getattr(candidate, name)[:length] for candidate in candidates])
+                              for name in ("speed", "curvature"))
+        course_speed, curvature = weights @ speeds, weights @ curvatures
         arrival = np.concatenate([[0.0], np.cumsum(2.0 * SPACING / (course_speed[1:] + course_speed[:-1]))])
         end = min(int(np.searchsorted(arrival, self._time[-1])), length - 1)
         speed_deviation = float(np.sqrt(weights @ np.square(speeds[:, end] - course_speed[end])))
         t, acceleration = self._time, ego.velocity_x_dot
-        options = np.stack([ego.velocity_x + acceleration * t, np.full_like(t, ego.velocity_x),
-                            ego.velocity_x + acceleration * DECAY_TIME * (1.0 - np.exp(-t / DECAY_TIME)),
-                            np.interp(t, arrival, course_speed)]).clip(0.0)
-        distances = 0.5 * (options[:, 1:] + options[:, :-1]) @ np.diff(t)
+        speed_forecasts = np.stack([ego.velocity_x + acceleration * t, np.full_like(t, ego.velocity_x),
+                                    ego.velocity_x + acceleration * DECAY_TIME * (1.0 - np.exp(-t / DECAY_TIME)),
+                                    np.interp(t, arrival, course_speed)]).clip(0.0)
+        distances = 0.5 * (speed_forecasts[:, 1:] + speed_forecasts[:, :-1]) @ np.diff(t)
         heading = ego.direction + cumulative_trapezoid(curvature, dx=SPACING, initial=0.0)
-        path = np.array([[ego.x, ego.y]]) + cumulative_trapezoid(np.stack([np.cos(heading), np.sin(heading)], 1),
-                                                                 dx=SPACING, axis=0, initial=0.0)
+        positions = np.array([[ego.x, ego.y]]) + cumulative_trapezoid(np.stack([np.cos(heading), np.sin(heading)], 1),
+                                                                      dx=SPACING, axis=0, initial=0.0)
         curvature_shares, speed_shares = (errors**-2.0 / (errors**-2.0).sum()
                                           for errors in (self._curvature_errors, self._speed_errors))
-        self._pending.append((ego.time_ns + self._horizon_ns, self._distance, ego, distances, path))
-        speed = speed_shares @ options
+        end_ns = ego.time_ns + self._horizon_ns
+        self._pending.append(_PendingForecast(end_ns, self._distance, ego, distances, positions))
+        speed = speed_shares @ speed_forecasts
         distance = cumulative_trapezoid(speed, dx=float(t[1]), initial=0.0)
-        mixed = (curvature_shares[0] * ego.curvature
-                 + curvature_shares[1] * np.interp(distance, SPACING * np.arange(length), curvature))
+        mixed_curvature = (curvature_shares[0] * ego.curvature
+                           + curvature_shares[1] * np.interp(distance, SPACING * np.arange(length), curvature))
         share, angle = 1.0 - np.exp(-t / BLEND_TIME), ego.road_wheel_angle
-        followed = path_inputs(speed, mixed, t, self._vehicle)
-        inputs = InputSequence(angle + share * (followed.road_wheel_angle - angle),
-                               acceleration + share * (followed.velocity_x_dot - acceleration),
-                               {name: angle + share * (values - angle) for name, values in followed.signals.items()})
+        path = path_inputs(speed, mixed_curvature, t, self._vehicle)
+        inputs = InputSequence(angle + share * (path.road_wheel_angle - angle),
+                               acceleration + share * (path.velocity_x_dot - acceleration),
+                               {name: angle + share * (values - angle) for name, values in path.signals.items()})
         return CourseForecast(inputs, float(curvature_shares[1]), float(speed_shares[3]), speed_deviation)
 
 
@@ -221,14 +236,14 @@ def course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameter
                   step: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
     """A course as inputs of `log_evaluation.evaluate_log`; one tracker follows the starts of a drive."""
 
-    def ahead(starts_ns: np.ndarray) -> tuple[np.ndarray, ...]:
+    def predict_inputs(starts_ns: np.ndarray) -> tuple[np.ndarray, ...]:
         tracker = CourseTracker(course, vehicle, horizon, step)
         columns = [*signals.ins_at(starts_ns, *EgoMotion._fields[1:-1]), signals.road_wheel_angle_at(starts_ns)]
         inputs = np.full((3, len(starts_ns), round(2.0 * horizon / step) + 1), np.nan)
         for k, (time_ns, *values) in enumerate(zip(starts_ns.tolist(), *(c.tolist() for c in columns), strict=True)):
-            found = tracker.update(EgoMotion(time_ns, *values)).inputs
-            if found is not None:
-                inputs[:, k] = found.road_wheel_angle, found.velocity_x_dot, found.signals[SLIP_FREE]
+            forecast = tracker.update(EgoMotion(time_ns, *values)).inputs
+            if forecast is not None:
+                inputs[:, k] = forecast.road_wheel_angle, forecast.velocity_x_dot, forecast.signals[SLIP_FREE]
         return tuple(inputs)
 
-    return ahead
+    return predict_inputs

@@ -25,8 +25,8 @@ from a motion planner; course = from earlier drives at the same place."""
 class Score:
     """Error of one prediction, predicted minus measured, at the INS point, in axes along the measured heading.
 
-    NaN where not scored: from a position jump on, without a measured position, or in hindsight if an earlier input was
-    not measured. *_mean: mean over all points of the horizon, the start included; NaN unless complete.
+    NaN where not scored: from a position jump on, without a measured position, and in hindsight from an unknown input
+    on. *_mean: mean over all points of the horizon, the start included; NaN unless complete.
     """
 
     model: str
@@ -53,7 +53,7 @@ def make_score(model: str, mode: Mode, start_ns: int, step: float, errors: Seque
                  step * np.arange(len(longitudinal)), longitudinal, lateral, yaw, *means)
 
 
-_Pending = tuple[str, Mode, Trajectory]  # (model, mode, prediction that waits for the measurements over its horizon)
+_PendingPrediction = tuple[str, Mode, Trajectory]  # (model, mode, trajectory) to be scored after its horizon
 
 
 class Evaluator:
@@ -64,20 +64,20 @@ class Evaluator:
     compiled.py). At most MAXIMUM_PENDING predictions wait; beyond that the oldest are scored as incomplete.
     """
 
-    SIGNAL_TIMEOUT = 1.0  # s after the end of a horizon, for a signal that arrives late
+    SIGNAL_TIMEOUT = 1.0  # s after the end of a horizon, by which a late signal must have arrived
     MAXIMUM_PENDING = 3000
 
     def __init__(self, vehicle: VehicleParameters, settings: PredictionSettings | None = None, span: float = 30.0,
                  models: Sequence[Model] = (), runners: Mapping[str, Runner] | None = None):
         self.vehicle, self._runners = vehicle, runners or {}
         self.settings = settings or PredictionSettings()
-        span = ModelView.span(models, max(span, 2.0 * self.settings.horizon + self.SIGNAL_TIMEOUT))
+        span = ModelView.extend_span(models, max(span, 2.0 * self.settings.horizon + self.SIGNAL_TIMEOUT))
         self._span_ns = round(span / NANOSECOND)
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
         self._views = {m.name: ModelView(m, vehicle, self.history) for m in (*MODELS.values(), *models)}
         self._correcting_views = [view for view in self._views.values() if view.corrects_samples]
         self._ahead_ns = max(view.ahead_ns for view in self._views.values())
-        self._waiting: dict[tuple[int, int, float], list[_Pending]] = {}
+        self._waiting: dict[tuple[int, int, float], list[_PendingPrediction]] = {}
         self._abandoned: list[Score] = []
 
     @property
@@ -115,7 +115,7 @@ class Evaluator:
             self._abandon([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions were waiting")
 
     def poll(self, newest_ns: int | None = None) -> list[Score]:
-        """Scores of the predictions with a horizon covered by both signals, or ended SIGNAL_TIMEOUT before newest_ns.
+        """Scores of the predictions whose horizon both signals cover, or ended SIGNAL_TIMEOUT before newest_ns.
 
         newest_ns: current time on the clock of the stamps; None: time of the newest INS sample.
         """
@@ -142,7 +142,7 @@ class Evaluator:
         # Limited like the pending predictions, because `poll` may never be called.
         del self._abandoned[:-2 * self.MAXIMUM_PENDING]
 
-    def _score(self, key: tuple[int, int, float], group: Sequence[_Pending]) -> list[Score]:
+    def _score(self, key: tuple[int, int, float], group: Sequence[_PendingPrediction]) -> list[Score]:
         start_ns, steps, step = key
         times = half_step_grid(start_ns, steps, step)
         ins = self.history.ins.sample(times)
@@ -166,11 +166,11 @@ class Evaluator:
                 (issued_mode, issued, unbroken, jump or no_position)]
             if issued_mode == "forecast":
                 start = VehicleState(*issued.states[0].tolist())
-                known = inputs if view.plain else view.measured(times)
+                model_inputs = inputs if view.plain else view.read_inputs(times)
                 compiled = (steps, step) == (self.settings.steps, self.settings.step)
                 runner = self._runners.get(model) if compiled else None
-                resimulated = (runner(start, known) if runner
-                               else predict(view.model, self.vehicle, start, known, steps * step, step))
+                resimulated = (runner(start, model_inputs) if runner
+                               else predict(view.model, self.vehicle, start, model_inputs, steps * step, step))
                 variants.append(("hindsight", resimulated, unbroken & scorable, jump or no_inputs))
             for mode, trajectory, scored, reason in variants:
                 r = view.readings_along(trajectory)

@@ -16,8 +16,8 @@ from functools import cached_property
 
 import numpy as np
 
-UNDERSTEER = 0.004  # understeer gradient K assumed for an unknown car [rad s^2/m]
-Shape = Callable[[np.ndarray], np.ndarray]  # lateral acceleration / its target, -1 to 1, at times [s] in a period
+UNDERSTEER = 0.004  # rad s^2/m, understeer gradient K assumed for an unknown car
+Shape = Callable[[np.ndarray], np.ndarray]  # lateral acceleration divided by its target, -1 to 1, at times [s]
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,9 @@ class PiecewiseLinear:
     parts: tuple[tuple[float, float, float], ...]
 
     def __call__(self, time: np.ndarray) -> np.ndarray:
-        ends, lengths, first, last = self._table
+        ends, durations, first, last = self._table
         i = np.minimum(np.searchsorted(ends, time, side="right"), len(ends) - 1)
-        return first[i] + (last - first)[i] * np.clip((time - ends[i]) / lengths[i] + 1.0, 0.0, 1.0)
+        return first[i] + (last - first)[i] * np.clip((time - ends[i]) / durations[i] + 1.0, 0.0, 1.0)
 
     @property
     def duration(self) -> float:
@@ -37,13 +37,13 @@ class PiecewiseLinear:
 
     @cached_property
     def _table(self) -> tuple[np.ndarray, ...]:
-        lengths, first, last = np.array([part for part in self.parts if part[0] > 0.0]).T
-        return np.cumsum(lengths), lengths, first, last
+        durations, first, last = np.array([part for part in self.parts if part[0] > 0.0]).T
+        return np.cumsum(durations), durations, first, last
 
 
 @dataclass(frozen=True)
-class Sine:
-    """A sine with a frequency that increases exponentially from `low` to `high` [Hz] within `duration` [s], then 0."""
+class SineSweep:
+    """A sine with a frequency that increases exponentially from `low` to `high` [Hz] within `duration` [s]; then 0."""
 
     low: float
     high: float
@@ -59,8 +59,8 @@ class Sine:
 class Manoeuvre:
     """Steering and pedal inputs over time.
 
-    closed_loop: the driver follows a road of this curvature; with pedals it is a circle, and the steering is held while
-    braking. Otherwise the steering is open loop.
+    closed_loop: the driver follows a road of this curvature; with pedals the road is a circle, and the steering is held
+    while braking. Otherwise the steering is open loop.
     """
 
     name: str  # also the scenario name
@@ -112,7 +112,7 @@ class Manoeuvre:
 
 def sweep(speed: float, lateral: float, duration: float = 26.0, pause: float = 4.0) -> Manoeuvre:
     """Sine steering, 0.2 to 2.8 Hz within `duration` [s], then straight for `pause` [s]."""
-    return Manoeuvre("sweep", speed, lateral, Sine(0.2, 2.8, duration), duration + pause,
+    return Manoeuvre("sweep", speed, lateral, SineSweep(0.2, 2.8, duration), duration + pause,
                      description=f"sine steering 0.2 to 2.8 Hz at {speed:g} m/s")
 
 
@@ -123,13 +123,13 @@ def step(speed: float, lateral: float, hold: float = 4.0, pause: float = 3.0) ->
                      description=f"steps of steering to both sides at {speed:g} m/s")
 
 
-def ramp_to_limit(speed: float, lateral: float, up: float = 25.0, down: float = 2.0, rest: float = 4.0) -> Manoeuvre:
-    """Ramp steer within `up` [s], back within `down` [s], straight for `rest` [s]; then the same to the other side.
+def ramp_to_limit(speed: float, lateral: float, up: float = 25.0, down: float = 2.0, pause: float = 4.0) -> Manoeuvre:
+    """Ramp steer within `up` [s], back within `down` [s], straight for `pause` [s]; then the same to the other side.
 
     lateral: more than the tyres can reach.
     """
-    return Manoeuvre("ramp_to_limit", speed, lateral, _both_sides((up, 0.0, 1.0), (down, 1.0, 0.0), (rest, 0.0, 0.0)),
-                     2 * (up + down + rest), description=f"steering slowly increased to the limit at {speed:g} m/s")
+    return Manoeuvre("ramp_to_limit", speed, lateral, _both_sides((up, 0.0, 1.0), (down, 1.0, 0.0), (pause, 0.0, 0.0)),
+                     2 * (up + down + pause), description=f"steering slowly increased to the limit at {speed:g} m/s")
 
 
 def brake_in_turn(speed: float, lateral: float, cruise: float = 8.0, braking: float = 4.0, down_to: float = 3.0,
@@ -159,13 +159,13 @@ def lane_change(speed: float, lateral: float) -> Manoeuvre:
 
 def slalom(speed: float, lateral: float, frequency: float = 0.5, waves: int = 12) -> Manoeuvre:
     """Sine steering at one frequency [Hz]."""
-    return Manoeuvre("slalom", speed, lateral, Sine(frequency, frequency, waves / frequency), waves / frequency,
+    return Manoeuvre("slalom", speed, lateral, SineSweep(frequency, frequency, waves / frequency), waves / frequency,
                      description=f"sine steering of {frequency:g} Hz to {abs(lateral):g} m/s^2 at {speed:g} m/s")
 
 
 def weave(speed: float, lateral: float, waves: float = 6.0) -> Manoeuvre:
     """Sine steering at 0.25 Hz with a small amplitude about the centre."""
-    return Manoeuvre("weave", speed, lateral, Sine(0.25, 0.25, 4 * waves), 4 * waves,
+    return Manoeuvre("weave", speed, lateral, SineSweep(0.25, 0.25, 4 * waves), 4 * waves,
                      description=f"gentle sine steering of 0.25 Hz about the centre at {speed:g} m/s")
 
 
@@ -178,7 +178,7 @@ def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) 
 
 
 def there_and_back(speed: float, lateral: float) -> Manoeuvre:
-    """10 s straight, a U-turn, straight back, a U-turn, so that a constant wind acts from both sides."""
+    """Two straights of 10 s in opposite directions, joined by U-turns, so that a steady wind acts from both sides."""
     half = ((10.0, 0.0, 0.0), (1.0, 0.0, 1.0), (math.pi * speed / abs(lateral) - 1.0, 1.0, 1.0), (1.0, 1.0, 0.0))
     shape = PiecewiseLinear(half + half)
     return Manoeuvre("there_and_back", speed, lateral, shape, shape.duration, closed_loop=True,
@@ -190,13 +190,13 @@ def figure_eight() -> Manoeuvre:
     speed, radius, ramp, straight = 4.0, 11.5, 6.0, 34.3015  # m/s, then m
     arc = math.radians(240.0) * radius - ramp
     half = ((straight / 2, 0.0, 0.0), (ramp, 0.0, 1.0), (arc, 1.0, 1.0), (ramp, 1.0, 0.0), (straight / 2, 0.0, 0.0))
-    parts = half + tuple((length, -first, -last) for length, first, last in half)  # lengths in m
-    shape = PiecewiseLinear(tuple((length / speed, first, last) for length, first, last in parts))
+    shape = _both_sides(*((length / speed, first, last) for length, first, last in half))  # lengths in m
     return Manoeuvre("S1", speed, speed**2 / radius, shape, shape.duration, closed_loop=True,
                      description=f"figure eight at {speed:g} m/s, R = {radius:g} m")
 
 
 def _both_sides(*parts: tuple[float, float, float]) -> PiecewiseLinear:
+    """These parts, then the same parts to the other side."""
     return PiecewiseLinear((*parts, *((length, -first, -last) for length, first, last in parts)))
 
 

@@ -75,46 +75,48 @@ class ModelFile:
 
     def model(self) -> AugmentedModel:
         """The model. Raises ConfigurationError for an unknown or inapplicable effect, or a value out of bounds."""
-        return augment(self.base, {e: {p: v.value for p, v in parts.items()} for e, parts in self.effects.items()})
+        return augment(self.base, {effect: {name: estimate.value for name, estimate in estimates.items()}
+                                   for effect, estimates in self.effects.items()})
 
     def check_vehicle(self, vehicle: VehicleParameters, origin: str) -> None:
         """Raises ConfigurationError if the values are for a car other than `vehicle`, which was read from `origin`."""
         if self.vehicle_hash and vehicle.hash != self.vehicle_hash:
             expected, given = (f"{name!r} {digest[:12]}" for name, digest in (
                 (self.vehicle_name, self.vehicle_hash), (vehicle.name, vehicle.hash)))
-            different = _differences(self.vehicle, vehicle) if self.vehicle else ""
-            differ = f" (they differ in {different})" if different else ""
-            raise ConfigurationError(f"vehicle.hash: the values are valid for {expected}, {origin} is {given}{differ}; "
+            differences = _describe_differences(self.vehicle, vehicle) if self.vehicle else ""
+            remark = f" (they differ in {differences})" if differences else ""
+            raise ConfigurationError(f"vehicle.hash: the values are valid for {expected}, {origin} is {given}{remark}; "
                                      "use the vehicle file with which they were identified")
 
     @property
     def hash(self) -> str:
         """sha256 (hex) of base, values and vehicle; intervals, sources and provenance are not included."""
-        values = {e: {p: float(v.value).hex() for p, v in sorted(parts.items())}
-                  for e, parts in sorted(self.effects.items())}
+        values = {effect: {name: float(estimate.value).hex() for name, estimate in sorted(estimates.items())}
+                  for effect, estimates in sorted(self.effects.items())}
         return hashlib.sha256(json.dumps([self.base, values, self.vehicle_hash]).encode()).hexdigest()
 
     def to_yaml(self) -> str:
-        """A model file that `from_yaml` reads back to an equal ModelFile."""
+        """The text of a model file, from which `from_yaml` reads an equal ModelFile."""
         lines = [f"base: {self.base}"]
         if self.vehicle_hash or self.vehicle_name:
             lines += ["vehicle:", f"  name: {quote(self.vehicle_name)}", f"  hash: {quote(self.vehicle_hash)}"]
         if self.vehicle:
             lines += ["  parameters:", *(f"    {line}" for line in self.vehicle.to_yaml().splitlines())]
         lines.append("effects:" if self.effects else "effects: {}")
-        for name, parts in self.effects.items():
+        for name, estimates in self.effects.items():
             units = {p.name: p.unit for p in get_effect(name).parameters}
             lines.append(f"  {name}:")
-            for key, part in parts.items():
-                interval = "null" if part.interval is None else f"[{', '.join(map(format_number, part.interval))}]"
-                lines.append(f"    {key}: {{value: {format_number(part.value)}, unit: {quote(units[key])}, "
-                             f"interval: {interval}, source: {quote(part.source)}"
-                             f"{', effective: true' if part.effective else ''}}}")
-        p = self.provenance
-        lines += ["provenance:", f"  date: {quote(p.date)}", f"  version: {quote(p.version)}"]
-        lines += ["  data:" if p.data else "  data: {}"]
-        lines += [f"    {quote(name)}: {quote(digest)}" for name, digest in p.data.items()]
-        lines += [f"  note: {quote(p.note)}", f"hash: {quote(self.hash)}"]
+            for key, estimate in estimates.items():
+                ends = ", ".join(map(format_number, estimate.interval or ()))
+                interval = f"[{ends}]" if ends else "null"
+                lines.append(f"    {key}: {{value: {format_number(estimate.value)}, unit: {quote(units[key])}, "
+                             f"interval: {interval}, source: {quote(estimate.source)}"
+                             f"{', effective: true' if estimate.effective else ''}}}")
+        provenance = self.provenance
+        lines += ["provenance:", f"  date: {quote(provenance.date)}", f"  version: {quote(provenance.version)}",
+                  "  data:" if provenance.data else "  data: {}",
+                  *(f"    {quote(name)}: {quote(digest)}" for name, digest in provenance.data.items()),
+                  f"  note: {quote(provenance.note)}", f"hash: {quote(self.hash)}"]
         return HEADER + "\n".join(lines) + "\n"
 
     @classmethod
@@ -130,16 +132,16 @@ class ModelFile:
 
     @classmethod
     def _from_document(cls, document: Any) -> "ModelFile":
-        document = _mapping("the file", document)
+        document = _check_mapping("the file", document)
         check_keys("", document, ["base", "vehicle", "effects", "provenance", "hash"], required=["base", "effects"])
-        effects = {str(name): _effect(str(name), entry)
-                   for name, entry in _mapping("effects", document["effects"] or {}).items()}
-        section = _mapping("provenance", document.get("provenance") or {})
+        effects = {str(name): _read_effect(str(name), entry)
+                   for name, entry in _check_mapping("effects", document["effects"] or {}).items()}
+        section = _check_mapping("provenance", document.get("provenance") or {})
         check_keys("provenance.", section, ["date", "version", "data", "note"])
-        data = {str(k): _text(f"provenance.data.{k}", v)
-                for k, v in _mapping("provenance.data", section.get("data") or {}).items()}
-        texts = {key: _text(f"provenance.{key}", section.get(key, "")) for key in ("date", "version", "note")}
-        file = cls(_text("base", document["base"]), effects, *_vehicle(document.get("vehicle")),
+        data = {str(k): _check_text(f"provenance.data.{k}", v)
+                for k, v in _check_mapping("provenance.data", section.get("data") or {}).items()}
+        texts = {key: _check_text(f"provenance.{key}", section.get(key, "")) for key in ("date", "version", "note")}
+        file = cls(_check_text("base", document["base"]), effects, *_read_vehicle(document.get("vehicle")),
                    ModelProvenance(data=data, **texts))
         file.model()
         digest = document.get("hash")
@@ -149,38 +151,39 @@ class ModelFile:
         return file
 
 
-def _effect(name: str, entry: Any) -> dict[str, Estimate]:
+def _read_effect(name: str, entry: Any) -> dict[str, Estimate]:
     parameters = {p.name: p for p in get_effect(name).parameters}
-    entry = _mapping(f"effects.{name}", entry)
+    entry = _check_mapping(f"effects.{name}", entry)
     check_keys(f"effects.{name}.", entry, list(parameters), required=[k for k, p in parameters.items() if p.fit])
     estimates = {}
     for key in entry:
         where = f"effects.{name}.{key}"
-        part = _mapping(where, entry[key])
-        check_keys(f"{where}.", part, ["value", "unit", "interval", "source", "effective"], required=["value", "unit"])
+        fields = _check_mapping(where, entry[key])
+        check_keys(f"{where}.", fields, ["value", "unit", "interval", "source", "effective"],
+                   required=["value", "unit"])
         unit = parameters[key].unit
-        if str(part["unit"]) != unit:
-            raise ConfigurationError(f"{where}: unit {str(part['unit'])!r} is not {unit}; convert the value")
-        value = parameters[key].check(part["value"], where)
-        source = _text(f"{where}.source", part.get("source", "not stated"))
-        effective, ends = part.get("effective", False), part.get("interval")
+        if str(fields["unit"]) != unit:
+            raise ConfigurationError(f"{where}: unit {str(fields['unit'])!r} is not {unit}; convert the value")
+        value = parameters[key].check(fields["value"], where)
+        source = _check_text(f"{where}.source", fields.get("source", "not stated"))
+        effective, ends = fields.get("effective", False), fields.get("interval")
         if not isinstance(effective, bool):
             raise ConfigurationError(f"{where}.effective: {effective!r} is not true or false")
-        numbers = isinstance(ends, list) and all(isinstance(e, int | float) and not isinstance(e, bool) for e in ends)
-        if ends is not None and (not numbers or len(ends) != 2 or not ends[0] <= value <= ends[1]):
+        is_pair = isinstance(ends, list) and len(ends) == 2 and all(type(end) in (int, float) for end in ends)
+        if ends is not None and not (is_pair and ends[0] <= value <= ends[1]):
             raise ConfigurationError(f"{where}.interval: {ends!r} is not [low, high] around the value {value:g}")
         interval = None if ends is None else (float(ends[0]), float(ends[1]))
         estimates[key] = Estimate(value, interval, source, effective)
     return estimates
 
 
-def _vehicle(section: Any) -> tuple[VehicleParameters | None, str, str]:
+def _read_vehicle(section: Any) -> tuple[VehicleParameters | None, str, str]:
     """(embedded vehicle or None, name, hash)."""
     if section is None:
         return None, "", ""
-    section = _mapping("vehicle", section)
+    section = _check_mapping("vehicle", section)
     check_keys("vehicle.", section, ["name", "hash", "parameters"], required=["name", "hash"])
-    name, digest = (_text(f"vehicle.{key}", section[key]) for key in ("name", "hash"))
+    name, digest = (_check_text(f"vehicle.{key}", section[key]) for key in ("name", "hash"))
     if "parameters" not in section:
         return None, name, digest
     try:
@@ -193,20 +196,20 @@ def _vehicle(section: Any) -> tuple[VehicleParameters | None, str, str]:
     return vehicle, name, digest
 
 
-def _mapping(where: str, value: Any) -> dict[str, Any]:
+def _check_mapping(where: str, value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise ConfigurationError(f"{where}: not a mapping of `key: value`; see docs/manual/effects.md")
     return value
 
 
-def _text(where: str, value: Any) -> str:
+def _check_text(where: str, value: Any) -> str:
     # YAML parses an unquoted date as a date object, which is accepted.
     if isinstance(value, bool | int | float | list | dict) or value is None:
         raise ConfigurationError(f"{where}: {value!r} is not a string; put it in quotes")
     return str(value)
 
 
-def _differences(first: VehicleParameters, second: VehicleParameters) -> str:
+def _describe_differences(first: VehicleParameters, second: VehicleParameters) -> str:
     """Entries of two cars with different values, such as "mass: 1590, 1700 kg"; "" if there are none."""
     values = {key: (getattr(first, key), getattr(second, key)) for key in VEHICLE_QUANTITIES}
     listed = [f"{key}: {a:g}, {b:g} {VEHICLE_QUANTITIES[key].si_unit}".removesuffix(" 1")

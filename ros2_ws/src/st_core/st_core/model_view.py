@@ -43,8 +43,8 @@ class ModelView:
         self.ahead_ns = readings.required_lookahead_ns(model)
 
     @staticmethod
-    def span(models: Sequence[Model], span: float) -> float:
-        """Length of the history [s] for a time span [s]; models with steering memory need a longer one."""
+    def extend_span(models: Sequence[Model], span: float) -> float:
+        """Length of the history [s] for a time span [s]; it is longer if a model has steering memory."""
         return span + readings.MEMORY if any(readings.has_steering_dynamics(model) for model in models) else span
 
     def add_ins(self, sample: InsSample) -> None:
@@ -55,7 +55,7 @@ class ModelView:
         """Add a road wheel angle [rad] to the history of a model with `corrects_samples`."""
         self._history.add_steering(time_ns, road_wheel_angle)
 
-    def start(self, time_ns: int, steps: int, step: float) -> tuple[VehicleState, ControlInput | InputSequence]:
+    def read_start(self, time_ns: int, steps: int, step: float) -> tuple[VehicleState, ControlInput | InputSequence]:
         """State at the CG of the model, and inputs of a forecast with constant steering wheel angle and acceleration.
 
         With steering memory the inputs are a sequence. Raises StCoreError if state or inputs are unknown.
@@ -72,8 +72,8 @@ class ModelView:
                                             series.maximum_gap_ns * NANOSECOND)
         return state, InputSequence(angle, np.full(len(grid), now.velocity_x_dot))
 
-    def measured(self, times_ns: np.ndarray) -> InputSequence:
-        """Measured inputs at increasing times [ns]; NaN where not known."""
+    def read_inputs(self, times_ns: np.ndarray) -> InputSequence:
+        """Measured inputs at increasing times [ns]; NaN where unknown."""
         acceleration = self._history.ins.sample(times_ns)[:, DERIVATIVE]
         if not self.has_steering_dynamics:
             return InputSequence(self._history.steering.sample(times_ns)[:, 0], acceleration)

@@ -16,7 +16,7 @@ from .model_view import ModelView
 from .models import Model, get_model
 from .planned_inputs import PlannedInputs, model_inputs, plan_problem, wheel_sequence
 from .stability import warn_if_too_long
-from .timeseries import NANOSECOND
+from .timeseries import NANOSECOND, TimeSeries
 from .types import STATE_NAMES, ControlInput, InputSequence, InsSample, Trajectory, VehicleState, ins_to_cg
 from .vehicle import VehicleParameters
 
@@ -34,7 +34,7 @@ def step_count(horizon: float, step: float) -> int:
 
 @dataclass(frozen=True)
 class PredictionSettings:
-    """Settings of a prediction. Raises ConfigurationError naming the key and the limit."""
+    """Settings of a prediction. Raises ConfigurationError, naming the key and the limit."""
 
     horizon: float = 5.0  # s
     step: float = 0.05  # s
@@ -74,13 +74,13 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
 
     inputs: held over the horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
     horizon, step [s]: the horizon must be a whole number of steps. substeps: number >= 1 of integration steps per step,
-    with inputs interpolated linearly; see `stability` for the number needed. NaN in the state or an input gives NaN
-    from there on. Raises StCoreError for inputs of the wrong length and for a missing signal.
+    with inputs interpolated linearly; see `stability` for the number needed. From NaN in the state or an input on, the
+    trajectory is NaN. Raises StCoreError for inputs of the wrong length and for a missing signal.
     """
     model = get_model(model)
     p, steps = model.parameters(vehicle), step_count(horizon, step)
-    given = {} if isinstance(inputs, ControlInput) else inputs.signals
-    missing = [name for name in model.signals if name not in given]
+    signals = {} if isinstance(inputs, ControlInput) else inputs.signals
+    missing = [name for name in model.signals if name not in signals]
     if missing:
         raise StCoreError(f"model {model.name} needs the signal {missing[0]}, which the inputs do not have")
     if isinstance(inputs, ControlInput):
@@ -88,7 +88,7 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
         grid = [w] * (2 * steps * substeps + 1)
     else:
         named = {"road_wheel_angle": inputs.road_wheel_angle, "velocity_x_dot": inputs.velocity_x_dot,
-                 **{name: given[name] for name in model.signals}}
+                 **{name: signals[name] for name in model.signals}}
         sampled = [np.asarray(a, float) for a in named.values()]
         for name, values in zip(named, sampled, strict=True):
             if values.shape != (2 * steps + 1,):
@@ -124,7 +124,7 @@ class Skip:
     reason: str
 
 
-Runner = Callable[[VehicleState, ControlInput | InputSequence], Trajectory]  # one model, car, horizon
+Runner = Callable[[VehicleState, ControlInput | InputSequence], Trajectory]  # for one model, car and horizon
 
 
 class Predictor:
@@ -144,15 +144,15 @@ class Predictor:
         self._runners = dict(runners or {})
         if not models:
             raise ConfigurationError("models: empty; name at least one model")
-        found = [get_model(model) for model in models]
-        for model in found:
+        resolved = [get_model(model) for model in models]
+        for model in resolved:
             if model.signals:
                 raise ConfigurationError(f"model {model.name}: needs {model.signals[0]}, which is not measured live")
             warn_if_too_long(model, vehicle, [self.settings.minimum_speed], self.settings.step)
         span = max(self.SPAN, 2.0 * self.settings.stale_after + 2.0 * self.settings.maximum_gap)
-        span = ModelView.span(found, span)
+        span = ModelView.extend_span(resolved, span)
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
-        self._views = {model.name: ModelView(model, vehicle, self.history) for model in found}
+        self._views = {model.name: ModelView(model, vehicle, self.history) for model in resolved}
         self._correcting_views = [view for view in self._views.values() if view.corrects_samples]
         self.frozen_steering = FrozenSteeringDetector(vehicle)
 
@@ -182,12 +182,16 @@ class Predictor:
         self.frozen_steering.add_steering(time_ns, road_wheel_angle)
         return self.history.add_steering(time_ns, road_wheel_angle)
 
+    @property
+    def _series(self) -> dict[str, TimeSeries]:
+        return {"INS": self.history.ins, "steering": self.history.steering}
+
     def ages(self, now_ns: int) -> dict[str, float]:
         """Age [s] of the newest sample of each signal; infinite if there is none."""
-        series = {"INS": self.history.ins, "steering": self.history.steering}
-        return {name: math.inf if s.newest is None else (now_ns - s.newest) * NANOSECOND for name, s in series.items()}
+        return {name: math.inf if series.newest is None else (now_ns - series.newest) * NANOSECOND
+                for name, series in self._series.items()}
 
-    def start(self, now_ns: int) -> Start | Skip:
+    def find_start(self, now_ns: int) -> Start | Skip:
         """The newest instant at which both INS and steering are known, or the reason for making no prediction.
 
         now_ns: current time on the clock of the stamps. A sample more than stale_after in the future counts as stale.
@@ -200,8 +204,7 @@ class Predictor:
                 return Skip("stale", f"{name}: newest sample is {age:.2f} s old (limit {limit:g} s)")
             if age < -limit:
                 return Skip("stale", f"{name}: newest sample is {-age:.2f} s in the future; the clocks disagree")
-        both = {"INS": self.history.ins, "steering": self.history.steering}
-        newest = min(int(series.times[-1]) for series in both.values())
+        newest = min(int(series.times[-1]) for series in self._series.values())
         time_ns: int | None = newest
         previous_ns: int | None = None
         while time_ns is not None and time_ns != previous_ns:  # until both are known at the same instant
@@ -210,7 +213,7 @@ class Predictor:
         if time_ns is None or (now_ns - time_ns) * NANOSECOND > limit:
             old = "" if time_ns is None else f", last known {(now_ns - time_ns) * NANOSECOND:.2f} s ago"
             reasons = [f"{name}: {series.describe_unknown(newest)} at the newest common instant{old}"
-                       for name, series in both.items() if series.known_until(newest) != newest]
+                       for name, series in self._series.items() if series.known_until(newest) != newest]
             return Skip("stale", reasons[0] if reasons else "INS and steering: no common instant")
         jump = self.history.jump
         if jump and time_ns < jump.time_ns:
@@ -241,7 +244,7 @@ class Predictor:
             raise ConfigurationError(f"model {model!r} is not configured; the models are {', '.join(self._views)}")
         view, settings = self._views[model], self.settings
         state, inputs = ((start.state, start.inputs) if view.plain
-                         else view.start(start.time_ns, settings.steps, settings.step))
+                         else view.read_start(start.time_ns, settings.steps, settings.step))
         if ahead is not None:
             steering = self.history.steering
             inputs = wheel_sequence(view.model, ahead, start.time_ns, settings.step, steering.times,

@@ -38,7 +38,7 @@ def missing_reading(model: Model, unknown: Sequence[str]) -> tuple[str, str] | N
     for effect in model.active:
         for reading in unknown if effect.correct else ():
             known = Measured(1.0, 2.0, 0.1, 10.0, 0.2, 0.3, 0.4, 3.0)._replace(**{reading: np.nan})
-            alone = model.only(e for e in model.effects if e.converts or e is effect)
+            alone = model.select_effects(e for e in model.effects if e.converts or e is effect)
             if np.isnan(alone.correct(known)[:6]).any():
                 return effect.name, reading
     return None

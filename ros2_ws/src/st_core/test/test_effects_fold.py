@@ -40,7 +40,7 @@ def predicted(model, vehicle: VehicleParameters, log: DriveLog) -> tuple[np.ndar
 
 def folded(model, vehicle: VehicleParameters):
     """(vehicle with the effects that it can hold, model without them)."""
-    return fold(vehicle, [e for e in model.active if e.fold], model.values), model.only(
+    return fold(vehicle, [e for e in model.active if e.fold], model.values), model.select_effects(
         e for e in model.effects if not e.fold)
 
 

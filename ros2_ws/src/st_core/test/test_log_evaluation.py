@@ -38,7 +38,7 @@ def play(log: DriveLog, car, settings):
             core.add_ins(value) if isinstance(value, InsSample) else core.add_steering(time, value)
         if time >= next_tick:
             next_tick += 100_000_000
-            start = predictor.start(time)
+            start = predictor.find_start(time)
             for model in predictor.models if isinstance(start, Start) else ():
                 evaluator.add_prediction(model, start.time_ns, predictor.run(start, model))
         for score in evaluator.poll():

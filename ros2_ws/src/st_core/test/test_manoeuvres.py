@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from st_core import manoeuvres
-from st_core.manoeuvres import CATALOGUE, Manoeuvre, PiecewiseLinear, Sine
+from st_core.manoeuvres import CATALOGUE, Manoeuvre, PiecewiseLinear, SineSweep
 
 DT = 0.005
 BY_NAME = {m.name: m for m in CATALOGUE}
@@ -72,7 +72,7 @@ def test_lines_and_sine():
                                [0.0, 1.0, 2.0, 1.0, 1.0, 1.0, 1.0], atol=1e-5)
     assert lines.duration == 3.0
     t = np.arange(0.0, 9.0, 0.001)
-    steady, rising = Sine(0.5, 0.5, 8.0)(t), Sine(0.2, 2.8, 8.0)(t)
+    steady, rising = SineSweep(0.5, 0.5, 8.0)(t), SineSweep(0.2, 2.8, 8.0)(t)
     np.testing.assert_allclose(steady[t < 8.0], np.sin(np.pi * t[t < 8.0]), atol=1e-9)
     assert not steady[t >= 8.0].any() and not rising[t >= 8.0].any()
     crossings = t[1:][np.diff(np.sign(rising)) != 0]

@@ -75,7 +75,7 @@ def test_the_model_with_the_effect_predicts_the_car_with_the_effect(leaf, base, 
     for time_ns in Drive(model, leaf).feed(predictor, evaluator):
         elapsed = time_ns - BEGIN
         if elapsed > 2_500_000_000 and elapsed % 500_000_000 == 0:
-            start = predictor.start(time_ns)
+            start = predictor.find_start(time_ns)
             assert isinstance(start, Start)
             for which in predictor.models:
                 path = predictor.run(start, which)
@@ -101,7 +101,7 @@ def test_the_gap_of_the_base_is_what_the_effect_makes(leaf):
     predictor = Predictor(leaf, ["linear", model], SETTINGS)
     for time_ns in Drive(model, leaf).feed(predictor, evaluator):
         if time_ns == BEGIN + 4_000_000_000:
-            start = predictor.start(time_ns)
+            start = predictor.find_start(time_ns)
             for which in predictor.models:
                 path = predictor.run(start, which)
                 evaluator.add_prediction(which, start.time_ns, path)
@@ -123,7 +123,7 @@ NOW = 7.0
 
 def forecast(leaf, effects, angle):
     view = ModelView(augment("linear", effects), leaf, history_of(angle))
-    _, inputs = view.start(BEGIN + round(NOW / NANOSECOND), 100, 0.05)
+    _, inputs = view.read_start(BEGIN + round(NOW / NANOSECOND), 100, 0.05)
     return inputs
 
 
@@ -155,23 +155,23 @@ def test_no_memory_no_sequence(leaf):
 
 def test_long_steps_do_not_make_a_gap_of_held_inputs(leaf):
     view = ModelView(augment("linear", ["steering_lag"]), leaf, history_of(lambda t: 0.02))
-    _, inputs = view.start(BEGIN + round(NOW / NANOSECOND), 5, 1.0)
+    _, inputs = view.read_start(BEGIN + round(NOW / NANOSECOND), 5, 1.0)
     np.testing.assert_allclose(inputs.road_wheel_angle, 0.02, atol=1e-12)
 
 
 def test_measured_inputs_after_a_delay_are_those_before_it(leaf):
     view = ModelView(augment("linear", {"steering_delay": {"time": 0.123}}), leaf, history_of(np.sin))
     times = BEGIN + np.arange(5_500_000_000, 7_500_000_000, 25_000_000)
-    inputs = view.measured(times)
+    inputs = view.read_inputs(times)
     np.testing.assert_allclose(inputs.road_wheel_angle, np.sin((times - BEGIN) * NANOSECOND - 0.123), atol=2e-5)
-    beyond = view.measured(times + 5_000_000_000)
+    beyond = view.read_inputs(times + 5_000_000_000)
     assert np.isnan(beyond.road_wheel_angle[-10:]).all()
 
 
 def test_unknown_start_is_said_so(leaf):
     view = ModelView(augment("linear", ["mass"]), leaf, history_of(lambda t: 0.0))
     with pytest.raises(StCoreError, match="state or inputs not known"):
-        view.start(BEGIN - 1, 100, 0.05)
+        view.read_start(BEGIN - 1, 100, 0.05)
 
 
 def test_a_model_that_needs_a_signal_is_refused_at_the_start(leaf):
@@ -181,8 +181,8 @@ def test_a_model_that_needs_a_signal_is_refused_at_the_start(leaf):
 
 
 def test_memory_needs_a_longer_history():
-    assert ModelView.span([MODELS["linear"], augment("linear", ["mass"])], 2.0) == 2.0
-    assert ModelView.span([augment("linear", ["steering_lag"])], 2.0) == 7.0
+    assert ModelView.extend_span([MODELS["linear"], augment("linear", ["mass"])], 2.0) == 2.0
+    assert ModelView.extend_span([augment("linear", ["steering_lag"])], 2.0) == 7.0
 
 
 @pytest.mark.parametrize("effects", [
@@ -199,13 +199,13 @@ def test_a_whole_log_gives_what_the_live_classes_give(leaf, effects, inputs):
     starts, paths = [], []
     for time_ns in drive.feed(predictor, evaluator):
         if time_ns - BEGIN in (5_200_000_000, 5_700_000_000, 6_133_000_000 - 3_000_000):
-            start = predictor.start(time_ns)
+            start = predictor.find_start(time_ns)
             starts.append(start.time_ns)
             paths.append(predictor.run(start, "augmented"))
     if inputs == "measured":
         half_steps = 25_000_000 * np.arange(81)
         paths = [predict(model, leaf, VehicleState(*path.states[0].tolist()),
-                         evaluator.view("augmented").measured(t + half_steps), 2.0)
+                         evaluator.view("augmented").read_inputs(t + half_steps), 2.0)
                  for t, path in zip(starts, paths, strict=True)]
     for backend in ("numpy", None):
         batch = predict_log(model, leaf, log, np.array(starts), 2.0, inputs=inputs, backend=backend)

@@ -52,7 +52,7 @@ def test_live_scores_of_a_plan_are_those_of_its_trajectory(leaf):
         for time_ns, angle in zip(log.steering_time_ns.tolist(), log.road_wheel_angle.tolist(), strict=True):
             if time_ns < START or core is evaluator:
                 core.add_steering(time_ns, angle)
-    start = predictor.start(START)
+    start = predictor.find_start(START)
     assert isinstance(start, Start)
     path = PlannedInputs.from_path(START, START - 10**8 + np.arange(0, 20) * 10**8, np.full(20, start.state.velocity_x),
                                    np.full(20, start.state.yaw_rate / start.state.velocity_x), leaf)

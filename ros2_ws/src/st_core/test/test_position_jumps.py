@@ -108,11 +108,11 @@ def test_no_prediction_starts_before_a_jump_that_is_known(leaf, model, size):
     predictor = Predictor(leaf, [model])
     drive(predictor, 1000)
     predictor.add_ins(circle(1000, size))
-    start = predictor.start(T0 + 1005 * MS)  # the newest steering is of 993 ms
+    start = predictor.find_start(T0 + 1005 * MS)  # the newest steering is of 993 ms
     assert isinstance(start, Skip) and start.kind == "stale"
     assert "position jumps by" in start.reason
     predictor.add_steering(T0 + 1003 * MS, ANGLE)
-    start = predictor.start(T0 + 1006 * MS)
+    start = predictor.find_start(T0 + 1006 * MS)
     assert isinstance(start, Start) and start.time_ns == T0 + 1000 * MS
     assert np.isfinite(predictor.run(start, predictor.models[0]).states).all()
 
@@ -124,7 +124,7 @@ def test_scores_across_a_jump_are_incomplete_with_the_reason(leaf, size):
     for begin in range(0, 4000, 100):
         for one in (predictor, evaluator):
             drive(one, begin + 100, 2000, size, since=begin)
-        start = predictor.start(T0 + (begin + 100) * MS)
+        start = predictor.find_start(T0 + (begin + 100) * MS)
         if isinstance(start, Start):
             trajectory = predictor.run(start, "linear")
             evaluator.add_prediction("linear", start.time_ns, trajectory)

@@ -53,12 +53,12 @@ def reason(result) -> str:
 
 def test_start_is_the_newest_instant_at_which_both_are_known(predictor, leaf):
     feed(predictor, 0, 500)
-    start = predictor.start(now(500))
+    start = predictor.find_start(now(500))
     assert start.time_ns == T0 + 490 * MS  # INS is the older of the two
     assert start.inputs.road_wheel_angle == pytest.approx(0.05 + 1e-5 * 487)
     assert start.inputs.velocity_x_dot == pytest.approx(0.0, abs=1e-9)
     predictor.add_ins(ins(500))
-    start = predictor.start(now(505))
+    start = predictor.find_start(now(505))
     assert start.time_ns == T0 + 493 * MS  # now steering is
     assert start.state.x == pytest.approx(4.93 - leaf.cg_to_ins_x)
     assert start.state.velocity_y == pytest.approx(0.1 * 0.398)
@@ -66,7 +66,7 @@ def test_start_is_the_newest_instant_at_which_both_are_known(predictor, leaf):
 
 def test_trajectories_start_at_the_start(predictor, leaf):
     feed(predictor, 0, 500)
-    start = predictor.start(now(500))
+    start = predictor.find_start(now(500))
     for model in MODELS:
         path = predictor.run(start, model)
         assert path.states.shape == (101, 6) and path.time[-1] == pytest.approx(5.0)
@@ -75,26 +75,26 @@ def test_trajectories_start_at_the_start(predictor, leaf):
 
 
 def test_nothing_received_yet(predictor):
-    assert reason(predictor.start(now(0))) == "INS: nothing received yet"
+    assert reason(predictor.find_start(now(0))) == "INS: nothing received yet"
     predictor.add_ins(ins(0))
-    assert reason(predictor.start(now(0))) == "steering: nothing received yet"
+    assert reason(predictor.find_start(now(0))) == "steering: nothing received yet"
     assert predictor.ages(now(50)) == {"INS": pytest.approx(0.05), "steering": math.inf}
 
 
 def test_silence_names_the_signal_and_its_age_and_ends_by_itself(predictor):
     feed(predictor, 0, 500)
     feed(predictor, 500, 1000, steering=False)
-    assert reason(predictor.start(now(1000))) == "steering: newest sample is 0.51 s old (limit 0.2 s)"
+    assert reason(predictor.find_start(now(1000))) == "steering: newest sample is 0.51 s old (limit 0.2 s)"
     feed(predictor, 1000, 1500, ins_too=False)
-    assert reason(predictor.start(now(1500))) == "INS: newest sample is 0.51 s old (limit 0.2 s)"
+    assert reason(predictor.find_start(now(1500))) == "INS: newest sample is 0.51 s old (limit 0.2 s)"
     feed(predictor, 1500, 1600)
-    assert isinstance(predictor.start(now(1600)), Start)
+    assert isinstance(predictor.find_start(now(1600)), Start)
 
 
 def test_short_silence_uses_the_last_common_instant(predictor):
     feed(predictor, 0, 500)
     feed(predictor, 500, 650, steering=False)
-    assert predictor.start(now(650)).time_ns == T0 + 493 * MS
+    assert predictor.find_start(now(650)).time_ns == T0 + 493 * MS
 
 
 def test_a_gap_is_not_bridged(predictor):
@@ -102,8 +102,8 @@ def test_a_gap_is_not_bridged(predictor):
     predictor.add_ins(ins(640))
     predictor.add_steering(now(600), 0.05)
     # INS is not known between 490 and 640 ms; 490 ms itself is, and is not too old yet.
-    assert predictor.start(now(650)).time_ns == T0 + 490 * MS
-    assert reason(predictor.start(now(700))) == (
+    assert predictor.find_start(now(650)).time_ns == T0 + 490 * MS
+    assert reason(predictor.find_start(now(700))) == (
         "INS: gap of 0.150 s at the newest common instant, last known 0.21 s ago")
 
 
@@ -112,28 +112,29 @@ def test_after_a_gap_the_acceleration_takes_one_more_sample(predictor):
     predictor.add_ins(ins(1000))
     for ms in (990, 1000, 1010):
         predictor.add_steering(now(ms), 0.05)
-    assert reason(predictor.start(now(1010))) == "INS: forward acceleration not known yet, only one sample since a gap"
+    assert reason(predictor.find_start(now(1010))) == (
+        "INS: forward acceleration not known yet, only one sample since a gap")
     predictor.add_ins(ins(1010))
-    assert isinstance(predictor.start(now(1010)), Start)
+    assert isinstance(predictor.find_start(now(1010)), Start)
 
 
 def test_clocks_that_disagree_are_said_so(predictor):
     feed(predictor, 0, 500)
-    assert reason(predictor.start(now(-2000))) == "INS: newest sample is 2.49 s in the future; the clocks disagree"
+    assert reason(predictor.find_start(now(-2000))) == "INS: newest sample is 2.49 s in the future; the clocks disagree"
 
 
 def test_signals_on_different_clocks_have_no_common_instant(leaf):
     predictor = Predictor(leaf, MODELS, PredictionSettings(stale_after=5.0))
     feed(predictor, 0, 500, steering=False)
     feed(predictor, 3000, 3500, ins_too=False)
-    assert "begins 2.513 s after" in reason(predictor.start(now(3500)))
+    assert "begins 2.513 s after" in reason(predictor.find_start(now(3500)))
 
 
 @pytest.mark.parametrize(("speed", "starts"), [(0.0, False), (0.49, False), (0.51, True), (-0.6, True)])
 def test_below_the_minimum_speed_there_is_no_prediction(leaf, speed, starts):
     predictor = Predictor(replace(leaf, cg_to_ins_x=0.0), MODELS)
     feed(predictor, 0, 500, speed=speed)
-    result = predictor.start(now(500))
+    result = predictor.find_start(now(500))
     assert isinstance(result, Start) == starts
     if not starts:
         assert result.kind == "slow"
@@ -145,17 +146,17 @@ def test_invalid_samples_lead_to_staleness_not_to_nan(predictor):
     for ms in range(500, 1000, 10):
         assert not predictor.add_ins(ins(ms, velocity_y=math.nan))
         predictor.add_steering(now(ms), 0.05)
-    assert reason(predictor.start(now(1000))).startswith("INS: newest sample is 0.51 s old")
+    assert reason(predictor.find_start(now(1000))).startswith("INS: newest sample is 0.51 s old")
 
 
 @pytest.mark.parametrize("jump_ms", [-3_600_000, -2_000, 2_000, 3_600_000])
 def test_time_may_jump_and_prediction_resumes(predictor, jump_ms):
     feed(predictor, 0, 1000)
-    assert isinstance(predictor.start(now(1000)), Start)
+    assert isinstance(predictor.find_start(now(1000)), Start)
     for ms in range(0, 300, 10):
         predictor.add_ins(ins(1000 + jump_ms + ms))
         predictor.add_steering(now(1000 + jump_ms + ms), 0.07)
-    start = predictor.start(now(1300 + jump_ms))
+    start = predictor.find_start(now(1300 + jump_ms))
     assert isinstance(start, Start)
     assert start.time_ns == now(1290 + jump_ms)
     assert start.inputs.road_wheel_angle == 0.07
@@ -175,7 +176,7 @@ def test_order_duplicates_and_lateness_do_not_change_the_start(leaf):
         for ms in range(0, 990, 10):
             predictor.add_steering(now(ms), 0.05)
     assert order != sorted(order)
-    assert mixed.start(now(1000)) == straight.start(now(1000))
+    assert mixed.find_start(now(1000)) == straight.find_start(now(1000))
 
 
 @settings(max_examples=50, deadline=None)
@@ -187,7 +188,7 @@ def test_no_input_makes_it_raise(leaf, events):
             predictor.add_ins(ins(ms, value))
         else:
             predictor.add_steering(now(ms), value)
-        result = predictor.start(now(ms))
+        result = predictor.find_start(now(ms))
         assert isinstance(result, Start | Skip)
         if isinstance(result, Start):
             predictor.run(result, "nonlinear")
@@ -207,7 +208,7 @@ def test_settings_and_models_are_checked(leaf):
     only = Predictor(leaf, ["linear"])
     feed(only, 0, 500)
     with pytest.raises(ConfigurationError, match="'kinematic' is not configured; the models are linear"):
-        only.run(only.start(now(500)), "kinematic")
+        only.run(only.find_start(now(500)), "kinematic")
 
 
 @pytest.mark.parametrize(("horizon", "step", "steps"),

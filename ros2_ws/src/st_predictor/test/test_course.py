@@ -62,7 +62,7 @@ def drive(given: CourseInput, road: np.ndarray, jump: float = 0.0) -> tuple[list
         time_ns = round(t * 1e9)
         core.add_ins(InsSample(time_ns, x + (jump if t > 20.0 else 0.0), y, yaw, v_x, v_y, rate))
         core.add_steering(time_ns, CAR.road_wheel_angle(steering))
-        if k % 10 == 0 and isinstance(start := core.start(time_ns), Start):
+        if k % 10 == 0 and isinstance(start := core.find_start(time_ns), Start):
             inputs = given.find_inputs(core, start)
             used.append(inputs is not None)
             ends = [core.run(start, "linear", ahead).states[-1, :2] for ahead in (None, inputs)]

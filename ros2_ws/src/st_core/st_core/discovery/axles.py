@@ -47,7 +47,7 @@ class Axles:
         self.sideslip = "velocity_y" in problem.errors.windows.settings.channels
         # Measured slip and force of both axles, corrected only for fitted effects of steering, sensors and load.
         logs, additions = [], problem.space.additions
-        corrected = self.model.only(e for e in self.model.effects
+        corrected = self.model.select_effects(e for e in self.model.effects
                                     if e.kind == "sensors" or e.slot == "steering" or e.name in additions)
         car, p = corrected.effective_vehicle(vehicle), corrected.parameters(vehicle)
         for run in runs:

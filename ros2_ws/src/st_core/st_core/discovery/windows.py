@@ -241,7 +241,8 @@ def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states
                        acceleration: np.ndarray) -> np.ndarray | float:
     """Lateral specific force minus lateral acceleration at the CG [m/s^2]. states: six arrays shaped like `angle`."""
     # Only effects that act on the accelerometer, change the inputs or change the base model.
-    model = model.only(e for e in model.effects if e.converts or (e in model.active and (e.specific_force or e.inputs)))
+    model = model.select_effects(e for e in model.effects
+                                 if e.converts or (e in model.active and (e.specific_force or e.inputs)))
     added = compose(model.base, model.effects).specific_force
     if added is None:
         return 0.0

@@ -50,7 +50,7 @@ def compute_axle_forces(model: str | Model, vehicle: VehicleParameters,
     if not model.has_tyres:
         raise StCoreError(f"{getattr(model, 'base', model).name}: this model has no axle forces")
     if isinstance(model, AugmentedModel):
-        model = model.only(e for e in model.effects if e.slot != "steering")
+        model = model.select_effects(e for e in model.effects if e.slot != "steering")
     slip = np.concatenate((-np.asarray(slip, float), slip))
     p, car = model.parameters(vehicle), model.effective_vehicle(vehicle)
     zero = np.zeros_like(slip)

@@ -217,7 +217,7 @@ def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, without: Rel
             for k, name in enumerate(fits.windows.names) if (of_run := fits.windows.run == k).any()
             and np.isfinite(before[of_run]).any() and np.isfinite(after[of_run]).any()}
     full = fits.make_space(c).at(fit.vector)
-    library_part = full.only(e for e in full.effects if e.name != c.effect)
+    library_part = full.select_effects(e for e in full.effects if e.name != c.effect)
     relation = Relation(
         c, fit.coefficients, at, fit.coefficients @ splines, deviation, density,
         float(gains.sum()) / fits.loss.residual_count, p_values[c.name],

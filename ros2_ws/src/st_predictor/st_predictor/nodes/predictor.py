@@ -171,7 +171,7 @@ class PredictorNode(Node):
         self._slowest_tick = max(self._slowest_tick, time.perf_counter() - started)
 
     def _find_start(self, now_ns: int) -> Start | Skip:
-        start = self._core.start(now_ns)
+        start = self._core.find_start(now_ns)
         if isinstance(start, Skip):
             return start
         last_start_ns, self._last_start_ns = self._last_start_ns, start.time_ns
