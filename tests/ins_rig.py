@@ -31,6 +31,7 @@ TOPICS = {
     "ins/ncom": (Ncom, 1000),
     "ins/trigger": (Trigger, 1000),
     "ins/status": (InsStatus, LATCHED),
+    "ins/origin": (NavSatFix, LATCHED),
     "/tf": (TFMessage, 1000),
     "/tf_static": (TFMessage, LATCHED),
     "/diagnostics": (DiagnosticArray, 100),

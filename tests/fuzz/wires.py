@@ -51,7 +51,7 @@ class Pipeline:
     def _take(self, received, now_ns: int) -> None:
         packet = received.packet
         assert received.utc_ns is None or 0 < received.utc_ns < LAST_STAMP_NS, received.utc_ns
-        if received.rule.status:
+        if received.rule.has_status:
             seconds = None if received.gps_ns is None else received.gps_ns * 1e-9
             place = (packet.latitude, packet.longitude, packet.altitude) if packet.channel == 25 else None
             self.status.update(packet.channel, packet.batch_s, seconds, place)

@@ -55,9 +55,10 @@ class Field:
     the physical value. cyclic: width [bits] of a counter that wraps; status.StatusTracker unwraps it.
     kind: format of the raw number:
         u8 to u64, i8 to i32, f32: unsigned or signed integer or float, little-endian
-        bits<first>+<count>, lo4, hi4: bits of one byte, its lower nibble, its upper nibble; ibits: inverted bits
+        bits<first>+<count>, lo4, hi4: bits of one byte (no bits: the value is the offset), its lower nibble, its upper
+        nibble; ibits: inverted bits
         shifted: signed 7-bit number above a validity bit; digits6: i24, decoded to six digits of text
-        text<n>: n characters; constant: implied by the channel, its value is the offset
+        text<n>: n characters
     """
 
     name: str
@@ -87,8 +88,6 @@ class Field:
     def make_decoder(self) -> Callable[[int, bytes], Value]:
         """A function that decodes the field from the 8 bytes, given as an integer and as bytes; None if invalid."""
         at, scale, offset, accepts = self.at, self.scale, self.offset, self.validity.accepts
-        if self.kind == "constant":
-            return lambda word, data: int(offset)
         if self.kind.startswith("text"):
             end = at + int(self.kind[4:])
             # An unprintable byte becomes \\xNN, because a line break would split a CSV row.
@@ -114,8 +113,6 @@ class Field:
 
         A scaled quantity is clipped to the range of its format. A count or code out of range raises NcomError.
         """
-        if self.kind == "constant":
-            return
         if self.kind.startswith("text"):
             size = int(self.kind[4:])
             text = re.sub(r"\\x([0-9a-f]{2})", lambda match: chr(int(match[1], 16)), str(value or ""))
@@ -359,7 +356,7 @@ TABLE: dict[int, list[Field]] = {
          _byte("DualPortRamStatus", 3), *_nibbles(4, "GpsPrimary.PosRate", "GpsPrimary.VelRate"),
          *_nibbles(5, "GpsPrimary.RawRate", "GpsSecondary.RawRate"),
          # By the vendor's convention, a unit that sends this channel has GPS but not BeiDou; no bit encodes either.
-         F("GnssGpsEnabled", "constant", 6, offset=1), F("GnssBeiDouEnabled", "constant", 6, offset=0),
+         F("GnssGpsEnabled", "bits0+0", 6, offset=1), F("GnssBeiDouEnabled", "bits0+0", 6, offset=0),
          *(F(name, f"ibits{bit}+1", 6, validity=INVERTED_B6) for bit, name in enumerate(
              ("GnssGlonassEnabled", "GnssGalileoEnabled", "RawRngEnabled", "RawDopEnabled", "RawL1Enabled",
               "RawL2Enabled", "RawL5Enabled"))),

@@ -166,12 +166,49 @@ class Publishers:
             covariance[:] = _orientation_covariance(motion, accuracy) or 0.0
         self._out["imu"].publish(self._imu)
 
-    def publish_trigger(self, message: Trigger) -> None:
+    def publish_trigger(self, stamp_ns: int, channel: int, count: int, position: Vector | None,
+                        motion: Motion | None) -> None:
+        """Publish st_msgs/Trigger for an event input or output; position, motion: at that instant, None if unknown."""
+        message = Trigger(header=Header(frame_id=self._settings.map_frame), source=channel, count=count)
+        _set_time(message.header.stamp, stamp_ns)
+        message.pose_valid = position is not None and motion is not None
+        if position is not None and motion is not None:
+            _set_pose(message.pose, position, motion)
+            _set_twist(message.twist, motion)
         self._out["trigger"].publish(message)
 
-    def publish_status(self, message: InsStatus) -> None:
-        if self._status is not None:
-            self._status.publish(message)
+    def publish_status(self, stamp_ns: int, navigation_status: int, status: StatusTracker, counters: Counters,
+                       time_jumps: int) -> None:
+        """Publish st_msgs/InsStatus with the newest values of all status channels."""
+        if self._status is None:
+            return
+        number, get, accuracy = status.number, status.get, Accuracy.from_status(status)
+        (east, north, up), (velocity_east, velocity_north, velocity_up), (roll, pitch, heading) = accuracy
+        message = InsStatus(
+            header=Header(frame_id=self._settings.ins_frame),
+            navigation_status=navigation_status,
+            navigation_status_text=BY_STATUS[navigation_status].text,
+            satellites=_to_integer(get("GpsNumObs")),
+            position_accuracy_north=north, position_accuracy_east=east, position_accuracy_down=up,
+            velocity_accuracy_north=velocity_north, velocity_accuracy_east=velocity_east,
+            velocity_accuracy_down=velocity_up,
+            heading_accuracy=heading, pitch_accuracy=pitch, roll_accuracy=roll,
+            geoid_undulation=number("Undulation"),
+            utc_offset=number("TimeUtcOffset"),
+            output_latency=number("OutputLatency"),
+            differential_age=number("GpsDiffAge"),
+            antenna_lever_arm=[number("GAPx"), number("GAPy"), number("GAPz")],
+            # A serial number above 65535 is sent in channel 40 instead of 30.
+            serial_number=_to_integer(get("SerialNumber24") if get("SerialNumber") is None else get("SerialNumber")),
+            firmware=str(get("DevId") or ""),
+            seen_channels=sorted(status.seen),
+            packets=counters.packets, checksum_errors=counters.checksum_errors, skipped_bytes=counters.skipped_bytes,
+            late_packets=counters.late, time_jumps=time_jumps)
+        _set_time(message.header.stamp, stamp_ns)
+        for name, field in (("position", "GpsPosMode"), ("velocity", "GpsVelMode"), ("orientation", "GpsAttMode")):
+            setattr(message, f"{name}_mode", _to_integer(get(field)))
+            setattr(message, f"{name}_mode_text", mode_text(get(field)))
+        self._status.publish(message)
 
     def publish_origin(self, stamp_ns: int, geodetic: tuple[float, float, float]) -> None:
         """geodetic: latitude, longitude [deg], altitude [m] as the unit sends it."""
@@ -241,50 +278,6 @@ def _orientation_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, 
     """Row-major 3 x 3 covariance [rad^2]; None while unknown."""
     known = variances(accuracy.attitude)
     return None if known is None else motion.attitude.orientation_covariance(known)
-
-
-def make_trigger(stamp_ns: int, map_frame: str, channel: int, count: int, position: Vector | None,
-                 motion: Motion | None) -> Trigger:
-    """st_msgs/Trigger for an event input or output; position, motion: at that instant, None if unknown."""
-    message = Trigger(header=Header(frame_id=map_frame), source=channel, count=count)
-    _set_time(message.header.stamp, stamp_ns)
-    message.pose_valid = position is not None and motion is not None
-    if position is not None and motion is not None:
-        _set_pose(message.pose, position, motion)
-        _set_twist(message.twist, motion)
-    return message
-
-
-def make_status(stamp_ns: int, ins_frame: str, navigation_status: int, status: StatusTracker, counters: Counters,
-                time_jumps: int) -> InsStatus:
-    """st_msgs/InsStatus from the newest values of all status channels."""
-    number, get, accuracy = status.number, status.get, Accuracy.from_status(status)
-    (east, north, up), (velocity_east, velocity_north, velocity_up), (roll, pitch, heading) = accuracy
-    message = InsStatus(
-        header=Header(frame_id=ins_frame),
-        navigation_status=navigation_status,
-        navigation_status_text=BY_STATUS[navigation_status].text,
-        satellites=_to_integer(get("GpsNumObs")),
-        position_accuracy_north=north, position_accuracy_east=east, position_accuracy_down=up,
-        velocity_accuracy_north=velocity_north, velocity_accuracy_east=velocity_east,
-        velocity_accuracy_down=velocity_up,
-        heading_accuracy=heading, pitch_accuracy=pitch, roll_accuracy=roll,
-        geoid_undulation=number("Undulation"),
-        utc_offset=number("TimeUtcOffset"),
-        output_latency=number("OutputLatency"),
-        differential_age=number("GpsDiffAge"),
-        antenna_lever_arm=[number("GAPx"), number("GAPy"), number("GAPz")],
-        # A serial number above 65535 is sent in channel 40 instead of 30.
-        serial_number=_to_integer(get("SerialNumber") if get("SerialNumber") is not None else get("SerialNumber24")),
-        firmware=str(get("DevId") or ""),
-        seen_channels=sorted(status.seen),
-        packets=counters.packets, checksum_errors=counters.checksum_errors, skipped_bytes=counters.skipped_bytes,
-        late_packets=counters.late, time_jumps=time_jumps)
-    _set_time(message.header.stamp, stamp_ns)
-    for name, field in (("position", "GpsPosMode"), ("velocity", "GpsVelMode"), ("orientation", "GpsAttMode")):
-        setattr(message, f"{name}_mode", _to_integer(get(field)))
-        setattr(message, f"{name}_mode_text", mode_text(get(field)))
-    return message
 
 
 def _to_integer(value: Value) -> int:

@@ -35,8 +35,8 @@ _FIELDS = np.dtype({
 
 # ncom.BY_STATUS as arrays, indexed by navigation status.
 _KIND = np.array([KINDS.index(rule.kind) for rule in BY_STATUS], np.int8)
-_HAS_TIME, _HAS_IMU, _HAS_STATUS, _IS_KNOWN = (
-    np.array([getattr(rule, part) for rule in BY_STATUS]) for part in ("time", "imu", "status", "known"))
+_HAS_TIME, _HAS_STATUS, _IS_DEFINED = (
+    np.array([getattr(rule, part) for rule in BY_STATUS]) for part in ("has_time", "has_status", "is_defined"))
 _HAS_NAVIGATION = np.array([rule.navigation != "none" for rule in BY_STATUS])
 _IS_APPROXIMATE = np.array([rule.navigation == "approximate" for rule in BY_STATUS])
 _SETS_CLOCK = np.isin(np.arange(256), list(ncom.MINUTE_STATUSES))
@@ -245,7 +245,7 @@ def _fill_counters(columns: Columns) -> None:
     counters.structure_b = int(structure_b.sum())
     counters.inner_checksum_warnings = int((wrong & ~structure_b).sum())
     counters.impossible_times = int((_HAS_TIME[status] & (columns.milliseconds >= packet_time.MINUTE_MS)).sum())
-    counters.unknown_statuses = int((~_IS_KNOWN[status]).sum())
+    counters.unknown_statuses = int((~_IS_DEFINED[status]).sum())
     counters.unknown_channels = int((columns.has_status & ~_IS_KNOWN_CHANNEL[columns.channel]).sum())
     counters.triggers = int((_KIND[status] == TRIGGER).sum())
     counters.duplicates = int((order == packet_time.DUPLICATE).sum())
@@ -254,9 +254,9 @@ def _fill_counters(columns: Columns) -> None:
 
 def _mask_invalid(columns: Columns) -> None:
     """Replace values that the navigation status declares invalid, and impossible positions, by NaN."""
-    status, usable = columns.navigation_status, columns.kind != EMPTY
-    columns.approximate &= usable
-    no_imu, no_navigation = ~(_HAS_IMU[status] & usable), ~(_HAS_NAVIGATION[status] & usable)
+    columns.approximate &= columns.kind != EMPTY
+    no_imu = (columns.kind != REGULAR) & (columns.kind != TRIGGER)
+    no_navigation = no_imu | ~_HAS_NAVIGATION[columns.navigation_status]
     with np.errstate(invalid="ignore"):
         impossible = ~is_valid_position(columns.latitude, columns.longitude, columns.altitude)
     columns.counters.impossible_positions = int((impossible & ~no_navigation).sum())

@@ -48,41 +48,44 @@ class NcomError(ValueError):
     """Bytes that are not a structure A packet, or values that cannot be encoded."""
 
 
-class Rule(NamedTuple):
-    """Parts of a packet that are valid at a navigation status (byte 21).
+class StatusRule(NamedTuple):
+    """Contents of a packet at a navigation status (byte 21).
 
-    time: bytes 1-2 are the time of the measurement. imu: acceleration and angular rate are valid. navigation: validity
-    of position, velocity and angles: "none", "valid", or "approximate" (before the first fix, not published). status:
-    batch S is valid. kind: "regular", "status", "trigger" (an event with its time in batch S) or "empty". known: the
-    manual defines this status.
+    kind: "regular"; "trigger" (an event with its time in batch S); "status" (only batch S is valid); or "empty".
+    navigation: validity of position, velocity and angles: "none", "valid", or "approximate" (before the first fix, not
+    published). has_time: bytes 1-2 are the time of the measurement. is_defined: the manual defines this status.
     """
 
     text: str
-    time: bool = False
-    imu: bool = False
-    navigation: str = "none"
-    status: bool = False
     kind: str = "empty"
-    known: bool = True
+    navigation: str = "none"
+    has_time: bool = False
+    is_defined: bool = True
+
+    @property
+    def has_status(self) -> bool:
+        """Whether batch S is valid."""
+        return self.kind != "empty"
 
 
 INITIALISING, LOCKING, LOCKED, EXPIRED, BLOCKED, STATUS_ONLY = 2, 3, 4, 6, 7, 10
-RULES: dict[int, Rule] = {
-    0: Rule("nothing valid"),
-    1: Rule("raw IMU", False, True, "none", True, "regular"),
-    INITIALISING: Rule("initialising", True, True, "approximate", True, "regular"),
-    LOCKING: Rule("locking", True, True, "valid", True, "regular"),
-    LOCKED: Rule("locked", True, True, "valid", True, "regular"),
-    5: Rule("reserved (unlocked)"),
-    EXPIRED: Rule("firmware expired"),
-    BLOCKED: Rule("firmware blocked"),
-    STATUS_ONLY: Rule("status only", status=True, kind="status"),
-    STRUCTURE_B: Rule("structure B"),
-    20: Rule("trigger while initialising", False, True, "approximate", True, "trigger"),
-    21: Rule("trigger while locking", False, True, "valid", True, "trigger"),
-    22: Rule("trigger while locked", False, True, "valid", True, "trigger"),
+RULES: dict[int, StatusRule] = {
+    0: StatusRule("nothing valid"),
+    1: StatusRule("raw IMU", "regular"),
+    INITIALISING: StatusRule("initialising", "regular", "approximate", has_time=True),
+    LOCKING: StatusRule("locking", "regular", "valid", has_time=True),
+    LOCKED: StatusRule("locked", "regular", "valid", has_time=True),
+    5: StatusRule("reserved (unlocked)"),
+    EXPIRED: StatusRule("firmware expired"),
+    BLOCKED: StatusRule("firmware blocked"),
+    STATUS_ONLY: StatusRule("status only", "status"),
+    STRUCTURE_B: StatusRule("structure B"),
+    20: StatusRule("trigger while initialising", "trigger", "approximate"),
+    21: StatusRule("trigger while locking", "trigger", "valid"),
+    22: StatusRule("trigger while locked", "trigger", "valid"),
 }
-BY_STATUS: tuple[Rule, ...] = tuple(RULES.get(n, Rule(f"reserved ({n})", known=False)) for n in range(256))
+BY_STATUS: tuple[StatusRule, ...] = tuple(
+    RULES.get(n, StatusRule(f"reserved ({n})", is_defined=False)) for n in range(256))
 # Statuses in which channel 0 sets the GPS minute. Status-only packets are included because files start with them; raw
 # IMU (status 1) is excluded because the unit's clock is not set yet.
 MINUTE_STATUSES = frozenset((INITIALISING, LOCKING, LOCKED, STATUS_ONLY))
@@ -256,7 +259,7 @@ def next_packet(data: bytes, at: int, in_sync: bool, counters: Counters) -> tupl
                 break
             if sum(raw[1:CHECKSUM_3_AT]) & 0xFF == raw[CHECKSUM_3_AT]:
                 status = raw[STATUS_AT]
-                if in_sync or status == STRUCTURE_B or (BY_STATUS[status].known and inner_checksums_match(raw)):
+                if in_sync or status == STRUCTURE_B or (BY_STATUS[status].is_defined and inner_checksums_match(raw)):
                     return at, True
             counters.checksum_errors += in_sync
         found = data.find(_SYNC, at + 1)

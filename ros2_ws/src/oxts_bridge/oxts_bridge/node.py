@@ -11,8 +11,8 @@ from st_ros import parameters, spin
 from st_ros.diagnostics import Diagnostics
 from st_ros.parameters import ConfigurationError, Parameter
 
-from .convert import Publishers, make_status, make_trigger
-from .geometry import Vector
+from .convert import Publishers
+from .geometry import LocalFrame, Vector
 from .health import Health
 from .motion import FIRST_FIX, GIVEN, UNIT, Accuracy, Motion, Origin, extract_motion
 from .ncom import NcomError
@@ -94,6 +94,7 @@ class OxtsBridge(LifecycleNode):
             lambda: None if self._source is None else self._source.status,
             self._live, s.altitude_is_ellipsoidal, s.silence_after)
         self._minute = HostMinute()
+        self._published_frame: LocalFrame | None = None
         self._reported: tuple | None = None
         self._reported_at = self._clock_at = float("-inf")
 
@@ -169,9 +170,9 @@ class OxtsBridge(LifecycleNode):
             publishers.publish_raw(received, now)
         if received.order not in (NEW, SAME):
             return
-        if received.rule.known:
+        if received.rule.is_defined:
             self._health.navigation_status = received.packet.navigation_status
-        if received.rule.time and received.packet.channel == 0:
+        if received.rule.has_time and received.packet.channel == 0:
             self._health.minute_from_host = False
         if self._status.update_from(received) and received.packet.channel in _ACCURACY_CHANNELS:
             self._accuracy = Accuracy.from_status(self._status)
@@ -183,8 +184,8 @@ class OxtsBridge(LifecycleNode):
         position = self._position(publishers, received_ns, motion)
         if (event := self._events.detect(received)) is not None:
             pose = (position, motion) if event.has_pose else (None, None)
-            publishers.publish_trigger(make_trigger(unix_nanoseconds(event.gps_ns, self._parser.utc_offset),
-                                                    self._settings.map_frame, event.channel, event.count, *pose))
+            utc_ns = unix_nanoseconds(event.gps_ns, self._parser.utc_offset)
+            publishers.publish_trigger(utc_ns, event.channel, event.count, *pose)
         if in_series:
             self._continuity.update(received.packet)
             self._statistics.add(received)
@@ -196,9 +197,9 @@ class OxtsBridge(LifecycleNode):
     def _position(self, publishers: Publishers, received_ns: int, motion: Motion | None) -> Vector | None:
         if motion is None:
             return None
-        before = self._origin.frame
         frame = self._origin.update(motion, self._status, received_ns)
-        if frame is not before and self._origin.geodetic is not None:
+        if frame is not self._published_frame and self._origin.geodetic is not None:
+            self._published_frame = frame
             publishers.publish_origin(received_ns, self._origin.geodetic)
         return None if frame is None else motion.position(frame)
 
@@ -222,8 +223,8 @@ class OxtsBridge(LifecycleNode):
         if state == self._reported and now - self._reported_at < self._settings.status_period:
             return
         self._reported, self._reported_at = state, now
-        publishers.publish_status(make_status(stamp, self._settings.ins_frame, self._health.navigation_status or 0,
-                                              self._status, self._parser.counters, self._parser.clock.jumps))
+        publishers.publish_status(stamp, self._health.navigation_status or 0, self._status, self._parser.counters,
+                                  self._parser.clock.jumps)
 
 
 def check(settings: SimpleNamespace, node_name: str) -> None:

@@ -82,7 +82,7 @@ class StatusTracker:
 
     def update_from(self, received: Received) -> dict[str, Value]:
         """Set and return the values in a packet; empty if its status channel is invalid or unchanged."""
-        if not received.rule.status:
+        if not received.rule.has_status:
             return {}
         packet = received.packet
         seconds = None if received.gps_ns is None else received.gps_ns * 1e-9
@@ -186,7 +186,7 @@ class EventLog:
         """The event that this packet is the first to report, else None."""
         packet = received.packet
         channel = packet.channel
-        time = event_nanoseconds(channel, packet.batch_s) if received.rule.status else None
+        time = event_nanoseconds(channel, packet.batch_s) if received.rule.has_status else None
         if time is None:
             return None
         count = packet.batch_s[7]

@@ -7,16 +7,7 @@ from statistics import median
 
 from . import channels, ncom
 from .channels import Value
-from .ncom import (
-    PACKET_SIZE,
-    Counters,
-    Packet,
-    Rule,
-    decode_unchecked,
-    inner_checksums_match,
-    is_valid_position,
-    next_packet,
-)
+from .ncom import PACKET_SIZE, Counters, Packet, StatusRule, next_packet
 from .packet_time import DUPLICATE, LAST_MINUTE, LATE, MINUTE_MS, NEW, SAME, GpsClock, host_minute, unix_nanoseconds
 
 _NO_VECTOR = (ncom.NAN, ncom.NAN, ncom.NAN)
@@ -45,7 +36,7 @@ class Received:
     fields: Mapping[str, Value]
     offset: int
     kind: str
-    rule: Rule
+    rule: StatusRule
     gps_ns: int | None
     utc_ns: int | None
     order: int
@@ -97,22 +88,22 @@ class NcomParser:
         if status == ncom.STRUCTURE_B:
             counters.structure_b += 1
             return None
-        if not inner_checksums_match(raw):
+        if not ncom.inner_checksums_match(raw):
             counters.inner_checksum_warnings += 1
         rule = ncom.BY_STATUS[status]
-        packet = decode_unchecked(raw)
+        packet = ncom.decode_unchecked(raw)
         kind, order = rule.kind, NEW
         gps_ns: int | None = None
-        fields, minute = self._decode_status(packet, status) if rule.status else (_NO_FIELDS, None)
-        if rule.time and packet.milliseconds >= MINUTE_MS:
+        fields, minute = self._decode_status(packet, status) if rule.has_status else (_NO_FIELDS, None)
+        if rule.has_time and packet.milliseconds >= MINUTE_MS:
             counters.impossible_times += 1
-        elif rule.time:
+        elif rule.has_time:
             gps_ns, order = self._time(packet, raw, minute, received_ns)
         elif kind == "trigger":
             gps_ns, order = self._event_time(packet, raw)
             if gps_ns is None:
                 kind = "empty"
-        elif not rule.known:
+        elif not rule.is_defined:
             counters.unknown_statuses += 1
         counters.impossible_positions += _mask_invalid(packet, rule, kind)
         utc_ns = None if gps_ns is None else unix_nanoseconds(gps_ns, self.utc_offset)
@@ -169,7 +160,7 @@ class HostMinute:
 
     def update(self, received: Received, received_ns: int, clock: GpsClock) -> bool:
         """Process a regular packet and its time of receipt [ns]; returns whether the minute of the clock was set."""
-        if not received.rule.time or received.gps_ns is not None:
+        if not received.rule.has_time or received.gps_ns is not None:
             self._untimed_since = None
             return False
         if self._untimed_since is None:
@@ -222,15 +213,15 @@ class StreamStatistics:
         return median(ordered) * 1e-9, ordered[len(ordered) // 100] * 1e-9, newest * 1e-9
 
 
-def _mask_invalid(packet: Packet, rule: Rule, kind: str) -> bool:
+def _mask_invalid(packet: Packet, rule: StatusRule, kind: str) -> bool:
     """Replace invalid values by NaN; returns whether the position is impossible although declared valid."""
-    if kind == "empty" or not rule.imu:
+    if kind not in ("regular", "trigger"):
         packet.acceleration = packet.angular_rate = _NO_VECTOR
     if kind == "empty" or rule.navigation == "none":
         packet.latitude = packet.longitude = packet.altitude = ncom.NAN
         packet.velocity_ned = _NO_VECTOR
         packet.heading = packet.pitch = packet.roll = ncom.NAN
-    elif not is_valid_position(packet.latitude, packet.longitude, packet.altitude):
+    elif not ncom.is_valid_position(packet.latitude, packet.longitude, packet.altitude):
         packet.latitude = packet.longitude = packet.altitude = ncom.NAN
         return True
     return False

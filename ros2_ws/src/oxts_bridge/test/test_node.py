@@ -270,7 +270,7 @@ def test_choices_of_origin_stamp_altitude_frames_and_topics(rig, packet):
         altitude_is_ellipsoidal=True,
         publish_tf=False,
         map_frame="site",
-        topics="[odometry, nav_sat_fix, status]",
+        topics="[odometry, nav_sat_fix, origin, status]",
     )
     before = time.time() * 1000
     rig.send(packet(START, 0), packet(START + 10, 48, {"Undulation": 51.7}), packet(START + 20))
@@ -278,6 +278,8 @@ def test_choices_of_origin_stamp_altitude_frames_and_topics(rig, packet):
     p = odometry.pose.pose.position
     assert (p.x, p.y, p.z) == pytest.approx((0, -111.26, 10.0), abs=0.02)
     assert odometry.header.frame_id == "site"
+    origin = rig.messages("ins/origin", 1)[0]
+    assert (origin.header.frame_id, origin.latitude, origin.longitude, origin.altitude) == ("site", 52.001, -1.25, 90.5)
     assert before - 1 <= stamp_ms(odometry) <= time.time() * 1000 + 1
     assert [fix.altitude for fix in rig.messages("ins/nav_sat_fix", 3)] == [100.5] * 3
     rig.spin(lambda: False, 0.3)
