@@ -13,7 +13,7 @@ from st_core.identification.result import Estimate
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters, find_quantity
 from st_sim.car import read_car
-from st_sim.settings import resolve
+from st_sim.settings import resolve_settings
 
 SECONDS = 60.0
 SENSORS = ("ins_noise=1", "steering_sensor_noise=0.0005")
@@ -95,7 +95,7 @@ TRANSIENTS: Runs = (("steps 10 m/s", 10.0, steps(10.0, 0.05)), ("steps 14 m/s", 
 def record(runs: Runs, plant: str, seed: int, effects: Sequence[str] = (), seconds: float = SECONDS,
            sensors: Sequence[str] = SENSORS) -> list[DriveLog]:
     """Logs of the runs; the seed determines steering tremor and sensor noise."""
-    settings = resolve(plant, ("driver_tremor=0", *sensors, *effects))
+    settings = resolve_settings(plant, ("driver_tremor=0", *sensors, *effects))
     car, vehicle = read_car(LEAF_FILE), leaf()
     return [make_log(name, _drive_run(run, number, plant, seed, seconds), car, vehicle, settings,
                      1000 * seed + number) for number, run in enumerate(runs) for name in run[:1]]
@@ -111,7 +111,7 @@ def _drive_run(run: Run, number: int, plant: str, driver: int, seconds: float) -
         manoeuvre(road)
         count = sum(row.shape[1] for row in road.rows)
     road.rows[-1] = road.rows[-1][:, :road.rows[-1].shape[1] - max(0, count - round(seconds / DT))]
-    return drive(car, resolve(plant, ("driver_tremor=0",)), road.programme(), driver)
+    return drive(car, resolve_settings(plant, ("driver_tremor=0",)), road.programme(), driver)
 
 
 def record_all(plant: str, seed: int, sensors: Sequence[str] = SENSORS,

@@ -15,9 +15,9 @@ from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.log_signals import LogSignals
 from st_core.vehicle import VehicleParameters
 from st_sim.car import read_car
-from st_sim.scenarios import load
+from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, SteeringSensor
-from st_sim.settings import resolve
+from st_sim.settings import resolve_settings
 from st_sim.simulation import SimulatedCar
 
 # Duration of each scenario [s]; only S6 and S7 have straights above 5 m/s, the others are uniform.
@@ -47,8 +47,8 @@ def run_procedure() -> dict:
 
 def record_scenario(scenario: str, seconds: float, vehicle: VehicleParameters) -> DriveLog:
     """Log of a scenario from the sensors of the realistic virtual Leaf, with the steering resolution of its CAN bus."""
-    settings, car = resolve("realistic"), read_car(LEAF_FILE)
-    simulated = SimulatedCar(car, settings, load(scenario), seed=1)
+    settings, car = resolve_settings("realistic"), read_car(LEAF_FILE)
+    simulated = SimulatedCar(car, settings, load_plan(scenario), seed=1)
     ins, sensor = Ins(car, settings, INTERVAL_MS / 1000, 1), SteeringSensor(car, settings, 1)
     rows = []
     for k in range(round(seconds * 1000 / INTERVAL_MS)):

@@ -10,9 +10,9 @@ from st_core.checks import AuxiliaryData, Series
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_sim.car import GRAVITY, read_car
-from st_sim.scenarios import load
+from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, InsReading, SteeringSensor, read_wheel_speeds
-from st_sim.settings import Settings, resolve
+from st_sim.settings import Settings, resolve_settings
 from st_sim.simulation import SimulatedCar
 from st_sim.stream import STEERING_SCHEDULE, TICK_MS, WHEEL_SCHEDULE
 
@@ -31,8 +31,8 @@ def drive_name(scenario: str) -> str:
 def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
     """A drive of a scenario or road file, realistic plant; INS and steering at 100 Hz, wheel speeds at 50 Hz."""
     car, vehicle = read_car(LEAF_FILE), leaf()
-    settings = resolve("realistic", [])
-    source = SimulatedCar(car, settings, load(scenario), seed)
+    settings = resolve_settings("realistic", [])
+    source = SimulatedCar(car, settings, load_plan(scenario), seed)
     ins, sensor = Ins(car, settings, INS_MS / 1000, seed), SteeringSensor(car, settings, seed)
     noiseless = Ins(car, {**settings, "ins_noise": 0.0}, INS_MS / 1000, seed)
     readings, exact, steering, wheels = [], [], [], []

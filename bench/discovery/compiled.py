@@ -14,7 +14,7 @@ from numba.extending import register_jitable
 from st_core.backends import numba_cache, structure
 from st_sim.car import Car
 from st_sim.dynamics import RACK, STATES, VX, VY, YAW, YAW_RATE, X, Z, derivative, make_constants
-from st_sim.environment import GUST_TIME, make_road, normal_stream, road_at
+from st_sim.environment import GUST_TIME, evaluate_road, make_normal_source, make_road
 from st_sim.plant import STANDSTILL, STEP, Plant
 from st_sim.settings import Settings
 
@@ -75,7 +75,7 @@ def drive(car: Car, settings: Settings, programme: Programme, seed: int,
     # numbers for the gusts.
     state = np.array([*plant.state, 0.0, 0.0, 0.0, plant.surroundings.wind_x,
                       plant.surroundings.wind_y - settings["wind_speed"], 0.0, 1.0])
-    draw = normal_stream(np.random.default_rng([seed, 1]))
+    draw = make_normal_source(np.random.default_rng([seed, 1]))
     for _ in range(4):
         draw()
     out = np.empty((len(programme.steering_wheel), RECORDED + 3))
@@ -145,7 +145,7 @@ def _loop(state, options, c, road, law, body, first, delayed, gusts, steering, y
     angle, pedal, loose, gust_x, gust_y, left_over, looked = state[STATES:]
     oldest, drawn = 0, 0
     force = mass * pedal
-    friction, bank, grade = road_at(road, s[X], s[YAW])
+    friction, bank, grade = evaluate_road(road, s[X], s[YAW])
     for k in range(len(steering)):
         rates, _ = derivative(_tuple(s), s[RACK], force, (friction, bank, grade, gust_x, wind + gust_y), c)
         if law[0]:
@@ -165,7 +165,7 @@ def _loop(state, options, c, road, law, body, first, delayed, gusts, steering, y
             angle += min(max(target - angle, -MAX_STEERING_WHEEL_RATE * STEP), MAX_STEERING_WHEEL_RATE * STEP)
             if step == 0:
                 out[k, RECORDED] = angle
-            friction, bank, grade = road_at(road, s[X], s[YAW])
+            friction, bank, grade = evaluate_road(road, s[X], s[YAW])
             if gust:
                 gust_x, gust_y = memory * gust_x + kick * gusts[drawn], memory * gust_y + kick * gusts[drawn + 1]
                 drawn += 2

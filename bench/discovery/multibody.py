@@ -17,7 +17,7 @@ from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_sim.car import GRAVITY
 from st_sim.dynamics import A_X, A_Y, A_Y_RATE, STATES, VX, VY, WIND_ARM, YAW, YAW_RATE, X, Y, Z, air_force
-from st_sim.environment import GUST_TIME, make_road, normal_stream, road_at
+from st_sim.environment import GUST_TIME, evaluate_road, make_normal_source, make_road
 from vehiclemodels.init_mb import init_mb
 
 from .compiled import (
@@ -91,7 +91,7 @@ def drive_multibody(car: str, settings: Mapping[str, float], programme: Programm
     """
     count = len(programme.steering_wheel)
     parts = [(settings, 0, count)] if later is None else [(settings, 0, later[1]), (later[0], later[1], count)]
-    draw = normal_stream(np.random.default_rng([seed, 1]))
+    draw = make_normal_source(np.random.default_rng([seed, 1]))
     out = np.empty((count, RECORDED + 3))
     state = _settle(car, settings, programme)
     state[BODY_STATES + 4] = complete_settings(settings)["gust_speed"] * draw()
@@ -193,7 +193,7 @@ def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, steerin
     angle, pedal, loose, rack, gust_x, gust_y, left_over, looked = state[BODY_STATES:]
     oldest, drawn = 0, 0
     for k in range(len(steering)):
-        friction, bank, grade = road_at(road, x[0], x[P_YAW])
+        friction, bank, grade = evaluate_road(road, x[0], x[P_YAW])
         tyres = p if friction == road.friction else slippery
         f = rates(x, 0.0, pedal, (bank, grade, gust_x, o.wind + gust_y), tyres, o.drag_area, o.still_air)
         time = (first + k) * DECIDE * STEP
@@ -216,7 +216,7 @@ def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, steerin
             angle += min(max(target - angle, -MAX_STEERING_WHEEL_RATE * STEP), MAX_STEERING_WHEEL_RATE * STEP)
             if step == SENSED:
                 row[RECORDED] = angle
-            friction, bank, grade = road_at(road, x[0], x[P_YAW])
+            friction, bank, grade = evaluate_road(road, x[0], x[P_YAW])
             tyres = p if friction == road.friction else slippery
             if o.gust:
                 gust_x, gust_y = fading * gust_x + kick * gusts[drawn], fading * gust_y + kick * gusts[drawn + 1]

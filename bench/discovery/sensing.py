@@ -113,7 +113,7 @@ def select_noise(seed: int, count: int, speed: np.ndarray, channels: Sequence[st
 
 
 def _stream(generator: np.random.Generator, count: int, block: int) -> np.ndarray:
-    """The first numbers of `environment.normal_stream`, which takes blocks from their ends."""
+    """The first numbers of `environment.make_normal_source`, which takes blocks from their ends."""
     blocks = [generator.standard_normal(block)[::-1] for _ in range(-(-count // block))]
     return np.concatenate(blocks)[:count]
 

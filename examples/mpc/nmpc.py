@@ -23,8 +23,8 @@ from st_offline.model_export import load_model
 from st_recordings.paths import config, new_folder
 from st_sim.car import read_car
 from st_sim.path import lane_shift, straight
-from st_sim.scenarios import Plan, RoadPlan, load
-from st_sim.settings import SimulationError, resolve
+from st_sim.scenarios import Plan, RoadPlan, load_plan
+from st_sim.settings import SimulationError, resolve_settings
 
 MODELS = ["kinematic", "linear", "nonlinear"]
 HORIZONS = [0.5, 1.0, 2.0, 3.0]  # s
@@ -38,8 +38,8 @@ def lane_change_at_the_limit() -> Plan:
 
 
 ROADS: dict[str, tuple[Callable[[], Plan], float, str]] = {
-    "S6": (lambda: load("S6"), 30.0, "S6: U-turns, 4 to 6 m/s"),
-    "lane_change": (lambda: load("lane_change"), 13.0, "double lane change, 12 m/s"),
+    "S6": (lambda: load_plan("S6"), 30.0, "S6: U-turns, 4 to 6 m/s"),
+    "lane_change": (lambda: load_plan("lane_change"), 13.0, "double lane change, 12 m/s"),
     "lane_change_limit": (lane_change_at_the_limit, 10.0, "double lane change, 15 m/s"),
 }
 
@@ -49,7 +49,7 @@ def main() -> int:
     try:
         folder = new_folder(options.output, "mpc")
         vehicle = VehicleParameters.from_yaml(options.vehicle.read_text(encoding="utf-8"), str(options.vehicle))
-        car, settings = read_car(options.vehicle), resolve(options.plant)
+        car, settings = read_car(options.vehicle), resolve_settings(options.plant)
         models = {}
         for name in options.model:
             # --vehicle is the plant; a model file may contain an identified vehicle for its model.

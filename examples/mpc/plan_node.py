@@ -32,7 +32,7 @@ from st_predictor import convert
 from st_recordings.paths import config
 from st_ros import spin
 from st_ros.polling import PolledSubscription, from_nanoseconds
-from st_sim.scenarios import RoadPlan, load
+from st_sim.scenarios import RoadPlan, load_plan
 from st_sim.settings import SimulationError
 
 STEPS = 56  # of 0.1 s: the first one, the predictor's horizon of 5 s, and the 0.5 s for which a plan may be used
@@ -45,7 +45,7 @@ MAX_GAP = 0.1  # s between the newest odometry and the newest steering
 
 def make_scenario_course(name: str) -> Course:
     """The road of a scenario as a course. Raises SimulationError for a scenario without a fixed road."""
-    plan = load(name)
+    plan = load_plan(name)
     if not isinstance(plan, RoadPlan):
         raise SimulationError(f"--road {name}: its road depends on the driver; choose one with a fixed road, as S6")
     along = plan.start + np.arange(-50.0, ROAD_LENGTH, SPACING)

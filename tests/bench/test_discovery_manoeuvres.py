@@ -13,8 +13,8 @@ from st_core.vehicle import VehicleParameters
 from st_sim.car import read_car
 from st_sim.dynamics import VX, YAW_RATE
 from st_sim.run import check_arguments
-from st_sim.scenarios import load
-from st_sim.settings import resolve
+from st_sim.scenarios import load_plan
+from st_sim.settings import resolve_settings
 from st_sim.simulation import SimulatedCar
 from support import ROOT
 
@@ -23,7 +23,7 @@ from bench.discovery import compiled, programmes
 LEAF_FILE = ROOT / "config" / "vehicle" / "leaf.yaml"
 CAR = read_car(LEAF_FILE)
 LEAF = VehicleParameters.from_yaml(LEAF_FILE.read_text())
-HEALTHY = resolve("realistic")
+HEALTHY = resolve_settings("realistic")
 SHORT = 20.0
 """s looked at of every drive; of the ramp, whose limit comes later, RAMP."""
 RAMP = 26.0
@@ -44,7 +44,7 @@ def looked_at(manoeuvre) -> float:
 
 def by_the_virtual_car(manoeuvre) -> np.ndarray:
     """Columns: speed, lateral acceleration v r, every 0.02 s."""
-    car = SimulatedCar(CAR, HEALTHY, load(manoeuvre.name), SEED)
+    car = SimulatedCar(CAR, HEALTHY, load_plan(manoeuvre.name), SEED)
     rows = []
     for time in np.arange(0.0, looked_at(manoeuvre), 0.02):
         car.advance(time)

@@ -9,7 +9,7 @@ from st_core.vehicle import VehicleParameters
 from st_sim.dynamics import RACK, STATES, VX, VY, YAW, YAW_RATE
 from st_sim.plant import STEP, Plant, Truth
 from st_sim.sensors import Ins, SteeringSensor
-from st_sim.settings import resolve
+from st_sim.settings import resolve_settings
 from vehiclemodels.init_mb import init_mb
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
@@ -120,7 +120,7 @@ def by_the_plant(settings, p: Programme):
 
 @pytest.mark.slow
 def test_compiled_car_and_its_sensors_are_those_of_the_simulation():
-    settings, p = resolve("realistic", EVERYTHING), programme(250)
+    settings, p = resolve_settings("realistic", EVERYTHING), programme(250)
     states, read, angles = by_the_plant(settings, p)
     recording = drive(NOMINAL, settings, p, SEED)
     np.testing.assert_allclose(recording.rows[:, :STATES], states, rtol=0, atol=1e-9)

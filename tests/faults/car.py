@@ -100,7 +100,7 @@ class Car(threading.Thread):
                 time.sleep(wait)
             self.behind = max(self.behind, -wait)
             if now % self._ncom_period == 0:
-                self.ins.send(unit.packet(self._drive.reading(now / 1000)))
+                self.ins.send(unit.encode_packet(self._drive.reading(now / 1000)))
             for data in frames.at(now):
                 self.can.send(data)
             for data in self.extra:
@@ -121,15 +121,15 @@ class _Frames:
     def __init__(self, wires: CanWire, drive: Drive, full: bool):
         self._wires, self._drive = wires, drive
         background = Background(0) if full else None
-        self._others = [_packed(background.frames(ms)) for ms in range(100)] if background else []
+        self._others = [_packed(background.select_frames(ms)) for ms in range(100)] if background else []
 
     def at(self, now: int) -> Iterator[bytes]:
         """Frames that are due in two milliseconds. now: the first of them, an even number since the start."""
         if now % STEERING_PERIOD == 2:
-            yield from _packed(self._wires.steering(self._drive.steering_wheel(now / 1000), 0.0))
+            yield from _packed(self._wires.encode_steering(self._drive.steering_wheel(now / 1000), 0.0))
         if now % WHEEL_PERIOD == 6:
             speed = self._drive.reading(now / 1000).velocity_x
-            yield from _packed(self._wires.wheel_speeds((speed,) * 4, speed))
+            yield from _packed(self._wires.encode_wheel_speeds((speed,) * 4, speed))
         if self._others:
             yield from self._others[now % 100]
             yield from self._others[(now + 1) % 100]

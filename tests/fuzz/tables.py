@@ -13,7 +13,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, RunSource, find_runs, read
 from st_sim import scenarios
 from st_sim.car import read_car
-from st_sim.settings import SimulationError, resolve
+from st_sim.settings import SimulationError, resolve_settings
 from support import ROOT
 
 from .harness import Target, one_line
@@ -164,6 +164,6 @@ TARGETS = (
     Target("run_file", lambda: [RUN, RUN_OF_COLUMNS, b"bag: drive.log\n",
                                b"each: drive.csv\ncolumns: {yaw: yaw}\n"], _run_file, YAML_WORDS, text=True),
     Target("sim_vehicle", lambda: _bytes(VEHICLES / "leaf.yaml"), _simulated(read_car), YAML_WORDS, text=True),
-    Target("sim_plant", lambda: [PLANT], _simulated(lambda file: resolve(str(file))), YAML_WORDS, text=True),
+    Target("sim_plant", lambda: [PLANT], _simulated(lambda file: resolve_settings(str(file))), YAML_WORDS, text=True),
     Target("sim_road", lambda: _bytes(*sorted(ROADS.glob("*.yaml"))), _simulated(_road), YAML_WORDS, text=True),
 )

@@ -13,7 +13,7 @@ from st_core.batch import LogBatch
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_sim.car import read_car
-from st_sim.scenarios import load
+from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, SteeringSensor
 from st_sim.settings import IDEAL
 from st_sim.simulation import SimulatedCar
@@ -60,7 +60,7 @@ DURATION = {"sweep": 14.0, "brake_in_turn": 20.0}
 def drive(scenario: str, settings: tuple[tuple[str, float], ...]) -> DriveLog:
     """What the sensors recorded: no noise, no rounding."""
     settings = {**IDEAL, **dict(settings)}
-    car = SimulatedCar(CAR, settings, load(scenario), seed=1)
+    car = SimulatedCar(CAR, settings, load_plan(scenario), seed=1)
     ins, steering = Ins(CAR, settings, 0.01, 1), SteeringSensor(CAR, settings, 1)
     rows, angles = [], []
     for k in range(round(DURATION[scenario] * 1e9 / PERIOD_NS)):

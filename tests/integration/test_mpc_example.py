@@ -10,7 +10,7 @@ from st_core.models import MODELS
 from st_core.vehicle import VehicleParameters
 from st_offline.model_export import export_model
 from st_sim.car import read_car
-from st_sim.scenarios import load
+from st_sim.scenarios import load_plan
 from st_sim.settings import PRESETS
 from support import ROOT
 
@@ -34,7 +34,7 @@ def driven(model, solver, seconds=6.5, steps=10):
     from controller import Controller
 
     controller = Controller(model, LEAF, steps, solver=solver)
-    return drive(controller, read_car(FILE), PRESETS["realistic"], load("lane_change"), seconds)
+    return drive(controller, read_car(FILE), PRESETS["realistic"], load_plan("lane_change"), seconds)
 
 
 def test_a_lane_change_is_followed_and_slip_matters():
@@ -81,7 +81,7 @@ def test_a_gate_is_passed_along_its_post_and_a_band_keeps_the_car_off(monkeypatc
 def test_command_writes_figures_and_numbers(tmp_path, monkeypatch, capsys):
     import nmpc
 
-    monkeypatch.setitem(nmpc.ROADS, "lane_change", (lambda: load("lane_change"), 4.0, "short"))
+    monkeypatch.setitem(nmpc.ROADS, "lane_change", (lambda: load_plan("lane_change"), 4.0, "short"))
     out = tmp_path / "out"
     monkeypatch.setattr(sys, "argv", ["nmpc.py", "--quick", "--model", "linear", "--vehicle", str(FILE), "--output",
                                       str(out)])

@@ -35,14 +35,14 @@ class Frame:
 
 
 class CanWire:
-    """Encoder of frames as the DBC defines them. start_ns: UTC of the start of the drive [ns since 1970]."""
+    """Encoder of frames according to a DBC. start_ns: UTC of the start of the drive [ns since 1970]."""
 
     def __init__(self, codec: Decoder, origin: Origin, start_ns: int):
         self._codec = codec
         self._origin, self._start_ns = origin, start_ns
         self._counters: dict[str, int] = {}
 
-    def steering(self, angle: float, rate: float) -> list[Frame]:
+    def encode_steering(self, angle: float, rate: float) -> list[Frame]:
         """The frame with the measured steering-wheel angle [rad, left +] and its rate [rad/s].
 
         The rate is sent unsigned, as by the car. Its scale on the car is unknown; 4 deg/s per bit is assumed.
@@ -50,32 +50,32 @@ class CanWire:
         raw = min(round(abs(math.degrees(rate)) / 4), 255)
         return [self._encode_car(STEERING_MESSAGE, {"steering_wheel_angle": angle, "SteeringWheelRateRaw": raw})]
 
-    def wheel_speeds(self, wheels: Sequence[float], vehicle: float) -> list[Frame]:
+    def encode_wheel_speeds(self, wheel_speeds: Sequence[float], vehicle_speed: float) -> list[Frame]:
         """The frames with the wheel speeds FL, FR, RL, RR and the vehicle speed [m/s]."""
-        front_left, front_right, rear_left, rear_right = wheels
+        front_left, front_right, rear_left, rear_right = wheel_speeds
         return [
             self._encode_car("Leaf_WheelSpeedFront", {"wheel_speed_front_left": front_left,
                                                       "wheel_speed_front_right": front_right,
-                                                      "vehicle_speed": vehicle}),
+                                                      "vehicle_speed": vehicle_speed}),
             self._encode_car("Leaf_WheelSpeedRear", {"wheel_speed_rear_left": rear_left,
                                                      "wheel_speed_rear_right": rear_right}),
         ]
 
-    def gear(self, code: int) -> list[Frame]:
+    def encode_gear(self, code: int) -> list[Frame]:
         return [self._encode_car("Leaf_Gear", {"GearCode": code})]
 
-    def ins(self, reading: InsReading) -> list[Frame]:
+    def encode_ins(self, reading: InsReading) -> list[Frame]:
         """The frames that an RT3000 sends once per epoch: 0x600, 0x601, 0x604, 0x607, 0x608, 0x630, 0x633, 0x634."""
         degrees = math.degrees
         unix_time = (self._start_ns + round(reading.stamp * 1e9)) / 1e9
         latitude, longitude, _ = self._origin.to_geodetic(reading.x, reading.y, reading.z)
-        forward = {"ins_velocity_x": reading.velocity_x, "ins_velocity_y": reading.velocity_y}
+        velocity = {"ins_velocity_x": reading.velocity_x, "ins_velocity_y": reading.velocity_y}
         pitch, roll = degrees(reading.pitch), degrees(reading.roll)
         roll_rate, pitch_rate, yaw_rate = reading.rates
         return [
             self._encode_ins("RT_DateTime", {"ins_unix_time": unix_time}),
             self._encode_ins("RT_LatitudeLongitude", {"PosLat": degrees(latitude), "PosLon": degrees(longitude)}),
-            self._encode_ins("RT_VelocityLevel", forward),
+            self._encode_ins("RT_VelocityLevel", velocity),
             self._encode_ins("RT_HeadingPitchRoll", {"ins_yaw": reading.yaw, "AnglePitch": pitch, "AngleRoll": roll}),
             self._encode_ins("RT_RateVehicle", {"AngRateX": degrees(roll_rate), "AngRateY": -degrees(pitch_rate),
                                                 "ins_yaw_rate": yaw_rate}),
@@ -83,7 +83,7 @@ class CanWire:
             # In ISO 8855 axes y points to the left, so pitch is positive nose down.
             self._encode_ins("RT_IsoOrientation", {"ins_yaw": reading.yaw, "IsoPitchAngle": -pitch,
                                                    "IsoRollAngle": roll}),
-            self._encode_ins("RT_IsoVsVelocity", {**forward, "IsoVsVerticalVelocity": reading.velocity_z}),
+            self._encode_ins("RT_IsoVsVelocity", {**velocity, "IsoVsVerticalVelocity": reading.velocity_z}),
         ]
 
     def _encode_car(self, message: str, values: dict[str, float]) -> Frame:
@@ -107,11 +107,13 @@ class Background:
         for index, (identifier, period) in enumerate(_BACKGROUND.items()):
             message = can.Message(arbitration_id=identifier, is_extended_id=False, data=generator.bytes(8))
             self._frames.append((period, index % period, Frame(message, VEHICLE_BUS)))
-        decoded = 100 + 2 * 50 + 1000 / 60
+        decoded = 100 + 2 * 50 + 1000 / 60  # per second: steering, wheel speeds, gear
         listed = sum(1000 / period for period, _, _ in self._frames)
         # The recording has more identifiers; additional frames of the most frequent ones replace them.
+        frequent = [frame for period, _, frame in self._frames if period == 10]
         extra = max(0, round((CAR_CAN_RATE - decoded - listed) / 100))
-        self._frames += [(10, i % 10, self._frames[i % 12][2]) for i in range(extra)]
+        self._frames += [(10, i % 10, frequent[i % len(frequent)]) for i in range(extra)]
 
-    def frames(self, millisecond: int) -> list[Frame]:
+    def select_frames(self, millisecond: int) -> list[Frame]:
+        """The frames sent in a millisecond of the drive."""
         return [frame for period, phase, frame in self._frames if millisecond % period == phase]

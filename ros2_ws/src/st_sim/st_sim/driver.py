@@ -7,7 +7,7 @@ from st_core.manoeuvres import UNDERSTEER
 
 from .car import Car
 from .dynamics import RACK, VX, VY, YAW, YAW_RATE, X, Y
-from .environment import normal_stream
+from .environment import make_normal_source
 from .path import Pose
 from .plant import Plant
 from .scenarios import Plan
@@ -21,14 +21,15 @@ MAX_STEERING_WHEEL_RATE = 8.0  # rad/s; 460 deg/s is fast for a person
 MAX_STEERING_WHEEL_ANGLE = 9.5  # rad; 540 deg is the end stop
 TREMOR_TIME = 0.4  # s, correlation time of random steering
 OFFSET_INTEGRAL_GAIN, OFFSET_INTEGRAL_LIMIT = 0.015, 0.03  # 1/(m^2 s), 1/m
-SPEED_GAIN, SPEED_INTEGRAL_GAIN = 1.2, 0.5  # 1/s, 1/s^2
+SPEED_GAIN, SPEED_INTEGRAL_GAIN, SPEED_INTEGRAL_LIMIT = 1.2, 0.5, 1.0  # 1/s, 1/s^2, m/s^2
+STEADY_ACCELERATION = 0.5  # m/s^2; above it the integral would add to the feed-forward acceleration
 MIN_STEERING_SPEED = 0.5  # m/s; below it the steering wheel is held, because the course angle is undefined
 MAX_PEDAL_JERK = 10.0  # m/s^3
 MAX_BRAKING, MAX_DRIVE, HOLDING_BRAKE = 7.0, 3.5, 2.0  # m/s^2
 
 
 class Driver:
-    """Driver of one car. advance(), called before every step of the plant, updates the two inputs of the plant.
+    """Driver of one car. Call advance() before every step of the plant: it updates the two inputs of the plant.
 
     steering_wheel_angle: true angle [rad, left +]. drive_force: sum of all wheels [N], braking < 0.
     """
@@ -39,7 +40,7 @@ class Driver:
         self.distance = plan.start
         self._mass = car.mass * settings["mass_factor"]
         self._tremor_deviation = settings["driver_tremor"]
-        self._draw = normal_stream(np.random.default_rng([seed, 2]))
+        self._draw = make_normal_source(np.random.default_rng([seed, 2]))
         self._tremor = self._offset_integral = self._speed_integral = self._pedal = self._target = 0.0
         self._next_decision = -math.inf
         self._holding = False
@@ -61,8 +62,8 @@ class Driver:
 
     def _decide(self, plant: Plant, time: float) -> None:
         s, speed = plant.state, plant.state[VX]
-        self._track(s[X], s[Y], speed)
-        demand = self.plan.demand(time, self.distance, speed)
+        self._update_distance(s[X], s[Y], speed)
+        demand = self.plan.make_demand(time, self.distance, speed)
         if callable(demand.steer):
             self._target = demand.steer(self.car.wheelbase) * self.car.steering_ratio
         elif demand.steer == "path":
@@ -83,8 +84,8 @@ class Driver:
             memory = math.exp(-SAMPLING_TIME / TREMOR_TIME)
             self._tremor = memory * self._tremor + self._tremor_deviation * math.sqrt(1 - memory**2) * self._draw()
 
-    def _track(self, x: float, y: float, speed: float) -> None:
-        """Update `distance` to the point of the road nearest to the car."""
+    def _update_distance(self, x: float, y: float, speed: float) -> None:
+        """Set `distance` to that of the road point nearest to the car at x, y [m]."""
         self.distance += speed * SAMPLING_TIME
         for _ in range(2):
             road = self.plan.path.pose(self.distance)
@@ -98,8 +99,8 @@ class Driver:
         preview = max(MIN_PREVIEW, PREVIEW_TIME * speed)
         self._offset_integral += OFFSET_INTEGRAL_GAIN * offset * SAMPLING_TIME
         self._offset_integral = min(max(self._offset_integral, -OFFSET_INTEGRAL_LIMIT), OFFSET_INTEGRAL_LIMIT)
-        ahead = self.plan.path.curvature(self.distance + ANTICIPATION * speed)
-        curvature = ahead - 2 * (offset + preview * math.sin(course)) / preview**2 - self._offset_integral
+        road_curvature = self.plan.path.curvature(self.distance + ANTICIPATION * speed)
+        curvature = road_curvature - 2 * (offset + preview * math.sin(course)) / preview**2 - self._offset_integral
         return math.atan(self.car.wheelbase * curvature) + UNDERSTEER * speed**2 * curvature
 
     def _control_speed(self, plant: Plant, target_speed: float, acceleration: float) -> None:
@@ -108,9 +109,9 @@ class Driver:
             self.drive_force, self._pedal, self._speed_integral = -HOLDING_BRAKE * self._mass, 0.0, 0.0
             return
         error = target_speed - s[VX]
-        if abs(acceleration) < 0.5:  # otherwise the integral would add to the feed-forward acceleration
+        if abs(acceleration) < STEADY_ACCELERATION:
             integral = self._speed_integral + SPEED_INTEGRAL_GAIN * error * SAMPLING_TIME
-            self._speed_integral = min(max(integral, -1.0), 1.0)
+            self._speed_integral = min(max(integral, -SPEED_INTEGRAL_LIMIT), SPEED_INTEGRAL_LIMIT)
         # Cornering resistance per mass: lateral force of the front axle times the sine of the steering angle.
         cornering = abs(s[VX] * s[YAW_RATE] * math.sin(s[RACK])) * plant.to_rear / self.car.wheelbase
         target = acceleration + SPEED_GAIN * error + self._speed_integral + cornering - s[VY] * s[YAW_RATE]

@@ -1,4 +1,4 @@
-"""Equations of motion and tyre forces of the virtual car as pure functions, which numba can compile (bench/discovery).
+"""Equations of motion and tyre forces of the virtual car as pure functions, which bench/discovery compiles with numba.
 
 Axes, signs and equations: see `plant`. Checked by: test_plant.py, test_tyres.py.
 """
@@ -16,6 +16,7 @@ WIND_ARM = 0.25  # m, distance of the side force of the wind ahead of the CG
 BRAKE_SHARE_FRONT = 0.65  # fraction of the brake force at the front axle
 ROLL_SHARE_FRONT = 0.55  # fraction of the lateral load transfer at the front axle
 MINIMUM_LOAD = 50.0  # N, lower limit of a wheel load: a lifted wheel must not cause a division by zero
+MAX_PEAK_SHARE = 0.98  # largest longitudinal force as a fraction of the peak force
 MIN_SLIP_SPEED = 0.5  # m/s, lower limit of the denominator of slip, as low as the step allows (paper's models: 3 m/s)
 CREEP_SPEED = 2.5  # m/s; below it a tyre with relaxation has little damping, so CREEP_DAMPING is added
 CREEP_DAMPING = 0.17  # s/m, slip per lateral sliding speed
@@ -27,7 +28,6 @@ ROLLING_ONSET = 0.2  # m/s; below it the rolling resistance decreases to 0, so t
 # specific force at the CG [m/s^2], filtered by the roll and pitch dynamics.
 X, Y, Z, YAW, VX, VY, YAW_RATE, RACK, COMPLIANCE_ANGLE, S_FL, S_FR, S_RL, S_RR, A_Y, A_Y_RATE, A_X = range(16)
 STATES = A_X + 1
-
 
 TyreCoefficients = tuple[float, ...]
 """F_z0 [N], C, p_ky1 F_z0 lambda [N/rad], 1 / (p_ky2 F_z0) [1/N], p_ky4, p_dy1, p_dy2, p_ey1, p_ey2, p_ey3; see
@@ -72,7 +72,7 @@ def make_constants(car: Car, settings: Settings, step: float) -> Constants:
     to_rear = car.wheelbase - to_front
     return Constants(
         mass=mass, yaw_inertia=car.yaw_inertia * s["yaw_inertia_factor"], to_front=to_front, to_rear=to_rear,
-        lag=max(s["steering_lag"], step) if s["steering_lag"] else 0.0,  # a shorter lag than a step is unstable
+        lag=max(s["steering_lag"], step) if s["steering_lag"] else 0.0,  # a lag shorter than a step is unstable
         steering_offset=s["steering_offset"], compliance=s["steering_compliance"], roll_steer=s["roll_steer"],
         rear_roll_steer=s["rear_roll_steer"], roll_gradient=s["roll_gradient"], camber=s["camber_thrust"],
         ackermann=s["ackermann"] * TRACK_WIDTH / (2 * car.wheelbase),
@@ -83,11 +83,11 @@ def make_constants(car: Car, settings: Settings, step: float) -> Constants:
         static_front=mass * GRAVITY * to_rear / car.wheelbase / 2,
         static_rear=mass * GRAVITY * to_front / car.wheelbase / 2,
         still_air=not (s["wind_speed"] or s["gust_speed"]),
-        front=tyre_coefficients(car.tyre_front, s["front_stiffness_factor"]),
-        rear=tyre_coefficients(car.tyre_rear, s["rear_stiffness_factor"]))
+        front=make_tyre_coefficients(car.tyre_front, s["front_stiffness_factor"]),
+        rear=make_tyre_coefficients(car.tyre_rear, s["rear_stiffness_factor"]))
 
 
-def tyre_coefficients(tyre: Tyre, stiffness_factor: float) -> TyreCoefficients:
+def make_tyre_coefficients(tyre: Tyre, stiffness_factor: float) -> TyreCoefficients:
     """Coefficients of one tyre with its cornering stiffness K scaled by a factor."""
     nominal = tyre.nominal_load
     stiffness = tyre.p_ky1 * nominal * tyre.lambda_ky * stiffness_factor
@@ -100,7 +100,7 @@ def tyre_force(tyre: TyreCoefficients, slip_angle: float, load: float, friction_
 
         F_y = D sin(C atan(B a - E (B a - atan(B a)))),  D = mu F_z,  B = K / (C D)
         K = p_ky1 F_z0 sin(p_ky4 atan(F_z / (p_ky2 F_z0))) lambda
-        mu = p_dy1 + p_dy2 df_z,  E = (p_ey1 + p_ey2 df_z)(1 - p_ey3 sgn a)
+        mu = p_dy1 + p_dy2 df_z,  E = (p_ey1 + p_ey2 df_z)(1 - p_ey3 sgn a),  df_z = F_z / F_z0 - 1
 
     A slip angle is positive when the wheel slides to its left; the force is then negative (to the right). The friction
     factor scales the peak D but not the slope K.
@@ -120,7 +120,7 @@ def tyre_force(tyre: TyreCoefficients, slip_angle: float, load: float, friction_
 
 
 def lateral_share(longitudinal: float, peak: float) -> float:
-    """sqrt(1 - (F_x / peak)^2), the fraction of the lateral force available with F_x; 0 if |F_x| exceeds the peak."""
+    """sqrt(1 - (F_x / D)^2), the fraction of the lateral force that remains with F_x; 0 if |F_x| exceeds the peak D."""
     used = longitudinal / peak
     return sqrt(1.0 - used * used) if -1.0 < used < 1.0 else 0.0
 
@@ -144,8 +144,8 @@ def wheel_forces(contact: tuple[float, float, float], tyre: TyreCoefficients, fr
     else:
         rate, slip = 0.0, steady
     lateral, peak = tyre_force(tyre, atan(slip), load, friction)
-    if abs(drive) > 0.98 * peak:
-        drive = 0.98 * peak if drive > 0 else -0.98 * peak
+    if abs(drive) > MAX_PEAK_SHARE * peak:
+        drive = MAX_PEAK_SHARE * peak if drive > 0 else -MAX_PEAK_SHARE * peak
     if combined:
         lateral *= 1.0 - combined + combined * lateral_share(drive, peak)
     return lateral, drive, rate
@@ -174,7 +174,7 @@ def bring_to_rest(s: Sequence[float], step: float) -> tuple[float, ...]:
     return tuple(values)
 
 
-# long: the equations share two dozen symbols, and a call per equation would slow down every time step.
+# Long, because the equations share two dozen symbols, and a call per equation would slow down every time step.
 def derivative(s: Sequence[float], rack_target: float, drive_force: float, surroundings: tuple,  # noqa: PLR0915
                c: Constants) -> tuple[tuple, tuple]:
     """Time derivative of the state, and wheel forces, loads and velocities.

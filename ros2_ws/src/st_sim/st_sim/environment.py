@@ -40,7 +40,7 @@ def make_road(settings: Settings) -> Road:
     return Road(*(settings[name] for name in names))
 
 
-def road_at(road: Road, x: float, yaw: float) -> tuple[float, float, float]:
+def evaluate_road(road: Road, x: float, yaw: float) -> tuple[float, float, float]:
     """(friction factor, bank, grade [rad]) of a car at x [m, map] with a yaw angle [rad]. Also compiled with numba."""
     friction = road.friction * (road.patch if x % PATCH_PERIOD < PATCH_LENGTH else 1.0)
     bank, grade = road.bank, road.grade
@@ -53,29 +53,30 @@ def road_at(road: Road, x: float, yaw: float) -> tuple[float, float, float]:
 
 
 class Environment:
-    """Surroundings along a drive. Each call of at() advances the gusts, an Ornstein-Uhlenbeck process, by one step."""
+    """Surroundings along a drive; gusts are an Ornstein-Uhlenbeck process."""
 
     def __init__(self, settings: Settings, step: float, seed: int):
         self._road = make_road(settings)
         self._wind, self._gust_speed = settings["wind_speed"], settings["gust_speed"]
         self._gust_decay = math.exp(-step / GUST_TIME)
         self._gust = [0.0, 0.0]
-        self._draw = normal_stream(np.random.default_rng([seed, 1]))
+        self._draw = make_normal_source(np.random.default_rng([seed, 1]))
         road = self._road
         self._constant = Surroundings(road.friction, road.bank, road.grade, 0.0, 0.0)
         self._is_constant = not (self._wind or self._gust_speed or road.hillside or road.wave) and road.patch == 1.0
 
-    def at(self, x: float, y: float, yaw: float) -> Surroundings:
+    def advance(self, x: float, yaw: float) -> Surroundings:
+        """Advance the gusts by one step; returns the surroundings of a car at x [m, map] with a yaw angle [rad]."""
         if self._is_constant:
             return self._constant
         if self._gust_speed:
             noise = self._gust_speed * math.sqrt(1 - self._gust_decay**2)
             self._gust = [self._gust_decay * g + noise * self._draw() for g in self._gust]
-        return Surroundings(*road_at(self._road, x, yaw), self._gust[0], self._wind + self._gust[1])
+        return Surroundings(*evaluate_road(self._road, x, yaw), self._gust[0], self._wind + self._gust[1])
 
 
-def normal_stream(generator: np.random.Generator, block: int = 4096) -> Callable[[], float]:
-    """A function that returns standard normal numbers; drawing them in blocks is ten times faster."""
+def make_normal_source(generator: np.random.Generator, block: int = 4096) -> Callable[[], float]:
+    """A function that returns one standard normal number per call; drawing in blocks makes it ten times faster."""
     buffer: list[float] = []
 
     def draw() -> float:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -56,8 +57,8 @@ def make_truth_record(truth: Truth) -> dict[str, object]:
 class TruthFile:
     """The file truth.mcap with the true states, for scoring.
 
-    Channel /truth with JSON messages, logged at the UTC of the true state; metadata records `settings` and `run`
-    (`about`). fault: why the file is incomplete; empty if it is complete.
+    Channel /truth with JSON messages, logged at the UTC of the true state. about: content of the metadata record `run`.
+    fault: why the file is incomplete; empty if it is complete.
     """
 
     def __init__(self, path: Path, start_ns: int, settings: Settings, about: Mapping[str, object]):
@@ -107,9 +108,9 @@ class LogFile:
 
 
 class Mf4File:
-    """MDF 4.11 file in CANedge's finalised format: one bus-logging group per channel, times on a grid of 50 us.
+    """MDF 4.11 file in the finalised format of a CANedge: one bus-logging group per channel, times on a grid of 50 us.
 
-    CAN1 is the car, CAN2 the INS. Frames are kept in memory until close().
+    CAN1 is the car, CAN2 the INS. Frames are kept in memory until close(). Methods import asammdf, which is optional.
     """
 
     GRID_NS = 50_000
@@ -127,8 +128,6 @@ class Mf4File:
                                         bytes(frame.message.data)))
 
     def close(self) -> None:
-        from datetime import UTC, datetime
-
         from asammdf import MDF
         from asammdf.blocks.v4_blocks import FileHistory
 
@@ -154,11 +153,11 @@ class Mf4File:
         from asammdf.blocks import v4_constants as v4
         from asammdf.blocks.source_utils import Source
 
-        members = {"BusChannel": "u1", "ID": "<u4", "IDE": "u1", "DLC": "u1", "DataLength": "u1", "DataBytes": "(8,)u1",
-                   "Dir": "u1", "EDL": "u1", "BRS": "u1", "ESI": "u1"}
-        rows = np.zeros(len(frames), [(f"CAN_DataFrame.{name}", kind) for name, kind in members.items()])
-        ticks = np.array([t for t, _, _ in frames], dtype=np.int64)
-        times = np.round(ticks / self.GRID_NS) * (self.GRID_NS / 1e9)
+        dtypes = {"BusChannel": "u1", "ID": "<u4", "IDE": "u1", "DLC": "u1", "DataLength": "u1", "DataBytes": "(8,)u1",
+                  "Dir": "u1", "EDL": "u1", "BRS": "u1", "ESI": "u1"}
+        rows = np.zeros(len(frames), [(f"CAN_DataFrame.{name}", dtype) for name, dtype in dtypes.items()])
+        time_ns = np.array([time for time, _, _ in frames], dtype=np.int64)
+        times = np.round(time_ns / self.GRID_NS) * (self.GRID_NS / 1e9)
         rows["CAN_DataFrame.BusChannel"] = bus
         rows["CAN_DataFrame.ID"] = [identifier for _, identifier, _ in frames]
         lengths = [len(data) for _, _, data in frames]

@@ -14,7 +14,7 @@ from .sensors import ACCURACY, InsReading
 # WGS84 ellipsoid, semi-major axis in m.
 SEMI_MAJOR = 6378137.0
 FLATTENING = 1 / 298.257223563
-_E2 = FLATTENING * (2 - FLATTENING)
+_ECCENTRICITY2 = FLATTENING * (2 - FLATTENING)
 UNDULATION = 45.5  # m, geoid above the ellipsoid (EGM96 near Eindhoven); units send altitude above the geoid by default
 GPS_EPOCH_UNIX_NS = 315_964_800_000_000_000
 LEAP_SECONDS_NS = 18_000_000_000  # GPS is ahead of UTC by 18 s since 2017
@@ -42,9 +42,9 @@ class Origin:
 
 def to_ecef(latitude: float, longitude: float, height: float) -> tuple[float, float, float]:
     """Earth-centred x, y, z [m] of geodetic latitude, longitude [rad] and ellipsoidal height [m]."""
-    normal = SEMI_MAJOR / math.sqrt(1 - _E2 * math.sin(latitude) ** 2)
+    normal = SEMI_MAJOR / math.sqrt(1 - _ECCENTRICITY2 * math.sin(latitude) ** 2)
     radius = (normal + height) * math.cos(latitude)
-    z = (normal * (1 - _E2) + height) * math.sin(latitude)
+    z = (normal * (1 - _ECCENTRICITY2) + height) * math.sin(latitude)
     return radius * math.cos(longitude), radius * math.sin(longitude), z
 
 
@@ -52,12 +52,12 @@ def from_ecef(x: float, y: float, z: float) -> tuple[float, float, float]:
     """Latitude, longitude [rad], height [m] by Bowring's formula: error below 1 um near the ground (test_stream.py)."""
     radius = math.hypot(x, y)
     semi_minor = SEMI_MAJOR * (1 - FLATTENING)
-    second_e2 = _E2 / (1 - _E2)
+    second_eccentricity2 = _ECCENTRICITY2 / (1 - _ECCENTRICITY2)
     reduced = math.atan2(z * SEMI_MAJOR, radius * semi_minor)
-    latitude = math.atan2(z + second_e2 * semi_minor * math.sin(reduced) ** 3,
-                          radius - _E2 * SEMI_MAJOR * math.cos(reduced) ** 3)
+    latitude = math.atan2(z + second_eccentricity2 * semi_minor * math.sin(reduced) ** 3,
+                          radius - _ECCENTRICITY2 * SEMI_MAJOR * math.cos(reduced) ** 3)
     sine = math.sin(latitude)
-    normal = SEMI_MAJOR / math.sqrt(1 - _E2 * sine**2)
+    normal = SEMI_MAJOR / math.sqrt(1 - _ECCENTRICITY2 * sine**2)
     height = radius * math.cos(latitude) + z * sine - SEMI_MAJOR**2 / normal
     return latitude, math.atan2(y, x), height
 
@@ -73,11 +73,11 @@ class NcomWire:
         self._start_gps_ns = start_ns - GPS_EPOCH_UNIX_NS + LEAP_SECONDS_NS
         self._status = StatusChannels(origin, rate)
 
-    def packet(self, reading: InsReading, status: int = LOCKED) -> bytes:
+    def encode_packet(self, reading: InsReading, status: int = LOCKED) -> bytes:
         """The 72-byte packet of one epoch; values that the navigation status does not provide are marked invalid."""
         total_ms = round((self._start_gps_ns + round(reading.stamp * 1e9)) / 1_000_000)
         minutes, milliseconds = divmod(total_ms, 60_000)
-        channel, batch_s = self._status.next(minutes if status >= INITIALISING else None, reading)
+        channel, batch_s = self._status.encode_next(minutes if status >= INITIALISING else None, reading)
         roll_rate, pitch_rate, yaw_rate = reading.rates
         force_x, force_y, force_z = reading.specific_force
         packet = Packet(
@@ -105,7 +105,7 @@ UP_TIME_AT_START = 1800.0  # s
 _RTK, _SATELLITES = 6, 14  # code of the position mode, number of satellites
 
 
-def _receiver_values(name: str) -> dict[str, float]:
+def _make_receiver_values(name: str) -> dict[str, float]:
     values = {"AntStatus": 0, "AntPower": 0, "CpuUsed": 34, "CoreNoise": 12, "SerBaud": 14, "NumSats": _SATELLITES,
               "PosMode": _RTK, "CoreTemp": 41, "SupplyVolt": 12.1}
     return {f"{name}.{key}": value for key, value in values.items()}
@@ -134,8 +134,8 @@ _FIXED: Mapping[int, Mapping[str, float | str]] = {
     40: {"NcomVersion": 22, "OutputLatency": 0.0, "SerialNumber24": 4711},
     48: {"Undulation": UNDULATION, "HDOP": 0.7, "PDOP": 1.3, "OutputDatum": 0, "DatumEllipsoid": 0,
          "DatumEarthFrame": 0},
-    55: _receiver_values("GpsPrimary"),
-    56: _receiver_values("GpsSecondary"),
+    55: _make_receiver_values("GpsPrimary"),
+    56: _make_receiver_values("GpsSecondary"),
 }
 # Channels sent every 10th, 25th, 50th and 200th packet; all others are sent every 100th packet.
 _EVERY_10, _EVERY_25, _EVERY_50 = (0, 1), (32, 45), (3, 4, 5, 20, 24, 43, 65, 66, 67)
@@ -175,15 +175,15 @@ class StatusChannels:
         }
         self._fixed = {channel: encode_channel(channel, values) for channel, values in {**_FIXED, **frame}.items()}
 
-    def next(self, gps_minutes: int | None, reading: InsReading) -> tuple[int, bytes]:
+    def encode_next(self, gps_minutes: int | None, reading: InsReading) -> tuple[int, bytes]:
         """Channel number and its 8 bytes for the next packet. gps_minutes: GPS time in minutes, None while unknown."""
         channel = self._slots[self._count % CYCLE]
         self._count += 1
         if channel in self._fixed:
             return channel, self._fixed[channel]
-        return channel, encode_channel(channel, self._changing_values(channel, gps_minutes, reading))
+        return channel, encode_channel(channel, self._make_values(channel, gps_minutes, reading))
 
-    def _changing_values(self, channel: int, gps_minutes: int | None, reading: InsReading) -> dict[str, float | None]:
+    def _make_values(self, channel: int, gps_minutes: int | None, reading: InsReading) -> dict[str, float | None]:
         seconds = self._count / self._rate
         if channel == MINUTES:
             return {"GpsMinutes": gps_minutes, "GpsNumObs": _SATELLITES, "GpsPosMode": _RTK, "GpsVelMode": _RTK,
@@ -198,6 +198,6 @@ class StatusChannels:
         if channel == IMU_COUNTERS:
             return {"ImuChars": int(4200 * seconds) & 0xFFFFFFFF, "ImuPkts": int(100 * seconds) & 0xFFFF,
                     "ImuCharsSkipped": 0}
-        up_time = UP_TIME_AT_START + seconds
+        up_time = UP_TIME_AT_START + seconds  # sent in seconds up to 3 h, then in minutes with an offset
         return {"BnsLag": 4, "UpTimeCode": int(up_time) if up_time <= 10800 else int(up_time / 60) + 10620,
                 "GPSPosReject": 0, "GPSVelReject": 0, "GPSAttReject": 0}

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import accumulate
 from typing import NamedTuple
 
-GRID = 0.1  # m, between stored poses; linear interpolation between them has an error of 0.1 mm at R = 11.5 m
+POSE_SPACING = 0.1  # m, between stored poses; linear interpolation between them has an error of 0.1 mm at R = 11.5 m
 SPEED_STEP = 0.25  # m, between stored speeds
 
 
@@ -65,8 +65,7 @@ def lane_shift(offset: float, length: float, speed: float) -> list[Piece]:
 
 
 class Path:
-    """A road that repeats its pieces; each lap continues at the end of the previous one. Distances [m] may be negative.
-    """
+    """A road that repeats its pieces: each lap continues at the end of the previous one. Distances [m] may be < 0."""
 
     def __init__(self, pieces: Sequence[Piece]):
         """Raises ValueError if the total length is 0."""
@@ -75,10 +74,10 @@ class Path:
             raise ValueError("the road has no length")
         self._ends = [0.0, *accumulate(piece.length for piece in self.pieces)]
         self.length = self._ends[-1]
-        count = max(2, math.ceil(self.length / GRID))
+        count = max(2, math.ceil(self.length / POSE_SPACING))
         self._step = self.length / count
         self._poses = [Pose(0.0, 0.0, 0.0)]
-        yaws = [self._heading(i * self._step / 2) for i in range(2 * count + 1)]
+        yaws = [self._integrate_heading(i * self._step / 2) for i in range(2 * count + 1)]
         for i in range(count):
             a, b, c = yaws[2 * i : 2 * i + 3]
             dx = self._step / 6 * (math.cos(a) + 4 * math.cos(b) + math.cos(c))
@@ -97,10 +96,10 @@ class Path:
     def pose(self, distance: float) -> Pose:
         lap, along = divmod(distance, self.length)
         index = min(int(along / self._step), len(self._poses) - 2)
-        share = along / self._step - index
+        fraction = along / self._step - index
         a, b = self._poses[index], self._poses[index + 1]
-        local = Pose(a.x + share * (b.x - a.x), a.y + share * (b.y - a.y), a.yaw + share * (b.yaw - a.yaw))
-        return self._lap_start(int(lap)).compose(local)
+        local = Pose(a.x + fraction * (b.x - a.x), a.y + fraction * (b.y - a.y), a.yaw + fraction * (b.yaw - a.yaw))
+        return self._find_lap_start(int(lap)).compose(local)
 
     def curvature(self, distance: float) -> float:
         piece, along = self._find(distance % self.length)
@@ -115,9 +114,9 @@ class Path:
         index = min(bisect.bisect_right(self._ends, along), len(self.pieces)) - 1
         return self.pieces[index], along - self._ends[index]
 
-    def _heading(self, remaining: float) -> float:
-        """Heading at a distance within a lap, relative to its start [rad]."""
-        yaw = 0.0
+    def _integrate_heading(self, distance: float) -> float:
+        """Heading at a distance within a lap [m], relative to its start [rad]."""
+        yaw, remaining = 0.0, distance
         for piece in self.pieces:
             along = min(remaining, piece.length)
             rise = piece.curvature_end - piece.curvature_start
@@ -127,7 +126,7 @@ class Path:
                 break
         return yaw
 
-    def _lap_start(self, lap: int) -> Pose:
+    def _find_lap_start(self, lap: int) -> Pose:
         if lap not in self._lap_starts:
             if len(self._lap_starts) > 8:
                 self._lap_starts.clear()
@@ -153,7 +152,7 @@ class SpeedProfile:
             squares[(i - 1) % count] = min(squares[(i - 1) % count], squares[i % count] + 2 * braking * self._step)
         self._squares = squares
 
-    def at(self, distance: float) -> tuple[float, float]:
+    def interpolate(self, distance: float) -> tuple[float, float]:
         """Speed [m/s] and acceleration [m/s^2] at a distance."""
         position = (distance % self._length) / self._step
         index = int(position) % len(self._squares)

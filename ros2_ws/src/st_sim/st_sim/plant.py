@@ -77,7 +77,7 @@ class Truth:
     forces: Forces | None = None
     surroundings: dict[str, float] = field(default_factory=dict)
 
-    def at_point(self, x: float, y: float) -> tuple[float, float, float, float]:
+    def motion_at(self, x: float, y: float) -> tuple[float, float, float, float]:
         """Map x, y [m] and body velocity v_x, v_y [m/s] of the body point (x, y) relative to the CG [m]."""
         c, s = cos(self.yaw), sin(self.yaw)
         return (self.x + c * x - s * y, self.y + s * x + c * y, self.velocity_x - self.yaw_rate * y,
@@ -98,7 +98,7 @@ class Plant:
         self.state: tuple[float, ...] = (0.0,) * STATES
         self.forces: Forces
         self.parked = False
-        self.surroundings = self.environment.at(0.0, 0.0, 0.0)
+        self.surroundings = self.environment.advance(0.0, 0.0)
         self.constants = dynamics.make_constants(car, settings, step)
         self.mass, self.yaw_inertia = self.constants.mass, self.constants.yaw_inertia
         self.to_front, self.to_rear = self.constants.to_front, self.constants.to_rear
@@ -116,7 +116,7 @@ class Plant:
         rack = atan(self.car.wheelbase * curvature)
         values[RACK] = rack
         self.state = tuple(values)
-        self.surroundings = self.environment.at(x, y, yaw)
+        self.surroundings = self.environment.advance(x, yaw)
         self._after_play = rack * self._ratio
         self._delay = deque([self._after_play] * len(self._delay))
 
@@ -141,8 +141,8 @@ class Plant:
         steering_wheel_angle: true, left + [rad]; drive_force: sum of all wheels, braking < 0 [N].
         """
         s, dt = self.state, self.time_step
-        self.surroundings = surroundings = self.environment.at(s[X], s[Y], s[YAW])
-        target = self._rack_target(steering_wheel_angle)
+        self.surroundings = surroundings = self.environment.advance(s[X], s[YAW])
+        target = self._find_rack_target(steering_wheel_angle)
         if self.constants.lag == 0.0:
             s = (*s[:RACK], target, *s[RACK + 1 :])
         if self.parked and drive_force <= 0.0:
@@ -173,7 +173,7 @@ class Plant:
                              longitudinal=longitudinal, load=load, slip_angle=tuple(slip), wheel_speed=tuple(speeds))
         return self.forces
 
-    def _rack_target(self, angle: float) -> float:
+    def _find_rack_target(self, angle: float) -> float:
         """Road-wheel angle that the rack approaches, from the steering-wheel angle after delay and play [rad]."""
         if self._delay:
             self._delay.append(angle)

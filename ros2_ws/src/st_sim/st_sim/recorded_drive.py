@@ -24,7 +24,7 @@ class RecordedDrive:
 
     def __init__(self, file: str | Path, car: Car):
         """Raises SimulationError naming the file, and line or column."""
-        table = _read(Path(file))
+        table = _read_table(Path(file))
         self._car = car
         table[:, COLUMNS.index("yaw")] = np.unwrap(table[:, COLUMNS.index("yaw")])
         self._times = (table[:, 0] - table[0, 0]).tolist()
@@ -39,16 +39,17 @@ class RecordedDrive:
     def truth(self) -> Truth:
         a, b = self._rows[self._index], self._rows[self._index + 1]
         step = self._times[self._index + 1] - self._times[self._index]
-        share = (self._time - self._times[self._index]) / step
-        _, x, y, yaw, vx, vy, yaw_rate, ax, ay, delta = (p + share * (q - p) for p, q in zip(a, b, strict=True))
+        fraction = (self._time - self._times[self._index]) / step
+        _, x, y, yaw, vx, vy, yaw_rate, ax, ay, delta = (p + fraction * (q - p) for p, q in zip(a, b, strict=True))
+        slopes = dict(zip(COLUMNS, ((q - p) / step for p, q in zip(a, b, strict=True)), strict=True))
         ratio = self._car.steering_ratio
         return Truth(time=self._time, x=x, y=y, z=0.0, yaw=yaw, velocity_x=vx, velocity_y=vy, yaw_rate=yaw_rate,
-                     acceleration_x=ax, acceleration_y=ay, yaw_acceleration=(b[6] - a[6]) / step,
+                     acceleration_x=ax, acceleration_y=ay, yaw_acceleration=slopes["yaw_rate"],
                      steering_wheel_angle=delta * ratio, road_wheel_angle=delta,
-                     steering_wheel_rate=(b[9] - a[9]) / step * ratio, wheel_speed=(vx, vx, vx, vx), gear=DRIVE)
+                     steering_wheel_rate=slopes["delta"] * ratio, wheel_speed=(vx, vx, vx, vx), gear=DRIVE)
 
 
-def _read(path: Path) -> np.ndarray:
+def _read_table(path: Path) -> np.ndarray:
     try:
         with path.open(newline="", encoding="utf-8") as stream:
             reader = csv.DictReader(stream)

@@ -20,9 +20,9 @@ from .car import read_car
 from .files import LogFile, Mf4File, TruthFile, make_folder
 from .ncom_wire import NcomWire, Origin
 from .recorded_drive import RecordedDrive
-from .scenarios import SCENARIOS, load
+from .scenarios import SCENARIOS, load_plan
 from .sensors import Ins, SteeringSensor
-from .settings import SETTINGS, SimulationError, overrides, resolve
+from .settings import SETTINGS, SimulationError, find_overrides, resolve_settings
 from .simulation import SimulatedCar
 from .stream import LiveOutput, Output, Report, Source, Stream, send
 
@@ -37,16 +37,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns 0, also after SIGINT or SIGTERM, or 2 after an error, with one line on stderr."""
     stop_requested = _watch_signals()
     try:
-        options = _parser().parse_args(arguments)
+        options = _make_parser().parse_args(arguments)
         if options.list:
             for name, (_, meaning) in SCENARIOS.items():
                 print(f"{name:28} {meaning}")
             for s in SETTINGS.values():
                 print(f"{s.name:28} {s.group}: {s.meaning} [{s.unit}], null {s.null:g}, {s.low:g} to {s.high:g}")
         elif options.to_files:
-            _to_files(options, stop_requested)
+            _write_files(options, stop_requested)
         else:
-            _live(options, stop_requested)
+            _run_live(options, stop_requested)
     except (OSError, ValueError) as error:
         print(f"virtual_leaf: {_one_line(error)}", file=sys.stderr)
         return 2
@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def check_arguments(arguments: Sequence[str]) -> None:
     """Check arguments as main() does before it starts. Raises SimulationError with a message of one line."""
     try:
-        _Run(_parser().parse_args(arguments))
+        _Run(_make_parser().parse_args(arguments))
     except (OSError, ValueError) as error:
         raise SimulationError(_one_line(error)) from None
 
@@ -78,18 +78,18 @@ def _watch_signals() -> Callable[[], bool]:
 
 
 class _Run:
-    """Inputs of a run, checked before it starts. about: entries of the metadata record `run` in truth.mcap."""
+    """Checked inputs of a run. about: content of the metadata record `run` in truth.mcap."""
 
     def __init__(self, options: argparse.Namespace):
         if not options.vehicle:
             raise SimulationError("--vehicle is missing; the Leaf is config/vehicle/leaf.yaml")
         self._options, self._car = options, read_car(options.vehicle)
         self._codec = Decoder(*_find_can_tables(options))
-        self.settings = _settings(options)
+        self.settings = _resolve_settings(options)
         if options.drive:
             self._source: Source = RecordedDrive(options.drive, self._car)
         else:
-            self._source = SimulatedCar(self._car, self.settings, load(options.scenario), options.seed)
+            self._source = SimulatedCar(self._car, self.settings, load_plan(options.scenario), options.seed)
         longest = self._source.duration
         self.duration = options.duration if options.duration is not None else longest or DEFAULT_DURATION
         if not 0 < self.duration <= 1e6:
@@ -99,15 +99,15 @@ class _Run:
         self.about = {
             "scenario": "" if options.drive else options.scenario, "drive": options.drive.name if options.drive else "",
             "vehicle": self._car.name, "plant": options.plant or "", "seed": options.seed,
-            "ncom_rate": options.ncom_rate, "changed_settings": json.dumps(overrides(self.settings))}
-        self._origin = _origin(options.origin)
+            "ncom_rate": options.ncom_rate, "changed_settings": json.dumps(find_overrides(self.settings))}
+        self._origin = _parse_origin(options.origin)
 
-    def outputs(self, start_ns: int) -> Iterator[Output]:
+    def generate_outputs(self, start_ns: int) -> Iterator[Output]:
         options, settings, rate = self._options, self.settings, self._options.ncom_rate
         return Stream(self._source, settings, Ins(self._car, settings, 1 / rate, options.seed),
                       SteeringSensor(self._car, settings, options.seed), NcomWire(self._origin, start_ns, rate),
                       CanWire(self._codec, self._origin, start_ns), rate, options.seed, options.can_rate == "full",
-                      options.startup).outputs(self.duration)
+                      options.startup).generate_outputs(self.duration)
 
 
 def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
@@ -129,20 +129,20 @@ def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
                           "of the virtual car, not found; give the folder config/ of the project")
 
 
-def _settings(options: argparse.Namespace) -> dict[str, float]:
+def _resolve_settings(options: argparse.Namespace) -> dict[str, float]:
     if not options.drive:
-        return resolve(options.plant or "realistic", options.effect)
+        return resolve_settings(options.plant or "realistic", options.effect)
     if options.plant:
         raise SimulationError("--plant cannot be combined with --drive: a recorded drive has no plant")
-    settings = resolve("ideal", options.effect)
-    for name in overrides(settings):
+    settings = resolve_settings("ideal", options.effect)
+    for name in find_overrides(settings):
         if SETTINGS[name].group not in ("ins", "can"):
             raise SimulationError(f"--effect {name} cannot be combined with --drive: only sensor effects apply to a "
                                   "recorded drive")
     return settings
 
 
-def _origin(text: str) -> Origin:
+def _parse_origin(text: str) -> Origin:
     try:
         latitude, longitude, height = map(float, text.split(","))
     except ValueError:
@@ -153,7 +153,7 @@ def _origin(text: str) -> Origin:
     return Origin(latitude, longitude, height)
 
 
-def _live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> None:
+def _run_live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> None:
     run = _Run(options)
     with contextlib.ExitStack() as resources:
         output = LiveOutput(options.ncom_host, options.ncom_port, options.can_interface, options.can_channel)
@@ -165,7 +165,7 @@ def _live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> No
         if options.output:
             truth = TruthFile(make_folder("--output", options.output) / "truth.mcap", start_ns, run.settings, run.about)
             resources.callback(truth.close)
-        outputs = run.outputs(start_ns)
+        outputs = run.generate_outputs(start_ns)
         # A higher priority, if permitted, helps to keep the deadlines.
         with contextlib.suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, 0, -10)
@@ -177,24 +177,24 @@ def _live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> No
     _report(state="done", **asdict(output.report), **faults)
 
 
-def _to_files(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> None:
+def _write_files(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> None:
     """Write the drive to files. CAN frames are stamped by the logger's clock, which has offset and drift."""
     run = _Run(options)
     start_ns = FILE_EPOCH_NS + options.seed * 3_600_000_000_000  # one hour later for each seed
     folder = make_folder("--to-files", options.to_files)
     offset, drift = run.settings["logger_clock_offset"], run.settings["logger_clock_drift"]
-    began = time.monotonic()
+    started = time.monotonic()
     with contextlib.ExitStack() as files:
         ncom = files.enter_context((folder / "run.ncom").open("wb"))
         frames = LogFile(folder / "run.log") if options.can_format == "log" else Mf4File(folder / "run.mf4", start_ns)
         files.callback(frames.close)
         truth = TruthFile(folder / "truth.mcap", start_ns, run.settings, run.about)
         files.callback(truth.close)
-        written = send(
-            run.outputs(start_ns), ncom.write,
+        last_due = send(
+            run.generate_outputs(start_ns), ncom.write,
             lambda frame, due: frames.write(start_ns + round((due * (1 + drift) + offset) * 1e9), frame),
             truth.write, stop_requested, Report())
-    _report(state="done", duration=round(written, 3), seconds=round(time.monotonic() - began, 3))
+    _report(state="done", duration=round(last_due, 3), seconds=round(time.monotonic() - started, 3))
 
 
 def _report(**values: object) -> None:
@@ -210,7 +210,7 @@ class _Parser(argparse.ArgumentParser):
         raise SimulationError(message)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _make_parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="virtual_leaf", description=__doc__)
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--scenario", default="S6", help=f"{', '.join(SCENARIOS)}, or a .yaml file; default S6")
@@ -225,7 +225,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--effect", nargs="+", action="extend", default=[], metavar="NAME=VALUE",
                         help="override settings; see --list")
     parser.add_argument("--origin", default=DEFAULT_ORIGIN, metavar="LAT,LON,HEIGHT", help="map origin [deg, deg, m]")
-    parser.add_argument("--startup", action="store_true", help="begin with the start-up of the INS, not locked")
+    parser.add_argument("--startup", action="store_true", help="begin with the start-up of the INS, before lock")
     parser.add_argument("--ncom-host", default="127.0.0.1")
     parser.add_argument("--ncom-port", type=_within(1, 65535), default=3000)
     parser.add_argument("--ncom-rate", type=int, choices=(100, 250), default=100)

@@ -1,6 +1,6 @@
 """Scenarios of unlimited duration: S1 to S7 of the paper, the manoeuvres of `st_core.manoeuvres`, and roads from files.
 
-The paper states R ~ 23 m and R ~ 20 m, but its error table matches diameters of this size; the radii are halved here.
+The paper states R ~ 23 m and R ~ 20 m, but its error table matches these values as diameters: the radii here are half.
 """
 
 import math
@@ -45,10 +45,12 @@ class RoadPlan:
 
     def speed_at(self, distance: float) -> float:
         """Initial speed at a distance [m/s]."""
-        return self._profile.at(distance)[0]
+        return self._profile.interpolate(distance)[0]
 
-    def demand(self, time: float, distance: float, speed: float) -> Demand:
-        return Demand(self._profile.at(distance)[0], self._profile.at(distance + PEDAL_LEAD * speed)[1])
+    def make_demand(self, time: float, distance: float, speed: float) -> Demand:
+        target_speed, _ = self._profile.interpolate(distance)
+        _, acceleration = self._profile.interpolate(distance + PEDAL_LEAD * speed)
+        return Demand(target_speed, acceleration)
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class PhasePlan:
     def speed_at(self, distance: float) -> float:
         return self._cruise
 
-    def demand(self, time: float, distance: float, speed: float) -> Demand:
+    def make_demand(self, time: float, distance: float, speed: float) -> Demand:
         phase = self._phases[self._index]
         if time - self._phase_start >= phase.duration - 1e-9 or speed <= phase.until:
             self._index, self._phase_start = (self._index + 1) % len(self._phases), time
@@ -97,9 +99,11 @@ class OpenLoopPlan:
     def speed_at(self, distance: float) -> float:
         return self._manoeuvre.speed
 
-    def demand(self, time: float, distance: float, speed: float) -> Demand:
-        angle = partial(self._manoeuvre.steering, time)
-        return Demand(self._manoeuvre.speed, 0.0, (lambda wheelbase: float(angle(wheelbase))) if time >= 0 else "path")
+    def make_demand(self, time: float, distance: float, speed: float) -> Demand:
+        def steer(wheelbase: float) -> float:
+            return float(self._manoeuvre.steering(time, wheelbase))
+
+        return Demand(self._manoeuvre.speed, 0.0, steer if time >= 0 else "path")
 
 
 Plan = RoadPlan | PhasePlan | OpenLoopPlan
@@ -109,14 +113,14 @@ def make_plan(manoeuvre: Manoeuvre) -> Plan:
     """Plan of a manoeuvre, which is a circle with pedal inputs, a road, or open-loop steering."""
     speed, curvature = manoeuvre.speed, manoeuvre.lateral / manoeuvre.speed**2
     if manoeuvre.pedals:
-        return PhasePlan(1 / abs(curvature), 1 if curvature > 0 else -1, speed, _phases(manoeuvre))
+        return PhasePlan(1 / abs(curvature), 1 if curvature > 0 else -1, speed, _make_phases(manoeuvre))
     if manoeuvre.closed_loop and isinstance(manoeuvre.profile, PiecewiseLinear):
         return RoadPlan([Piece(length * speed, curvature * first, curvature * last, speed)
                          for length, first, last in manoeuvre.profile.parts])
     return OpenLoopPlan(manoeuvre)
 
 
-def _phases(manoeuvre: Manoeuvre) -> list[Phase]:
+def _make_phases(manoeuvre: Manoeuvre) -> list[Phase]:
     """Phases of the pedals. Braking ends at a speed instead of a time, with the steering wheel held."""
     phases, end = [], 0.0
     for seconds, acceleration in manoeuvre.pedals:
@@ -128,26 +132,26 @@ def _phases(manoeuvre: Manoeuvre) -> list[Phase]:
     return phases
 
 
-def _circle(lateral_acceleration: float) -> Plan:
+def _make_circle(lateral_acceleration: float) -> Plan:
     radius = 11.5
     return RoadPlan([Piece(2 * math.pi * radius, 1 / radius, 1 / radius, math.sqrt(lateral_acceleration * radius))])
 
 
-def _u_turns() -> Plan:
+def _make_u_turns() -> Plan:
     """U-turns right, left, left: a lap changes the heading by 180 deg, so the road closes after two laps."""
     left = turn(8, 180, 4, 5)
     return RoadPlan([*straight(24, 6), *turn(8, -180, 4, 5), *straight(26, 6), *left, *straight(26, 6), *left,
                      *straight(2, 6)])
 
 
-def _roundabout() -> Plan:
+def _make_roundabout() -> Plan:
     """16 m/s in a slight right bend (1.1 m/s^2), braking, 450 deg to the left at 5 m/s, back to 16 m/s."""
     return RoadPlan(
         [*straight(30, 16), *turn(230, -24, 16, 20), *straight(85, 16), *turn(12, 450, 5, 7), *straight(110, 16)],
         acceleration=1.6, braking=2.0)
 
 
-def _circle_to_rest() -> Plan:
+def _make_circle_to_rest() -> Plan:
     """R = 10 m to the right at 1.5 m/s^2, braking at 1.5 m/s^2 to standstill, 4 s at rest, acceleration; repeated."""
     return PhasePlan(10.0, -1, math.sqrt(1.5 * 10.0), [
         Phase("path", duration=18.0), Phase("path", acceleration=-1.5, until=0.0), Phase("path", duration=4.0),
@@ -157,29 +161,29 @@ def _circle_to_rest() -> Plan:
 CATALOGUE_SCENARIOS = {m.name: (partial(make_plan, m), m.description) for m in CATALOGUE}
 SCENARIOS: dict[str, tuple[Callable[[], Plan], str]] = {
     "S1": CATALOGUE_SCENARIOS["S1"],
-    "S2": (lambda: _circle(1.5), "left circle, R = 11.5 m, 1.5 m/s^2"),
-    "S3": (lambda: _circle(3.77), "left circle, R = 11.5 m, 3.8 m/s^2"),
-    "S4": (lambda: _circle(6.37), "left circle, R = 11.5 m, 6.4 m/s^2"),
-    "S5": (_circle_to_rest, "right circle, R = 10 m, 1.5 m/s^2, brake to standstill, accelerate, repeat"),
-    "S6": (_u_turns, "U-turns right, left, left with straights, 4 to 6 m/s"),
-    "S7": (_roundabout, "16 m/s, slightly right, brake to 5 m/s, 450 deg roundabout, back to 16 m/s"),
+    "S2": (lambda: _make_circle(1.5), "left circle, R = 11.5 m, 1.5 m/s^2"),
+    "S3": (lambda: _make_circle(3.77), "left circle, R = 11.5 m, 3.8 m/s^2"),
+    "S4": (lambda: _make_circle(6.37), "left circle, R = 11.5 m, 6.4 m/s^2"),
+    "S5": (_make_circle_to_rest, "right circle, R = 10 m, 1.5 m/s^2, brake to standstill, accelerate, repeat"),
+    "S6": (_make_u_turns, "U-turns right, left, left with straights, 4 to 6 m/s"),
+    "S7": (_make_roundabout, "16 m/s, slightly right, brake to 5 m/s, 450 deg roundabout, back to 16 m/s"),
     **CATALOGUE_SCENARIOS,
 }
 
 
-def load(name: str) -> Plan:
+def load_plan(name: str) -> Plan:
     """New plan of a scenario by name, or from a YAML file (see config/manoeuvres). Raises SimulationError."""
     if name in SCENARIOS:
         return SCENARIOS[name][0]()
     if name.endswith((".yaml", ".yml")):
-        return _from_file(FilePath(name))
+        return _read_plan(FilePath(name))
     raise SimulationError(f"--scenario {name}: unknown; choose {', '.join(SCENARIOS)}, or a .yaml file")
 
 
-def _from_file(file: FilePath) -> Plan:
+def _read_plan(file: FilePath) -> Plan:
     document = read_document(file)
     try:
-        pieces = [piece for row in document["road"] for piece in _pieces(row)]
+        pieces = [piece for row in document["road"] for piece in _make_pieces(row)]
         if not pieces:
             raise ValueError("no rows")
         if not sum(abs(piece.length) for piece in pieces) <= LONGEST_ROAD:
@@ -193,7 +197,7 @@ def _from_file(file: FilePath) -> Plan:
                               "blend: m, speed: m/s} or {shift: m, length: m, speed: m/s}") from None
 
 
-def _pieces(row: dict[str, Any]) -> list[Piece]:
+def _make_pieces(row: dict[str, Any]) -> list[Piece]:
     values = {key: float(value) for key, value in row.items()}
     kind = next(key for key in ("straight", "turn", "shift") if key in values)
     size, speed = values.pop(kind), values.pop("speed")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .car import GRAVITY, Car
-from .environment import normal_stream
+from .environment import make_normal_source
 from .plant import Truth
 from .settings import Settings
 
@@ -75,12 +75,12 @@ class Ins:
         # The INS is fixed to the body, so a shift of the CG changes its lever arm.
         self._lever = (car.cg_to_ins_x - settings["cg_shift"] + settings["ins_lever_error"], car.cg_to_ins_y)
         scale = settings["ins_noise"]
-        draw = normal_stream(np.random.default_rng([seed, 3]))
+        draw = make_normal_source(np.random.default_rng([seed, 3]))
         self._noise = {name: _Noise(scale * white, scale * slow, time, interval, draw)
                        for name, (white, slow, time) in NOISE.items() if scale}
 
     def read(self, truth: Truth) -> InsReading:
-        x, y, vx, vy = truth.at_point(*self._lever)
+        x, y, vx, vy = truth.motion_at(*self._lever)
         ax, ay = truth.acceleration_at(*self._lever)
         s = self._settings
         reading = InsReading(
@@ -145,7 +145,7 @@ class SteeringSensor:
 
     def __init__(self, car: Car, settings: Settings, seed: int):
         self._offset, self._noise = car.steering_wheel_offset, settings["steering_sensor_noise"]
-        self._draw = normal_stream(np.random.default_rng([seed, 4]), 256)
+        self._draw = make_normal_source(np.random.default_rng([seed, 4]), 256)
 
     def read(self, truth: Truth) -> float:
         noise = self._noise * self._draw() if self._noise else 0.0
@@ -154,23 +154,23 @@ class SteeringSensor:
 
 def read_wheel_speeds(truth: Truth, settings: Settings) -> tuple[list[float], float]:
     """Unsigned wheel speeds FL, FR, RL, RR and vehicle speed of the ABS unit [m/s]."""
-    wheels = [_rectify(w * settings["wheel_speed_scale"], MIN_WHEEL_SPEED) for w in truth.wheel_speed]
-    return wheels, _rectify(truth.velocity_x, MIN_VEHICLE_SPEED)
+    wheels = [_read_unsigned(w * settings["wheel_speed_scale"], MIN_WHEEL_SPEED) for w in truth.wheel_speed]
+    return wheels, _read_unsigned(truth.velocity_x, MIN_VEHICLE_SPEED)
 
 
-def _rectify(speed: float, minimum: float) -> float:
+def _read_unsigned(speed: float, minimum: float) -> float:
     return abs(speed) if abs(speed) >= minimum else 0.0
 
 
 class Loss:
     """Loss of datagrams or frames: a random fraction, and all of them for 1 s at multiples of `outage_every` [s]."""
 
-    def __init__(self, share: float, outage_every: float, seed: tuple[int, int]):
-        self._share, self._every = share, outage_every
+    def __init__(self, fraction: float, outage_every: float, seed: tuple[int, int]):
+        self._fraction, self._outage_every = fraction, outage_every
         self._generator = np.random.default_rng(seed)
 
     def loses(self, time: float) -> bool:
         """Whether the datagram or frame sent at `time` [s since the start] is lost; call once for each."""
-        if self._every and time >= self._every and time % self._every < OUTAGE_LENGTH:
+        if self._outage_every and time >= self._outage_every and time % self._outage_every < OUTAGE_LENGTH:
             return True
-        return bool(self._share) and self._generator.random() < self._share
+        return bool(self._fraction) and self._generator.random() < self._fraction

@@ -120,13 +120,13 @@ REALISTIC: Settings = MappingProxyType({
 PRESETS: Mapping[str, Settings] = MappingProxyType({"ideal": IDEAL, "realistic": REALISTIC})
 
 
-def resolve(plant: str, effects: Iterable[str] = ()) -> dict[str, float]:
+def resolve_settings(plant: str, effects: Iterable[str] = ()) -> dict[str, float]:
     """All settings from `--plant` and `--effect name=value ...`.
 
     plant: a preset, or a YAML file {preset: realistic, name: value, ...} (default preset: ideal).
     Raises SimulationError.
     """
-    settings = dict(PRESETS[plant]) if plant in PRESETS else _from_file(Path(plant))
+    settings = dict(PRESETS[plant]) if plant in PRESETS else _read_file(Path(plant))
     for effect in effects:
         name, equals, text = effect.partition("=")
         try:
@@ -139,12 +139,12 @@ def resolve(plant: str, effects: Iterable[str] = ()) -> dict[str, float]:
     return settings
 
 
-def overrides(settings: Settings) -> dict[str, float]:
+def find_overrides(settings: Settings) -> dict[str, float]:
     """Settings that differ from null."""
     return {name: value for name, value in settings.items() if value != SETTINGS[name].null}
 
 
-def _from_file(path: Path) -> dict[str, float]:
+def _read_file(path: Path) -> dict[str, float]:
     if not path.is_file():
         raise SimulationError(f"--plant {path}: not a file, and not a preset ({', '.join(PRESETS)})")
     document = read_document(path)

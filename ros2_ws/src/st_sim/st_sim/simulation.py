@@ -40,10 +40,10 @@ class SimulatedCar:
         last = int(time / self._step + 1e-6)
         plant, driver, step = self.plant, self.driver, self._step
         while self._count < last:
-            before = driver.steering_wheel_angle
+            previous_angle = driver.steering_wheel_angle
             driver.advance(plant, self._count * step, step)
             plant.step(driver.steering_wheel_angle, driver.drive_force)
-            self._steering_wheel_rate = (driver.steering_wheel_angle - before) / step
+            self._steering_wheel_rate = (driver.steering_wheel_angle - previous_angle) / step
             self._count += 1
 
     def truth(self) -> Truth:

@@ -70,48 +70,48 @@ class Stream:
         self._queue: list[Output] = []
         self._pushed = 0  # number of outputs pushed so far
 
-    def outputs(self, duration: float) -> Iterator[Output]:
+    def generate_outputs(self, duration: float) -> Iterator[Output]:
         """Yield the outputs measured in [0, duration) in the order of `due`."""
-        end = round(duration * 1000)
-        for now in range(0, end, TICK_MS):
-            time = now / 1000
+        for now_ms in range(0, round(duration * 1000), TICK_MS):
+            time = now_ms / 1000
             self._source.advance(time)
-            self._measure(now, time)
-            horizon = (now + TICK_MS) / 1000
-            while self._queue and self._queue[0].due < horizon:
+            self._measure(now_ms, time)
+            next_time = (now_ms + TICK_MS) / 1000
+            while self._queue and self._queue[0].due < next_time:
                 yield heapq.heappop(self._queue)
         while self._queue:
             yield heapq.heappop(self._queue)
 
-    def _measure(self, now: int, time: float) -> None:
-        if now % self._ins_period == 0:
+    def _measure(self, now_ms: int, time: float) -> None:
+        if now_ms % self._ins_period == 0:
             self._send_ins(self._source.truth(), time)
-        if now % TRUTH_PERIOD_MS == 0:
+        if now_ms % TRUTH_PERIOD_MS == 0:
             self._push(time, self._source.truth())
-        if now % STEERING_SCHEDULE[0] == STEERING_SCHEDULE[1]:
+        if now_ms % STEERING_SCHEDULE[0] == STEERING_SCHEDULE[1]:
             truth = self._source.truth()
-            frames = self._can.steering(self._steering.read(truth), truth.steering_wheel_rate)
+            frames = self._can.encode_steering(self._steering.read(truth), truth.steering_wheel_rate)
             self._send_frames(frames, time + self._settings["steering_sensor_latency"])
-        if now % WHEEL_SCHEDULE[0] == WHEEL_SCHEDULE[1]:
-            self._send_frames(self._can.wheel_speeds(*read_wheel_speeds(self._source.truth(), self._settings)), time)
-        if now % GEAR_SCHEDULE[0] == GEAR_SCHEDULE[1]:
-            self._send_frames(self._can.gear(self._source.truth().gear), time)
+        if now_ms % WHEEL_SCHEDULE[0] == WHEEL_SCHEDULE[1]:
+            wheel_speeds, vehicle_speed = read_wheel_speeds(self._source.truth(), self._settings)
+            self._send_frames(self._can.encode_wheel_speeds(wheel_speeds, vehicle_speed), time)
+        if now_ms % GEAR_SCHEDULE[0] == GEAR_SCHEDULE[1]:
+            self._send_frames(self._can.encode_gear(self._source.truth().gear), time)
         if self._background:
-            for ms in range(now, now + TICK_MS):
-                self._send_frames(self._background.frames(ms), ms / 1000)
+            for ms in range(now_ms, now_ms + TICK_MS):
+                self._send_frames(self._background.select_frames(ms), ms / 1000)
 
     def _send_ins(self, truth: Truth, time: float) -> None:
         reading = self._ins.read(truth)
-        state = find_start_up_status(time) if self._start_up else (LOCKED, 0.0)
-        if state is None:
+        start_up = find_start_up_status(time) if self._start_up else (LOCKED, 0.0)
+        if start_up is None:
             return
-        status, delay = state
+        status, delay = start_up
         due = time + self._settings["ins_latency"] + delay
-        packet = self._ncom.packet(reading, status)
+        packet = self._ncom.encode_packet(reading, status)
         if not self._ins_loss.loses(time):
             self._push(due, packet)
         if status >= INITIALISING:
-            self._send_frames(self._can.ins(reading), due + INS_CAN_DELAY)
+            self._send_frames(self._can.encode_ins(reading), due + INS_CAN_DELAY)
 
     def _send_frames(self, frames: list[Frame], due: float) -> None:
         for i, frame in enumerate(frames):

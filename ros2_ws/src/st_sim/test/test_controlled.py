@@ -4,7 +4,7 @@ import math
 
 import pytest
 from st_sim.car import read_car
-from st_sim.settings import PRESETS, resolve
+from st_sim.settings import PRESETS, resolve_settings
 from st_sim.simulation import MAX_BRAKING, MAX_STEERING_WHEEL_RATE, ControlledCar
 from support import ROOT
 
@@ -53,7 +53,7 @@ def test_hand_and_tyres_have_limits():
 
 
 def test_a_realistic_car_is_slowed_by_the_air():
-    car = ControlledCar(CAR, resolve("realistic"))
+    car = ControlledCar(CAR, resolve_settings("realistic"))
     car.place(0.0, 0.0, 0.0, 20.0)
     car.advance(2.0, 0.0, 0.0)
     assert car.state[2] < 19.8

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 from st_sim.car import GRAVITY, TRACK_WIDTH, read_car
-from st_sim.dynamics import tyre_coefficients, tyre_force
+from st_sim.dynamics import make_tyre_coefficients, tyre_force
 from st_sim.environment import Environment
 from st_sim.plant import RACK, STEP, VX, YAW_RATE, Plant, Y, Z
-from st_sim.scenarios import load
-from st_sim.settings import IDEAL, PRESETS, REALISTIC, SETTINGS, SimulationError, overrides, resolve
+from st_sim.scenarios import load_plan
+from st_sim.settings import IDEAL, PRESETS, REALISTIC, SETTINGS, SimulationError, find_overrides, resolve_settings
 from st_sim.simulation import SimulatedCar
 from support import ROOT
 
@@ -68,7 +68,7 @@ def test_acts_when_on_and_vanishes_at_null(name):
 
 def steady(effects, steering_wheel=2.0, speed=9.0, seconds=8.0):
     """Plant in a steady bend under `effects` on top of ideal."""
-    plant = Plant(CAR, resolve("ideal", effects))
+    plant = Plant(CAR, resolve_settings("ideal", effects))
     plant.place(0.0, 0.0, 0.0, speed)
     for _ in range(round(seconds / STEP)):
         plant.step(steering_wheel, 8000.0 * (speed - plant.state[VX]) + 300.0)
@@ -89,7 +89,7 @@ def test_compliance_takes_its_share_of_the_front_force():
 
 
 def rack_after_step(effects, seconds):
-    plant = Plant(CAR, resolve("ideal", effects))
+    plant = Plant(CAR, resolve_settings("ideal", effects))
     plant.place(0.0, 0.0, 0.0, 8.0)
     for _ in range(round(seconds / STEP)):
         plant.step(CAR.steering_ratio * 0.05, 0.0)
@@ -118,7 +118,7 @@ def test_load_transfer_and_roll_follow_the_lateral_acceleration():
 def test_drive_beside_the_middle_turns_the_car():
     rates = []
     for effects in ([], ["drive_offset=0.1"]):
-        plant = Plant(CAR, resolve("ideal", effects))
+        plant = Plant(CAR, resolve_settings("ideal", effects))
         plant.place(0.0, 0.0, 0.0, 15.0)
         plant.step(0.0, 2000.0)
         rates.append(plant.state[YAW_RATE])
@@ -127,7 +127,7 @@ def test_drive_beside_the_middle_turns_the_car():
 
 
 def test_longitudinal_load_transfer():
-    plant = Plant(CAR, resolve("ideal"))
+    plant = Plant(CAR, resolve_settings("ideal"))
     plant.place(0.0, 0.0, 0.0, 20.0)
     for _ in range(500):
         plant.step(0.0, -3.0 * CAR.mass)
@@ -137,7 +137,7 @@ def test_longitudinal_load_transfer():
 
 
 def front_force_after_step(effects, steps):
-    plant = Plant(CAR, resolve("ideal", ["yaw_inertia_factor=2", "mass_factor=2", *effects]))
+    plant = Plant(CAR, resolve_settings("ideal", ["yaw_inertia_factor=2", "mass_factor=2", *effects]))
     plant.place(0.0, 0.0, 0.0, 10.0)
     for _ in range(steps):
         plant.step(0.01 * CAR.steering_ratio, 0.0)
@@ -158,14 +158,14 @@ def test_combined_slip_costs_lateral_force():
     bound.state = free.state
     free, bound = free.observe(-6.0 * CAR.mass), bound.observe(-6.0 * CAR.mass)
     for wheel in (0, 1):
-        peak = tyre_force(tyre_coefficients(CAR.tyre_front, 1.0), 0.0, free.load[wheel], 1.0)[1]
+        peak = tyre_force(make_tyre_coefficients(CAR.tyre_front, 1.0), 0.0, free.load[wheel], 1.0)[1]
         share = math.sqrt(1 - (free.longitudinal[wheel] / peak) ** 2)
         assert share < 0.9
         assert bound.lateral[wheel] == pytest.approx(share * free.lateral[wheel])
 
 
 def test_bank_pulls_to_the_low_side_with_the_weight():
-    plant = Plant(CAR, resolve("ideal", ["bank_angle=0.05"]))
+    plant = Plant(CAR, resolve_settings("ideal", ["bank_angle=0.05"]))
     plant.place(0.0, 0.0, 0.0, 10.0)
     # No slip yet, no tyre force: gravity alone.
     assert plant.observe(0.0).acceleration_y == pytest.approx(-GRAVITY * math.sin(0.05), rel=1e-6)
@@ -174,9 +174,9 @@ def test_bank_pulls_to_the_low_side_with_the_weight():
 def test_wind_pushes_and_turns_with_the_heading():
     pushes = []
     for yaw in (0.0, math.pi):
-        plant = Plant(CAR, resolve("ideal", ["wind_speed=15"]))
+        plant = Plant(CAR, resolve_settings("ideal", ["wind_speed=15"]))
         plant.place(0.0, 0.0, yaw, 10.0)
-        plant.surroundings = plant.environment.at(0.0, 0.0, yaw)
+        plant.surroundings = plant.environment.advance(0.0, yaw)
         pushes.append(plant.observe(0.0).acceleration_y * CAR.mass)
     # 1/2 rho A |w| w_y with 10 m/s of headwind and 15 m/s across.
     assert pushes[0] == pytest.approx(0.5 * 1.2 * 2.5 * math.hypot(10, 15) * 15, rel=1e-6)
@@ -185,7 +185,7 @@ def test_wind_pushes_and_turns_with_the_heading():
 
 def test_hillside_is_a_plane():
     """Height depends on the position only, not on the path to it."""
-    plant = Plant(CAR, resolve("ideal", ["hillside_slope=0.05"]))
+    plant = Plant(CAR, resolve_settings("ideal", ["hillside_slope=0.05"]))
     plant.place(0.0, 0.0, 0.0, 8.0)
     for _ in range(4000):
         plant.step(2.5, 8000.0 * (8.0 - plant.state[VX]))
@@ -194,16 +194,16 @@ def test_hillside_is_a_plane():
 
 
 def test_patches_lie_still_on_the_ground():
-    environment = Environment(resolve("ideal", ["friction_patch=0.5", "friction_factor=0.9"]), STEP, 0)
-    assert [environment.at(x, 5.0, 1.0).friction for x in (3.0, 12.0, 45.0, -35.0)] == pytest.approx(
+    environment = Environment(resolve_settings("ideal", ["friction_patch=0.5", "friction_factor=0.9"]), STEP, 0)
+    assert [environment.advance(x, 1.0).friction for x in (3.0, 12.0, 45.0, -35.0)] == pytest.approx(
         [0.45, 0.9, 0.45, 0.45]
     )
 
 
 def test_gusts_have_the_set_size_and_follow_the_seed():
-    settings = resolve("ideal", ["gust_speed=4", "wind_speed=3"])
+    settings = resolve_settings("ideal", ["gust_speed=4", "wind_speed=3"])
     blown = [Environment(settings, STEP, seed) for seed in (1, 1, 2)]
-    winds = [np.array([e.at(0.0, 0.0, 0.0).wind_y for _ in range(200_000)]) for e in blown]
+    winds = [np.array([e.advance(0.0, 0.0).wind_y for _ in range(200_000)]) for e in blown]
     assert winds[0].std() == pytest.approx(4.0, rel=0.1)
     assert winds[0].mean() == pytest.approx(3.0, abs=1.0)
     assert (winds[0] == winds[1]).all() and (winds[0] != winds[2]).any()
@@ -217,7 +217,7 @@ def test_cg_shift_moves_the_loads():
 
 def test_tremor_moves_the_hands_and_follows_the_seed():
     def steering_wheel(effects, seed):
-        car = SimulatedCar(CAR, resolve("ideal", effects), load("S2"), seed)
+        car = SimulatedCar(CAR, resolve_settings("ideal", effects), load_plan("S2"), seed)
         angles = []
         for i in range(2000):
             car.advance(0.01 * i)
@@ -231,12 +231,12 @@ def test_tremor_moves_the_hands_and_follows_the_seed():
 
 
 def test_presets_and_files(tmp_path):
-    assert overrides(IDEAL) == {}
-    assert overrides(REALISTIC)["relaxation_length"] == 0.4
+    assert find_overrides(IDEAL) == {}
+    assert find_overrides(REALISTIC)["relaxation_length"] == 0.4
     assert set(PRESETS) == {"ideal", "realistic"}
     file = tmp_path / "windy.yaml"
     file.write_text("preset: realistic\nwind_speed: 12\n")
-    settings = resolve(str(file), ["bank_angle=0.02"])
+    settings = resolve_settings(str(file), ["bank_angle=0.02"])
     assert {k: v for k, v in settings.items() if v != REALISTIC[k]} == {"wind_speed": 12.0, "bank_angle": 0.02}
 
 
@@ -255,7 +255,7 @@ def test_bad_plant_file_is_named(tmp_path, text, message):
     file = tmp_path / "plant.yaml"
     file.write_text(text)
     with pytest.raises(SimulationError, match=r"^[^\n]*plant\.yaml[^\n]*$") as caught:
-        resolve(str(file))
+        resolve_settings(str(file))
     assert message in str(caught.value)
 
 
@@ -263,4 +263,4 @@ def test_bad_plant_file_is_named(tmp_path, text, message):
                          ["bank_angle", "bank_angle=", "bank_angle=x", "bank_angle=nan", "bank_angle=2", "b=1"])
 def test_bad_effect_is_named(effect):
     with pytest.raises(SimulationError, match="--effect"):
-        resolve("ideal", [effect])
+        resolve_settings("ideal", [effect])

@@ -9,8 +9,8 @@ import math
 import numpy as np
 import pytest
 from st_sim.car import GRAVITY, read_car
-from st_sim.scenarios import load
-from st_sim.settings import resolve
+from st_sim.scenarios import load_plan
+from st_sim.settings import resolve_settings
 from st_sim.simulation import SimulatedCar
 from support import ROOT
 
@@ -19,12 +19,12 @@ RATE, STEP, STEPS = 100, 0.05, 100
 
 
 def drive(name, seconds):
-    car = SimulatedCar(CAR, resolve("realistic"), load(name), seed=1)
+    car = SimulatedCar(CAR, resolve_settings("realistic"), load_plan(name), seed=1)
     rows = []
     for k in range(seconds * RATE + 1):
         car.advance(k / RATE)
         t = car.truth()
-        ins = t.at_point(CAR.cg_to_ins_x, CAR.cg_to_ins_y)
+        ins = t.motion_at(CAR.cg_to_ins_x, CAR.cg_to_ins_y)
         steer = t.steering_wheel_angle / CAR.steering_ratio
         rows.append((t.x, t.y, t.velocity_x, t.velocity_y, t.yaw, t.yaw_rate, steer, *ins[:2]))
     return np.array(rows)

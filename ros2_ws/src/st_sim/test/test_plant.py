@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from st_sim.car import GRAVITY, read_car
 from st_sim.plant import STEP, VX, VY, YAW, YAW_RATE, Plant, X, Y, Z
-from st_sim.settings import resolve
+from st_sim.settings import resolve_settings
 from support import ROOT
 
 CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
@@ -35,7 +35,7 @@ def keep(speed):
 
 @pytest.mark.parametrize("plant", ["ideal", "realistic"])
 def test_left_and_right_are_mirror_images(plant):
-    settings = resolve(plant)
+    settings = resolve_settings(plant)
     left = driven(settings, wiggle, keep(8.0), 6.0)
     right = driven(settings, lambda t: -wiggle(t), keep(8.0), 6.0)
     mirror = np.ones(16)
@@ -48,7 +48,7 @@ def test_left_and_right_are_mirror_images(plant):
 
 @pytest.mark.parametrize("plant", ["ideal", "realistic"])
 def test_half_the_step_gives_the_same_drive(plant):
-    settings = resolve(plant)
+    settings = resolve_settings(plant)
     whole = driven(settings, wiggle, keep(8.0), 10.0)
     half = driven(settings, wiggle, keep(8.0), 10.0, step=STEP / 2)
     assert math.dist(whole.state[:2], half.state[:2]) < 1e-3
@@ -57,7 +57,7 @@ def test_half_the_step_gives_the_same_drive(plant):
 
 @pytest.mark.parametrize("plant", ["ideal", "realistic"])
 def test_forces_add_up_to_the_motion(plant):
-    settings = resolve(plant, ["drag_area=0", "rolling_resistance=0"])
+    settings = resolve_settings(plant, ["drag_area=0", "rolling_resistance=0"])
     car = driven(settings, lambda t: 3.0, keep(8.0), 3.0)
     before, force = car.state, 900.0
     forces = car.observe(force)
@@ -73,7 +73,7 @@ def test_forces_add_up_to_the_motion(plant):
 
 @pytest.mark.parametrize("plant", ["ideal", "realistic"])
 def test_without_drive_the_energy_only_falls(plant):
-    car = Plant(CAR, resolve(plant))
+    car = Plant(CAR, resolve_settings(plant))
     car.place(0.0, 0.0, 0.0, 15.0)
     energies = []
     for i in range(3000):
@@ -87,7 +87,7 @@ def test_without_drive_the_energy_only_falls(plant):
 
 
 def test_drive_power_is_what_the_speed_gains_on_a_straight():
-    car = driven(resolve("ideal"), lambda t: 0.0, lambda t, p: 1590.0, 4.0, speed=5.0)
+    car = driven(resolve_settings("ideal"), lambda t: 0.0, lambda t, p: 1590.0, 4.0, speed=5.0)
     assert car.state[VX] == pytest.approx(5.0 + 4.0, rel=1e-3)
     assert car.state[Y] == 0.0
 
@@ -112,7 +112,7 @@ def steady_circle(plant, road_wheel_angle, speed):
 )
 def test_ideal_plant_is_close_to_the_nonlinear_single_track_model(
     speed, road_wheel_deg, nonlinear_yaw_rate, nonlinear_v_y):
-    v_y, yaw_rate, _ = steady_circle(Plant(CAR, resolve("ideal")), math.radians(road_wheel_deg), speed)
+    v_y, yaw_rate, _ = steady_circle(Plant(CAR, resolve_settings("ideal")), math.radians(road_wheel_deg), speed)
     assert yaw_rate == pytest.approx(nonlinear_yaw_rate, rel=0.04)
     assert v_y == pytest.approx(nonlinear_v_y, abs=0.03)
 
@@ -120,7 +120,7 @@ def test_ideal_plant_is_close_to_the_nonlinear_single_track_model(
 @pytest.mark.parametrize("plant", ["ideal", "realistic"])
 @pytest.mark.parametrize("effects", [[], ["grade_angle=0.08"], ["bank_angle=0.05"]])
 def test_braked_to_rest_it_stays_there(plant, effects):
-    car = driven(resolve(plant, effects), lambda t: 2.0, lambda t, p: -3000.0, 8.0, speed=4.0)
+    car = driven(resolve_settings(plant, effects), lambda t: 2.0, lambda t, p: -3000.0, 8.0, speed=4.0)
     place = car.state[:4]
     assert car.parked and car.state[VX] == car.state[VY] == car.state[YAW_RATE] == 0.0
     for _ in range(500):
@@ -130,17 +130,19 @@ def test_braked_to_rest_it_stays_there(plant, effects):
 
 
 def test_pulls_away_again():
-    car = driven(resolve("realistic"), lambda t: 2.0, lambda t, p: -3000.0 if t < 4 else 1500.0, 8.0, speed=4.0)
+    car = driven(resolve_settings("realistic"), lambda t: 2.0, lambda t, p: -3000.0 if t < 4 else 1500.0, 8.0,
+                 speed=4.0)
     assert car.state[VX] > 2.0
 
 
 def test_climbs_by_the_grade():
-    car = driven(resolve("ideal", ["grade_angle=0.05"]), lambda t: 0.0, keep(10.0), 5.0, speed=10.0)
+    car = driven(resolve_settings("ideal", ["grade_angle=0.05"]), lambda t: 0.0, keep(10.0), 5.0, speed=10.0)
     assert car.state[Z] / car.state[X] == pytest.approx(math.tan(0.05), rel=1e-6)
 
 
 @pytest.mark.parametrize("effects", [[], ["friction_factor=0.2"], ["relaxation_length=2.0"], ["mass_factor=2"]])
 def test_finite_through_a_spin(effects):
-    car = driven(resolve("realistic", effects), lambda t: 9.0, lambda t, p: 4000.0 * math.sin(3 * t), 12.0, speed=18.0)
+    car = driven(resolve_settings("realistic", effects), lambda t: 9.0, lambda t, p: 4000.0 * math.sin(3 * t), 12.0,
+                 speed=18.0)
     assert all(map(math.isfinite, car.state))
     assert abs(car.state[VX]) < 40.0

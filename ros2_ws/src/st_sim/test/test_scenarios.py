@@ -7,8 +7,8 @@ import pytest
 from st_sim.car import read_car
 from st_sim.driver import MAX_STEERING_WHEEL_RATE
 from st_sim.path import Path, SpeedProfile, lane_shift, straight, turn
-from st_sim.scenarios import SCENARIOS, load
-from st_sim.settings import SimulationError, resolve
+from st_sim.scenarios import SCENARIOS, load_plan
+from st_sim.settings import SimulationError, resolve_settings
 from st_sim.simulation import SimulatedCar
 from support import ROOT
 
@@ -19,7 +19,7 @@ COLUMNS = ("t", "x", "y", "yaw", "vx", "vy", "r", "ax", "ay", "steering_wheel", 
 
 class Drive:
     def __init__(self, name, seconds, plant="realistic", seed=0):
-        car = SimulatedCar(CAR, resolve(plant), load(name), seed)
+        car = SimulatedCar(CAR, resolve_settings(plant), load_plan(name), seed)
         rows = []
         for i in range(seconds * RATE):
             car.advance(i / RATE)
@@ -64,7 +64,7 @@ def test_s1_figure_eight():
     assert np.percentile(d.ay, [2, 98]) == pytest.approx([-16 / 11.5, 16 / 11.5], abs=0.07)
     # Loops to both sides of equal size, and the road closes.
     assert np.ptp(d.yaw) == pytest.approx(math.radians(240), abs=0.1)
-    path = load("S1").path
+    path = load_plan("S1").path
     end = path.pose(path.length * 5)
     assert math.hypot(end.x, end.y) < 0.05 and end.yaw == pytest.approx(0.0, abs=1e-9)
 
@@ -91,7 +91,7 @@ def test_s6_u_turns():
     assert d.vx.max() == pytest.approx(6.0, abs=0.1) and d.vx.min() == pytest.approx(4.0, abs=0.1)
     first = [np.sign(d.r[turning])[0], *np.sign(d.r[turning])[1:][np.diff(np.flatnonzero(turning)) > RATE // 2]]
     assert first[:3] == [-1, 1, 1]
-    path = load("S6").path
+    path = load_plan("S6").path
     assert path.pose(path.length * (1 - 1e-9)).yaw == pytest.approx(math.pi, abs=1e-3)
     twice = path.pose(2 * path.length)
     assert math.hypot(twice.x, twice.y) < 1e-6
@@ -202,7 +202,7 @@ def test_path_geometry():
 def test_speed_profile_keeps_its_limits():
     path = Path([*straight(100, 15), *turn(10, 180, 4), *straight(100, 15)])
     profile = SpeedProfile(path, 1.0, 2.0)
-    samples = [profile.at(s) for s in np.arange(0, 2 * path.length, 0.2)]
+    samples = [profile.interpolate(s) for s in np.arange(0, 2 * path.length, 0.2)]
     assert max(v for v, _ in samples) == pytest.approx(15.0) and min(v for v, _ in samples) == pytest.approx(4.0)
     assert max(a for _, a in samples) <= 1.0 + 1e-6 and min(a for _, a in samples) >= -2.0 - 1e-6
 
@@ -239,9 +239,9 @@ def test_bad_road_is_named(tmp_path, text, message):
     file = tmp_path / "road.yaml"
     file.write_text(text)
     with pytest.raises(SimulationError, match=r"^[^\n]*road\.yaml[^\n]*$") as caught:
-        load(str(file))
+        load_plan(str(file))
     assert message in str(caught.value)
     with pytest.raises(SimulationError, match="--scenario S9"):
-        load("S9")
+        load_plan("S9")
     with pytest.raises(SimulationError, match="cannot be read"):
-        load(str(tmp_path / "none.yaml"))
+        load_plan(str(tmp_path / "none.yaml"))

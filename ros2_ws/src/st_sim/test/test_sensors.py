@@ -7,7 +7,7 @@ import pytest
 from st_sim.car import GRAVITY, read_car
 from st_sim.plant import Truth
 from st_sim.sensors import ACCURACY, Ins, Loss, SteeringSensor, read_wheel_speeds
-from st_sim.settings import SETTINGS, resolve
+from st_sim.settings import SETTINGS, resolve_settings
 from support import ROOT
 
 CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
@@ -23,7 +23,7 @@ def truth(**changes):
 
 
 def ins(effects=(), seed=0, **changes):
-    return Ins(CAR, resolve("ideal", effects), 0.01, seed).read(truth(**changes))
+    return Ins(CAR, resolve_settings("ideal", effects), 0.01, seed).read(truth(**changes))
 
 
 def test_the_ins_sits_behind_the_cg():
@@ -46,7 +46,7 @@ def test_a_tilted_car_feels_gravity():
 
 def test_noise_has_the_size_the_unit_reports_and_follows_the_seed():
     """Over many units, the standard deviation is that in the accuracy channels."""
-    settings = resolve("ideal", ["ins_noise=1"])
+    settings = resolve_settings("ideal", ["ins_noise=1"])
     readings = [Ins(CAR, settings, 0.01, seed).read(truth()) for seed in range(400)]
     exact = ins()
     spread = {name: np.std([getattr(r, name) - getattr(exact, name) for r in readings])
@@ -60,7 +60,7 @@ def test_noise_has_the_size_the_unit_reports_and_follows_the_seed():
 
 
 def test_most_noise_wanders_slowly_and_rates_do_not():
-    unit = Ins(CAR, resolve("ideal", ["ins_noise=1"]), 0.01, 5)
+    unit = Ins(CAR, resolve_settings("ideal", ["ins_noise=1"]), 0.01, 5)
     readings = [unit.read(truth()) for _ in range(2000)]
     x, rate = np.array([r.x for r in readings]), np.array([r.rates[2] for r in readings])
     assert np.std(np.diff(x)) < 0.5 * ACCURACY["position"]
@@ -70,7 +70,7 @@ def test_most_noise_wanders_slowly_and_rates_do_not():
 
 def test_at_rest_the_noise_is_small():
     def jitter(speed):
-        unit = Ins(CAR, resolve("ideal", ["ins_noise=1"]), 0.01, 5)
+        unit = Ins(CAR, resolve_settings("ideal", ["ins_noise=1"]), 0.01, 5)
         return np.std([unit.read(truth(velocity_x=speed)).specific_force[2] for _ in range(500)])
 
     assert jitter(0.0) < 0.2 * jitter(10.0)
@@ -101,17 +101,18 @@ def test_ins_errors(effect):
 
 
 def test_steering_sensor():
-    assert SteeringSensor(CAR, resolve("ideal"), 0).read(truth()) == pytest.approx(1.2 + math.radians(-2.7))
-    noisy = SteeringSensor(CAR, resolve("ideal", ["steering_sensor_noise=0.002"]), 0)
+    assert SteeringSensor(CAR, resolve_settings("ideal"), 0).read(truth()) == pytest.approx(1.2 + math.radians(-2.7))
+    noisy = SteeringSensor(CAR, resolve_settings("ideal", ["steering_sensor_noise=0.002"]), 0)
     values = np.array([noisy.read(truth()) for _ in range(2000)])
     assert values.std() == pytest.approx(0.002, rel=0.1)
 
 
 def test_wheel_speeds_have_no_sign_and_die_at_a_crawl():
-    wheels, vehicle = read_wheel_speeds(truth(wheel_speed=(-3.0, 3.2, 0.2, 0.31), velocity_x=0.5), resolve("ideal"))
+    slow = truth(wheel_speed=(-3.0, 3.2, 0.2, 0.31), velocity_x=0.5)
+    wheels, vehicle = read_wheel_speeds(slow, resolve_settings("ideal"))
     assert wheels == [3.0, 3.2, 0.0, 0.31] and vehicle == 0.0
-    assert read_wheel_speeds(truth(), resolve("ideal"))[1] == 8.0
-    (scaled, *_), vehicle = read_wheel_speeds(truth(), resolve("ideal", ["wheel_speed_scale=1.034"]))
+    assert read_wheel_speeds(truth(), resolve_settings("ideal"))[1] == 8.0
+    (scaled, *_), vehicle = read_wheel_speeds(truth(), resolve_settings("ideal", ["wheel_speed_scale=1.034"]))
     assert scaled == pytest.approx(7.6 * 1.034) and vehicle == 8.0
 
 

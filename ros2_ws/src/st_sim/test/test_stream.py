@@ -12,9 +12,9 @@ from st_sim.can_wire import CAR_CAN_RATE, INS_BUS, VEHICLE_BUS, CanWire, Frame
 from st_sim.car import read_car
 from st_sim.ncom_wire import CYCLE, UNDULATION, NcomWire, Origin, from_ecef, make_schedule, to_ecef
 from st_sim.plant import Truth
-from st_sim.scenarios import load
+from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, SteeringSensor
-from st_sim.settings import resolve
+from st_sim.settings import resolve_settings
 from st_sim.simulation import SimulatedCar
 from st_sim.stream import Stream
 from support import ROOT
@@ -30,11 +30,11 @@ def codec():
 
 
 def outputs(seconds, effects=(), scenario="S6", plant="ideal", rate=100, seed=0, **options):
-    settings = resolve(plant, effects)
-    stream = Stream(SimulatedCar(CAR, settings, load(scenario), seed), settings, Ins(CAR, settings, 1 / rate, seed),
-                    SteeringSensor(CAR, settings, seed), NcomWire(ORIGIN, START_NS, rate),
-                    CanWire(codec(), ORIGIN, START_NS), rate, seed, **options)
-    return list(stream.outputs(seconds))
+    settings = resolve_settings(plant, effects)
+    car = SimulatedCar(CAR, settings, load_plan(scenario), seed)
+    stream = Stream(car, settings, Ins(CAR, settings, 1 / rate, seed), SteeringSensor(CAR, settings, seed),
+                    NcomWire(ORIGIN, START_NS, rate), CanWire(codec(), ORIGIN, START_NS), rate, seed, **options)
+    return list(stream.generate_outputs(seconds))
 
 
 def of(kind, made):
@@ -48,7 +48,7 @@ def parsed(made):
 
 
 def truths(seconds, scenario="S6", rate=100):
-    car = SimulatedCar(CAR, resolve("ideal"), load(scenario))
+    car = SimulatedCar(CAR, resolve_settings("ideal"), load_plan(scenario))
     found = []
     for i in range(seconds * rate):
         car.advance(i / rate)
@@ -65,7 +65,7 @@ def test_ncom_equals_the_truth_within_its_resolution(rate):
     assert parser.counters.skipped_bytes == parser.counters.inner_checksum_warnings == 0
     for i, (r, t) in enumerate(zip(received, expected, strict=True)):
         p = r.packet
-        x, y, vx, vy = t.at_point(-0.398, 0.0)
+        x, y, vx, vy = t.motion_at(-0.398, 0.0)
         assert FRAME.enu(p.latitude, p.longitude, p.altitude + UNDULATION) == pytest.approx((x, y, 0.0), abs=2e-5)
         yaw = math.pi / 2 - p.heading
         assert math.remainder(yaw - t.yaw, 2 * math.pi) == pytest.approx(0.0, abs=6e-7)
@@ -174,7 +174,7 @@ def test_can_equals_the_truth_within_its_resolution():
             # Measured at the epoch, sent 1.5 ms and eight frames later.
             t = expected[int(o.due * 100) * 5]
             assert o.payload.bus == INS_BUS
-            x = t.at_point(-0.398, 0.0)
+            x = t.motion_at(-0.398, 0.0)
             assert (v["ins_velocity_x"], v["ins_velocity_y"]) == pytest.approx((x[2], x[3]), abs=0.0051)
         elif decoded.message == "RT_HeadingPitchRoll":
             t = expected[int(o.due * 100) * 5]

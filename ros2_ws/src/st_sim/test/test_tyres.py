@@ -5,7 +5,7 @@ from functools import partial
 
 import pytest
 from st_sim.car import GRAVITY, read_car
-from st_sim.dynamics import lateral_share, tyre_coefficients, tyre_force
+from st_sim.dynamics import lateral_share, make_tyre_coefficients, tyre_force
 from support import ROOT
 
 CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
@@ -23,13 +23,13 @@ def test_scaling_factors_of_the_paper():
     [(CAR.tyre_front, STATIC_FRONT, 70000.0), (CAR.tyre_rear, STATIC_REAR, 106000.0)],
 )
 def test_slope_at_static_load_is_half_the_axle_stiffness(tyre, load, axle_stiffness):
-    force, _ = tyre_force(tyre_coefficients(tyre, 1.0), 1e-5, load, 1.0)
+    force, _ = tyre_force(make_tyre_coefficients(tyre, 1.0), 1e-5, load, 1.0)
     assert force / 1e-5 == pytest.approx(-axle_stiffness / 2, rel=1e-4)
 
 
 @pytest.mark.parametrize("tyre", [CAR.tyre_front, CAR.tyre_rear])
 def test_odd_limited_by_the_peak_and_degressive_in_load(tyre):
-    force = partial(tyre_force, tyre_coefficients(tyre, 1.0))
+    force = partial(tyre_force, make_tyre_coefficients(tyre, 1.0))
     angles = [math.radians(0.5 * i) for i in range(1, 60)]
     curve = [force(a, 4000.0, 1.0)[0] for a in angles]
     assert [-f for f in curve] == pytest.approx([force(-a, 4000.0, 1.0)[0] for a in angles])
@@ -41,14 +41,14 @@ def test_odd_limited_by_the_peak_and_degressive_in_load(tyre):
 
 
 def test_friction_scales_the_peak_and_not_the_slope():
-    force = partial(tyre_force, tyre_coefficients(CAR.tyre_front, 1.0))
+    force = partial(tyre_force, make_tyre_coefficients(CAR.tyre_front, 1.0))
     assert force(1e-5, 4000.0, 0.5)[0] == pytest.approx(force(1e-5, 4000.0, 1.0)[0], rel=1e-4)
     assert force(0.5, 4000.0, 0.5)[0] == pytest.approx(0.5 * force(0.5, 4000.0, 1.0)[0], rel=0.05)
 
 
 def test_stiffness_factor_scales_the_slope():
-    assert tyre_force(tyre_coefficients(CAR.tyre_rear, 1.3), 1e-5, 3000.0, 1.0)[0] == pytest.approx(
-        1.3 * tyre_force(tyre_coefficients(CAR.tyre_rear, 1.0), 1e-5, 3000.0, 1.0)[0], rel=1e-6
+    assert tyre_force(make_tyre_coefficients(CAR.tyre_rear, 1.3), 1e-5, 3000.0, 1.0)[0] == pytest.approx(
+        1.3 * tyre_force(make_tyre_coefficients(CAR.tyre_rear, 1.0), 1e-5, 3000.0, 1.0)[0], rel=1e-6
     )
 
 
