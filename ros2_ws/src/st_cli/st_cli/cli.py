@@ -1,4 +1,4 @@
-"""The program `st`: registers the commands in verbs/ and runs them."""
+"""The program `st`: registers and runs the commands in verbs/, which import their libraries only when they run."""
 
 import errno
 import os
@@ -44,8 +44,8 @@ def main() -> None:
         name = (error.name or "").partition(".")[0]
         if name not in ("rclpy", "st_ros", "rerun") and not name.endswith("_msgs"):
             raise
-        part = "the live suite and the viewer are" if name != "rerun" else "the viewer is"
-        print(f"st: {name} is not installed: {part} part of a checkout (./st), not of the offline package",
+        parts = "the live suite and the viewer are" if name != "rerun" else "the viewer is"
+        print(f"st: {name} is not installed: {parts} part of a checkout (./st), not of the offline package",
               file=sys.stderr)
         sys.exit(2)
     except OSError as error:

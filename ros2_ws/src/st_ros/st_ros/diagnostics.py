@@ -1,4 +1,4 @@
-"""Publishes the /diagnostics of a node: its named checks and the scheduling of its process."""
+"""Publishes the named checks of a node and the scheduling of its process on /diagnostics."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ from rclpy.node import Node
 from . import scheduling
 
 OK, WARN, ERROR, STALE = 0, 1, 2, 3
-PERIOD = 1.0  # s
+PUBLISH_PERIOD = 1.0  # s
 
 
 @dataclass(frozen=True)
@@ -32,16 +32,16 @@ class Diagnostics:
         self._collect = collect
         self._levels: dict[str, int] = {}  # last level of each check
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._timer = node.create_timer(PERIOD, self.publish)
+        self._timer = node.create_timer(PUBLISH_PERIOD, self.publish)
 
     def publish(self) -> None:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
-        now = scheduling.read_scheduling()
-        values = {"policy": now.policy, "priority": now.priority, "nice": now.nice}
-        if now.autogroup is not None:
-            values["autogroup"] = now.autogroup
-        for check in (*self._collect(), Check("scheduling", OK, now.text, values)):
+        current = scheduling.read_scheduling()
+        values = {"policy": current.policy, "priority": current.priority, "nice": current.nice}
+        if current.autogroup is not None:
+            values["autogroup"] = current.autogroup
+        for check in (*self._collect(), Check("scheduling", OK, current.text, values)):
             status = DiagnosticStatus(name=f"{self._node.get_name()}: {check.name}", message=check.message,
                                       hardware_id=self._hardware_id, level=bytes([check.level]))
             status.values = [KeyValue(key=str(k), value=f"{v:.6g}" if isinstance(v, float) else str(v))
@@ -51,8 +51,7 @@ class Diagnostics:
         self._publisher.publish(message)
 
     def _log_change(self, check: Check) -> None:
-        before = self._levels.get(check.name, OK)
-        if check.level == before:
+        if check.level == self._levels.get(check.name, OK):
             return
         self._levels[check.name] = check.level
         line = f"{check.name}: {check.message}"

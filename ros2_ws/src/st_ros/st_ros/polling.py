@@ -18,14 +18,14 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-UNRESOLVED_PREFIX = "_NODE_NAME"  # prefix of the placeholder name of a node before discovery has resolved it
+UNRESOLVED_PREFIX = "_NODE_NAME"  # placeholder names begin so before discovery has resolved the name of a node
 UNRESOLVED_NODE = "a node whose name is not known yet"  # text shown for such a node
 SUBSCRIBER_COUNT_PERIOD = 0.05  # s between counts of subscribers; a count takes as long as filling a message
 SAMPLE_QOS = QoSProfile(depth=1000)  # 4 s at 250 Hz, so that a briefly blocked subscriber loses no message
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # late subscribers get the last message
 
 
-def steady_timer(node: Node, period: float, callback: Callable[[], object]) -> None:
+def create_steady_timer(node: Node, period: float, callback: Callable[[], object]) -> None:
     """Call `callback` every `period` [s] of a steady clock, also while the clock of a replay is paused."""
     node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -70,11 +70,11 @@ class PolledSubscription:
             message, info = taken
             yield message, info["received_timestamp"], info[entry]
 
-    def publisher_count(self) -> int:
+    def count_publishers(self) -> int:
         """Number of matched publishers, including killed ones until they are removed from the graph."""
         return self.subscription.get_publisher_count()
 
-    def publisher_names(self) -> list[str]:
+    def find_publisher_names(self) -> list[str]:
         """Full node name of each publisher of the topic; UNRESOLVED_NODE if it is not resolved yet."""
         publishers = self._node.get_publishers_info_by_topic(self.topic)
         return [UNRESOLVED_NODE if publisher.node_name.startswith(UNRESOLVED_PREFIX)
@@ -111,7 +111,7 @@ class OnDemandPublisher:
             self._publisher.publish(message)
 
 
-def matching_qos(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile:
+def match_qos(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile:
     """The strictest QoS compatible with all publishers: reliable or transient local only if all publishers are."""
     profiles = [p.qos_profile for p in publishers]
     reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
@@ -121,7 +121,7 @@ def matching_qos(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProf
                       durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
 
 
-def message_class(type_name: str) -> type | None:
+def find_message_class(type_name: str) -> type | None:
     """The Python class of "pkg/msg/Type"; None if its package is not installed."""
     package, _, name = type_name.replace("/msg/", "/").partition("/")
     try:

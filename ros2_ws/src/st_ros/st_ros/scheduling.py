@@ -1,4 +1,4 @@
-"""Reads and lowers the priority of this process: policy, priority, nice value, and nice value of its autogroup.
+"""Reads the scheduling of this process (policy, priority, nice values), and lowers its priority.
 
 With autogroups (the default of Debian and Ubuntu), Linux compares the nice values of processes only within a session;
 between sessions, the nice values of the autogroups apply. Each process that `st` starts has its own session.
@@ -14,8 +14,8 @@ from pathlib import Path
 _POLICIES = {os.SCHED_OTHER: "normal", os.SCHED_BATCH: "batch", os.SCHED_IDLE: "idle", os.SCHED_FIFO: "FIFO",
              os.SCHED_RR: "round robin"}
 _REALTIME = (os.SCHED_FIFO, os.SCHED_RR)
-_GROUP = Path("/proc/self/autogroup")
-_TRIES, _PAUSE = 5, 0.11  # attempts, and s between them; the kernel accepts one change per 0.1 s from a user
+_AUTOGROUP_FILE = Path("/proc/self/autogroup")
+_ATTEMPTS, _PAUSE = 5, 0.11  # number, and s between them; the kernel accepts one change per 0.1 s from a user
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ def lower_priority(nice: int) -> None:
         os.setpriority(os.PRIO_PROCESS, 0, max(nice, os.getpriority(os.PRIO_PROCESS, 0)))
     if os.getsid(0) != os.getpid():
         return  # the autogroup contains other processes, for example of a launch file
-    for _ in range(_TRIES):
+    for _ in range(_ATTEMPTS):
         try:
-            _GROUP.write_text(str(nice))
+            _AUTOGROUP_FILE.write_text(str(nice))
             return
         except BlockingIOError:
             time.sleep(_PAUSE)
@@ -69,7 +69,7 @@ def _read_autogroup() -> int | None:
     try:
         if Path("/proc/sys/kernel/sched_autogroup_enabled").read_text().strip() != "1":
             return None
-        match = re.search(r"nice (-?\d+)", _GROUP.read_text())
+        match = re.search(r"nice (-?\d+)", _AUTOGROUP_FILE.read_text())
     except OSError:
         return None
     return int(match[1]) if match else None

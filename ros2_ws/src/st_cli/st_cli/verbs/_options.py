@@ -77,13 +77,13 @@ SteeringLatency = Annotated[float | None, typer.Option(
 
 
 @contextmanager
-def report_errors(verb: str, *more: type[Exception]) -> Iterator[None]:
-    """Report errors in the inputs of a command in one line, with exit status 2. more: errors of this command only."""
+def report_errors(verb: str, *additional: type[Exception]) -> Iterator[None]:
+    """Report errors in the inputs of a command in one line, with exit status 2. additional: further types of them."""
     from st_core.errors import StCoreError
     from st_recordings.paths import OutputError
     from st_recordings.runs.errors import RunError
 
-    expected: tuple[type[Exception], ...] = (StCoreError, RunError, OutputError, UnicodeDecodeError, *more)
+    expected: tuple[type[Exception], ...] = (StCoreError, RunError, OutputError, UnicodeDecodeError, *additional)
     try:
         yield
     except expected as error:
@@ -150,8 +150,8 @@ class ReadOptions:
             if complete and not file.is_file():
                 raise RunError(file, "does not exist, but has to describe the bus of this car",
                                f"write it, or name another file with {option}")
-        of_car = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
-        return NamedCar(self.vehicle or named.vehicle, dbc, signals, of_car | from_options)
+        car_steering = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
+        return NamedCar(self.vehicle or named.vehicle, dbc, signals, car_steering | from_options)
 
     @property
     def steering(self) -> "SteeringField | None":
@@ -204,32 +204,32 @@ BAG_INPUTS = ("car", "vehicle", "steering_sign", "steering_topic", "steering_fie
 """Options that apply to a bag with odometry and steering."""
 
 
-def reads_recordings(*names: str, **changed: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def reads_recordings(*names: str, **annotations: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """`expand_options` with ReadOptions."""
-    return expand_options(ReadOptions, *names, **changed)
+    return expand_options(ReadOptions, *names, **annotations)
 
 
-def expand_options(group: type, *names: str, **changed: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def expand_options(group: type, *names: str, **annotations: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Decorator that replaces the parameter of type `group` (a dataclass) of a command by one option per field.
 
-    names: fields to use, default all. changed: annotations that differ, by field.
+    names: fields to use, default all. annotations: those that differ from the annotations of `group`, by field.
     """
-    chosen = [f for f in fields(group) if not names or f.name in names]
+    used_fields = [f for f in fields(group) if not names or f.name in names]
 
     def decorate(verb: Callable[..., Any]) -> Callable[..., Any]:
         own = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in inspect.signature(verb).parameters.values()]
         position = next(k for k, p in enumerate(own) if p.annotation is group)
 
         @wraps(verb)
-        def call(**given: Any) -> Any:
+        def call(**arguments: Any) -> Any:
             from st_recordings.runs.errors import group_similar_warnings
 
-            options = {f.name: given.pop(f.name) for f in chosen}
+            options = {f.name: arguments.pop(f.name) for f in used_fields}
             with group_similar_warnings():
-                return verb(**given, **{own[position].name: group(**options)})
+                return verb(**arguments, **{own[position].name: group(**options)})
 
         options = [inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default,
-                                     annotation=changed.get(f.name, f.type)) for f in chosen]
+                                     annotation=annotations.get(f.name, f.type)) for f in used_fields]
         parameters = [*own[:position], *options, *own[position + 1 :]]
         call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         call.__annotations__ = {p.name: p.annotation for p in parameters}

@@ -36,11 +36,13 @@ def calibrate(
     `st evaluate --bands`. Exit status: 0 all runs used, 1 some not, 2 no bands could be calibrated.
     """
     from rich.console import Console
+    from st_core.prediction import PredictionSettings
     from st_offline.bands.calibration_command import CalibrationJob, run_command
 
     with shared.report_errors("calibrate"):
+        prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
         task, vehicle, vehicle_origin = make_task(
-            read_options, model, effects, acceleration, inputs, (horizon, step, minimum_speed, 0.1), force=force)
+            read_options, model, effects, prediction, acceleration, inputs, force=force)
         status = run_command(CalibrationJob(runs, task, output, tuple(sorted(set(level))), together), Console())
     shared.report_default_car("calibrate", vehicle, vehicle_origin)
     raise typer.Exit(status)
@@ -63,7 +65,7 @@ def course(
     from st_offline.course_command import build_course
 
     with shared.report_errors("course"):
-        vehicle, reading = read_options.resolve()
+        vehicle, read = read_options.resolve()
         parameters, _ = shared.load_vehicle_or_default(vehicle)
-        status = build_course(runs, parameters, reading, output, Console())
+        status = build_course(runs, parameters, read, output, Console())
     raise typer.Exit(status)

@@ -26,10 +26,10 @@ def car(
             for file in write_skeleton(Path(folder)):
                 typer.echo(file)
             return
-        found = find_problems(folder)
-        notes = [] if found else list_remarks(folder)
-    for line in found:
+        mistakes = find_problems(folder)
+        remarks = [] if mistakes else list_remarks(folder)
+    for line in mistakes:
         typer.echo(f"st car: {line}", err=True)
-    if not found:
-        typer.echo("\n".join([f"{folder}: no mistake found", *notes]))
-    raise typer.Exit(int(bool(found)))
+    if not mistakes:
+        typer.echo("\n".join([f"{folder}: no mistake found", *remarks]))
+    raise typer.Exit(int(bool(mistakes)))

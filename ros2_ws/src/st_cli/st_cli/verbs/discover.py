@@ -17,11 +17,11 @@ class WithReferences(TyperCommand):
     """Command in which `--reference a b` means `--reference a --reference b`; the next option or -- ends the list."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        given = expand_references(args)
+        expanded = expand_references(args)
         try:
-            return super().parse_args(ctx, list(given))
+            return super().parse_args(ctx, list(expanded))
         except typer.BadParameter as error:
-            if REFERENCE not in given or error.param is None or error.param.name != "runs":
+            if REFERENCE not in expanded or error.param is None or error.param.name != "runs":
                 raise
             raise typer.BadParameter(f"no runs are left: {REFERENCE} takes every path that follows it; name the runs "
                                      "before it, or put -- between", ctx) from None

@@ -42,7 +42,7 @@ def effects(
             return
         named = ReadOptions(car, vehicle).resolve_car().vehicle
         parameters, file = load_vehicle_or_default(named)
-        all_met = _check_contracts(files or (), parameters, Console())
+        all_met = _check_effects(files or (), parameters, Console())
         report_default_car("effects", named, file)
     raise typer.Exit(0 if all_met else 1)
 
@@ -64,7 +64,7 @@ def _print_library(console: Console) -> None:
                 console.print(Padding(f"{key + ': ' if key else ''}{escape(text)}", (0, 0, 0, 2)), highlight=False)
 
 
-def _check_contracts(files: Sequence[Path], car: "VehicleParameters", console: Console) -> bool:
+def _check_effects(files: Sequence[Path], car: "VehicleParameters", console: Console) -> bool:
     from st_core.contract import check_effect
     from st_core.effects import EFFECTS, load_file
     from st_core.errors import ConfigurationError
@@ -72,9 +72,9 @@ def _check_contracts(files: Sequence[Path], car: "VehicleParameters", console: C
     for file in files:
         if not file.is_file() or file.suffix != ".py":
             raise ConfigurationError(f"{file}: is not an effect file (.py)")
-    checked = [e for f in files for e in load_file(str(f.resolve().parent), f.stem)] if files else EFFECTS.values()
+    selected = [e for f in files for e in load_file(str(f.resolve().parent), f.stem)] if files else EFFECTS.values()
     all_met = True
-    for effect in checked:
+    for effect in selected:
         results = check_effect(effect, car)
         violated = [text for text, problem in results.items() if problem]
         all_met &= not violated

@@ -9,6 +9,7 @@ import typer
 from . import _options as shared
 
 if TYPE_CHECKING:
+    from st_core.prediction import PredictionSettings
     from st_core.vehicle import VehicleParameters
     from st_offline.evaluation.work import Task
 
@@ -53,12 +54,14 @@ def evaluate(
     Unusable runs are reported and skipped. Exit status: 0 all runs evaluated, 1 some not, 2 none.
     """
     from rich.console import Console
+    from st_core.prediction import PredictionSettings
     from st_offline.evaluation.evaluation_command import run_command
     from st_offline.evaluation.work import load_bands, load_course, load_models
 
     with shared.report_errors("evaluate"):
+        prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
         task, vehicle, vehicle_origin = make_task(
-            read_options, model, effects, acceleration, inputs, (horizon, step, minimum_speed, interval), force=force,
+            read_options, model, effects, prediction, acceleration, inputs, interval, force=force,
             starts=_parse_seconds(at), formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
             bands=None if bands is None else (str(bands), bands.read_text(encoding="utf-8")), adaptive=adaptive,
             course=None if course is None else (str(course), course.read_text(encoding="utf-8")))
@@ -69,19 +72,16 @@ def evaluate(
     raise typer.Exit(status)
 
 
-def make_task(read_options: shared.ReadOptions, model: Sequence[str], effects: Path | None, acceleration: str,
-              inputs: Literal["interpolate", "hold"], times: Sequence[float],
-              **others: Any) -> "tuple[Task, Path | None, str]":
+def make_task(read_options: shared.ReadOptions, model: Sequence[str], effects: Path | None,
+              prediction: "PredictionSettings", acceleration: str, inputs: Literal["interpolate", "hold"],
+              interval: float = 0.1, **others: Any) -> "tuple[Task, Path | None, str]":
     """(task, vehicle file that the user named or None, file with the vehicle in use).
 
-    times: horizon [s], step [s], minimum speed [m/s], interval of the starts [s]. others: further fields of Task.
+    interval: between the starts [s]. others: further fields of Task.
     """
     from st_core.log_evaluation import EvaluationSettings
-    from st_core.prediction import PredictionSettings
     from st_offline.evaluation.work import Task
 
-    horizon, step, minimum_speed, interval = times
-    prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
     filtering: Literal["causal", "zero_phase"] = "zero_phase" if acceleration == "zero-phase" else "causal"
     models = tuple(read_model(name) for name in dict.fromkeys(model))
     vehicle, read = read_options.resolve()
@@ -112,7 +112,7 @@ def resolve_vehicle(vehicle: Path | None, models: Sequence[str | tuple[str, str]
     if effects is not None:
         load_folder(str(effects.absolute()))
     if vehicle is None:
-        for origin, text in (one for one in models if not isinstance(one, str)):
+        for origin, text in (model for model in models if not isinstance(model, str)):
             embedded = ModelFile.from_yaml(text, origin).vehicle
             if embedded is not None:
                 return embedded, origin

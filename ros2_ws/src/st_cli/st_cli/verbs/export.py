@@ -38,15 +38,15 @@ def export(
     from st_offline.model_export import load_model
 
     with shared.report_errors("export", OSError):
-        source = shared.ReadOptions(car, vehicle).resolve_car().vehicle
-        parameters, file = shared.load_vehicle_or_default(source)
+        named = shared.ReadOptions(car, vehicle).resolve_car().vehicle
+        parameters, file = shared.load_vehicle_or_default(named)
         if effects is not None:
             load_folder(str(effects.absolute()))
-        exported, used = load_model(model, parameters, str(file), source is not None)
-        intervals = None if bands is None else Bands.from_yaml(bands.read_text(encoding="utf-8"), str(bands))
+        exported, model_vehicle = load_model(model, parameters, str(file), named is not None)
+        parsed_bands = None if bands is None else Bands.from_yaml(bands.read_text(encoding="utf-8"), str(bands))
         folder = new_folder(output, "export")
-        paths = write_model(exported, used, folder, kind, substeps, free, intervals)
-    if used is parameters:
-        shared.report_default_car("export", source, file)
+        paths = write_model(exported, model_vehicle, folder, kind, substeps, free, parsed_bands)
+    if model_vehicle is parameters:
+        shared.report_default_car("export", named, file)
     for path in paths:
         typer.echo(path)

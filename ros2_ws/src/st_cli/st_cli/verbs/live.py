@@ -78,11 +78,11 @@ def live(
     from st_live.suite import SuiteError
 
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
-    bus = {"interface": can_interface, "channel": can_channel}
+    can = {"interface": can_interface, "channel": can_channel}
     with shared.report_errors("live", SuiteError):
         named = car_options.resolve_car(complete=True)
         vehicle = configuration.resolve_vehicle_file(named.vehicle)
-        bridges = configuration.make_bridge_parameters(vehicle, ins, bus | named.steering, named.dbc, named.signals)
+        bridges = configuration.make_bridge_parameters(vehicle, ins, can | named.steering, named.dbc, named.signals)
         about = {"what": "live", "source": f"{can_interface}:{can_channel}, NCOM port {ncom_port}",
                  "vehicle": configuration.find_vehicle_name(vehicle)}
         status = _run("live", about, vehicle, bridges, run_options, output, named.vehicle is None, duration=duration,
@@ -91,11 +91,11 @@ def live(
 
 
 def _run(name: str, about: dict[str, Any], vehicle: Path, bridges: Mapping[str, Mapping[str, Any]],
-         options: shared.RunOptions, output: Path | None, reports_car: bool = False, **how: Any) -> int:
+         options: shared.RunOptions, output: Path | None, reports_car: bool = False, **arguments: Any) -> int:
     """Run the suite and report the results; returns the exit status.
 
     name: of the default output folder. about: entries of summary.json. bridges: parameters of the bridges. reports_car:
-    whether to report that the Leaf's file is used. how: further arguments of `session.run`. Raises SuiteError,
+    whether to report that the Leaf's file is used. arguments: further ones of `session.run`. Raises SuiteError,
     StCoreError and RunError.
     """
     from st_live import configuration, report, session
@@ -103,13 +103,13 @@ def _run(name: str, about: dict[str, Any], vehicle: Path, bridges: Mapping[str, 
 
     console = Console()
     model_settings = configuration.make_model_parameters(options.model, options.effects, vehicle)
-    page = options.make_view()
+    view = options.make_view()
     folder = new_folder(output, name)
     parameters = configuration.make_live_parameters(folder, vehicle, bridges, model_settings, options.record == "all")
     parameters = configuration.set_bands_and_course(parameters, options.bands, options.course, options.adaptive)
     if reports_car:
         shared.report_default_car(name, None, vehicle)
-    outcome = session.run(folder, parameters, about["what"], console=console, view=page, **how)
+    outcome = session.run(folder, parameters, about["what"], console=console, view=view, **arguments)
     status = report.report_results(folder, outcome, about, console)
-    page.finish(folder, console)
+    view.finish(folder, console)
     return status

@@ -1,11 +1,21 @@
 """The commands `st align`, `st import`, `st ncom` and `st recover` for raw logs and bags."""
 
 import json
+import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
+from rich.console import Console
 
 from . import _options as shared
+
+if TYPE_CHECKING:
+    from st_core.clock_types import Alignment
+    from st_core.vehicle import VehicleParameters
+    from st_recordings.runs import ReadSettings
+    from st_recordings.runs.raw import RawRun
+    from st_recordings.runs.run_types import RunSource
 
 VERDICT_STYLE = {"good": "green", "doubtful": "yellow", "refused": "red"}
 
@@ -23,7 +33,6 @@ def align(
 
     Exit status 0: good or doubtful (see the reasons). 1: no alignment. 2: files that cannot be read.
     """
-    from rich.console import Console
     from st_offline.alignment_figure import draw_alignment
     from st_offline.terminal import print_line
     from st_recordings.paths import new_folder
@@ -51,41 +60,43 @@ def align(
     raise typer.Exit(1 if alignment.verdict == "refused" else 0)
 
 
-def describe_alignment(alignment, start_ns: int, absolute: bool) -> str:
+def describe_alignment(alignment: "Alignment", start_ns: int, absolute: bool) -> str:
     """Result in one line, for a title. start_ns: start of the CAN log. absolute: whether the INS time is UTC."""
-    offset = (f"offset {_seconds(alignment.offset_at_ns(start_ns))} s" if absolute
-              else f"CAN log starts at INS time {_seconds(alignment.to_reference_ns(start_ns))} s")
+    offset = (f"offset {_format_seconds(alignment.offset_at_ns(start_ns))} s" if absolute
+              else f"CAN log starts at INS time {_format_seconds(int(alignment.to_reference_ns(start_ns)))} s")
     if alignment.method == "by hand":
         return f"{offset}, set by hand"
     return (f"{offset} ± {alignment.offset_deviation * 1e3:.1f} ms, drift {alignment.drift_ppm:+.1f} ± "
             f"{alignment.drift_deviation:.1f} ppm, {alignment.verdict}")
 
 
-def print_alignment(pair, console) -> None:
+def print_alignment(pair: "RawRun", console: Console) -> None:
     """Print the verdict, offset and drift with their standard deviations, and the signals."""
     from rich.table import Table
     from st_offline.terminal import print_line
 
     alignment = pair.alignment
     style = VERDICT_STYLE[alignment.verdict]
-    how = {"by hand": "set by hand", "none": ""}.get(alignment.method, f"by {alignment.method}")
-    console.print(f"[bold]{pair.name}[/bold]  [{style}]{alignment.verdict}[/{style}] {how}", highlight=False)
+    method = {"by hand": "set by hand", "none": ""}.get(alignment.method, f"by {alignment.method}")
+    console.print(f"[bold]{pair.name}[/bold]  [{style}]{alignment.verdict}[/{style}] {method}", highlight=False)
     if alignment.method != "none":
-        start = pair.can.start_ns
-        at = (alignment.at_ns - start) * 1e-9
-        assumed = max((s.latency_uncertainty for s in pair.shared), default=0.0)
+        start_ns = pair.can.start_ns
+        middle = (alignment.at_ns - start_ns) * 1e-9
+        assumed_deviation = max((s.latency_uncertainty for s in pair.shared), default=0.0)
+        own_deviation = max(alignment.offset_deviation**2 - assumed_deviation**2, 0.0) ** 0.5
         table = Table(box=None, padding=(0, 2), show_header=False)
-        table.add_row("INS minus CAN clock", f"{_seconds(alignment.offset_at_ns(start))} s", "at the CAN log's start")
+        offset = _format_seconds(alignment.offset_at_ns(start_ns))
+        table.add_row("INS minus CAN clock", f"{offset} s", "at the CAN log's start")
         if not pair.ins.absolute:
-            table.add_row("INS time", f"{_seconds(alignment.to_reference_ns(start))} s", "at the CAN log's start")
+            ins_time = _format_seconds(int(alignment.to_reference_ns(start_ns)))
+            table.add_row("INS time", f"{ins_time} s", "at the CAN log's start")
         if alignment.method != "by hand":
-            if any(one.name.startswith(("forward velocity", "yaw")) for one in pair.shared):
+            if any(signal.name.startswith(("forward velocity", "yaw")) for signal in pair.shared):
                 table.add_row("INS frames on the bus", pair.latency, "after the instant of measurement")
-            table.add_row("INS minus CAN clock", f"{_seconds(alignment.offset_ns)} s",
-                          f"{at:.1f} s later, in the middle of the common time")
+            table.add_row("INS minus CAN clock", f"{_format_seconds(alignment.offset_ns)} s",
+                          f"{middle:.1f} s later, in the middle of the common time")
             table.add_row("  its standard deviation", f"{alignment.offset_deviation * 1e3:.2f} ms",
-                          f"{max(alignment.offset_deviation**2 - assumed**2, 0.0) ** 0.5 * 1e3:.2f} ms without the "
-                          "uncertainty of the assumed delay")
+                          f"{own_deviation * 1e3:.2f} ms without the uncertainty of the assumed delay")
             table.add_row("drift", f"{alignment.drift_ppm:+.2f} ± {alignment.drift_deviation:.2f} ppm",
                           "INS relative to CAN clock")
             table.add_row("common time", f"{alignment.overlap:.1f} s", "")
@@ -103,7 +114,7 @@ def print_alignment(pair, console) -> None:
         console.print(table)
 
 
-def _seconds(nanoseconds: int) -> str:
+def _format_seconds(nanoseconds: int) -> str:
     """Signed seconds with six decimals; a float would round an offset of years."""
     seconds, remainder = divmod(abs(nanoseconds), 10**9)
     return f"{'-' if nanoseconds < 0 else '+'}{seconds}.{remainder // 1000:06d}"
@@ -124,7 +135,6 @@ def import_(
     `ros2 bag play` sends it to the live nodes, and every st command reads it. Exit status: 0 all runs written, 1 some
     not, 2 none.
     """
-    from rich.console import Console
     from st_recordings.paths import OutputError, new_folder
     from st_recordings.runs.errors import RunError
     from st_recordings.runs.sources import find_runs
@@ -143,7 +153,7 @@ def import_(
         try:
             bag = output / run.name if output and len(runs) > 1 else output
             folder = new_folder(bag, f"import-{run.name}", create=False)
-            _import_one(run, parameters, folder, settings, force, console)
+            _import_run(run, parameters, folder, settings, force, console)
             written += 1
         except (RunError, OutputError) as error:
             typer.echo(f"st import: {error}", err=True)
@@ -152,9 +162,8 @@ def import_(
         raise typer.Exit(1 if written else 2)
 
 
-def _import_one(source, parameters, folder: Path, settings, force: bool, console) -> None:
-    import time
-
+def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, settings: "ReadSettings", force: bool,
+                console: Console) -> None:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
     from st_offline.alignment_figure import draw_alignment
     from st_offline.checking.check_report import print_findings
@@ -162,27 +171,27 @@ def _import_one(source, parameters, folder: Path, settings, force: bool, console
     from st_offline.terminal import print_line
     from st_recordings.runs.write import import_run
 
-    began = time.perf_counter()
+    started = time.perf_counter()
     with Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console,
                   transient=True) as progress:
         task = progress.add_task(f"{source.name}: reading and aligning", total=None)
-        done = import_run(source, parameters, folder, settings,
-                          lambda run: check_for_use(source.where, run, parameters, force),
-                          lambda share: progress.update(task, description=f"{source.name}: writing", total=1.0,
-                                                        completed=share))
-    seconds = time.perf_counter() - began
-    for warning in done.warnings:
+        imported = import_run(source, car, folder, settings,
+                              lambda run: check_for_use(source.where, run, car, force),
+                              lambda share: progress.update(task, description=f"{source.name}: writing", total=1.0,
+                                                            completed=share))
+    duration = time.perf_counter() - started
+    for warning in imported.warnings:
         print_line(f"[yellow]{warning}[/yellow]", console)
-    print_findings({source.name: done.findings}, console)
-    alignment = done.run.alignment
-    text = describe_alignment(alignment, done.run.can.start_ns, absolute=True)
-    if done.run.shared:
-        draw_alignment(done.run.shared, alignment, f"{source.name}: {text}", folder / "alignment.png")
+    print_findings({source.name: imported.findings}, console)
+    alignment = imported.run.alignment
+    text = describe_alignment(alignment, imported.run.can.start_ns, absolute=True)
+    if imported.run.shared:
+        draw_alignment(imported.run.shared, alignment, f"{source.name}: {text}", folder / "alignment.png")
     style = VERDICT_STYLE[alignment.verdict]
     print_line(f"[bold]{source.name}[/bold]  [{style}]{text}[/{style}]", console)
-    print_line("  " + ", ".join(f"{topic} {count}" for topic, count in done.counts.items()), console)
-    print_line(f"  {folder}  [dim]{done.span:.0f} s of driving in {seconds:.1f} s, {done.span / seconds:.0f} times "
-               "real time[/dim]", console)
+    print_line("  " + ", ".join(f"{topic} {count}" for topic, count in imported.counts.items()), console)
+    print_line(f"  {folder}  [dim]{imported.span:.0f} s of driving in {duration:.1f} s, "
+               f"{imported.span / duration:.0f} times real time[/dim]", console)
 
 
 def ncom(

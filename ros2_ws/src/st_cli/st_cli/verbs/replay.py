@@ -32,17 +32,17 @@ def replay(
     with shared.report_errors("replay", SuiteError):
         vehicle, read = read_options.resolve()
         bag, _ = find_recordings(bag)
-        page = run_options.make_view()
+        view = run_options.make_view()
         findings = check_bag(bag, vehicle, force, read)
         print_findings({bag.name: findings}, console)
         shared.report_default_car_of_bag("replay", bag, vehicle)
         folder = new_folder(output, f"replay-{bag.stem}")
-        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, page, run_options.bands,
+        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, view, run_options.bands,
                                    run_options.course, run_options.adaptive, read)
     about = {"what": f"replay of {bag.name}", "source": str(bag), "vehicle": name,
              "findings": findings_as_json(findings)}
     status = report_results(folder, outcome, about, console)
-    page.finish(folder, console)
+    view.finish(folder, console)
     raise typer.Exit(status)
 
 

@@ -38,8 +38,8 @@ def view(
             report_default_car_of_bag("view", recording, vehicle)
             file = save or Path(name, "view.rrd")
             with console.status("drawing"):
-                frames = draw_recording(recording, file, vehicle)
-            console.print(f"{frames} frames of {recording.name}", highlight=False)
+                n_frames = draw_recording(recording, file, vehicle)
+            console.print(f"{n_frames} frames of {recording.name}", highlight=False)
         elif save:
             raise SuiteError(f"--save {save}: {recording} is already a saved view; leave out --save")
         if not save:

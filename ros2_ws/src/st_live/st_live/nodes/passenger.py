@@ -26,7 +26,7 @@ from st_msgs.msg import InsStatus, PlannedPrediction, Prediction, PredictionErro
 from st_predictor import convert
 from st_recordings.car import read_vehicle
 from st_ros import spin
-from st_ros.polling import PolledSubscription, steady_timer
+from st_ros.polling import PolledSubscription, create_steady_timer
 
 from ..page import PageServer
 from ..suite import VIEW_NICE
@@ -185,7 +185,7 @@ class PassengerNode(Node):
         super().__init__("passenger")
         self._frames, self._server = frames, server
         self._subscriptions_by_topic = {"predictor/status": self._subscribe("predictor/status")}
-        steady_timer(self, FRAME_PERIOD, self._send_frame)
+        create_steady_timer(self, FRAME_PERIOD, self._send_frame)
 
     def _subscribe(self, topic: str) -> PolledSubscription:
         kind = TOPICS[topic]

@@ -28,7 +28,7 @@ from st_recordings.runs.cdr import load_typestore
 from st_recordings.runs.reconstruct import extract_steering_angle, get_stamp
 from st_recordings.runs.run_types import SteeringField
 from st_ros import spin
-from st_ros.polling import LATCHED, PolledSubscription, from_nanoseconds, message_class, wait_for_any
+from st_ros.polling import LATCHED, PolledSubscription, find_message_class, from_nanoseconds, wait_for_any
 
 INPUT_TOPICS = ("/ins/odometry", "/vehicle/steering")  # as published; the names in the recording may differ
 CLOCK_STEP_NS = 10_000_000
@@ -147,7 +147,7 @@ class Player:
                 self._published_topics[connection.topic] = ORIGIN
             if connection.topic in self._published_topics and connection.topic not in publishers:
                 converted = self._steering_field and connection.topic == self._steering
-                message_type = Steering if converted else message_class(connection.msgtype)
+                message_type = Steering if converted else find_message_class(connection.msgtype)
                 name = self._published_topics[connection.topic]
                 qos = LATCHED if name == ORIGIN else QoSProfile(depth=QUEUE_DEPTH)
                 publishers[connection.topic] = self._node.create_publisher(message_type, name, qos)

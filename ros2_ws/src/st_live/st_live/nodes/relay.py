@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from st_recordings.bag_metadata import UnknownTypeError, read_definition
 from st_ros import spin
-from st_ros.polling import PolledSubscription, matching_qos, message_class, steady_timer
+from st_ros.polling import PolledSubscription, create_steady_timer, find_message_class, match_qos
 
 # Topics for viewers; raw packets and frames are not relayed.
 TOPICS = ("/ins/odometry", "/ins/status", "/vehicle/*", "/predictor/*", "/evaluator/*", "/view/*", "/tf",
@@ -25,8 +25,8 @@ class RelayNode(Node):
     def __init__(self) -> None:
         super().__init__("foxglove_relay")
         self._open: dict[str, tuple[PolledSubscription, Channel] | None] = {}
-        steady_timer(self, FORWARD_PERIOD, self._forward)
-        steady_timer(self, TOPIC_SCAN_PERIOD, self._open_new_topics)
+        create_steady_timer(self, FORWARD_PERIOD, self._forward)
+        create_steady_timer(self, TOPIC_SCAN_PERIOD, self._open_new_topics)
 
     def _forward(self) -> None:
         for subscription, channel in filter(None, self._open.values()):
@@ -40,14 +40,14 @@ class RelayNode(Node):
                 self._open[topic] = self._relay(topic, types[0], publishers)
 
     def _relay(self, topic: str, type_name: str, publishers: list) -> tuple[PolledSubscription, Channel] | None:
-        message_type = message_class(type_name)
+        message_type = find_message_class(type_name)
         definition = ""
         with contextlib.suppress(UnknownTypeError):
             definition = read_definition(type_name)
         if message_type is None or not definition:
             print(f"{topic} is not relayed: type {type_name} is not installed", flush=True)
             return None
-        qos = matching_qos(publishers, QUEUE_DEPTH)
+        qos = match_qos(publishers, QUEUE_DEPTH)
         # Best effort, so that no publisher waits for a viewer; latched messages are sent only once and must arrive.
         if qos.durability == DurabilityPolicy.VOLATILE:
             qos.reliability = ReliabilityPolicy.BEST_EFFORT

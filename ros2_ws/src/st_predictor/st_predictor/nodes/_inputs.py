@@ -131,7 +131,7 @@ class Inputs:
     def _take_accepted(self, signal: str, subscription: PolledSubscription) -> Iterator[Any]:
         """Queued messages of the accepted publisher."""
         lock = self._locks[signal]
-        previous_warning, count = lock.describe_competition(_utc_now()), subscription.publisher_count()
+        previous_warning, count = lock.describe_competition(_utc_now()), subscription.count_publishers()
         # Add new publishers before reading and remove ended ones after it: their last messages may still be queued.
         if count > len(lock.names):
             lock.update(_find_publisher_names(subscription, count))
@@ -185,7 +185,7 @@ class Inputs:
 
 def _find_publisher_names(subscription: PolledSubscription, count: int) -> list[str]:
     """The node name of each of `count` publishers; UNRESOLVED_NODE for those not in the graph yet."""
-    names = subscription.publisher_names()
+    names = subscription.find_publisher_names()
     return names + [UNRESOLVED_NODE] * (count - len(names))
 
 

@@ -18,7 +18,7 @@ from st_msgs.msg import ErrorSummary, PlannedPrediction, Prediction, PredictionE
 from st_recordings.mcap import BagWriter, Qos
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
-from st_ros.polling import LATCHED, PolledSubscription, steady_timer
+from st_ros.polling import LATCHED, PolledSubscription, create_steady_timer
 
 from .. import convert, params
 from ..consistency import Consistency
@@ -69,8 +69,8 @@ class EvaluatorNode(Node):
         self._error_publisher = self.create_publisher(PredictionError, "evaluator/errors", error_qos)
         self._summary_publisher = self.create_publisher(ErrorSummary, "evaluator/summary", LATCHED)
         # Steady clock: messages must be processed and written even while a replay's clock is paused.
-        steady_timer(self, WORK_PERIOD, self._work)
-        steady_timer(self, SUMMARY_PERIOD, self._publish_summary)
+        create_steady_timer(self, WORK_PERIOD, self._work)
+        create_steady_timer(self, SUMMARY_PERIOD, self._publish_summary)
         self.get_logger().info(f"scoring models {', '.join(self._models)}; vehicle {self._vehicle.name}")
 
     def _open_bag(self, values, settings) -> tuple[BagWriter | None, dict[str, int]]:

@@ -12,7 +12,7 @@ from st_msgs.msg import Steering, TrackedParameter, TrackedParameters
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.parameters import ConfigurationError
-from st_ros.polling import LATCHED, PolledSubscription, steady_timer, to_nanoseconds
+from st_ros.polling import LATCHED, PolledSubscription, create_steady_timer, to_nanoseconds
 
 from .. import convert, params
 
@@ -42,8 +42,8 @@ class IdentifierNode(Node):
         self._odometry = PolledSubscription(self, Odometry, "ins/odometry", qos)
         self._steering = PolledSubscription(self, Steering, "vehicle/steering", qos)
         self._publisher = self.create_publisher(TrackedParameters, "identifier/parameters", LATCHED)
-        steady_timer(self, DRAIN_PERIOD, self._drain)
-        steady_timer(self, PUBLISH_PERIOD, self._publish)
+        create_steady_timer(self, DRAIN_PERIOD, self._drain)
+        create_steady_timer(self, PUBLISH_PERIOD, self._publish)
         self._diagnostics = Diagnostics(self, vehicle.name, self._make_checks)
         self.get_logger().info(f"estimating {', '.join(NAMES)} of {vehicle.name}; the estimates are not applied")
 

@@ -13,7 +13,7 @@ from st_core.palette import MEASURED_COLOUR, colour_of, label_index, rgb
 from st_core.types import InsSample
 from st_msgs.msg import Prediction, PredictionError
 from st_ros import parameters, spin
-from st_ros.polling import PolledSubscription, from_nanoseconds, steady_timer
+from st_ros.polling import PolledSubscription, create_steady_timer, from_nanoseconds
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -44,7 +44,7 @@ class MarkersNode(Node):
         self._bands = self.create_publisher(MarkerArray, "view/bands", 10)
         self._plots = {model: self.create_publisher(Vector3Stamped, f"view/{model}/error", 10)
                        for model in values.models}
-        steady_timer(self, 1.0 / values.rate, self._draw)
+        create_steady_timer(self, 1.0 / values.rate, self._draw)
         self.get_logger().info(f"draws {', '.join(values.models)} of {self._car.name}")
 
     def _draw(self) -> None:

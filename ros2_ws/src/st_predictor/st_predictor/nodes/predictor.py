@@ -21,7 +21,7 @@ from st_core.types import InputSequence, InsSample, Trajectory
 from st_msgs.msg import PlannedPrediction, Prediction, PredictorStatus
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
-from st_ros.polling import LATCHED, steady_timer
+from st_ros.polling import LATCHED, create_steady_timer
 
 from .. import convert, params
 from ._bands import PredictionBands
@@ -105,7 +105,7 @@ class PredictorNode(Node):
         self._period = 1.0 / values.rate
         # Simulated time advances only while the executor runs: no sample can arrive during a wait.
         self._wait = 0.0 if self._simulated else min(values.sample_wait, MAX_WAIT_SHARE * self._period)
-        steady_timer(self, DRAIN_PERIOD, self._inputs.drain)
+        create_steady_timer(self, DRAIN_PERIOD, self._inputs.drain)
         self._timer = self.create_timer(self._period, self._tick)
         self.create_timer(STATUS_PERIOD, self._publish_status)
         self.get_logger().info(

@@ -20,7 +20,7 @@ from st_recordings.mcap import Qos
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.parameters import ConfigurationError
-from st_ros.polling import UNRESOLVED_PREFIX, PolledSubscription, matching_qos, message_class, steady_timer
+from st_ros.polling import UNRESOLVED_PREFIX, PolledSubscription, create_steady_timer, find_message_class, match_qos
 
 from .. import convert, params
 from ._bag import is_complete, make_recording_check, open_bag
@@ -89,8 +89,8 @@ class RecorderNode(Node):
         self._refused: dict[str, str] = {}
         self._watchdog = PublisherWatchdog(self)
         self._simulated_time = self.get_parameter("use_sim_time").value
-        steady_timer(self, WORK_PERIOD, self._work)
-        steady_timer(self, TOPIC_SCAN_PERIOD, self._subscribe_new)
+        create_steady_timer(self, WORK_PERIOD, self._work)
+        create_steady_timer(self, TOPIC_SCAN_PERIOD, self._subscribe_new)
         self._diagnostics = Diagnostics(self, str(self._bag.directory), self._make_checks)
         self._subscribe_new()
         self.get_logger().info(f"recording into {self._bag.directory}")
@@ -106,7 +106,7 @@ class RecorderNode(Node):
         if len(types) != 1:
             self._refused[topic] = f"published with {len(types)} types: {', '.join(types)}"
             return
-        message_type = message_class(types[0])
+        message_type = find_message_class(types[0])
         if message_type is None:
             self._refused[topic] = f"message type {types[0]} is not installed"
             return
@@ -116,7 +116,7 @@ class RecorderNode(Node):
         except UnknownTypeError as error:
             self._refused[topic] = str(error)
             return
-        subscription = PolledSubscription(self, message_type, topic, matching_qos(publishers, QUEUE_DEPTH), raw=True)
+        subscription = PolledSubscription(self, message_type, topic, match_qos(publishers, QUEUE_DEPTH), raw=True)
         self._recorded[topic] = (subscription, number)
         self._descriptions[topic] = description
 
