@@ -36,7 +36,7 @@ PLOTS = {
 WHITE = (255, 255, 255)
 RINGS = (10, 20, 30, 40, 50, 60)  # m around the car
 LIGHT_GREY = (228, 228, 228)
-GHOST_STRENGTH = 0.4  # colour strength of earlier predictions; 1: full colour, 0: white
+GHOST_STRENGTH = 0.4  # colour strength of earlier predictions, less with age; 1: full colour, 0: white
 GHOST_STRIDE, TRACK_STRIDE, RIBBON_STRIDE = 5, 2, 2  # every n-th point is drawn
 RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}  # colour strength by probability
 # Half the line width in screen points, the same at every zoom.

@@ -18,7 +18,7 @@ from st_recordings.runs.cdr import ODOMETRY, STEERING
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.reconstruct import RECONSTRUCTED
 
-from .configuration import REPLAY_NODES, TRUNCATED, make_replay_parameters, set_bands_and_course
+from .configuration import REPLAY_NODES, TRUNCATION_WARNING, make_replay_parameters, set_bands_and_course
 from .node import Monitor
 from .page import LiveView
 from .session import Outcome, start_nodes
@@ -67,7 +67,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
 def describe_omissions(bag: Path, unknown: Sequence[str]) -> list[str]:
     """Lines about content that a replay omits: topics of unknown type, and the missing end of a truncated recording."""
     topics = [f"of unknown type and not played: {', '.join(unknown)}"] if unknown else []
-    return topics + ([TRUNCATED.format(bag, "played")] if was_interrupted(bag) else [])
+    return topics + ([TRUNCATION_WARNING.format(bag, "played")] if was_interrupted(bag) else [])
 
 
 def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mapping[str, Mapping[str, Any]], rate: float,
@@ -108,16 +108,16 @@ def _watch(suite: Suite, player: Child, name: str, rate: float, console: Console
             time.sleep(PROGRESS_PERIOD)
             if player.process.poll() is None:
                 suite.check()
-            status = _last_status(player)
+            status = _read_last_status(player)
             progress.update(bar, completed=status.get("done", 0.0), total=status.get("duration", 1.0))
     if player.process.returncode:
         raise SuiteError(f"the player ended with status {player.process.returncode}: {player.last_lines()}")
-    status = _last_status(player)
+    status = _read_last_status(player)
     if status.get("wall"):
         speed = status["duration"] / status["wall"]
         console.print(f"{status['duration']:.1f} s played in {status['wall']:.1f} s ({speed:.1f} x)", highlight=False)
 
 
-def _last_status(player: Child) -> dict[str, Any]:
+def _read_last_status(player: Child) -> dict[str, Any]:
     lines = [line for line in player.log.read_text(errors="replace").splitlines() if line.startswith("{")]
     return json.loads(lines[-1]) if lines else {}

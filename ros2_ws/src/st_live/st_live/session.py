@@ -78,7 +78,7 @@ class Supervisor:
             if delayed:
                 node.started = now
             if node.restart_at is None:
-                self._check(node, now)
+                self._check_node(node, now)
             elif now >= node.restart_at:
                 self._suite.start_node(node.package, node.name)
                 node.started, node.responded, node.restart_at = now, False, None
@@ -89,7 +89,7 @@ class Supervisor:
                 level, text = (WARN, text) if running else (ERROR, f"not running; {text}")
                 self._monitor.add_statuses([Status(f"suite: {node.name}", level, text, now)])
 
-    def _check(self, node: _Supervised, now: float) -> None:
+    def _check_node(self, node: _Supervised, now: float) -> None:
         if (child := self._suite.reap(node.name)) is not None:
             output = child.last_lines(1) or "no output"
             self._schedule_restart(node, now, f"ended with status {child.process.returncode} ({output})")

@@ -25,7 +25,7 @@ from st_recordings.recorded_results import PlannedPredictions, Predictions, Prog
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import read_bag, was_interrupted
 
-from .configuration import TRUNCATED, find_recordings
+from .configuration import TRUNCATION_WARNING, find_recordings
 from .suite import SuiteError
 
 # Each node starts its filter of the forward acceleration with the first sample it receives, and nodes may receive
@@ -95,10 +95,10 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     scores = recorded_results.read_scores(score_bags, progress)
     planned_by_mode = {mode: recorded_results.read_planned(bag, mode, progress) for mode in PLANNED_MODES}
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
-    truncated = [TRUNCATED.format(file, "compared") for file in dict.fromkeys((bag, *score_bags))
+    truncated = [TRUNCATION_WARNING.format(file, "compared") for file in dict.fromkeys((bag, *score_bags))
                  if was_interrupted(file)]
     comparisons, warnings = [], [*drive.warnings, *truncated]
-    for name, live in predictions.items():
+    for name, live_predictions in predictions.items():
         try:
             model = get_model(name)
         except ConfigurationError:
@@ -106,9 +106,10 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
             continue
         model_scores = {mode: scores[name, mode] for mode in (*MODES, *PLANNED_MODES) if (name, mode) in scores}
         planned = {mode: by_model[name] for mode, by_model in planned_by_mode.items() if name in by_model}
-        comparisons.append(_compare(model, car, signals, live, planned, model_scores, settings.filter_cutoff, progress))
+        comparisons.append(
+            _compare(model, car, signals, live_predictions, planned, model_scores, settings.filter_cutoff, progress))
     expected = configuration_hash(car, settings)
-    same = all(live.hashes == {expected} for live in predictions.values())
+    same = all(recorded.hashes == {expected} for recorded in predictions.values())
     return Verification(comparisons, f"{car.name}, from {source}", same, tuple(warnings))
 
 

@@ -189,7 +189,7 @@ def test_a_frame_shows_the_world_from_the_car(driven: PassengerFrames) -> None:
     frame = driven.make_frame(53.1)
     json.dumps(frame, allow_nan=False)
     assert frame["received"] == pytest.approx(53.0) and frame["mode"] == "RTK integer"
-    assert frame["speed"] == 10.0 and frame["lateral_acceleration"] == 2.0 and frame["steering"] == 0.1
+    assert frame["speed"] == 10.0 and frame["steering"] == 0.1
     track = np.array(frame["track"])
     assert np.abs(track[:, 1]).max() < 0.01 and track[0, 0] == pytest.approx(-30.0, abs=0.01)
     path = frame["paths"]["linear"]

@@ -73,7 +73,7 @@ def make_prediction_message(start: Start, model: str, trajectory: Trajectory, ve
     message = Prediction(model=model, configuration_hash=configuration_hash,
                          road_wheel_angle=float(start.inputs.road_wheel_angle),
                          velocity_x_dot=float(start.inputs.velocity_x_dot))
-    _fill(message, start, trajectory, vehicle, map_frame)
+    _fill_trajectory(message, start, trajectory, vehicle, map_frame)
     return message
 
 
@@ -104,12 +104,12 @@ def make_planned_message(start: Start, model: str, plan_ns: int, inputs: InputSe
     message = PlannedPrediction(
         model=model, configuration_hash=configuration_hash, plan_stamp=from_nanoseconds(plan_ns),
         road_wheel_angle=_to_array(inputs.road_wheel_angle), velocity_x_dot=_to_array(inputs.velocity_x_dot))
-    _fill(message, start, trajectory, vehicle, map_frame)
+    _fill_trajectory(message, start, trajectory, vehicle, map_frame)
     return message
 
 
-def _fill(message: Prediction | PlannedPrediction, start: Start, trajectory: Trajectory, vehicle: VehicleParameters,
-          map_frame: str) -> None:
+def _fill_trajectory(message: Prediction | PlannedPrediction, start: Start, trajectory: Trajectory,
+                     vehicle: VehicleParameters, map_frame: str) -> None:
     message.header.stamp = from_nanoseconds(start.time_ns)
     message.header.frame_id = map_frame
     message.step = trajectory.step

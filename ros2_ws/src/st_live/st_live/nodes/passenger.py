@@ -114,7 +114,6 @@ class PassengerFrames:
         track = np.array([point[1:] for point in self._track]).reshape(-1, 2)
         return frame | {
             "pose": [round(value, 3) for value in pose], "speed": round(sample.velocity_x, 2),
-            "lateral_acceleration": round(sample.velocity_x * sample.yaw_rate, 2),
             "track": _to_car_axes(track[:, 0], track[:, 1], pose),
             "paths": {model: self._make_path(message, pose, mode) for mode, predictions in self._predictions.items()
                       for model, (received, message) in predictions.items() if now - received < MAX_AGE},
@@ -170,8 +169,8 @@ class PassengerFrames:
             self._health[node] = now, max(DIAGNOSTICS_TIMEOUT, MISSED_REPORTS * (now - last)), {}
         for status in message.status:
             node, _, check = status.name.partition(": ")
-            level = status.level if isinstance(status.level, int) else int.from_bytes(status.level, "little")
-            self._health[node][2][check] = level, f"{check}: {status.message}" if check else status.message
+            text = f"{check}: {status.message}" if check else status.message
+            self._health[node][2][check] = int.from_bytes(status.level, "little"), text
 
 
 def _to_car_axes(x: np.ndarray, y: np.ndarray, pose: tuple[float, float, float]) -> list[list[float]]:

@@ -69,8 +69,9 @@ class PredictionBands:
         if self._adaptive:
             condition = conditions_now(history, time_ns) if self._calibration else ()  # for bands of a file only
             issued, self._reason = self._adaptive.issue(time_ns, condition, modes)
+            messages = self._messages.fill() if issued else {}
             return {model: [band for band in bands if (model, band.mode) in issued]
-                    for model, bands in (self._messages.fill() if issued else {}).items()}
+                    for model, bands in messages.items()}
         if self._calibrated is None:
             return {}
         condition = conditions_now(history, time_ns)

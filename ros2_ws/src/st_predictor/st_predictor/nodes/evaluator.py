@@ -43,11 +43,11 @@ class EvaluatorNode(Node):
         values = parameters.declare(self, params.EVALUATOR)
         self._vehicle = params.load_vehicle(values)
         self._model_file = params.load_model(values, self._vehicle)
-        from_file = [self._model_file.model()] if self._model_file else []
+        file_models = [self._model_file.model()] if self._model_file else []
         self._models = params.translate_errors(
-            values, lambda: [get_model(m).name for m in (*values.models, *from_file)])
+            values, lambda: [get_model(m).name for m in (*values.models, *file_models)])
         settings = params.read_prediction_settings(values)
-        self._core = Evaluator(self._vehicle, settings, HISTORY_SPAN, from_file)
+        self._core = Evaluator(self._vehicle, settings, HISTORY_SPAN, file_models)
         self._consistency = Consistency(self._vehicle)
         self._map_frame = values.map_frame
         self._diagnostics = Diagnostics(self, self._vehicle.name, self._make_checks)

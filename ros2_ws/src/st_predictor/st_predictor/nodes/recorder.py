@@ -84,9 +84,9 @@ class RecorderNode(Node):
         self._bag = open_bag(values, self._records)
         self._stop_reason = ""  # why an earlier bag of this run ended
         self._resume_at, self._resumed_at = float("inf"), float("-inf")
-        self._recorded: dict[str, tuple[PolledSubscription, int]] = {}
+        self._subscribed: dict[str, tuple[PolledSubscription, int]] = {}  # with bag channel, by topic
         self._descriptions: dict[str, tuple[str, list[Qos]]] = {}  # type and publishers' QoS, by topic
-        self._refused: dict[str, str] = {}
+        self._refusals: dict[str, str] = {}  # reason by topic
         self._watchdog = PublisherWatchdog(self)
         self._simulated_time = self.get_parameter("use_sim_time").value
         create_steady_timer(self, WORK_PERIOD, self._work)
@@ -97,31 +97,31 @@ class RecorderNode(Node):
 
     def _subscribe_new(self) -> None:
         for topic, types in self.get_topic_names_and_types():
-            is_new = topic not in self._recorded and topic not in self._refused
+            is_new = topic not in self._subscribed and topic not in self._refusals
             matches = any(fnmatchcase(topic, pattern) for pattern in self._patterns)
             if is_new and matches and (publishers := self.get_publishers_info_by_topic(topic)):
                 self._subscribe(topic, types, publishers)
 
     def _subscribe(self, topic: str, types: list[str], publishers: list[TopicEndpointInfo]) -> None:
         if len(types) != 1:
-            self._refused[topic] = f"published with {len(types)} types: {', '.join(types)}"
+            self._refusals[topic] = f"published with {len(types)} types: {', '.join(types)}"
             return
         message_type = find_message_class(types[0])
         if message_type is None:
-            self._refused[topic] = f"message type {types[0]} is not installed"
+            self._refusals[topic] = f"message type {types[0]} is not installed"
             return
         try:
             description = types[0], [convert.convert_qos(p.qos_profile) for p in publishers]
             number = self._bag.add_topic(topic, *description)
         except UnknownTypeError as error:
-            self._refused[topic] = str(error)
+            self._refusals[topic] = str(error)
             return
         subscription = PolledSubscription(self, message_type, topic, match_qos(publishers, QUEUE_DEPTH), raw=True)
-        self._recorded[topic] = (subscription, number)
+        self._subscribed[topic] = (subscription, number)
         self._descriptions[topic] = description
 
     def _work(self) -> None:
-        for topic, (subscription, number) in self._recorded.items():
+        for topic, (subscription, number) in self._subscribed.items():
             for data, received_ns, sent_ns in subscription.take(QUEUE_DEPTH):
                 log_ns = self.get_clock().now().nanoseconds if self._simulated_time else received_ns
                 self._bag.write(number, data, log_ns, sent_ns or log_ns)
@@ -140,32 +140,32 @@ class RecorderNode(Node):
         self._resume_at = now + RESUME_PERIOD
         with contextlib.suppress(OSError, ConfigurationError):
             folder = self._bag.directory
-            existing = next(place for place in (folder, *folder.parents) if place.exists())
+            existing = next(path for path in (folder, *folder.parents) if path.exists())
             if shutil.disk_usage(existing).free < RESUME_SPACE:
                 return
             self._resume_at = float("inf")
             bag = open_bag(self._values, self._records)
             self._stop_reason, self._bag, self._resumed_at = self._bag.error, bag, now
-            for topic, (subscription, _) in self._recorded.items():
-                self._recorded[topic] = subscription, bag.add_topic(topic, *self._descriptions[topic])
+            for topic, (subscription, _) in self._subscribed.items():
+                self._subscribed[topic] = subscription, bag.add_topic(topic, *self._descriptions[topic])
             self.get_logger().warning(f"{self._stop_reason}; recording resumed in {bag.directory}")
 
     def _make_checks(self) -> list[Check]:
-        level, text = diagnostics.OK, f"{len(self._recorded)} recorded"
-        if self._refused:
+        level, text = diagnostics.OK, f"{len(self._subscribed)} recorded"
+        if self._refusals:
             level = diagnostics.WARN
-            text = "not recorded: " + "; ".join(f"{topic}: {reason}" for topic, reason in self._refused.items())
-        elif not self._recorded:
+            text = "not recorded: " + "; ".join(f"{topic}: {reason}" for topic, reason in self._refusals.items())
+        elif not self._subscribed:
             level, text = diagnostics.WARN, "none of the topics has a publisher yet"
-        topics = Check("topics", level, text, {"topics": len(self._recorded)})
+        topics = Check("topics", level, text, {"topics": len(self._subscribed)})
         resumed = time.monotonic() - self._resumed_at < RESUME_WARNING_DURATION
         return [make_recording_check(self._bag, self._stop_reason, resumed), topics, self._make_publishers_check()]
 
     def _make_publishers_check(self) -> Check:
-        if DIAGNOSTICS not in self._recorded:
+        if DIAGNOSTICS not in self._subscribed:
             return Check("senders", diagnostics.OK, f"not checked: {DIAGNOSTICS} is not recorded")
         self._work()  # so that messages still queued, after a delay of this node, count as received
-        silent = self._watchdog.find_silent_nodes(self._recorded)
+        silent = self._watchdog.find_silent_nodes(self._subscribed)
         if silent:
             silences = ", ".join(f"{name} for {seconds:.0f} s" for name, seconds in silent.items())
             return Check("senders", diagnostics.WARN, f"nothing recorded from {silences}, not even /diagnostics")
