@@ -99,7 +99,7 @@ def position_errors(logs: list[DriveLog], car: VehicleParameters, misalignment: 
 def _rms(values: np.ndarray, run_of: np.ndarray, time: np.ndarray) -> str:
     """Root mean square and its 95 % interval, from a bootstrap of blocks of the runs."""
     group = make_blocks(run_of, time)
-    totals = group.sums(np.stack([np.ones_like(values), values**2], axis=1))
+    totals = group.sum_by_block(np.stack([np.ones_like(values), values**2], axis=1))
     weights = np.random.default_rng(0).multinomial(len(group), np.full(len(group), 1.0 / len(group)), size=500)
     drawn = np.sqrt((weights @ totals[:, 1]) / (weights @ totals[:, 0]))
     low, high = np.percentile(drawn, (2.5, 97.5))

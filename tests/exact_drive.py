@@ -93,5 +93,5 @@ def late(log: DriveLog, seconds: float, *channels: str) -> DriveLog:
         return replace(log, steering_time_ns=log.steering_time_ns + round(seconds * 1e9))
     rows = round(seconds / (float(np.median(np.diff(log.ins_time_ns))) * 1e-9))
     first, last = max(rows, 0), len(log.x) + min(rows, 0)
-    kept = log.with_ins(np.arange(first, last))
+    kept = log.select_ins(np.arange(first, last))
     return replace(kept, **{name: getattr(log, name)[first - rows:last - rows] for name in channels})

@@ -20,7 +20,7 @@ from .log_signals import Acceleration, LogSignals, share_memory
 from .models import Model, get_model
 from .planned_inputs import SLIP_FREE
 from .prediction import step_count
-from .readings import correct_log, has_steering_dynamics, reading_errors, wheel_angles_ahead
+from .readings import correct_log, has_steering_dynamics, predict_wheel_angles, reading_errors
 from .start_grid import Block, plan_blocks
 from .timeseries import NANOSECOND, half_step_grid
 from .types import STATE_NAMES
@@ -163,7 +163,7 @@ class LogBatch:
     def recording(self, model: Model) -> Recording:
         """The drive with the sensor and steering corrections of the model applied."""
         log = correct_log(model, self.signals.log, self.signals.maximum_gap)
-        return self._recorded if log is self.signals.log else Recording(self.signals.of(log))
+        return self._recorded if log is self.signals.log else Recording(self.signals.for_log(log))
 
     def _sample(self, block: Block, recording: Recording, model: Model) -> list[np.ndarray]:
         """Road wheel angle, velocity_x_dot and the signals of the model at all instants of a block, arranged."""
@@ -199,7 +199,7 @@ class LogBatch:
                 angle = path[0]
         angle, acceleration = (np.broadcast_to(v, times.shape) for v in (angle, acceleration))
         if has_steering_dynamics(model):
-            angle = np.array([wheel_angles_ahead(model, log.steering_time_ns, log.road_wheel_angle, *column,
+            angle = np.array([predict_wheel_angles(model, log.steering_time_ns, log.road_wheel_angle, *column,
                                                  signals.maximum_gap)
                               for column in zip(times.T, angle.T, strict=True)]).T
         extra = [np.broadcast_to(signals.sample(*self.extra_signals[name], times[0]), times.shape)

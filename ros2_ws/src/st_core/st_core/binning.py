@@ -27,7 +27,7 @@ class Bin:
 
 
 def bin_starts(evaluation: LogEvaluation) -> list[Bin]:
-    """All bins that are not empty; a start under unknown conditions (NaN) is in no bin."""
+    """All bins that are not empty; a start with unknown conditions (NaN) is in no bin."""
     conditions, turn = evaluation.conditions, evaluation.conditions["heading_change"]
     lateral_acceleration = np.abs(conditions["lateral_acceleration"])
     bins = [
@@ -38,7 +38,7 @@ def bin_starts(evaluation: LogEvaluation) -> list[Bin]:
         Bin("direction", "straight", -MAX_STRAIGHT_TURN, MAX_STRAIGHT_TURN, np.abs(turn) < MAX_STRAIGHT_TURN),
         Bin("direction", "right", None, -MAX_STRAIGHT_TURN, turn <= -MAX_STRAIGHT_TURN),
     ]
-    return [one for one in bins if one.mask.any()]
+    return [candidate for candidate in bins if candidate.mask.any()]
 
 
 def _bin_by_edges(quantity: str, unit: str, values: np.ndarray, edges: tuple[float, ...]) -> list[Bin]:

@@ -19,8 +19,8 @@ class Channel:
     """One measured quantity.
 
     noise(log, step, x, y, yaw, v_x, v_y, r): standard deviation, by column, of the errors at the end of windows due to
-    noise alone, from redundant measurements; arrays (windows, instants `step` [s] apart). None: white noise from third
-    differences, to which the motion of a car does not contribute.
+    noise alone, from redundant measurements; arrays (windows, instants `step` [s] apart). None: the noise is white and
+    is estimated from third differences, to which the motion of a car does not contribute.
     """
 
     name: str
@@ -63,18 +63,18 @@ class Channel:
         return (averaged * white_noise(values),)
 
 
-def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: Any, rate: Any) -> tuple[float, ...]:
+def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, v_x: Any, v_y: Any, r: Any) -> tuple[float, ...]:
     """Spread of measured displacement minus dead reckoning, plus the effect of white noise in initial yaw and speed."""
-    east, north = (_integrate(values, step) for values in body_to_map(u, v, yaw))
+    east, north = (_integrate(values, step) for values in body_to_map(v_x, v_y, yaw))
     ahead, left = map_to_body(x[:, -1] - x[:, 0] - east, y[:, -1] - y[:, 0] - north, yaw[:, -1])
     horizon = step * (x.shape[1] - 1)
-    at_start = white_noise(log.yaw) * horizon * float(np.nanmean(u)), white_noise(log.velocity_x) * horizon
+    at_start = white_noise(log.yaw) * horizon * float(np.nanmean(v_x)), white_noise(log.velocity_x) * horizon
     return float(np.hypot(_spread(left), at_start[0])), float(np.hypot(_spread(ahead), at_start[1]))
 
 
-def _heading_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: Any, rate: Any) -> tuple[float, ...]:
+def _heading_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, v_x: Any, v_y: Any, r: Any) -> tuple[float, ...]:
     """Spread of the measured change of yaw minus the integral of the measured yaw rate."""
-    return (_spread(wrap_angle(yaw[:, -1] - yaw[:, 0] - _integrate(rate, step))),)
+    return (_spread(wrap_angle(yaw[:, -1] - yaw[:, 0] - _integrate(r, step))),)
 
 
 def _spread(errors: np.ndarray) -> float:

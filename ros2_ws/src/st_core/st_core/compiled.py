@@ -18,8 +18,8 @@ from .types import STATE_NAMES, ControlInput, InputSequence, Trajectory, Vehicle
 from .vehicle import VehicleParameters
 
 TOLERANCE = 1.0e-9  # largest difference from the interpreted model, relative to max(1, |value|)
-# States and inputs of the comparison with the interpreted model: (v_x [m/s], v_y [m/s], yaw rate [rad/s],
-# road wheel angle [rad], acceleration [m/s^2]): walking pace to motorway, both sides, driven and braked.
+# States and inputs of the comparison with the interpreted model, (v_x [m/s], v_y [m/s], yaw rate [rad/s],
+# road wheel angle [rad], acceleration [m/s^2]): walking pace to motorway speed, left and right, driven and braked.
 _SAMPLES = ((1.0, 0.0, 0.05, 0.1, 0.3), (8.0, 0.1, -0.25, -0.08, 0.0), (15.0, -0.2, 0.2, 0.04, -1.0),
             (30.0, 0.0, -0.02, -0.005, 0.5))
 
@@ -66,7 +66,7 @@ class CompiledModel:
 def compile_model(model: Model, vehicle: VehicleParameters, settings: PredictionSettings) -> CompiledModel:
     """The compiled form of a model, from the compiler or its cache, verified against the interpreted model.
 
-    Raises ConfigurationError with the reason without numba, if it cannot compile the model, or if the results differ.
+    Raises ConfigurationError if numba is not installed or cannot compile the model, or if the results differ.
     """
     if not has_numba():
         raise ConfigurationError("numba is not installed")
@@ -76,14 +76,14 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
         raise
     except Exception as error:  # numba raises many types of errors; the interpreted model is the fallback
         raise ConfigurationError(f"{type(error).__name__}: {error}") from None
-    share = np.linspace(1.0, 0.5, 2 * settings.steps + 1)
+    ramp = np.linspace(1.0, 0.5, 2 * settings.steps + 1)
     for v_x, v_y, yaw_rate, angle, acceleration in _SAMPLES:
         state = VehicleState(3.0, -2.0, v_x, v_y, 0.7, yaw_rate)
-        for inputs in (ControlInput(angle, acceleration), InputSequence(angle * share, acceleration * share)):
-            exact = predict(model, vehicle, state, inputs, settings.horizon, settings.step).states
-            compiled, finite = result(state, inputs).states, np.isfinite(exact)
+        for inputs in (ControlInput(angle, acceleration), InputSequence(angle * ramp, acceleration * ramp)):
+            expected = predict(model, vehicle, state, inputs, settings.horizon, settings.step).states
+            compiled, finite = result(state, inputs).states, np.isfinite(expected)
             with np.errstate(all="ignore"):
-                difference = np.abs(compiled - exact) / np.maximum(1.0, np.abs(exact))
+                difference = np.abs(compiled - expected) / np.maximum(1.0, np.abs(expected))
             # Both must be finite at the same points (a spin with a long step diverges), and agree there.
             if not np.array_equal(finite, np.isfinite(compiled)) or (difference[finite] > TOLERANCE).any():
                 worst = float(np.nanmax(np.where(finite, difference, 0.0)))
@@ -93,7 +93,7 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
 
 def compile_models(models: Sequence[Model], vehicle: VehicleParameters,
                    settings: PredictionSettings) -> tuple[dict[str, CompiledModel], str]:
-    """(compiled models by name, one line that names them and the reason why the others are not compiled)."""
+    """(compiled models by name, one line for the log: their names, and why the others are not compiled)."""
     compiled: dict[str, CompiledModel] = {}
     reasons: dict[str, str] = {}
     for model in models:

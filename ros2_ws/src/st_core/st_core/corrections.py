@@ -17,7 +17,7 @@ from .timeseries import NANOSECOND, interpolate
 from .types import body_to_map, map_to_body
 from .vehicle import VehicleParameters
 
-MAXIMUM_GAP = 0.25  # longest gap across which a signal shifted in time is interpolated [s]
+MAXIMUM_GAP = 0.25  # s, longest gap across which a signal shifted in time is interpolated
 MAX_VALUES = {"scale": 1e12, "add": 1e12, "earlier": 60.0, "ahead": 100.0}  # largest magnitude of each field
 STEERING = ("road_wheel_angle", "steering")
 _COMPONENTS = {"position": ("x", "y"), "velocity": ("velocity_x", "velocity_y")}
@@ -38,7 +38,7 @@ UNITS: Mapping[str, str] = {
 @dataclass(frozen=True)
 class Correction:
     """Correction of one channel. scale [1]. add [unit of the channel]. earlier: delay to subtract from its stamps [s].
-    ahead: forward shift of the reference point of positions, in body axes [m]."""
+    ahead: forward shift of the reference point of the position [m], along body x."""
 
     scale: float = 1.0
     add: float = 0.0
@@ -65,12 +65,12 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
     Raises StCoreError for invalid corrections (`check_corrections`), and if no sample remains.
     """
     check_corrections(corrections)
-    since_ns = log.ins_time_ns - log.ins_time_ns[:1]
-    used = np.ones(len(since_ns), bool)
+    seconds = (log.ins_time_ns - log.ins_time_ns[:1]) * NANOSECOND
+    used = np.ones(len(seconds), bool)
     for begin, end in leave_out:
-        used &= (since_ns * NANOSECOND < begin - NANOSECOND) | (since_ns * NANOSECOND > end + NANOSECOND)
+        used &= (seconds < begin - NANOSECOND) | (seconds > end + NANOSECOND)
     if not used.all():
-        log = log.with_ins(used)
+        log = log.select_ins(used)
     log = _correct_ins(log, corrections)
     if angle := corrections.get("heading", Correction()).add:
         parts: dict[str, Any] = {"yaw": log.yaw + angle}
@@ -143,7 +143,7 @@ def _correct_ins(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveL
     known = np.all([np.isfinite(parts[name]) for name in INS_SIGNALS if name in parts], axis=0)
     if np.all(known):
         return replace(log, **parts)
-    return replace(log.with_ins(known), **{name: values[known] for name, values in parts.items()})
+    return replace(log.select_ins(known), **{name: values[known] for name, values in parts.items()})
 
 
 def _correct_steering(log: DriveLog, correction: Correction, vehicle: VehicleParameters | None) -> DriveLog:
@@ -151,11 +151,10 @@ def _correct_steering(log: DriveLog, correction: Correction, vehicle: VehiclePar
     log = replace(log, steering_time_ns=log.steering_time_ns - late_ns) if late_ns else log
     if correction.scale == 1.0 and not correction.add:
         return log
-    wheel = log.steering_wheel_angle
-    if wheel is not None and vehicle is not None:
-        wheel = vehicle.steering_wheel_offset + correction.scale * (wheel - vehicle.steering_wheel_offset) + (
-            correction.add * vehicle.steering_ratio)
-    else:
-        wheel = None
+    steering_wheel_angle = None
+    if log.steering_wheel_angle is not None and vehicle is not None:
+        offset = vehicle.steering_wheel_offset
+        steering_wheel_angle = (offset + correction.scale * (log.steering_wheel_angle - offset)
+                                + correction.add * vehicle.steering_ratio)
     return replace(log, road_wheel_angle=correction.scale * log.road_wheel_angle + correction.add,
-                   steering_wheel_angle=wheel)
+                   steering_wheel_angle=steering_wheel_angle)

@@ -80,13 +80,13 @@ class Course:
         """
         if not self.passes:
             return []
-        found = np.array(sorted(self._tree.query_ball_point((x, y), MAX_DISTANCE)), int)
-        if not len(found):
+        near = np.array(sorted(self._tree.query_ball_point((x, y), MAX_DISTANCE)), int)
+        if not len(near):
             return []
-        index, row = (indices[found] for indices in self._indices)
+        index, row = (indices[near] for indices in self._indices)
         points = np.stack([self.passes[n].points[k] for n, k in zip(index.tolist(), row.tolist(), strict=True)])
-        same = np.abs(wrap_angle(points[:, 2] - direction)) < MAX_HEADING_DIFFERENCE
-        index, row, points = index[same], row[same], points[same]
+        aligned = np.abs(wrap_angle(points[:, 2] - direction)) < MAX_HEADING_DIFFERENCE
+        index, row, points = index[aligned], row[aligned], points[aligned]
         distance = np.hypot(points[:, 0] - x, points[:, 1] - y)
         # Points of one lap are consecutive; another lap of the same pass begins with a jump of the row.
         begins = np.flatnonzero((np.diff(index, prepend=-1) != 0) | (np.diff(row, prepend=-9) > 1))
@@ -103,14 +103,14 @@ class Course:
 
         Raises StCoreError, one line, for a distance beyond MAX_ORIGIN_DISTANCE.
         """
-        if not (distance := math.hypot(east, north)) <= MAX_ORIGIN_DISTANCE:  # NaN too
+        if not (distance := math.hypot(east, north)) <= MAX_ORIGIN_DISTANCE:  # also refuses NaN
             raise StCoreError(f"the course was recorded elsewhere: the map origins are {distance / 1000.0:.1f} km "
                               f"apart (limit {MAX_ORIGIN_DISTANCE / 1000.0:g} km)")
         offset = np.array([east, north, 0.0, 0.0, 0.0])
         return replace(self, passes=tuple(replace(pass_, points=pass_.points + offset) for pass_ in self.passes))
 
     def to_yaml(self) -> str:
-        """A file that `from_yaml` reads back, to the centimetre: a header, then the points of all passes as rows."""
+        """The text of a file that `from_yaml` reads: a header, then the points of all passes, to the centimetre."""
         passes = [{"recording": pass_.recording, "digests": list(pass_.digests), "rows": len(pass_.points)}
                   for pass_ in self.passes]
         header = {"schema": SCHEMA, "spacing": SPACING, "columns": list(COLUMNS),
@@ -176,7 +176,7 @@ def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
     slow = np.minimum(log.velocity_x[1:], log.velocity_x[:-1]) < PAUSE_SPEED
     breaks = slow | (spacing > MAX_GAP) | (np.abs(displacement - travelled) > 0.5 + 0.5 * travelled)
     edges = np.flatnonzero(np.diff(np.concatenate([[True], breaks, [True]]).astype(int)))
-    found = []
+    passes = []
     for rows in (slice(first, last + 1) for first, last in edges.reshape(-1, 2).tolist()):
         x, y, speed = log.x[rows], log.y[rows], log.velocity_x[rows]
         seconds = (log.ins_time_ns[rows] - log.ins_time_ns[rows][:1]) * 1e-9
@@ -189,8 +189,8 @@ def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
         curvature, d_x, d_y = (uniform_filter1d(v, round(SMOOTHING / SPACING), mode="nearest")
                                for v in (curvature, np.gradient(east), np.gradient(north)))
         direction = np.unwrap(np.arctan2(d_y, d_x))
-        found.append(Pass(log.name, tuple(digests), np.stack([east, north, direction, curvature, speed], axis=1)))
-    if not found:
+        passes.append(Pass(log.name, tuple(digests), np.stack([east, north, direction, curvature, speed], axis=1)))
+    if not passes:
         raise StCoreError(f"{log.name}: no {MIN_LENGTH:g} m of continuous driving faster than {PAUSE_SPEED:g} m/s; "
                           "leave it out of the course")
-    return found
+    return passes

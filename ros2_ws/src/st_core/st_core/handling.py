@@ -46,7 +46,7 @@ class Range:
     value: Callable[[VehicleParameters], float]  # result in `unit`
     source: str
 
-    def objection(self, car: VehicleParameters) -> str:
+    def describe_violation(self, car: VehicleParameters) -> str:
         """A sentence with value, range and source if the car is outside the range, else ""."""
         value = self.value(car)
         if self.low <= value <= self.high:
@@ -76,11 +76,12 @@ PLAUSIBLE = (
 )
 
 
-def objections(car: VehicleParameters, file: VehicleParameters | None = None) -> tuple[str, ...]:
+def find_implausible_values(car: VehicleParameters, original: VehicleParameters | None = None) -> tuple[str, ...]:
     """A sentence for each quantity of the car that is outside its range.
 
-    file: original car; quantities outside their range for that car as well are left out, since unusual cars exist.
+    original: car of the vehicle file; quantities that are outside their range for it too are left out, since unusual
+    cars exist.
     """
-    known = {quantity.name for quantity in PLAUSIBLE if file is not None and quantity.objection(file)}
-    texts = (quantity.objection(car) for quantity in PLAUSIBLE if quantity.name not in known)
+    known = {quantity.name for quantity in PLAUSIBLE if original is not None and quantity.describe_violation(original)}
+    texts = (quantity.describe_violation(car) for quantity in PLAUSIBLE if quantity.name not in known)
     return tuple(text for text in texts if text)

@@ -45,7 +45,7 @@ class DriveLog:
                 raise StCoreError(f"{self.name}: {base} must be one-dimensional, in whole nanoseconds")
             if len(time) > 1 and not (np.diff(time) > 0).all():
                 raise StCoreError(f"{self.name}: {base} is not strictly increasing")
-            self._set(base, time, np.int64)
+            self._store_read_only(base, time, np.int64)
             for signal in signals:
                 value = getattr(self, signal)
                 if value is None and signal in (*OPTIONAL_INS_SIGNALS, "steering_wheel_angle"):
@@ -55,9 +55,9 @@ class DriveLog:
                     raise StCoreError(f"{self.name}: {signal} has {value.size} values, {base} has {len(time)}")
                 if signal not in OPTIONAL_INS_SIGNALS and not np.isfinite(value).all():
                     raise StCoreError(f"{self.name}: {signal} has values that are not finite")
-                self._set(signal, value, float)
+                self._store_read_only(signal, value, float)
 
-    def _set(self, field: str, value: np.ndarray, dtype: type) -> None:
+    def _store_read_only(self, field: str, value: np.ndarray, dtype: type) -> None:
         view: np.ndarray = np.ascontiguousarray(value, dtype=dtype).view()
         view.flags.writeable = False
         object.__setattr__(self, field, view)
@@ -97,8 +97,8 @@ class DriveLog:
         end = min(int(self.ins_time_ns[-1]), int(self.steering_time_ns[-1]))
         return max(end - start, 0) * 1e-9
 
-    def with_ins(self, rows: np.ndarray) -> "DriveLog":
-        """The log with a selection of the INS samples (mask or indices) and all steering samples."""
+    def select_ins(self, rows: np.ndarray) -> "DriveLog":
+        """The log with the INS samples `rows` (mask or indices) and all steering samples."""
         names = ("ins_time_ns", *INS_SIGNALS, *OPTIONAL_INS_SIGNALS)
         return replace(self, **{name: getattr(self, name)[rows] for name in names if getattr(self, name) is not None})
 

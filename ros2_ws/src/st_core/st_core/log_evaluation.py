@@ -331,7 +331,7 @@ def _share_instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.nda
 def predict_held_per_step(model: Model, vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
                           times_ns: np.ndarray, step: float) -> np.ndarray:
     """States (n, points, 6), as `LogBatch.predict` but with inputs held over each step. times_ns: (n, points)."""
-    corrected = signals.of(correct_log(model, signals.log, signals.maximum_gap))
+    corrected = signals.for_log(correct_log(model, signals.log, signals.maximum_gap))
     angle, acceleration = corrected.road_wheel_angle_at(times_ns), corrected.ins_at(times_ns, "velocity_x_dot")[0]
     states = corrected.states_at(starts_ns, model.effective_vehicle(vehicle))
     p = model.parameters(vehicle)

@@ -36,7 +36,7 @@ class LogSignals:
         _, self.velocity_x_dot = filtered_derivative(
             log.ins_time_ns, log.velocity_x, filter_cutoff, maximum_gap, acceleration)
 
-    def of(self, log: DriveLog) -> "LogSignals":
+    def for_log(self, log: DriveLog) -> "LogSignals":
         """The signals of another drive with the same settings; they share the derivative if the speed is the same."""
         if not share_memory(log, self.log, "ins_time_ns", "velocity_x"):
             return LogSignals(log, self.maximum_gap, *self._filter)

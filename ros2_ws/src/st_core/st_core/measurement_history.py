@@ -49,9 +49,9 @@ def unexplained_step(spacing: float, before: Sequence[float], after: Sequence[fl
 
     spacing: dt [s], > 0. before, after: rows that begin with x, y, yaw, v_x, v_y.
     """
-    step, driven = _split_displacement(spacing, before, after)
-    allowed = POSITION_TOLERANCE + DISTANCE_TOLERANCE * driven + 0.25 * MAX_ACCELERATION * spacing**2
-    return step if step > allowed and spacing <= MAX_EXAMINED_GAP else 0.0
+    unexplained, driven = _split_displacement(spacing, before, after)
+    tolerance = POSITION_TOLERANCE + DISTANCE_TOLERANCE * driven + 0.25 * MAX_ACCELERATION * spacing**2
+    return unexplained if unexplained > tolerance and spacing <= MAX_EXAMINED_GAP else 0.0
 
 
 def _split_displacement(spacing: float, before: Sequence[float], after: Sequence[float]) -> tuple[float, float]:
@@ -78,7 +78,7 @@ class MeasurementHistory:
     refused. Within half a second, the order of arrival does not affect the content or the filtered acceleration.
     When the INS time jumps back (a replay that restarts), both signals restart, and `generation` increases. The signals
     are unknown between samples further apart than maximum_gap and across a position jump. jumps: number of position
-    jumps since the start. jump: the newest jump.
+    jumps since the start. jump: the newest of them.
 
     span, maximum_gap [s]; filter_cutoff [Hz], see timeseries.py for the definition and delay of velocity_x_dot.
     """
@@ -94,9 +94,9 @@ class MeasurementHistory:
 
     def for_corrected_samples(self) -> "MeasurementHistory":
         """An empty history for corrected samples, which shares the position jumps found in this history."""
-        other = MeasurementHistory(*self._settings)
-        other.ins.breaks, other._detects_jumps = self.ins.breaks, False
-        return other
+        history = MeasurementHistory(*self._settings)
+        history.ins.breaks, history._detects_jumps = self.ins.breaks, False
+        return history
 
     def add_ins(self, sample: InsSample) -> bool:
         """Add a sample at the INS point; False if it was refused."""
@@ -173,7 +173,7 @@ class FrozenSteeringDetector:
     def __init__(self, vehicle: VehicleParameters):
         self._wheelbase, self._stability_factor = vehicle.wheelbase, stability_factor(vehicle)
         self._angle, self._since_ns, self._newest_ns = math.nan, 0, 0
-        self._implied, self._implied_ns = math.nan, 0
+        self._filtered_angle, self._ins_ns = math.nan, 0  # delta' after the low-pass, time of the last INS sample used
         self._low, self._high = math.inf, -math.inf
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> None:
@@ -189,18 +189,18 @@ class FrozenSteeringDetector:
         """Add an INS sample; only its speed and yaw rate are used."""
         speed = sample.velocity_x
         if not speed > FROZEN_MIN_SPEED or not math.isfinite(sample.yaw_rate):
-            self._implied = math.nan
+            self._filtered_angle = math.nan
             return
-        implied = self._wheelbase * (1.0 + self._stability_factor * speed * speed) * sample.yaw_rate / speed
-        spacing = (sample.time_ns - self._implied_ns) * NANOSECOND
-        self._implied_ns = sample.time_ns
-        if not 0.0 < spacing < FROZEN_TIME_CONSTANT or math.isnan(self._implied):
-            self._implied = implied
+        angle = self._wheelbase * (1.0 + self._stability_factor * speed * speed) * sample.yaw_rate / speed
+        spacing = (sample.time_ns - self._ins_ns) * NANOSECOND
+        self._ins_ns = sample.time_ns
+        if not 0.0 < spacing < FROZEN_TIME_CONSTANT or math.isnan(self._filtered_angle):
+            self._filtered_angle = angle
             return
-        self._implied += (implied - self._implied) * spacing / FROZEN_TIME_CONSTANT
+        self._filtered_angle += (angle - self._filtered_angle) * spacing / FROZEN_TIME_CONSTANT
         # The low-pass and the tyres still respond to the steering before it became constant.
         if sample.time_ns > self._since_ns + 3.0 * FROZEN_TIME_CONSTANT / NANOSECOND:
-            self._low, self._high = min(self._low, self._implied), max(self._high, self._implied)
+            self._low, self._high = min(self._low, self._filtered_angle), max(self._high, self._filtered_angle)
 
     @property
     def frozen(self) -> FrozenAngle | None:

@@ -29,7 +29,7 @@ class ModelView:
     """
 
     def __init__(self, model: Model, vehicle: VehicleParameters, shared: MeasurementHistory):
-        missing = readings.missing_reading(model, OPTIONAL_INS_SIGNALS)
+        missing = readings.find_missing_reading(model, OPTIONAL_INS_SIGNALS)
         if missing:
             raise ConfigurationError("model {}: effect {} needs {}, which is not measured live".format(
                 model.name, *missing))
@@ -68,7 +68,7 @@ class ModelView:
             return state, now
         series, grid = self._history.steering, half_step_grid(time_ns, steps, step)
         held = np.full(len(grid), now.road_wheel_angle)
-        angle = readings.wheel_angles_ahead(self.model, series.times, series.rows[:, 0], grid, held,
+        angle = readings.predict_wheel_angles(self.model, series.times, series.rows[:, 0], grid, held,
                                             series.maximum_gap_ns * NANOSECOND)
         return state, InputSequence(angle, np.full(len(grid), now.velocity_x_dot))
 

@@ -23,8 +23,8 @@ def _has_vector_tangent() -> bool:
         from numpy.lib import introspect
     except ImportError:  # numpy before 2.1
         return False
-    found = introspect.opt_func_info(func_name="^tan$", signature="float64").get("tan", {})
-    return any(not kind.get("current", "baseline").startswith("baseline") for kind in found.values())
+    signatures = introspect.opt_func_info(func_name="^tan$", signature="float64").get("tan", {})
+    return any(not kind.get("current", "baseline").startswith("baseline") for kind in signatures.values())
 
 
 def _array_sin(x):
@@ -64,21 +64,21 @@ def _call_registered(name: str, *arguments: Any):
     return _NUMPY[name](*arguments)
 
 
-def _from_math(name: str) -> Callable:
+def _make_function(name: str) -> Callable:
     """The function of this name for every number type; NaN where the function of `math` has a domain error."""
-    of_float, nan = getattr(math, name), math.nan
+    math_function, nan = getattr(math, name), math.nan
 
     def function(x):
         if type(x) is float:
             try:
-                return of_float(x)
+                return math_function(x)
             except ValueError:
                 return nan
         return _call_registered(name, x)
     return function
 
 
-sin, cos, tan, atan, sqrt = map(_from_math, ("sin", "cos", "tan", "atan", "sqrt"))  # angles in rad
+sin, cos, tan, atan, sqrt = map(_make_function, ("sin", "cos", "tan", "atan", "sqrt"))  # angles in rad
 
 
 def sign(x):

@@ -6,7 +6,7 @@ MODEL_COLOUR = {"kinematic": "#1f77b4", "linear": "#ff7f0e", "nonlinear": "#7e2f
 MODEL_LINE = {"kinematic": (0, (6, 2)), "linear": "solid", "nonlinear": (0, (2, 1)), "augmented": (0, (6, 1, 1, 1))}
 MEASURED_COLOUR = "#7f7f7f"
 OTHER_COLOUR = "#d55e00"  # any other model
-# Where along its path a model is labelled [s after the start]; different times, so that labels do not overlap.
+# Position along its path at which a model is labelled [s after the start]; different, so that labels do not overlap.
 LABEL_AT = {"kinematic": 5.0, "linear": 4.3, "nonlinear": 3.6, "augmented": 2.9}
 OTHER_LABEL_AT = 2.2
 # Settings of matplotlib (rcParams) for all figures.

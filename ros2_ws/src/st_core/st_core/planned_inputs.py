@@ -1,7 +1,7 @@
 """Planned inputs over the horizon, from steering and acceleration or from speed and curvature, and checks before use.
 
 A plan gives future inputs of the car as functions of time on the measurement clock. It replaces the constant inputs of
-a forecast only if `plan_problem` finds no problem; otherwise the problem is reported.
+a forecast only if `find_plan_problem` finds no problem; otherwise the problem is reported.
 Checked by: test_planned_inputs.py, against hindsight.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from .errors import StCoreError
 from .handling import stability_factor
 from .models import Model
-from .readings import has_steering_dynamics, wheel_angles_ahead
+from .readings import has_steering_dynamics, predict_wheel_angles
 from .timeseries import NANOSECOND, half_step_grid, interpolate
 from .types import ControlInput, InputSequence, VehicleState
 from .vehicle import VehicleParameters
@@ -26,8 +26,8 @@ MAX_STEERING_RATE = 1.5  # rad/s at the road wheel: a steering wheel at 24 rad/s
 MAX_ACCELERATION = 12.0  # m/s^2, longitudinal and lateral combined: friction coefficient 1.2, sports tyres
 ANGLE_TOLERANCE = 0.05  # rad between planned and measured road wheel angle at the start: 45 deg at the steering wheel
 ACCELERATION_TOLERANCE = 3.0  # m/s^2 between plan and measurement at the start: braking takes 0.3 s to build up
-SLIP_FREE = "slip_free_angle"  # road wheel angle of a car without tyre slip on a path, for models without tyres
 SPEED_TOLERANCE = 2.0  # m/s between planned and measured speed at the start
+SLIP_FREE = "slip_free_angle"  # road wheel angle of a car without tyre slip on a path, for models without tyres
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +56,8 @@ class PlannedInputs:
 
             delta = L (1 + K v^2) k,    velocity_x_dot = dv/dt
 
-        K: `handling.stability_factor` of the linear car; 0 for models without tyres. The steering angle assumes a
-        steady turn: after a fast change of curvature the path lags by the car's response time, about 0.1 s.
+        K: `handling.stability_factor` of the linear car; models without tyres use atan(L k) instead. The steering angle
+        assumes a steady turn: after a fast change of curvature the path lags by the car's response time, about 0.1 s.
         """
         speed, curvature = np.asarray(speed, float), np.asarray(curvature, float)
         seconds = (np.asarray(time_ns, np.int64) - np.int64(issued_ns)) * NANOSECOND
@@ -69,10 +69,11 @@ class PlannedInputs:
     def sequence(self, start_ns: int, steps: int, step: float) -> InputSequence:
         """Inputs on the half-step grid from a start [ns]; NaN outside the plan."""
         grid = half_step_grid(start_ns, steps, step)
-        signals = {} if self.slip_free_angle is None else {SLIP_FREE: self._at(self.slip_free_angle, grid)}
-        return InputSequence(self._at(self.road_wheel_angle, grid), self._at(self.velocity_x_dot, grid), signals)
+        signals = {} if self.slip_free_angle is None else {SLIP_FREE: self._interpolate(self.slip_free_angle, grid)}
+        return InputSequence(self._interpolate(self.road_wheel_angle, grid),
+                             self._interpolate(self.velocity_x_dot, grid), signals)
 
-    def _at(self, values: np.ndarray, grid_ns: np.ndarray) -> np.ndarray:
+    def _interpolate(self, values: np.ndarray, grid_ns: np.ndarray) -> np.ndarray:
         return np.interp(grid_ns - grid_ns[0], self.time_ns - grid_ns[0], values, left=np.nan, right=np.nan)
 
 
@@ -100,23 +101,24 @@ def recorded_plan(time_ns: np.ndarray, columns: Sequence[np.ndarray], steps: int
     """
     gap_ns = round(maximum_gap / NANOSECOND)
 
-    def ahead(starts_ns: np.ndarray) -> tuple[np.ndarray, ...]:
+    def interpolate_plan(starts_ns: np.ndarray) -> tuple[np.ndarray, ...]:
         grid = starts_ns[:, None] + half_step_grid(0, steps, step)
         return tuple(interpolate(time_ns, values, grid.ravel(), gap_ns).reshape(grid.shape) for values in columns)
 
-    return ahead
+    return interpolate_plan
 
 
-def plan_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput, horizon: float,
+def find_plan_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput, horizon: float,
                  vehicle: VehicleParameters) -> str:
     """Reason, in one line, why a plan is not used for a forecast from a start [ns] over a horizon [s]; "" if used.
 
-    state, inputs: measured at the start. Checked: points, times, age, coverage, feasibility, then agreement.
+    state, inputs: measured at the start. Checked, in this order: points, times, age, coverage, feasibility, agreement
+    with the measurements.
     """
-    return _timing_problem(plan, start_ns, horizon) or _demand_problem(plan, start_ns, state, inputs, vehicle)
+    return _check_timing(plan, start_ns, horizon) or _check_demand(plan, start_ns, state, inputs, vehicle)
 
 
-def _timing_problem(plan: PlannedInputs, start_ns: int, horizon: float) -> str:
+def _check_timing(plan: PlannedInputs, start_ns: int, horizon: float) -> str:
     if len(plan.time_ns) < 2:
         return f"plan: {len(plan.time_ns)} point(s); at least two are needed"
     if (np.diff(plan.time_ns) <= 0).any():
@@ -141,7 +143,7 @@ def _timing_problem(plan: PlannedInputs, start_ns: int, horizon: float) -> str:
     return f"plan: points are up to {widest:.2f} s apart (limit {MAX_SPACING:g} s)" if widest > MAX_SPACING else ""
 
 
-def _demand_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput,
+def _check_demand(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput,
                     vehicle: VehicleParameters) -> str:
     angle, seconds = plan.road_wheel_angle, np.diff(plan.time_ns) * NANOSECOND
     if (largest := float(np.abs(angle).max())) > MAX_ROAD_WHEEL_ANGLE:
@@ -152,7 +154,7 @@ def _demand_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inp
     if speed is None:
         # Trapezoidal rule without scipy, which the live nodes do not import.
         mean = 0.5 * (plan.velocity_x_dot[1:] + plan.velocity_x_dot[:-1])
-        speed = state.velocity_x + np.cumsum([0.0, *(mean * np.diff(plan.time_ns) * NANOSECOND)])
+        speed = state.velocity_x + np.cumsum([0.0, *(mean * seconds)])
     lateral = speed * speed * angle / steady_state_steering(speed, np.ones_like(speed), vehicle)
     demand = float(np.hypot(plan.velocity_x_dot, lateral).max())
     if demand > MAX_ACCELERATION:
@@ -162,26 +164,29 @@ def _demand_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inp
             ("velocity_x_dot", inputs.velocity_x_dot, ACCELERATION_TOLERANCE, "m/s^2"),
             ("speed", state.velocity_x, SPEED_TOLERANCE, "m/s")):
         values = getattr(plan, name)
-        planned = math.nan if values is None else float(plan._at(values, np.array([start_ns]))[0])
+        planned = math.nan if values is None else float(plan._interpolate(values, np.array([start_ns]))[0])
         if abs(planned - measured) > tolerance:
             return (f"plan: {name} is {planned:.3g} {unit} at the start, but {measured:.3g} {unit} was measured "
                     f"(tolerance {tolerance:g} {unit}); check sign, frame and unit")
     return ""
 
 
-def model_inputs(model: Model, planned: InputSequence) -> InputSequence:
+def select_inputs(model: Model, planned: InputSequence) -> InputSequence:
     """Planned inputs for a model: the slip-free angle of a path if it has no tyres, else the road wheel angle."""
     if not model.has_tyres and SLIP_FREE in planned.signals:
         return InputSequence(planned.signals[SLIP_FREE], planned.velocity_x_dot)
     return planned
 
 
-def wheel_sequence(model: Model, planned: InputSequence, start_ns: int, step: float, steering_time_ns: np.ndarray,
-                   road_wheel_angle: np.ndarray, maximum_gap: float) -> InputSequence:
-    """`model_inputs` on the half-step grid from start_ns, with delay, play and lag of the model's steering."""
-    planned = model_inputs(model, planned)
+def apply_steering_dynamics(model: Model, planned: InputSequence, start_ns: int, step: float,
+                            steering_ns: np.ndarray, steering: np.ndarray, maximum_gap: float) -> InputSequence:
+    """Inputs of a model on the half-step grid from start_ns, with delay, play and lag of its steering.
+
+    steering_ns [ns], steering [rad]: recorded road wheel angle before the start. maximum_gap [s].
+    """
+    planned = select_inputs(model, planned)
     if not has_steering_dynamics(model):
         return planned
     grid = half_step_grid(start_ns, len(planned.road_wheel_angle) // 2, step)
-    wheels = wheel_angles_ahead(model, steering_time_ns, road_wheel_angle, grid, planned.road_wheel_angle, maximum_gap)
-    return InputSequence(wheels, planned.velocity_x_dot, planned.signals)
+    angle = predict_wheel_angles(model, steering_ns, steering, grid, planned.road_wheel_angle, maximum_gap)
+    return InputSequence(angle, planned.velocity_x_dot, planned.signals)

@@ -14,7 +14,7 @@ from .errors import ConfigurationError, StCoreError
 from .measurement_history import FrozenSteeringDetector, MeasurementHistory
 from .model_view import ModelView
 from .models import Model, get_model
-from .planned_inputs import PlannedInputs, model_inputs, plan_problem, wheel_sequence
+from .planned_inputs import PlannedInputs, apply_steering_dynamics, find_plan_problem, select_inputs
 from .stability import warn_if_too_long
 from .timeseries import NANOSECOND, TimeSeries
 from .types import STATE_NAMES, ControlInput, InputSequence, InsSample, Trajectory, VehicleState, ins_to_cg
@@ -164,9 +164,9 @@ class Predictor:
         """The vehicle parameters of a model, with the lever arm from its CG to the INS."""
         return self._views[model].car
 
-    def model_inputs(self, model: str, planned: InputSequence) -> InputSequence:
-        """Planned inputs for a model (`planned_inputs.model_inputs`)."""
-        return model_inputs(self._views[model].model, planned)
+    def select_inputs(self, model: str, planned: InputSequence) -> InputSequence:
+        """Planned inputs for a model (`planned_inputs.select_inputs`)."""
+        return select_inputs(self._views[model].model, planned)
 
     def add_ins(self, sample: InsSample) -> bool:
         """Add an INS sample; False if it was refused (see MeasurementHistory)."""
@@ -232,7 +232,7 @@ class Predictor:
     def plan_inputs(self, plan: PlannedInputs, start: Start) -> InputSequence | str:
         """The inputs of a plan over the horizon, for `run`; or the reason, in one line, why it cannot be used."""
         settings = self.settings
-        problem = plan_problem(plan, start.time_ns, start.state, start.inputs, settings.horizon, self.vehicle)
+        problem = find_plan_problem(plan, start.time_ns, start.state, start.inputs, settings.horizon, self.vehicle)
         return problem or plan.sequence(start.time_ns, settings.steps, settings.step)
 
     def run(self, start: Start, model: str, ahead: InputSequence | None = None) -> Trajectory:
@@ -247,7 +247,7 @@ class Predictor:
                          else view.read_start(start.time_ns, settings.steps, settings.step))
         if ahead is not None:
             steering = self.history.steering
-            inputs = wheel_sequence(view.model, ahead, start.time_ns, settings.step, steering.times,
+            inputs = apply_steering_dynamics(view.model, ahead, start.time_ns, settings.step, steering.times,
                                     steering.rows[:, 0], settings.maximum_gap)
         if model in self._runners:
             return self._runners[model](state, inputs)

@@ -18,28 +18,28 @@ from .timeseries import NANOSECOND, interpolate
 from .types import InsSample, cg_to_ins_position, pose_errors
 from .vehicle import VehicleParameters
 
-MEMORY = 5.0  # length of the steering history that effects with memory need [s]; a lag of 0.5 s decays to e^-10
+MEMORY = 5.0  # s, length of the steering history that effects with memory need; a lag of 0.5 s decays to e^-10
 MEMORY_NS = round(MEMORY / NANOSECOND)
 
 
 def correct_sample(model: Model, sample: InsSample) -> InsSample:
-    """The sample that a faultless INS would measure; NaN where this requires an acceleration (`missing_reading`)."""
+    """The sample of a faultless INS; NaN where the correction needs an acceleration (`find_missing_reading`)."""
     if not isinstance(model, AugmentedModel) or not model.has_sensor_effects:
         return sample
     true = model.correct(Measured(*sample[1:], acceleration_x=np.nan, acceleration_y=np.nan))
     return InsSample(sample.time_ns, *true[:6])
 
 
-def missing_reading(model: Model, unknown: Sequence[str]) -> tuple[str, str] | None:
+def find_missing_reading(model: Model, unknown: Sequence[str]) -> tuple[str, str] | None:
     """(effect, reading) of the first sensor effect that needs one of these unknown accelerations to correct pose,
     velocity or yaw rate; None without such an effect."""
     if not isinstance(model, AugmentedModel):
         return None
     for effect in model.active:
         for reading in unknown if effect.correct else ():
-            known = Measured(1.0, 2.0, 0.1, 10.0, 0.2, 0.3, 0.4, 3.0)._replace(**{reading: np.nan})
+            example = Measured(1.0, 2.0, 0.1, 10.0, 0.2, 0.3, 0.4, 3.0)._replace(**{reading: np.nan})
             alone = model.select_effects(e for e in model.effects if e.converts or e is effect)
-            if np.isnan(alone.correct(known)[:6]).any():
+            if np.isnan(alone.correct(example)[:6]).any():
                 return effect.name, reading
     return None
 
@@ -55,17 +55,17 @@ def correct_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
     seconds = (time_ns - time_ns[0]) * NANOSECOND
     begins = np.diff(time_ns, prepend=time_ns[0]) > round(maximum_gap / NANOSECOND)
     begins[0] = True
-    later, angle = model.steering(seconds, angle, begins)
+    wheel_seconds, angle = model.steering(seconds, angle, begins)
     # Only the time shift is rounded, so that the times stay exact without a delay.
-    return time_ns + np.round((later - seconds) / NANOSECOND).astype(np.int64), angle
+    return time_ns + np.round((wheel_seconds - seconds) / NANOSECOND).astype(np.int64), angle
 
 
 def has_steering_dynamics(model: Model) -> bool:
-    """Whether the angle of the wheels depends on earlier steering."""
+    """Whether the road wheel angle of the model depends on earlier steering."""
     return isinstance(model, AugmentedModel) and model.has_steering_dynamics
 
 
-def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, ahead: np.ndarray,
+def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, ahead: np.ndarray,
                        maximum_gap: float) -> np.ndarray:
     """Angle of the wheels [rad] at increasing instants grid_ns (m,) [ns] for the future steering `ahead` (m,) [rad].
 
@@ -76,14 +76,14 @@ def wheel_angles_ahead(model: Model, time_ns: np.ndarray, angle: np.ndarray, gri
         return ahead
     before = slice(*np.searchsorted(time_ns, (grid_ns[0] - MEMORY_NS, grid_ns[0])).tolist())
     gap_ns, spacing = round(maximum_gap / NANOSECOND), int(grid_ns[1] - grid_ns[0])
-    # Samples at most half of maximum_gap apart, because the effects restart after a gap.
+    # The samples are at most half of maximum_gap apart, because the effects restart after a gap.
     parts = max(1, -(-2 * spacing // gap_ns))
     finer, whole = np.arange(parts * (len(ahead) - 1) + 1) / parts, np.arange(len(ahead))
     after = grid_ns[0] + np.round(np.interp(finer, whole, grid_ns - grid_ns[0])).astype(np.int64)
     beyond = after[-1] + (spacing // parts) * np.arange(1, 2 + parts * required_lookahead_ns(model) // spacing)
-    series = (np.concatenate((time_ns[before], after, beyond)),
-              np.concatenate((angle[before], np.interp(finer, whole, ahead), np.full(len(beyond), ahead[-1]))))
-    return interpolate(*correct_steering(model, *series, maximum_gap), grid_ns, gap_ns)
+    steering_ns = np.concatenate((time_ns[before], after, beyond))
+    steering = np.concatenate((angle[before], np.interp(finer, whole, ahead), np.full(len(beyond), ahead[-1])))
+    return interpolate(*correct_steering(model, steering_ns, steering, maximum_gap), grid_ns, gap_ns)
 
 
 def required_lookahead_ns(model: Model) -> int:
@@ -95,26 +95,26 @@ def required_lookahead_ns(model: Model) -> int:
 
 
 def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:
-    """The drive as recorded by faultless sensors, with steering memory applied; the `inputs` of the model do the rest.
+    """The drive as recorded by faultless sensors, with delay, play and lag of the steering applied.
 
     maximum_gap [s]. Raises StCoreError if a sensor effect needs an acceleration that was not recorded.
     """
     if not isinstance(model, AugmentedModel):
         return log
-    parts: dict[str, Any] = {}
+    corrected: dict[str, Any] = {}
     if model.has_sensor_effects:
         names = Measured._fields[:-1]
-        missing = missing_reading(model, [name for name in names if getattr(log, name) is None])
+        missing = find_missing_reading(model, [name for name in names if getattr(log, name) is None])
         if missing:
             raise StCoreError("{}: effect {} needs {}, which was not recorded".format(log.name, *missing))
+        recorded = {name: getattr(log, name) for name in Measured._fields if getattr(log, name) is not None}
         zeros = np.zeros(len(log.ins_time_ns))
-        true = model.correct(Measured(*(zeros if getattr(log, n) is None else getattr(log, n)
-                                        for n in Measured._fields)))
-        parts |= {name: getattr(true, name) for name in names if getattr(log, name) is not None}
+        true = model.correct(Measured(*(recorded.get(name, zeros) for name in Measured._fields)))
+        corrected |= {name: getattr(true, name) for name in names if name in recorded}
     if model.has_steering_dynamics:
         time_ns, angle = correct_steering(model, log.steering_time_ns, log.road_wheel_angle, maximum_gap)
-        parts |= {"steering_time_ns": time_ns, "road_wheel_angle": angle, "steering_wheel_angle": None}
-    return replace(log, **parts) if parts else log
+        corrected |= {"steering_time_ns": time_ns, "road_wheel_angle": angle, "steering_wheel_angle": None}
+    return replace(log, **corrected) if corrected else log
 
 
 def predict_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 MIN_RUNS = 8  # minimum number of runs for whole runs to be used as blocks
-BLOCK_LENGTH = 10.0  # length of a block if there are fewer runs [s]
+BLOCK_LENGTH = 10.0  # s, length of a block if there are fewer runs
 WEIGHT_INCREMENT = 1e-4  # step of the weight of a block, for difference quotients of an estimator
 SIGMA_PER_MAD = 1.4826  # standard deviation / median absolute deviation (MAD) of a normal distribution
 
@@ -98,7 +98,7 @@ class Spread:
         return np.sqrt(np.diag(self.covariance))
 
     def interval(self, index: int, value: float, deviation: float | None = None) -> tuple[float, float]:
-        """95 % confidence interval of a value. deviation: its standard uncertainty, if not from the covariance."""
+        """95 % confidence interval of a value. deviation: its standard uncertainty; None: from the covariance."""
         uncertainty = self.deviations[index] if deviation is None else deviation
         return symmetric_interval(float(value), float(uncertainty), float(self.degrees_of_freedom[index]))
 
@@ -115,14 +115,14 @@ class Blocks:
     def __len__(self) -> int:
         return len(self.run)
 
-    def sums(self, values: np.ndarray) -> np.ndarray:
+    def sum_by_block(self, values: np.ndarray) -> np.ndarray:
         """Sums of values (n, ...) over the samples of each block, (k, ...)."""
         values = np.asarray(values, float)
         result = np.zeros((len(self), *values.shape[1:]))
         np.add.at(result, self.block_of, values)
         return result
 
-    def spread(self, influence: np.ndarray) -> Spread:
+    def make_spread(self, influence: np.ndarray) -> Spread:
         """Uncertainty of p estimates from the influence (k, p) of each block; see the module docstring."""
         centred = influence - influence.mean(axis=0)
         return self._inflate(centred.T @ centred, centred)
@@ -153,15 +153,16 @@ class Blocks:
                       for number in effective)
         return Spread(covariance, np.maximum(effective - 1.0, 1.0), basis)
 
-    def regression(self, regressors: np.ndarray, response: np.ndarray) -> tuple[np.ndarray, Spread, np.ndarray]:
-        """Least squares of response (n,) on regressors (n, p): coefficients (p,), uncertainty, influence (k, p)."""
+    def fit_least_squares(self, regressors: np.ndarray,
+                          response: np.ndarray) -> tuple[np.ndarray, Spread, np.ndarray]:
+        """(coefficients (p,), uncertainty, influence (k, p)) of response (n,) on regressors (n, p)."""
         coefficients = np.linalg.lstsq(regressors, response, rcond=None)[0]
         residuals = response - regressors @ coefficients
-        influence = self.leave_out(self.sums(regressors[:, :, None] * regressors[:, None, :]),
-                                   self.sums(regressors * residuals[:, None]))
-        return coefficients, self.spread(influence), influence
+        influence = self.compute_influence(self.sum_by_block(regressors[:, :, None] * regressors[:, None, :]),
+                                           self.sum_by_block(regressors * residuals[:, None]))
+        return coefficients, self.make_spread(influence), influence
 
-    def leave_out(self, squares: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    def compute_influence(self, squares: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         """Influence psi (k, p) of each block on a least squares estimate, from its A_c (k, p, p) and g_c (k, p)."""
         # A millionth of the total keeps the system solvable if only one block excites a parameter.
         others = (1.0 + 1e-6) * squares.sum(axis=0) - squares
@@ -171,17 +172,17 @@ class Blocks:
 def make_blocks(run_of: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarray) -> Blocks:
     """Whole runs as blocks if there are at least MIN_RUNS, else sections of runs, BLOCK_LENGTH long.
 
-    run_of: (n,) number of the run of each sample. time: (n,) since the start of that run [s].
+    run_of: (n,) run number of each sample. time: (n,) time since the start of that run [s].
     """
     run_of = np.asarray(run_of)
     runs, number = np.unique(run_of, return_inverse=True)
     if len(runs) >= MIN_RUNS:
         return Blocks(number, runs, np.zeros(len(runs), np.int64), f"{len(runs)} runs")
     keys = np.stack((run_of, np.floor(np.asarray(time) / BLOCK_LENGTH).astype(np.int64)), axis=1)
-    found, member = np.unique(keys, axis=0, return_inverse=True)
+    sections, section_of = np.unique(keys, axis=0, return_inverse=True)
     plural = "s" if len(runs) > 1 else ""
-    return Blocks(member.ravel(), found[:, 0], found[:, 1],
-                  f"{len(found)} blocks of {BLOCK_LENGTH:g} s from {len(runs)} run{plural}")
+    return Blocks(section_of.ravel(), sections[:, 0], sections[:, 1],
+                  f"{len(sections)} blocks of {BLOCK_LENGTH:g} s from {len(runs)} run{plural}")
 
 
 def random_effects(values: np.ndarray, variances: np.ndarray) -> tuple[float, float, float, float]:

@@ -35,7 +35,7 @@ def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
 
 
 def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
-    """The drive with heading and lateral velocity of steady cornering, if its yaw is the course; else unchanged."""
+    """The drive with the heading and lateral velocity of steady cornering if its yaw is the course, else unchanged."""
     if log.velocity_y.any() or len(log.ins_time_ns) < 3:
         return log
     fast = log.velocity_x > MIN_SPEED
@@ -47,12 +47,12 @@ def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
     if np.std(angle) < MAX_COURSE_ERROR or not _is_course(log, steady.yaw_rate, fast):
         return log
     speed, yaw = log.velocity_x, log.yaw - angle
-    rate = derived_yaw_rate(log.ins_time_ns, yaw) if has_derived_yaw_rate(log) else log.yaw_rate
+    rate = derive_yaw_rate(log.ins_time_ns, yaw) if has_derived_yaw_rate(log) else log.yaw_rate
     return replace(log, yaw=yaw, velocity_x=speed * np.cos(angle), velocity_y=speed * np.sin(angle), yaw_rate=rate,
                    sideslip_measured=False)
 
 
-def derived_yaw_rate(time_ns: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+def derive_yaw_rate(time_ns: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     """Derivative of unwrapped yaw [rad/s], averaged over RATE_WIDTH_NS to reduce its noise."""
     return moving_average(time_ns, np.gradient(yaw, (time_ns - time_ns[0]) * NANOSECOND), RATE_WIDTH_NS)
 
@@ -60,7 +60,7 @@ def derived_yaw_rate(time_ns: np.ndarray, yaw: np.ndarray) -> np.ndarray:
 def has_derived_yaw_rate(log: DriveLog) -> bool:
     """Whether the yaw rate of the moving car is the derivative of yaw, so that no gyroscope was recorded."""
     fast = log.velocity_x > MIN_SPEED
-    error = np.abs(derived_yaw_rate(log.ins_time_ns, log.yaw) - log.yaw_rate)[fast]
+    error = np.abs(derive_yaw_rate(log.ins_time_ns, log.yaw) - log.yaw_rate)[fast]
     return bool(fast.any() and np.median(error) < MAX_DERIVATIVE_ERROR)
 
 
@@ -69,11 +69,11 @@ def _is_course(log: DriveLog, yaw_rate: np.ndarray, fast: np.ndarray) -> bool:
     time = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
     ends = time - 0.5 * COURSE_TIME, time + 0.5 * COURSE_TIME
     east, north = (np.subtract(*(np.interp(t, time, values) for t in ends[::-1])) for values in (log.x, log.y))
-    use = fast & (ends[0] >= time[0]) & (ends[1] <= time[-1]) & (np.hypot(east, north) > MIN_SPEED * COURSE_TIME)
-    if not use.any():
+    usable = fast & (ends[0] >= time[0]) & (ends[1] <= time[-1]) & (np.hypot(east, north) > MIN_SPEED * COURSE_TIME)
+    if not usable.any():
         return False
-    difference = wrap_angle(np.arctan2(north, east) - log.yaw)[use]
-    rate, speed = yaw_rate[use], log.velocity_x[use]
+    difference = wrap_angle(np.arctan2(north, east) - log.yaw)[usable]
+    rate, speed = yaw_rate[usable], log.velocity_x[usable]
     regressors = np.stack([rate / speed, rate * speed, np.ones_like(rate)], axis=1)
     coefficients = np.linalg.lstsq(regressors, difference, rcond=None)[0]
     return float(np.std(regressors @ coefficients)) < MAX_COURSE_ERROR

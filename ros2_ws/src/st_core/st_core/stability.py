@@ -19,7 +19,7 @@ MAX_SUBSTEPS = 64
 HIGHEST_SLIP_SPEED = VEHICLE_QUANTITIES["minimum_slip_speed"].maximum  # m/s
 SEARCH_START_SPEED = 60.0  # m/s, where the search for the lowest stable speed begins
 _LATERAL = (3, 5)  # indices of velocity_y and yaw_rate
-_INCREMENT = 1.0e-5  # increment of the difference quotients [m/s, rad/s]
+_INCREMENT = 1.0e-5  # m/s or rad/s, increment of the difference quotients
 _warned: set[tuple[str, str, float]] = set()
 
 
@@ -58,7 +58,7 @@ def growth_factor(model: str | Model, vehicle: VehicleParameters, speed: float, 
 
 
 def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: float) -> float:
-    """The speed [m/s] above which a step [s] is stable; 0 if stable at all speeds, inf if at none.
+    """The speed [m/s] above which a step [s] is stable; 0 if it is stable at all speeds, inf if at none.
 
     With a low minimum_slip_speed, RK4 at 50 ms needs 2.66 m/s for the Leaf and 3.98 m/s for the Genesis.
     """
@@ -102,12 +102,12 @@ def slip_speed_needed(models: Sequence[str | Model], vehicle: VehicleParameters,
         return are_stable(models, replace(vehicle, minimum_slip_speed=tenths / 10.0), speeds, step)
 
     first = math.ceil(10.0 * vehicle.minimum_slip_speed)
-    tried = np.unique(np.geomspace(first, 10.0 * HIGHEST_SLIP_SPEED, 80).astype(int)).tolist()
-    good = next((k for k, tenths in enumerate(tried) if is_stable(tenths)), None)
-    if good is None:
+    coarse = np.unique(np.geomspace(first, 10.0 * HIGHEST_SLIP_SPEED, 80).astype(int)).tolist()
+    stable = next((k for k, tenths in enumerate(coarse) if is_stable(tenths)), None)
+    if stable is None:
         return None
-    below = tried[good - 1] + 1 if good else first
-    return next(tenths for tenths in range(below, tried[good] + 1) if is_stable(tenths)) / 10.0
+    low = coarse[stable - 1] + 1 if stable else first
+    return next(tenths for tenths in range(low, coarse[stable] + 1) if is_stable(tenths)) / 10.0
 
 
 def warn_if_too_long(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> None:

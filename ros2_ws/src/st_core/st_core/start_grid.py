@@ -8,6 +8,7 @@ starts have separate instants in the same layout.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,12 +51,12 @@ class Block:
 
 
 def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, share: bool = True) -> Iterator[Block]:
-    """Blocks that cover all starts. starts_ns: increasing. instants_ns: times after each start, increasing from 0.
+    """Blocks that cover all starts. starts_ns: increasing [ns]. instants_ns: times after each start, from 0 on [ns].
 
     share: False if the values at an instant depend on the start.
     """
     runs = _find_runs(starts_ns, instants_ns) if share else []
-    columns = sum(cover + _reach(spacing, instants_ns) for _, spacing, cover in runs)
+    columns = sum(run.columns + _reach(run.spacing, instants_ns) for run in runs)
     if runs and columns <= 2 * len(starts_ns) + lanes:
         yield from _plan_shared(starts_ns, instants_ns, lanes, runs)
         return
@@ -69,13 +70,34 @@ def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, shar
                     instants_ns[:, None] + padded, np.arange(count) * width, width)
 
 
+class _Run(NamedTuple):
+    """Starts with overlapping horizons."""
+
+    rows: slice
+    spacing: int  # half steps between columns
+    columns: int
+
+
+class _Piece(NamedTuple):
+    """Part of a run that fits into a block."""
+
+    rows: slice
+    spacing: int  # half steps between columns
+    column: np.ndarray  # of each start, within the piece
+    origin_ns: int  # time of its first column
+
+    def width(self, instants_ns: np.ndarray) -> int:
+        """Number of columns, including those into which the last horizon extends."""
+        return int(self.column[-1]) + 1 + _reach(self.spacing, instants_ns)
+
+
 def _reach(spacing: int, instants_ns: np.ndarray) -> int:
     """Number of columns by which a horizon extends beyond the column of its start."""
     return (len(instants_ns) - 1) // spacing
 
 
-def _find_runs(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[tuple[slice, int, int]]:
-    """(rows, half steps between columns, columns) of starts with overlapping horizons; empty without a common grid."""
+def _find_runs(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[_Run]:
+    """Runs of all starts; empty without a common grid."""
     if len(instants_ns) < 2 or not len(starts_ns):
         return []
     half, count = int(instants_ns[1]), len(instants_ns)
@@ -88,49 +110,46 @@ def _find_runs(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[tuple[sli
         if np.any(steps % half):
             return []
         spacing = int(np.gcd.reduce(steps // half)) if len(steps) else count
-        cover = int(starts_ns[part[-1]] - starts_ns[part[0]]) // (half * spacing) + 1
-        runs.append((slice(int(part[0]), int(part[-1]) + 1), spacing, cover))
+        columns = int(starts_ns[part[-1]] - starts_ns[part[0]]) // (half * spacing) + 1
+        runs.append(_Run(slice(int(part[0]), int(part[-1]) + 1), spacing, columns))
     return runs
 
 
 def _plan_shared(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int,
-                 runs: Sequence[tuple[slice, int, int]]) -> Iterator[Block]:
+                 runs: Sequence[_Run]) -> Iterator[Block]:
     """Blocks of consecutive runs; between runs, the columns into which the last horizon extends are unused."""
     pieces = []
-    for rows, spacing, cover in runs:
-        column = (starts_ns[rows] - starts_ns[rows.start]) // (int(instants_ns[1]) * spacing)
-        for first in range(0, cover, SHARED_BLOCK):
+    for rows, spacing, columns in runs:
+        between_ns = int(instants_ns[1]) * spacing
+        column = (starts_ns[rows] - starts_ns[rows.start]) // between_ns
+        for first in range(0, columns, SHARED_BLOCK):
             begin, end = np.searchsorted(column, (first, first + SHARED_BLOCK))
-            pieces.append((slice(rows.start + int(begin), rows.start + int(end)), spacing, column[begin:end] - first,
-                           int(starts_ns[rows.start]) + first * int(instants_ns[1]) * spacing))
-    group: list[tuple] = []
+            pieces.append(_Piece(slice(rows.start + int(begin), rows.start + int(end)), spacing,
+                                 column[begin:end] - first, int(starts_ns[rows.start]) + first * between_ns))
+    group: list[_Piece] = []
     number = 0
     for piece in pieces:
-        if group and (group[0][1] != piece[1] or sum(_width(p, instants_ns) for p in (*group, piece)) > SHARED_BLOCK):
+        if group and (group[0].spacing != piece.spacing
+                      or sum(p.width(instants_ns) for p in (*group, piece)) > SHARED_BLOCK):
             yield _join_pieces(number, group, instants_ns, lanes)
             group, number = [], number + 1
         group.append(piece)
     yield _join_pieces(number, group, instants_ns, lanes)
 
 
-def _width(piece: tuple, instants_ns: np.ndarray) -> int:
-    _, spacing, column, _ = piece
-    return int(column[-1]) + 1 + _reach(spacing, instants_ns)
-
-
-def _join_pieces(number: int, pieces: list[tuple], instants_ns: np.ndarray, lanes: int) -> Block:
-    half, spacing = int(instants_ns[1]), pieces[0][1]
-    width = [_width(piece, instants_ns) for piece in pieces]
+def _join_pieces(number: int, pieces: list[_Piece], instants_ns: np.ndarray, lanes: int) -> Block:
+    half, spacing = int(instants_ns[1]), pieces[0].spacing
+    width = [piece.width(instants_ns) for piece in pieces]
     first = np.concatenate(([0], np.cumsum(width)))
     count = int(first[-1]) - _reach(spacing, instants_ns)
     columns = _round_up(count, lanes)
     width[-1] += columns - count
     indices = sum(width)
-    times = [origin + half * np.arange(w * spacing) for (*_, origin), w in zip(pieces, width, strict=True)]
+    times = [piece.origin_ns + half * np.arange(w * spacing) for piece, w in zip(pieces, width, strict=True)]
     starts = np.concatenate([t[::spacing] for t in times])[:count]
-    selected = np.concatenate([column + f for (_, _, column, _), f in zip(pieces, first, strict=False)])
+    selected = np.concatenate([piece.column + f for piece, f in zip(pieces, first, strict=False)])
     k = np.arange(len(instants_ns))
-    return Block(number, slice(pieces[0][0].start, pieces[-1][0].stop), selected, starts, np.concatenate(times),
+    return Block(number, slice(pieces[0].rows.start, pieces[-1].rows.stop), selected, starts, np.concatenate(times),
                  (k % spacing) * indices + k // spacing, columns, spacing)
 
 

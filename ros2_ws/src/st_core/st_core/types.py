@@ -15,7 +15,7 @@ from .errors import StCoreError
 
 STATE_NAMES = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
 STATE_UNITS = ("m", "m", "m/s", "m/s", "rad", "rad/s")
-Number: TypeAlias = Any  # a float or an array; functions return the kind of their arguments
+Number: TypeAlias = Any  # a float or an array
 StateTuple = tuple[float, float, float, float, float, float]
 
 

@@ -41,7 +41,7 @@ def test_an_error_that_outlasts_a_block_makes_intervals_wider(wander, seconds):
 
 
 def _interval_of_mean(values, run_of, time):
-    mean, spread, _ = make_blocks(run_of, time).regression(np.ones((len(values), 1)), values)
+    mean, spread, _ = make_blocks(run_of, time).fit_least_squares(np.ones((len(values), 1)), values)
     return spread.interval(0, mean[0])
 
 
@@ -49,8 +49,8 @@ def test_bootstrap_of_a_mean_agrees_with_its_influence():
     values, run_of = np.random.default_rng(3).standard_normal(120) + np.repeat(np.arange(12.0), 10), np.repeat(
         np.arange(12), 10)
     group = make_blocks(run_of, np.zeros(120))
-    totals = group.sums(np.stack([np.ones(120), values], axis=1))
+    totals = group.sum_by_block(np.stack([np.ones(120), values], axis=1))
     drawn = group.bootstrap(lambda w: (w @ totals[:, 1:]) / (w @ totals[:, :1]), 4000, 0)
-    _, direct, _ = group.regression(np.ones((120, 1)), values)
+    _, direct, _ = group.fit_least_squares(np.ones((120, 1)), values)
     assert drawn.deviations == pytest.approx(direct.deviations, rel=0.04)
     assert drawn.degrees_of_freedom == pytest.approx(direct.degrees_of_freedom)

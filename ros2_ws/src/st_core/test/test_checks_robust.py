@@ -116,7 +116,7 @@ def test_no_tyre_does_that(leaf):
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 49, 50, 60])
 def test_a_few_samples(leaf, count):
     log = exact_drive(leaf, 5.0)
-    short = replace(log.with_ins(np.arange(count)), steering_time_ns=log.steering_time_ns[:count],
+    short = replace(log.select_ins(np.arange(count)), steering_time_ns=log.steering_time_ns[:count],
                     road_wheel_angle=log.road_wheel_angle[:count], steering_wheel_angle=None)
     assert check(short, leaf).findings == ()
 

@@ -116,7 +116,7 @@ def test_stamps_that_go_back_or_are_there_twice(log):
 @pytest.mark.parametrize(("seconds", "severity"), [(1.0, Severity.NOTE), (4.0, Severity.WARNING)])
 def test_gaps(log, leaf, seconds, severity):
     since = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
-    findings = found(log.with_ins((since < 15.0) | (since >= 15.0 + seconds)), leaf)
+    findings = found(log.select_ins((since < 15.0) | (since >= 15.0 + seconds)), leaf)
     assert list(findings) == ["time_gaps"]
     gaps = findings["time_gaps"]
     assert gaps.severity is severity and gaps.value == pytest.approx(seconds, abs=0.02)
@@ -127,7 +127,7 @@ def test_gaps(log, leaf, seconds, severity):
 def test_rows_without_a_value(log, rows, severity):
     kept = np.ones(len(log.x), bool)
     kept[np.random.default_rng(1).choice(len(kept), rows, replace=False)] = False
-    one = found(log.with_ins(kept), auxiliary=AuxiliaryData(missing={"yaw_rate": rows}))["values_missing"]
+    one = found(log.select_ins(kept), auxiliary=AuxiliaryData(missing={"yaw_rate": rows}))["values_missing"]
     assert one.channels == ("yaw_rate",) and one.severity is severity
     assert one.value == pytest.approx(rows / len(log.x))
 
@@ -212,4 +212,4 @@ def test_uneven_stamps_of_an_uneven_recording_are_right(leaf):
     """Samples left out here and there: the motion between them is as long as the stamps say."""
     drive = exact_drive(leaf, 40.0)
     kept = np.random.default_rng(7).random(len(drive.x)) < 0.7
-    assert found(drive.with_ins(kept), leaf) == {}
+    assert found(drive.select_ins(kept), leaf) == {}

@@ -41,7 +41,7 @@ def test_two_channels_stand_still(log, leaf, names):
 
 def test_what_is_wrong_with_the_stamps_of_a_few_samples_is_told(log, leaf):
     stamps = np.repeat(log.ins_time_ns[:30], 20)
-    found, = check(log.with_ins(np.arange(30)), leaf, AuxiliaryData({"INS": stamps})).findings
+    found, = check(log.select_ins(np.arange(30)), leaf, AuxiliaryData({"INS": stamps})).findings
     assert found.name == "time_duplicates" and found.value == pytest.approx(0.95, abs=0.01)
 
 
@@ -50,7 +50,7 @@ def test_gaps_are_those_of_the_corrected_time(log, leaf):
     assert [one.name for one in check(slow, leaf).of(Severity.ERROR)] == ["time_unit"]
     kept = np.ones(len(log.x), bool)
     kept[100:101] = False
-    assert "time_gaps" not in {one.name for one in check(slow.with_ins(kept), leaf).findings}
+    assert "time_gaps" not in {one.name for one in check(slow.select_ins(kept), leaf).findings}
 
 
 def test_findings_of_unequal_severity_are_not_one():

@@ -134,7 +134,7 @@ def test_pauses_gaps_and_jumps_split_a_drive_and_a_parked_car_has_no_pass():
     log = lap(60.0)
     keep = np.ones(len(log.x), bool)
     keep[2000:2100] = False
-    assert len(split_into_passes(log.with_ins(keep), ["x"])) == 2
+    assert len(split_into_passes(log.select_ins(keep), ["x"])) == 2
     parked = DriveLog("parked", log.ins_time_ns, 0 * log.x, 0 * log.y, 0 * log.yaw, 0 * log.x, 0 * log.x, 0 * log.x,
                       log.steering_time_ns, log.road_wheel_angle)
     with pytest.raises(StCoreError, match="parked: no 20 m of continuous driving"):

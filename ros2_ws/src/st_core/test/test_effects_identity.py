@@ -73,4 +73,4 @@ def test_yaw_acceleration_of_a_drive_is_the_slope_of_its_yaw_rate():
     inside = slice(20, -20)
     np.testing.assert_allclose(wave.yaw_acceleration[inside], 0.6 * np.cos(3.0 * t)[inside], atol=8e-3)
     for few in (0, 1):
-        np.testing.assert_array_equal(drive.with_ins(np.arange(few)).yaw_acceleration, np.zeros(few))
+        np.testing.assert_array_equal(drive.select_ins(np.arange(few)).yaw_acceleration, np.zeros(few))

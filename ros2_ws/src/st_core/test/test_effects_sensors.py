@@ -12,7 +12,7 @@ from st_core.evaluation import Evaluator
 from st_core.log import DriveLog
 from st_core.models import MODELS
 from st_core.prediction import Predictor
-from st_core.readings import correct_log, correct_sample, missing_reading, predict_readings
+from st_core.readings import correct_log, correct_sample, find_missing_reading, predict_readings
 from st_core.types import InsSample, VehicleState, body_to_map, ins_to_cg_acceleration, map_to_body
 from steady_circle import cg_to_ins
 
@@ -168,7 +168,7 @@ def test_a_correction_that_needs_an_acceleration_is_made_of_the_measured_one_or_
 def test_no_effect_of_the_library_needs_an_acceleration_to_correct_the_rest():
     for effect in EFFECTS.values():
         if effect.correct:
-            assert missing_reading(augment("linear", [effect.name]), ("acceleration_x", "acceleration_y")) is None
+            assert find_missing_reading(augment("linear", [effect.name]), ("acceleration_x", "acceleration_y")) is None
 
 
 def test_models_without_sensor_effects_hand_samples_through():

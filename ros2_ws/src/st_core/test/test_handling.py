@@ -89,9 +89,9 @@ def test_growth_tells_where_the_step_is_too_long(car):
     ({"cornering_stiffness_rear": 250_000.0}, "cornering_stiffness_rear", "36.8 1/rad is outside the range"),
 ])
 def test_what_no_road_car_has_is_named_with_its_number(leaf, changes, key, number):
-    assert not handling.objections(leaf)
-    found = handling.objections(replace(leaf, **changes))
+    assert not handling.find_implausible_values(leaf)
+    found = handling.find_implausible_values(replace(leaf, **changes))
     assert any(text.startswith(f"{key}: ") and number in text and "(" in text for text in found), found
     # An answer is not blamed for what the file had already.
-    assert not handling.objections(replace(leaf, **changes), replace(leaf, **changes))
-    assert handling.objections(replace(leaf, **changes), leaf) == found
+    assert not handling.find_implausible_values(replace(leaf, **changes), replace(leaf, **changes))
+    assert handling.find_implausible_values(replace(leaf, **changes), leaf) == found

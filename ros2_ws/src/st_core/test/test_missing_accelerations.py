@@ -10,7 +10,7 @@ from st_core.discovery.next_manoeuvre import drive
 from st_core.discovery.windows import Windows, noise_floor
 from st_core.log import DriveLog
 from st_core.manoeuvres import CATALOGUE
-from st_core.readings import missing_reading
+from st_core.readings import find_missing_reading
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def logs(leaf) -> tuple[DriveLog, DriveLog]:
 def test_accelerations_needed_by_sensor_effects_on_a_kinematic_base_with_slip():
     values = {"tyre_slip": {"share": 1.0}, "yaw_rate_delay": {"time": 0.02}, "position_lag": {"time": 0.02}}
     model = augment("kinematic", {name: values[name] for name in values})
-    assert missing_reading(model, ["acceleration_x", "acceleration_y"]) is None
+    assert find_missing_reading(model, ["acceleration_x", "acceleration_y"]) is None
 
 
 def test_windows_are_scored_where_it_is_known(logs, leaf):

@@ -9,7 +9,7 @@ from st_core.augmented import augment
 from st_core.evaluation import Evaluator
 from st_core.log_evaluation import EvaluationSettings, evaluate_log
 from st_core.models import get_model
-from st_core.planned_inputs import PlannedInputs, model_inputs, plan_problem, recorded_plan, steady_state_steering
+from st_core.planned_inputs import PlannedInputs, find_plan_problem, recorded_plan, select_inputs, steady_state_steering
 from st_core.prediction import PredictionSettings, Predictor, Start, predict
 from st_core.types import ControlInput, InputSequence, InsSample, VehicleState
 
@@ -81,7 +81,7 @@ def test_a_steady_turn_follows_the_planned_curvature(leaf):
 def test_a_path_has_slip_free_steering_only_for_models_without_tyres(leaf, model, slip_free):
     path = PlannedInputs.from_path(START, plan().time_ns, np.full(61, 10.0), np.full(61, 0.02), leaf)
     planned = path.sequence(START, 20, 0.05)
-    used = model_inputs(get_model(model), planned).road_wheel_angle
+    used = select_inputs(get_model(model), planned).road_wheel_angle
     expected = planned.signals["slip_free_angle"] if slip_free else planned.road_wheel_angle
     np.testing.assert_array_equal(used, expected)
 
@@ -107,5 +107,5 @@ def test_a_path_has_slip_free_steering_only_for_models_without_tyres(leaf, model
     ({"speed": np.full(61, 15.0)}, "speed is 15 m/s at the start, but 10 m/s was measured"),
 ])
 def test_bad_plans_are_refused_with_the_reason(leaf, changes, reason):
-    found = plan_problem(plan(**changes), START, STATE, HELD, 5.0, leaf)
+    found = find_plan_problem(plan(**changes), START, STATE, HELD, 5.0, leaf)
     assert reason in found and bool(found) == bool(reason)

@@ -11,7 +11,7 @@ from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import IdentificationError
 from st_core.log import DriveLog
 from st_core.log_evaluation import evaluate_log
-from st_core.sideslip import derived_yaw_rate, has_derived_yaw_rate, steady_velocity_y, with_steady_sideslip
+from st_core.sideslip import derive_yaw_rate, has_derived_yaw_rate, steady_velocity_y, with_steady_sideslip
 from st_core.vehicle import VehicleParameters
 from support import ROOT
 from winding_road import Truth, winding_road
@@ -53,8 +53,8 @@ def test_predictions_are_better(course: DriveLog) -> None:
 
 def test_a_yaw_rate_derived_from_the_course_is_that_of_the_heading(course: DriveLog) -> None:
     time_ns = course.ins_time_ns
-    read = with_steady_sideslip(replace(course, yaw_rate=derived_yaw_rate(time_ns, course.yaw)), CAR)
-    np.testing.assert_allclose(read.yaw_rate, derived_yaw_rate(time_ns, read.yaw), atol=1e-6)
+    read = with_steady_sideslip(replace(course, yaw_rate=derive_yaw_rate(time_ns, course.yaw)), CAR)
+    np.testing.assert_allclose(read.yaw_rate, derive_yaw_rate(time_ns, read.yaw), atol=1e-6)
     assert not [finding for finding in check(read, CAR).findings if finding.name.startswith("yaw")]
 
 
@@ -107,4 +107,4 @@ def test_a_drive_with_a_long_stop_has_the_yaw_rate_of_its_gyroscope(heading: Dri
     moved = {name: stopped(getattr(heading, name), stop[:1]) for name in ("velocity_x", "velocity_y", "yaw_rate")}
     log = replace(heading, ins_time_ns=time_ns, **still, **moved, acceleration_x=None, acceleration_y=None)
     assert not has_derived_yaw_rate(log)
-    assert has_derived_yaw_rate(replace(log, yaw_rate=derived_yaw_rate(time_ns, log.yaw)))
+    assert has_derived_yaw_rate(replace(log, yaw_rate=derive_yaw_rate(time_ns, log.yaw)))

@@ -9,7 +9,7 @@ from canedge_bridge.signals import find_unit as find_dbc_unit
 from canedge_bridge.signals import load_table
 from canedge_bridge.table_reader import TableError
 from st_core.errors import StCoreError
-from st_core.handling import objections
+from st_core.handling import find_implausible_values
 from st_core.prediction import PredictionSettings
 from st_core.stability import slip_speed_needed
 from st_core.vehicle import (
@@ -145,7 +145,7 @@ def list_remarks(folder: str) -> list[str]:
     """Lists remarks on a valid car: values that are unusual for a road car, and the uncertainties in use."""
     car = load_car(folder)
     vehicle = read_vehicle(car.vehicle)
-    return [*(f"{car.vehicle}: unusual: {text}" for text in objections(vehicle)), *_list_bus_remarks(car),
+    return [*(f"{car.vehicle}: unusual: {text}" for text in find_implausible_values(vehicle)), *_list_bus_remarks(car),
             "uncertainty of each quantity, one standard deviation (the prior of st discover):",
             *(f"  {line}" for line in list_uncertainties(vehicle))]
 

@@ -94,7 +94,7 @@ def _is_measured(models: Sequence[Model], signals: LogSignals, starts_ns: np.nda
     times = starts_ns[:, None] + half_step_grid(0, settings.prediction.steps, settings.prediction.step)
     own_logs = [correct_log(model, signals.log, signals.maximum_gap) for model in models]
     for log in {id(log): log for log in (signals.log, *own_logs)}.values():
-        own = signals if log is signals.log else signals.of(log)
+        own = signals if log is signals.log else signals.for_log(log)
         state, = own.ins_at(starts_ns, "x")
         acceleration, = own.ins_at(times, "velocity_x_dot")
         angle = own.road_wheel_angle_at(times)

@@ -110,7 +110,7 @@ def drop_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveL
         kept = np.flatnonzero(~bad_rows)
         # Unwrapping across an implausible sample may have added a full turn to yaw.
         turns = np.where(np.diff(kept) > 1, np.round(np.diff(log.yaw[kept]) / (2.0 * np.pi)), 0.0)
-        log = log.with_ins(kept)
+        log = log.select_ins(kept)
         log = replace(log, yaw=log.yaw - 2.0 * np.pi * np.concatenate(([0.0], np.cumsum(turns))))
     if bad_steering.any() and not bad_steering.all():
         names = [name for name in ("steering_time_ns", *STEERING) if getattr(log, name) is not None]

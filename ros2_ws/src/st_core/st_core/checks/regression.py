@@ -103,8 +103,8 @@ class Regression:
             return {}
         theta, _, weights = self.fit(names)
         design = np.stack([self.columns[name] for name in names], axis=-1)
-        normals = self._blocks.sums(weights[:, None, None] * np.einsum("nip,niq->npq", design, design))
-        right_sides = self._blocks.sums(weights[:, None] * np.einsum("nip,ni->np", design, self.y))
+        normals = self._blocks.sum_by_block(weights[:, None, None] * np.einsum("nip,niq->npq", design, design))
+        right_sides = self._blocks.sum_by_block(weights[:, None] * np.einsum("nip,ni->np", design, self.y))
         normal, right_side = normals.sum(axis=0), right_sides.sum(axis=0)
         diagonal = np.diag(np.diag(normal)) + 1e-12 * np.eye(len(names))  # the causes may be collinear on this drive
 

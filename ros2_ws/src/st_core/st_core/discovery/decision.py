@@ -24,7 +24,7 @@ class Checks:
     drives divided by the peak force, for an effect on the peak. worse_axle: an axle on which the effect acts, and with
     measured forces closer to the vehicle file than to the final model, or "". summed: other effects of the model; only
     their sum with this effect is identifiable. objection: reason why the car with this effect would be implausible (see
-    `handling.objections`), or ""."""
+    `handling.find_implausible_values`), or ""."""
 
     excludes_null: bool = True
     crossing: str = ""

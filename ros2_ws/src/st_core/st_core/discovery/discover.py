@@ -9,7 +9,7 @@ import numpy as np
 from ..channels import CHANNEL_OF_COLUMN, CHANNELS
 from ..effects import TOTAL_DELAY, get_effect
 from ..errors import StCoreError
-from ..handling import objections
+from ..handling import find_implausible_values
 from ..log import DriveLog
 from ..models import Model
 from ..vehicle import VehicleParameters
@@ -319,7 +319,8 @@ class _Analysis:
                 worse_axle |= dict.fromkeys(axles.acting(axle, names), axle)
             for name in names:
                 alone = self.space.at(self.problem.start).with_values({name: self.space.values(name, found.fit.vector)})
-                objection[name] = next(iter(objections(alone.effective_vehicle(self.vehicle), self.vehicle)), "")
+                implausible = find_implausible_values(alone.effective_vehicle(self.vehicle), self.vehicle)
+                objection[name] = next(iter(implausible), "")
         # Only the total delay of the steering is identifiable, not its parts.
         delays = [n for n in names if TOTAL_DELAY in get_effect(n).combinations] if axles is not None else []
         return {e.name: decision.naming_verdict(found.evidence[e.name], self.limits, decision.Checks(

@@ -196,7 +196,7 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     quadratic = problem.loss.quadratic(rows, slopes)
     used = np.flatnonzero(windows.used)
     group = make_blocks(windows.run[used], windows.seconds[used])
-    hessian, gradient = group.sums(quadratic.hessian[used]), group.sums(quadratic.gradient[used])
+    hessian, gradient = group.sum_by_block(quadratic.hessian[used]), group.sum_by_block(quadratic.gradient[used])
     total = hessian.sum(axis=0)
     size = np.sqrt(np.diag(total).clip(1e-300))
     if np.linalg.cond(total / np.outer(size, size)) > MAX_CONDITION:
@@ -204,7 +204,7 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
                                   "speeds and bends, or fit fewer parameters")
     # Ratio of the curvature of the loss to its Gauss-Newton approximation, which is too large.
     ratio = np.clip((np.diag(problem.loss.curvature(rows, slopes)) / np.diag(total)).mean(), MIN_CURVATURE_RATIO, 1.0)
-    influence = group.leave_out(ratio * hessian, gradient)
+    influence = group.compute_influence(ratio * hessian, gradient)
 
     def to_quantities(vector: np.ndarray) -> np.ndarray:
         fitted = {f"{e}.{p}": value for e in effects for p, value in space.values(e, vector).items()}
@@ -219,7 +219,7 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     points, columns = len(windows.time), len(windows.columns)
     residuals = -rows.reshape(len(rows), points, columns)[used].reshape(-1, columns)
     return DrivingFit(
-        tuple(names), values, group.spread(influence @ change.T),
+        tuple(names), values, group.make_spread(influence @ change.T),
         tuple(name for name in names if FREE_PARAMETERS[name].effect in stopped), change, total, residuals,
         windows.columns, np.repeat(windows.run[used], points), np.repeat(windows.seconds[used], points), counts,
         windows.curvature_square, windows.acceleration, windows.peaks)

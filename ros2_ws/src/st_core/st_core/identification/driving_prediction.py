@@ -28,7 +28,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..augmented import AugmentedModel
-from ..handling import objections
+from ..handling import find_implausible_values
 from ..log import DriveLog
 from ..models import Model, get_model
 from ..regression import correlation_matrix, extrapolation_uncertainty
@@ -166,7 +166,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     result = _make_identification("yaw-inertia", vehicle, fit, method, INERTIA_NAMES[:4], covered, timing)
     found = result["yaw_inertia"]
     warnings = [*notices, *result.warnings]
-    implausible = [text for text in objections(replace(vehicle, yaw_inertia=max(found.value, 10.0)))
+    implausible = [text for text in find_implausible_values(replace(vehicle, yaw_inertia=max(found.value, 10.0)))
                    if text.startswith("yaw_inertia")]
     if implausible:
         text = f"{implausible[0]}: the transients are too weak, or steering or tyre dynamics are mistaken for inertia."

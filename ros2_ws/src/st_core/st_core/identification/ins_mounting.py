@@ -57,7 +57,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     used = tuple(run.name for run, c in zip(runs, columns, strict=True) if len(c))
 
     regressors = np.stack([speed, rate, speed**2 * rate, speed * rate_dot], axis=1)
-    theta, spread, _ = group.regression(regressors, lateral)
+    theta, spread, _ = group.fit_least_squares(regressors, lateral)
     estimates = [_make_estimate("cg_to_ins_x", theta[1] - vehicle.cg_to_rear_axle, spread, 1, 1.0, "m", used,
                                 f"{theta[1]:.3f} m ahead of the rear axle", 0.1),
                  _make_estimate(MISALIGNMENT, -theta[0], spread, 0, 1.0, "rad", used,
@@ -110,7 +110,7 @@ def _estimate_lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.nd
         slope = -vehicle.wheelbase * rate**2 / (forward**2 + (vehicle.wheelbase * rate) ** 2)
         # delta_file = f (kinematic + c kinematic^3 + slope (d_y' - d_y) + K v r) + o
         regressors = np.stack([kinematic, slope, speed * rate, np.ones_like(speed), kinematic**3], axis=1)
-        theta, spread, _ = group.regression(regressors, angle)
+        theta, spread, _ = group.fit_least_squares(regressors, angle)
         d_y += float(theta[1] / theta[0])
     return _make_estimate("cg_to_ins_y", d_y, spread, 1, float(1.0 / theta[0]), "m", used,
                           "left of the CG, from bends to both sides", 0.1)

@@ -54,7 +54,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
 
     run_of = np.concatenate([np.full(len(w), i) for i, w in enumerate(windows)])
     times = np.concatenate([w[:, 0] for w in windows])
-    _, spread, _ = make_blocks(run_of, times).regression(np.ones((len(values), 1)), values)
+    _, spread, _ = make_blocks(run_of, times).fit_least_squares(np.ones((len(values), 1)), values)
     used = {run.name: len(w) for run, w in zip(runs, windows, strict=True)}
     direct = _to_estimate(DIRECT_NAME, float(values.mean()), spread, "mean reading on steady straights", used,
                           f"{len(values)} windows of {WINDOW:g} s")

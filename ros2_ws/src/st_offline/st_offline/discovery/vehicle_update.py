@@ -15,7 +15,7 @@ from st_core.discovery import Discovery
 from st_core.discovery.result import Run
 from st_core.effects import Effect, get_effect
 from st_core.errors import ConfigurationError, StCoreError
-from st_core.handling import objections
+from st_core.handling import find_implausible_values
 from st_core.log import DriveLog
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.log_signals import LogSignals
@@ -121,7 +121,7 @@ def fold_named_effects(found: Discovery, request: Request) -> VehicleUpdate | No
     vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
     reported = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
     return VehicleUpdate(vehicle, text, model, tuple(effect.name for effect in folded), reported, not_folded, error,
-                         worse, objections(vehicle, request.vehicle))
+                         worse, find_implausible_values(vehicle, request.vehicle))
 
 
 def _without_file(vehicle: VehicleParameters, model: AugmentedModel, not_folded: Mapping[str, Mapping[str, Any]],

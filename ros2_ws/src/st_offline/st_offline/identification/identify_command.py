@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 from st_core.checks import Finding
-from st_core.handling import objections
+from st_core.handling import find_implausible_values
 from st_core.identification import result
 from st_core.provenance import Provenance
 from st_core.vehicle import VehicleParameters, find_quantity, value_of
@@ -62,7 +62,8 @@ def run_command(job: IdentificationJob, console: Console) -> int:
                       for outcome in found)
     now = datetime.now(UTC)
     car = result.apply_to_vehicle(job.setup.vehicle, found, f"{now:%Y-%m-%d}")
-    found = (replace(found[0], warnings=(*found[0].warnings, *objections(car, job.setup.vehicle))), *found[1:])
+    warnings = (*found[0].warnings, *find_implausible_values(car, job.setup.vehicle))
+    found = (replace(found[0], warnings=warnings), *found[1:])
     stale = result.describe_stale_scales(job.setup.vehicle, found)
     with console.status("writing"):
         files = write_results(job, found, car, make_provenance(job, now))

@@ -223,7 +223,7 @@ class PredictorNode(Node):
         """Publish predictions of all models with the inputs of a plan or course, and add them to `issued`."""
         for model in self._outputs:
             run_started = time.perf_counter()
-            model_inputs = self._core.model_inputs(model, inputs)
+            model_inputs = self._core.select_inputs(model, inputs)
             trajectory = self._core.run(start, model, model_inputs)
             compute_time = time.perf_counter() - run_started
             message = convert.make_planned_message(start, model, plan_ns, model_inputs, trajectory,

@@ -9,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from st_core.sideslip import derived_yaw_rate
+from st_core.sideslip import derive_yaw_rate
 
 from .columns import (
     COLUMNS,
@@ -447,5 +447,5 @@ def differentiate_yaw(table: Table, angle: np.ndarray) -> np.ndarray:
     rate = np.full(len(angle), np.nan)
     rows = np.flatnonzero(table.used & np.isfinite(angle))
     if len(rows) > 2:
-        rate[rows] = derived_yaw_rate(table.time_ns[rows], np.unwrap(angle[rows]))
+        rate[rows] = derive_yaw_rate(table.time_ns[rows], np.unwrap(angle[rows]))
     return rate
