@@ -36,21 +36,18 @@ MIN_STEERING_SPAN = math.radians(180)
 _MESSAGE = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n(?:[ \t]+SG_.*\n|[ \t]*\n(?=[ \t]+SG_))*", re.MULTILINE)
 _SIGNAL_ATTRIBUTE = re.compile(r"^(?:SIG_VALTYPE_|SG_MUL_VAL_) +(?P<id>\d+) .*;", re.MULTILINE)
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFFFFFF
-# UNITS: unit -> (SI unit, factor). _SPELLINGS: unit -> other spellings in DBC files, case ignored.
-UNITS = {
-    "": ("", 1.0), "deg": ("rad", math.pi / 180), "rad": ("rad", 1.0), "mrad": ("rad", 1e-3),
-    "deg/s": ("rad/s", math.pi / 180), "mrad/s": ("rad/s", 1e-3),
-    "rad/s": ("rad/s", 1.0), "km/h": ("m/s", 1 / 3.6), "m/s": ("m/s", 1.0), "mph": ("m/s", 0.44704), "s": ("s", 1.0),
-    "ms": ("s", 1e-3), "min": ("min", 1.0), "h": ("h", 1.0),
+UNITS: Mapping[str, tuple[str, float, tuple[str, ...]]] = {
+    "": ("", 1.0, ("-", "none", "unitless", "1")), "deg": ("rad", math.pi / 180, ("degree", "degrees", "degs", "°")),
+    "rad": ("rad", 1.0, ("rads", "radian", "radians")), "mrad": ("rad", 1e-3, ("milliradian",)),
+    "deg/s": ("rad/s", math.pi / 180, ("deg/sec", "degree/s", "degrees/s", "degrees/sec", "°/s", "dps")),
+    "mrad/s": ("rad/s", 1e-3, ()), "rad/s": ("rad/s", 1.0, ("rad/sec", "radians/s")),
+    "km/h": ("m/s", 1 / 3.6, ("kph", "kmh", "kmph", "km/hr", "kilometers/hour")),
+    "m/s": ("m/s", 1.0, ("mps", "m/sec")), "mph": ("m/s", 0.44704, ("mi/h", "mile/h")),
+    "s": ("s", 1.0, ("sec", "seconds")), "ms": ("s", 1e-3, ("msec",)), "min": ("min", 1.0, ("minutes",)),
+    "h": ("h", 1.0, ("hours",)),
 }
-_SPELLINGS = {
-    "": ("-", "none", "unitless", "1"), "deg": ("degree", "degrees", "degs", "°"), "rad": ("rads", "radian", "radians"),
-    "mrad": ("milliradian",), "mrad/s": (),
-    "deg/s": ("deg/sec", "degree/s", "degrees/s", "degrees/sec", "°/s", "dps"), "rad/s": ("rad/sec", "radians/s"),
-    "km/h": ("kph", "kmh", "kmph", "km/hr", "kilometers/hour"), "m/s": ("mps", "m/sec"), "mph": ("mi/h", "mile/h"),
-    "s": ("sec", "seconds"), "ms": ("msec",), "min": ("minutes",), "h": ("hours",),
-}
-_UNIT_OF = {text: unit for unit, spellings in _SPELLINGS.items() for text in (unit, *spellings)}
+"""Unit -> (SI unit, factor, other spellings in DBC files, case ignored)."""
+_UNIT_OF = {text: unit for unit, (_, _, spellings) in UNITS.items() for text in (unit, *spellings)}
 
 
 def find_unit(text: str | None) -> str | None:
@@ -323,7 +320,7 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
         raise TableError(f"{origin}: {text!r} is not one of {', '.join(o or repr(o) for o in UNITS)}")
     si_unit = CANONICAL_SIGNALS[name]
     if UNITS[unit][0] != si_unit:
-        possible = " or ".join(u for u, (si, _) in UNITS.items() if si == si_unit)
+        possible = " or ".join(u for u, (si, *_) in UNITS.items() if si == si_unit)
         missing = f", and {dbc_path} gives no unit" if not (dbc.unit or "") and not unit else ""
         raise TableError(f"{origin}: {text!r} cannot be converted to {si_unit!r} ({name}){missing}; "
                          f"write {possible!r}, the unit of the sensor")

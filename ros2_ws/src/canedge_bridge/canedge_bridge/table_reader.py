@@ -75,16 +75,10 @@ class Entry:
         return [Entry(self.origin, f"{self._at(key)}[{i}]", value) for i, value in enumerate(values)]
 
     def text(self, key: str) -> str:
-        value = self._get(key)
-        if not isinstance(value, str):
-            raise self._fail(key, f"{value!r} is not a string")
-        return value
+        return self._typed(key, str, "a string")
 
     def boolean(self, key: str) -> bool:
-        value = self._get(key)
-        if not isinstance(value, bool):
-            raise self._fail(key, f"{value!r} is not true or false")
-        return value
+        return self._typed(key, bool, "true or false")
 
     def choice(self, key: str, allowed: Iterable[Any]) -> Any:
         value = self._get(key)
@@ -101,10 +95,7 @@ class Entry:
         return self._number(key, self._get(key), minimum, maximum)
 
     def integer(self, key: str, minimum: int, maximum: int) -> int:
-        value = self._get(key)
-        if not isinstance(value, int) or isinstance(value, bool):
-            raise self._fail(key, f"{value!r} is not a whole number")
-        return int(self._number(key, value, minimum, maximum))
+        return int(self._number(key, self._typed(key, int, "a whole number"), minimum, maximum))
 
     def quantity(self, key: str, unit: str, minimum: float, maximum: float) -> float:
         """A number with its unit, `key: {value: 1.0, unit: s}`."""
@@ -123,6 +114,12 @@ class Entry:
         if not low < high:
             raise self._fail(key, f"{low:g} is not below {high:g}")
         return low, high
+
+    def _typed(self, key: str, kind: type, description: str) -> Any:
+        value = self._get(key)
+        if type(value) is not kind:
+            raise self._fail(key, f"{value!r} is not {description}")
+        return value
 
     def _number(self, key: str, value: Any, minimum: float, maximum: float) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):

@@ -3,6 +3,7 @@
 import codecs
 import re
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import import_module
@@ -10,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from .errors import COMPRESSED_MARKS, format_share, shorten
-from .mf4 import VENDOR_SUFFIXES
+from .mf4 import MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
 
-MF4_EXTENSIONS = (".mf4", ".mdf")
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
 _UTF16_BOMS = (b"\xff\xfe", b"\xfe\xff")
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
@@ -40,10 +40,12 @@ codecs.register_error(_CP1252_FALLBACK, lambda error: (
 
 class Lines:
     """Iterates over the lines of a text log in any encoding; python-can uses it as a file.
-    position: number of the last line that was read. last: its text. `unread`: makes a line the next one."""
 
-    def __init__(self, file: Path, convert: Callable[[str], str] = str):
-        self._convert, self._unread = convert, list[str]()
+    position: number of the last line that was read. last: its text. `unread`: makes a line the next one.
+    """
+
+    def __init__(self, file: Path):
+        self._unread: list[str] = []
         with file.open("rb") as stream:
             head = stream.read(1 << 16)
         # Comments and dates may contain Windows-1252 characters, even after the first 64 KiB.
@@ -58,10 +60,14 @@ class Lines:
     def __next__(self) -> str:
         if self._unread:
             self.last = self._unread.pop()
-            return self.last
-        self.last = self._convert(next(self._stream))
-        self.position += 1
+        else:
+            self.last = self.convert(next(self._stream))
+            self.position += 1
         return self.last
+
+    def convert(self, line: str) -> str:
+        """Converts a line to the form that python-can can parse."""
+        return line
 
     def unread(self, line: str) -> None:
         self._unread.append(line)
@@ -80,17 +86,16 @@ class Format:
     messages: Callable[[Path, list[str]], Iterator[Any]]
 
 
-def _make_text_reader(make: Callable[[Lines, list[str]], Any],
-                      converter: Callable[[], Callable[[str], str]] = lambda: str,
-                      restart: str = "") -> Callable[[Path, list[str]], Iterator[Any]]:
+def _make_text_reader(make: Callable[[Lines, list[str]], Any], lines_type: type[Lines] = Lines, restart: str = ""
+                      ) -> Callable[[Path, list[str]], Iterator[Any]]:
     """Makes a reader of a text format that skips lines which python-can cannot read.
 
-    make: makes the python-can reader. converter: makes a function that converts each line before it is parsed. restart:
-    line to insert after an unreadable line, because python-can parses a header when it starts again.
+    make: makes the python-can reader from the lines and the notes. restart: line to insert after an unreadable line,
+    because python-can parses a header when it starts again.
     """
     def messages(file: Path, notes: list[str]) -> Iterator[Any]:
-        lines, bad = Lines(file, converter()), list[int]()
-        try:
+        bad = list[int]()
+        with closing(lines_type(file)) as lines:
             reader = make(lines, notes)
             remaining = iter(reader)
             while True:
@@ -108,8 +113,6 @@ def _make_text_reader(make: Callable[[Lines, list[str]], Any],
             if bad:
                 notes.insert(0, f"{format_share(len(bad), lines.position, 'lines')} cannot be read and were skipped; "
                              f"the first is line {bad[0]}")
-        finally:
-            lines.close()
 
     return messages
 
@@ -120,17 +123,22 @@ def month_number(name: str) -> int | None:
     return _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
 
 
-def _convert_candump_line(line: str) -> str:
-    """Converts a line that candump prints to the format in which it logs (-l); other lines are not changed."""
-    match = _SCREEN_LINE.match(line)
-    if match is None:
-        return line
-    clock, stamp, channel, direction, identifier, length, data = match.groups()
-    if clock:
-        stamp = f"{datetime.fromisoformat(clock).replace(tzinfo=UTC).timestamp():.6f}"
-    data = "R" if data.startswith("remote") else "".join(data.split())
-    kind = "##0" if len(length) > 1 else "#"  # two digits for CAN FD
-    return f"({stamp}) {channel} {identifier}{kind}{data}{' T' if direction == 'TX' else ''}\n"
+class _CandumpLines(Lines):
+    def convert(self, line: str) -> str:
+        """Converts a line that candump prints to the format in which it logs (-l); other lines are not changed."""
+        match = _SCREEN_LINE.match(line)
+        if match is None:
+            return line
+        clock, stamp, channel, direction, identifier, length, data = match.groups()
+        if clock:
+            stamp = f"{datetime.fromisoformat(clock).replace(tzinfo=UTC).timestamp():.6f}"
+        data = "R" if data.startswith("remote") else "".join(data.split())
+        kind = "##0" if len(length) > 1 else "#"  # two digits for CAN FD
+        return f"({stamp}) {channel} {identifier}{kind}{data}{' T' if direction == 'TX' else ''}\n"
+
+
+def _read_candump(lines: Lines, notes: list[str]) -> Any:
+    return import_module("can.io.canutils").CanutilsLogReader(lines)
 
 
 def _read_asc(lines: Lines, notes: list[str]) -> Any:
@@ -154,20 +162,17 @@ def _read_asc(lines: Lines, notes: list[str]) -> Any:
     return Reader(lines, relative_timestamp=False)
 
 
-class _AscLines:
-    """Converts the lines of an ASC log so that python-can can read them: times since the start, English months, and
-    hours of 0 to 23 without a.m. or p.m."""
+class _AscLines(Lines):
+    _are_relative, _seconds = False, 0.0  # whether times count from the previous line; last time since the start
 
-    def __init__(self) -> None:
-        self._relative, self._seconds = False, 0.0
-
-    def __call__(self, line: str) -> str:
+    def convert(self, line: str) -> str:
+        """Writes times since the start, English months, and hours of 0 to 23 without a.m. or p.m."""
         if stamp := _ASC_STAMP.match(line):
             seconds = float(".".join(stamp.groups()))
-            self._seconds = seconds + (self._seconds if self._relative else 0.0)
+            self._seconds = seconds + (self._seconds if self._are_relative else 0.0)
             return f"{self._seconds:.6f}{line[stamp.end():]}"
         if line.lower().startswith("base "):
-            self._relative = "timestamps relative" in line.lower()
+            self._are_relative = "timestamps relative" in line.lower()
         match = _WEEKDAY_MONTH.match(line)
         if match is None:
             return line
@@ -233,6 +238,13 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
         notes.append(f"is truncated: {format_share(reader.file_size - size, reader.file_size, 'bytes')} are missing")
 
 
+def _is_trc(head: bytes) -> bool:
+    if b";$FILEVERSION" in head:
+        return True
+    is_old = b"Message Number" in head or (b"Start time:" in head and _TRC_LINE.search(head) is not None)
+    return head.lstrip().startswith(b";") and is_old
+
+
 def _is_candump(head: bytes) -> bool:
     lines = head.replace(b"\0", b"").splitlines()[:20]
     return any(re.match(rb"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#", line) or _SCREEN_LINE.match(line.decode("latin-1"))
@@ -246,19 +258,14 @@ def _is_asc(head: bytes) -> bool:
 
 
 FORMATS = (
-    Format("candump", (".log", ".candump"), _is_candump,
-           _make_text_reader(lambda lines, notes: import_module("can.io.canutils").CanutilsLogReader(lines),
-                             lambda: _convert_candump_line)),
+    Format("candump", (".log", ".candump"), _is_candump, _make_text_reader(_read_candump, _CandumpLines)),
     Format("Vector ASC", (".asc",), _is_asc, _make_text_reader(_read_asc, _AscLines, "\n")),
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _read_blf),
-    Format("PEAK trace", (".trc",), lambda head: b";$FILEVERSION" in head or (
-        head.lstrip().startswith(b";") and (b"Message Number" in head or (
-            b"Start time:" in head and _TRC_LINE.search(head) is not None))),
-           _make_text_reader(_read_trc)),
+    Format("PEAK trace", (".trc",), _is_trc, _make_text_reader(_read_trc)),
 )
 SHARED_EXTENSIONS = (".log", ".txt", "")
 """Extensions that CAN logs share with files of other programs."""
-EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *VENDOR_SUFFIXES}
+EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *VENDOR_EXTENSIONS}
 
 
 def is_can_log(file: Path) -> bool:
@@ -274,5 +281,5 @@ def is_can_log(file: Path) -> bool:
             head = stream.read(4096)
     except OSError:
         head = b""
-    return head[:4] in (b"MDF ", b"UnFi") or any(kind.matches(head) for kind in FORMATS) or (
+    return is_mdf(head) or any(kind.matches(head) for kind in FORMATS) or (
         extension == ".log" and (not head or head.startswith(tuple(COMPRESSED_MARKS))))

@@ -10,7 +10,7 @@ import can
 import numpy as np
 from scipy.ndimage import median_filter
 
-from .can_formats import FORMATS, MF4_EXTENSIONS, UNSTAMPED_LINE, Format
+from .can_formats import FORMATS, UNSTAMPED_LINE, Format
 from .errors import RunError, check_readable, shorten
 from .frames import (
     ERROR,
@@ -29,7 +29,7 @@ from .frames import (
     remove_duplicates,
 )
 from .ins_log import LATEST_TIME
-from .mf4 import parse_session, read_mf4, reject_vendor_container
+from .mf4 import MF4_EXTENSIONS, is_mdf, parse_session, read_mf4, reject_unreadable
 
 BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMP_NS = 86400 * 10**9  # a frame that is further from both of its neighbours has a damaged time
@@ -68,15 +68,16 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
 def _read_log(file: Path) -> CanLog:
     """Reads the log in one file. Its warnings do not name the file."""
     check_readable(file)
-    reject_vendor_container(file)
     with file.open("rb") as stream:
         head = stream.read(4096)
-    if head[:4] in (b"MDF ", b"UnFi"):
+    reject_unreadable(file, head)
+    if is_mdf(head):
         return read_mf4(file)
     kind = next((f for f in FORMATS if f.matches(head)), None)
     if kind is None:
         if file.suffix.lower() in MF4_EXTENSIONS:
-            read_mf4(file)  # raises the reason why it is not a valid MF4
+            raise RunError(file, "this is not an MF4 file (no MDF mark at its start)",
+                           "correct its extension, or remove it from the command")
         if UNSTAMPED_LINE.search(head):
             raise RunError(file, "this output of candump has no time stamps", "record again with candump -l")
         known = ", ".join(["MF4", *(f.name for f in FORMATS)])

@@ -17,13 +17,15 @@ from typing import Any
 import numpy as np
 
 from . import frames, mdf_blocks
-from .errors import RunError, check_readable, format_share, shorten
+from .errors import RunError, format_share, shorten
 from .mdf_blocks import VARIABLE_LENGTH, VIRTUAL, DamageError
 
 RECORDS_AT_ONCE = 1 << 20
 LATEST_START, LONGEST_SESSION = 4 * 10**9, 1e9  # s; their sum in ns fits into int64
 MDF_OPTIONS: dict[str, Any] = {"process_bus_logging": False}  # do not decode the frames
-VENDOR_SUFFIXES = (".mfc", ".mfe", ".mfm")
+MF4_EXTENSIONS = (".mf4", ".mdf")
+_VENDOR_KINDS = {".mfc": "compressed", ".mfe": "encrypted", ".mfm": "compressed and encrypted"}
+VENDOR_EXTENSIONS = tuple(_VENDOR_KINDS)
 _FLAGS_OF_KIND = {"CAN_DataFrame": 0, "CAN_RemoteFrame": frames.REMOTE, "CAN_ErrorFrame": frames.ERROR}
 _TIME_CHANNELS = (2, 3)  # channel types of time: master, virtual master
 FD_LENGTHS = np.array([*range(9), 12, 16, 20, 24, 32, 48, 64], np.uint8)  # data length code -> bytes, ISO 11898-1
@@ -46,30 +48,32 @@ def parse_session(path: Path) -> tuple[str, int]:
     return str(path), 1
 
 
-def reject_vendor_container(path: Path) -> None:
-    """Raises RunError for a compressed or encrypted container of the logger vendor, recognised by name or content."""
-    if path.suffix.lower() in VENDOR_SUFFIXES or _read_head(path).startswith(b"Generic File"):
-        kinds = {".mfc": "compressed", ".mfe": "encrypted", ".mfm": "compressed and encrypted"}
-        kind = kinds.get(path.suffix.lower(), "compressed or encrypted")
+def is_mdf(head: bytes) -> bool:
+    """Whether a file with these first bytes is an MDF file, finalised or not."""
+    return head[:4] in (b"MDF ", b"UnFi")
+
+
+def reject_unreadable(path: Path, head: bytes) -> None:
+    """Raises RunError for a compressed or encrypted container of the logger vendor, or another version of MDF.
+
+    head: first 64 bytes of the file or more.
+    """
+    extension, version = path.suffix.lower(), head[8:12]
+    if extension in _VENDOR_KINDS or head.startswith(b"Generic File"):
+        kind = _VENDOR_KINDS.get(extension, "compressed or encrypted")
         raise RunError(path, f"this is a {kind} log in the container format of CSS Electronics, which cannot be read",
                        "convert it with their mdf2finalized or CANedge MF4 converter, and give the resulting .MF4")
+    if is_mdf(head) and version[:2] != b"4.":
+        raise RunError(path, f"this is MDF version {version.decode('latin-1').strip()}; only version 4 can be read",
+                       "convert it with asammdf")
 
 
 def read_mf4(path: Path) -> frames.CanLog:
-    """Reads all CAN frames of one file in order of time. The warnings do not name the file.
+    """Reads all CAN frames of an MDF 4 file in order of time. The warnings do not name the file.
 
     A file that ends in the middle of a record, as is usual when the ignition is switched off, is read up to that
-    record, with a warning. Raises RunError for a file that is not MF4, contains no CAN frames, or has a truncated block
-    structure.
+    record, with a warning. Raises RunError for a file that contains no CAN frames or has a truncated block structure.
     """
-    check_readable(path)
-    reject_vendor_container(path)
-    if _read_head(path)[:4] not in (b"MDF ", b"UnFi"):
-        raise RunError(path, "this is not an MF4 file (no MDF mark at its start)",
-                       "correct its extension, or remove it from the command")
-    if (version := _read_head(path)[8:12])[:2] != b"4.":
-        raise RunError(path, f"this is MDF version {version.decode('latin-1').strip()}; only version 4 can be read",
-                       "convert it with asammdf")
     warnings: list[str] = []
     decoded_signals: list[str] = []
     with _open_quietly(path, warnings) as log:
@@ -99,11 +103,6 @@ def read_mf4(path: Path) -> frames.CanLog:
     warnings += frames.describe_clock_steps(clock_steps)
     return frames.CanLog(frames.merge_by_time(parts), (path,), start_ns, warnings=tuple(warnings),
                          steps=tuple(clock_steps))
-
-
-def _read_head(path: Path) -> bytes:
-    with path.open("rb") as stream:
-        return stream.read(64)
 
 
 @contextmanager
