@@ -70,8 +70,8 @@ class Columns(Packet):
         return len(self.offset)
 
     def take(self, rows: np.ndarray) -> Packet:
-        """The values of the packets at some indices, or where a mask is true."""
-        return Packet(**{field.name: getattr(self, field.name)[..., rows] for field in fields(Packet)})
+        """The packets at these indices, without batch_s."""
+        return Packet(*(getattr(self, field.name)[..., rows] for field in fields(Packet)[:-1]))
 
 
 def decode_file(source: str | Path | bytes) -> Columns:

@@ -117,10 +117,11 @@ def radii(latitude: Number) -> tuple[Number, Number]:
 
 def to_ecef(latitude: Number, longitude: Number, height: Number) -> Vector:
     """Earth-centred x, y, z [m] from latitude, longitude [rad] and height above the ellipsoid [m]."""
-    sin, cos, _ = _functions(latitude)
-    normal = radii(latitude)[1]
+    sin, cos, sqrt = _functions(latitude)
+    sine = sin(latitude)
+    normal = SEMI_MAJOR_AXIS / sqrt(1 - ECCENTRICITY_SQUARED * sine**2)
     axis_distance = (normal + height) * cos(latitude)
-    z = (normal * (1 - ECCENTRICITY_SQUARED) + height) * sin(latitude)
+    z = (normal * (1 - ECCENTRICITY_SQUARED) + height) * sine
     return axis_distance * cos(longitude), axis_distance * sin(longitude), z
 
 

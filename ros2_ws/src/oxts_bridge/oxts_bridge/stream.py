@@ -94,7 +94,7 @@ class NcomParser:
         packet = ncom.decode_unchecked(raw)
         kind, order = rule.kind, NEW
         gps_ns: int | None = None
-        fields, minute = self._decode_status(packet, status) if rule.has_status else (_NO_FIELDS, None)
+        fields, minute = self._decode_status(packet, status) if kind != "empty" else (_NO_FIELDS, None)
         if rule.has_time and packet.milliseconds >= MINUTE_MS:
             counters.impossible_times += 1
         elif rule.has_time:
