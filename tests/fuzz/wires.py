@@ -62,17 +62,17 @@ class Pipeline:
             for origin in self.origins:
                 frame = origin.update(motion, self.status, now_ns)
                 if frame is not None:
-                    assert all(map(math.isfinite, motion.position(frame))), motion
-            assert all(map(math.isfinite, (*motion.attitude.quaternion(), *motion.velocity, *motion.body_velocity)))
+                    assert all(map(math.isfinite, motion.locate(frame))), motion
+            assert all(map(math.isfinite, (*motion.attitude.to_quaternion(), *motion.velocity, *motion.body_velocity)))
         if received.kind == "regular":
             self.statistics.add(received)
 
     def finish(self) -> None:
         Accuracy.from_status(self.status)
         self.statistics.take()
-        self.statistics.stamp_minus_host()
+        self.statistics.summarise_clock_offset()
         assert len(self.status.values) < 2000 and len(self.status.seen) <= 256
-        assert math.isnan(self.status.number("no such field"))
+        assert math.isnan(self.status.get_number("no such field"))
 
 
 def with_checksums(data: bytes) -> bytes:

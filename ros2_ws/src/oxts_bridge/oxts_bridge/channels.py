@@ -233,7 +233,7 @@ def _nibbles(at: int, low: str, high: str) -> list[Field]:
 
 
 def _trigger(channel: int) -> list[Field]:
-    """GPS time of an event (minutes, milliseconds and units of 4 us) and its count; see event_nanoseconds()."""
+    """GPS time of an event (minutes, milliseconds and units of 4 us) and its count; see decode_event_time()."""
     name = TRIGGER_CHANNELS[channel].removesuffix("Time")
     return [F(f"{name}Minutes", "i32", 0, "min", validity=POSITIVE), F(f"{name}Milliseconds", "u16", 4, "ms"),
             F(f"{name}Fine", "i8", 6, "4 us"), F(f"{name}Count", "u8", 7, validity=POSITIVE)]
@@ -416,7 +416,7 @@ def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
     return values
 
 
-def event_nanoseconds(channel: int, data: bytes) -> int | None:
+def decode_event_time(channel: int, data: bytes) -> int | None:
     """GPS time of an event [ns since 1980-01-06, in steps of 4 us] from the 8 bytes of a trigger channel.
 
     None for another channel, and if no event has occurred yet.
@@ -429,7 +429,7 @@ def event_nanoseconds(channel: int, data: bytes) -> int | None:
     return int(minutes * 60_000_000_000 + milliseconds * 1_000_000 + fine * 4_000)
 
 
-def utc_offset(data: bytes) -> int | None:
+def decode_utc_offset(data: bytes) -> int | None:
     """UTC - GPS time [s] from the 8 bytes of channel 16; None if invalid or positive (UTC is never ahead of GPS)."""
     offset = _DECODE_UTC_OFFSET(int.from_bytes(data, "little"), data)
     return None if offset is None or offset > 0 else int(offset)

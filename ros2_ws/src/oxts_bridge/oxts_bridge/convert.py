@@ -22,10 +22,10 @@ from tf2_msgs.msg import TFMessage
 
 from .channels import Value
 from .geometry import Quaternion, Vector, flu_from_frd
-from .motion import Accuracy, Motion, variances
-from .ncom import BY_STATUS, Counters, fix_status, mode_text
+from .motion import Accuracy, Motion, compute_variances
+from .ncom import BY_STATUS, Counters, describe_mode, get_fix_status
 from .status import StatusTracker
-from .stream import Received
+from .stream import ReceivedPacket
 
 # Variance of an unknown quantity in messages that cannot express "unknown": so large that filters ignore the value, but
 # finite, because an infinite variance makes filters fail.
@@ -83,14 +83,14 @@ class Publishers:
         for publisher in self._publishers:
             self._node.destroy_publisher(publisher)
 
-    def publish_raw(self, received: Received, now: float) -> None:
+    def publish_raw(self, received: ReceivedPacket, now: float) -> None:
         """Publish st_msgs/Ncom: the packet as received, stamped with the time of receipt."""
         if received.received_ns is not None and self._out["ncom"].has_subscribers(now):
             _set_time(self._ncom.header.stamp, received.received_ns)
             self._ncom.raw_packet.data[:] = memoryview(received.raw)
             self._out["ncom"].publish(self._ncom)
 
-    def publish_time_reference(self, received: Received, now: float) -> None:
+    def publish_time_reference(self, received: ReceivedPacket, now: float) -> None:
         """Publish sensor_msgs/TimeReference: host time of receipt (header) and UTC of the INS."""
         received_ns, utc_ns = received.received_ns, received.utc_ns
         if received_ns is not None and utc_ns is not None and self._out["time_reference"].has_subscribers(now):
@@ -112,7 +112,8 @@ class Publishers:
                 _set_time(message.header.stamp, stamp_ns)
                 _set_pose(message.pose.pose, position, motion)
                 _set_twist(message.twist.twist, motion)
-                _set_diagonal(message.pose.covariance, 7, variances(accuracy.position) or (UNKNOWN_VARIANCE,) * 3)
+                variances = compute_variances(accuracy.position) or (UNKNOWN_VARIANCE,) * 3
+                _set_diagonal(message.pose.covariance, 7, variances)
                 _set_block(message.pose.covariance, 21, _orientation_covariance(motion, accuracy) or _UNKNOWN_BLOCK)
                 _set_block(message.twist.covariance, 0, _velocity_covariance(motion, accuracy))
                 self._out["odometry"].publish(message)
@@ -120,7 +121,7 @@ class Publishers:
                 x, y, z = motion.attitude.to_enu(self._ins_to_base)
                 _set_time(self._transform.header.stamp, stamp_ns)
                 _set_vector(self._transform.transform.translation, (position[0] + x, position[1] + y, position[2] + z))
-                _set_quaternion(self._transform.transform.rotation, motion.attitude.quaternion())
+                _set_quaternion(self._transform.transform.rotation, motion.attitude.to_quaternion())
                 self._tf.publish(self._transforms)
         if self._out["velocity"].has_subscribers(now):
             _set_time(self._velocity.header.stamp, stamp_ns)
@@ -133,18 +134,18 @@ class Publishers:
         if not self._out["nav_sat_fix"].has_subscribers(now):
             return
         # Height above the ellipsoid = altitude + undulation. The manual subtracts; recordings show that this is wrong.
-        undulation = 0.0 if self._settings.altitude_is_ellipsoidal else status.number("Undulation")
-        message, known = self._fix, variances(accuracy.position)
+        undulation = 0.0 if self._settings.altitude_is_ellipsoidal else status.get_number("Undulation")
+        message, known = self._fix, compute_variances(accuracy.position)
         _set_time(message.header.stamp, stamp_ns)
         message.latitude, message.longitude = degrees(motion.latitude), degrees(motion.longitude)
         message.altitude = motion.altitude + undulation
-        message.status.status = fix_status(status.get("GpsPosMode"))
+        message.status.status = get_fix_status(status.get("GpsPosMode"))
         _set_diagonal(message.position_covariance, 4, known or (0.0,) * 3)
         message.position_covariance_type = (
             NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if known else NavSatFix.COVARIANCE_TYPE_UNKNOWN)
         self._out["nav_sat_fix"].publish(message)
 
-    def publish_imu(self, stamp_ns: int, received: Received, motion: Motion | None, accuracy: Accuracy,
+    def publish_imu(self, stamp_ns: int, received: ReceivedPacket, motion: Motion | None, accuracy: Accuracy,
                     now: float) -> None:
         """Publish sensor_msgs/Imu. motion: None without a valid attitude.
 
@@ -162,7 +163,7 @@ class Publishers:
             covariance[:] = 0.0
             covariance[0] = -1.0
         else:
-            _set_quaternion(self._imu.orientation, motion.attitude.quaternion())
+            _set_quaternion(self._imu.orientation, motion.attitude.to_quaternion())
             covariance[:] = _orientation_covariance(motion, accuracy) or 0.0
         self._out["imu"].publish(self._imu)
 
@@ -182,7 +183,7 @@ class Publishers:
         """Publish st_msgs/InsStatus with the newest values of all status channels."""
         if self._status is None:
             return
-        number, get, accuracy = status.number, status.get, Accuracy.from_status(status)
+        number, get, accuracy = status.get_number, status.get, Accuracy.from_status(status)
         (east, north, up), (velocity_east, velocity_north, velocity_up), (roll, pitch, heading) = accuracy
         message = InsStatus(
             header=Header(frame_id=self._settings.ins_frame),
@@ -207,7 +208,7 @@ class Publishers:
         _set_time(message.header.stamp, stamp_ns)
         for name, field in (("position", "GpsPosMode"), ("velocity", "GpsVelMode"), ("orientation", "GpsAttMode")):
             setattr(message, f"{name}_mode", _to_integer(get(field)))
-            setattr(message, f"{name}_mode_text", mode_text(get(field)))
+            setattr(message, f"{name}_mode_text", describe_mode(get(field)))
         self._status.publish(message)
 
     def publish_origin(self, stamp_ns: int, geodetic: tuple[float, float, float]) -> None:
@@ -261,7 +262,7 @@ def _set_diagonal(covariance: Any, step: int, variances: Vector) -> None:
 
 def _set_pose(pose: Any, position: Vector, motion: Motion) -> None:
     _set_vector(pose.position, position)
-    _set_quaternion(pose.orientation, motion.attitude.quaternion())
+    _set_quaternion(pose.orientation, motion.attitude.to_quaternion())
 
 
 def _set_twist(twist: Any, motion: Motion) -> None:
@@ -270,14 +271,14 @@ def _set_twist(twist: Any, motion: Motion) -> None:
 
 
 def _velocity_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...]:
-    known = variances(accuracy.velocity)
-    return _UNKNOWN_BLOCK if known is None else motion.attitude.covariance_to_body(known)
+    known = compute_variances(accuracy.velocity)
+    return _UNKNOWN_BLOCK if known is None else motion.attitude.rotate_covariance(known)
 
 
 def _orientation_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...] | None:
     """Row-major 3 x 3 covariance [rad^2]; None while unknown."""
-    known = variances(accuracy.attitude)
-    return None if known is None else motion.attitude.orientation_covariance(known)
+    known = compute_variances(accuracy.attitude)
+    return None if known is None else motion.attitude.rotate_orientation_covariance(known)
 
 
 def _to_integer(value: Value) -> int:

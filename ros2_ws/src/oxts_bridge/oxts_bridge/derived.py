@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import lfilter, lfilter_zi
 
 from .file_decoder import EMPTY, REGULAR, UNKNOWN_TIME, Columns
-from .geometry import Attitude, Vector, flu_from_frd, radii
+from .geometry import Attitude, Vector, compute_radii, flu_from_frd
 from .motion import Motion
 from .ncom import STATUS_ONLY, Packet
 
@@ -44,7 +44,7 @@ def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
              "roll")
     motion = Motion.from_packet(Packet(**{name: np.where(fix, getattr(columns, name), np.nan) for name in names}))
     out: dict[str, np.ndarray] = {}
-    attitude, seconds = motion.attitude, float_seconds(columns)
+    attitude, seconds = motion.attitude, compute_gps_seconds(columns)
     level_axes = Attitude(np.zeros(len(columns)), attitude.pitch, attitude.roll)
     level_rate = flu_from_frd(level_axes.to_enu(motion.angular_velocity))
     s, c = np.sin(attitude.yaw), np.cos(attitude.yaw)
@@ -62,7 +62,7 @@ def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
     return out
 
 
-def float_seconds(columns: Columns) -> np.ndarray:
+def compute_gps_seconds(columns: Columns) -> np.ndarray:
     """GPS seconds since 1980-01-06, NaN if unknown.
 
     Minutes and milliseconds are added as floats, as in the vendor's tools: the rounding error of 2e-7 s affects the
@@ -145,10 +145,10 @@ def _add_filtered(out: dict, columns: Columns, seconds: np.ndarray, settings: Se
         first = [(int(np.searchsorted(series, index)), *setting) for index, setting in changes]
         for axis, values in zip("xyz", signal, strict=True):
             out[prefix + axis] = filtered = np.full(len(seconds), np.nan)
-            filtered[series] = low_pass(seconds[series], values[series], first)
+            filtered[series] = filter_low_pass(seconds[series], values[series], first)
 
 
-def low_pass(seconds: np.ndarray, values: np.ndarray,
+def filter_low_pass(seconds: np.ndarray, values: np.ndarray,
              settings: Sequence[tuple[int, float | None, float | None]]) -> np.ndarray:
     """Values filtered by the second-order low-pass with the settings that the unit sends in channels 63 and 74.
 
@@ -196,17 +196,17 @@ def _acceleration_over_ground(motion: Motion) -> Vector:
     latitude, height = motion.latitude, motion.altitude
     east, north, _ = motion.velocity
     s, c = np.sin(latitude), np.cos(latitude)
-    meridian, normal = radii(latitude)
+    meridian, normal = compute_radii(latitude)
     rotation = np.array([-north / (meridian + height), 2 * EARTH_RATE * c + east / (normal + height),
                          2 * EARTH_RATE * s + east * s / c / (normal + height)])
     correction = -np.cross(rotation, motion.velocity, axis=0)
-    correction[2] -= gravity(latitude, height)
+    correction[2] -= compute_gravity(latitude, height)
     x, y, z = motion.acceleration
     a, b, c = motion.attitude.to_body(tuple(correction))
     return x + a, y + b, z + c
 
 
-def gravity(latitude: np.ndarray, height: np.ndarray) -> np.ndarray:
+def compute_gravity(latitude: np.ndarray, height: np.ndarray) -> np.ndarray:
     """Normal gravity [m/s^2] at a latitude [rad] and height [m]; constant below height 0."""
     surface = 9.780318 * (1 + 5.3024e-3 * np.sin(latitude) ** 2 - 5.9e-6 * np.sin(2 * latitude) ** 2)
     return surface / (1 + np.maximum(height, 0) / 6367435.68) ** 2

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .channels import FIELDS, INVERTED_B6, Value
-from .derived import Settings, derive, float_seconds
+from .derived import Settings, compute_gps_seconds, derive
 from .file_decoder import EMPTY, KINDS, STATUS, TRIGGER, UNKNOWN_TIME, Columns, decode_file
 from .ncom import NcomError
 from .packet_time import WEEK_MS
@@ -79,7 +79,7 @@ def _make_table(columns: Columns, settings: Settings) -> dict[str, np.ndarray]:
         "out_type": out_type,
         "nav_mode": columns.navigation_status,
         "channel": columns.channel,
-        "time": float_seconds(columns),
+        "time": compute_gps_seconds(columns),
         "week": np.where(in_series, (gps_ms // WEEK_MS).astype(str), ""),
         "tow": np.where(in_series, gps_ms % WEEK_MS / 1e3, np.nan),
         "quality": quality,
@@ -117,7 +117,7 @@ def _read_status(columns: Columns) -> tuple[list[Change], Settings]:
         # The status in a packet applies from the next packet on; in a trigger packet, it applies from this packet on.
         since = i if columns.kind[i] == TRIGGER else i + 1
         if channel == 4 and fields:
-            north, east = tracker.number("VnAcc"), tracker.number("VeAcc")
+            north, east = tracker.get_number("VnAcc"), tracker.get_number("VeAcc")
             settings.speed_accuracy.append((since, 2 * (north**2 + east**2) ** 0.5))
         elif channel == 74 and fields:
             settings.acceleration_filter.append((since, (tracker.get("LinAccFiltFreq"), tracker.get("LinAccFiltZeta"))))

@@ -58,7 +58,7 @@ class Attitude:
         """From the angles of a packet: heading clockwise from north, pitch nose up +, roll right side down + [rad]."""
         return cls(yaw_from_heading(heading), -pitch, roll)
 
-    def quaternion(self) -> Quaternion:
+    def to_quaternion(self) -> Quaternion:
         """x, y, z, w of the rotation from body axes to ENU; w >= 0."""
         sin, cos, _ = _functions(self.yaw)
         yaw, pitch, roll = self.yaw / 2, self.pitch / 2, self.roll / 2
@@ -80,7 +80,7 @@ class Attitude:
         x, y, z = body
         return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
 
-    def covariance_to_body(self, enu_variances: Vector) -> tuple[float, ...]:
+    def rotate_covariance(self, enu_variances: Vector) -> tuple[float, ...]:
         """Covariance of independent ENU errors in body axes, row by row: R^T diag(enu_variances) R."""
         rows = self._rows
         ve, vn, vu = enu_variances
@@ -91,7 +91,7 @@ class Attitude:
         zz = ve * rows[2] ** 2 + vn * rows[5] ** 2 + vu * rows[8] ** 2
         return xx, xy, xz, xy, yy, yz, xz, yz, zz
 
-    def orientation_covariance(self, attitude_variances: Vector) -> tuple[float, ...]:
+    def rotate_orientation_covariance(self, attitude_variances: Vector) -> tuple[float, ...]:
         """Covariance about the fixed axes at small pitch and roll, row by row: Rz(yaw) diag(variances) Rz(yaw)^T.
 
         attitude_variances: of roll, pitch, heading [rad^2]."""
@@ -107,7 +107,7 @@ def flu_from_frd(frd: Vector) -> Vector:
     return frd[0], -frd[1], -frd[2]
 
 
-def radii(latitude: Number) -> tuple[Number, Number]:
+def compute_radii(latitude: Number) -> tuple[Number, Number]:
     """(meridian, normal) radius of curvature [m] at a geodetic latitude [rad]."""
     sin, _, sqrt = _functions(latitude)
     w = 1 - ECCENTRICITY_SQUARED * sin(latitude) ** 2
@@ -138,7 +138,7 @@ class LocalFrame:
         self._ecef = to_ecef(latitude, longitude, altitude)
         self._rotation = sin(latitude), cos(latitude), sin(longitude), cos(longitude)
 
-    def enu(self, latitude: Number, longitude: Number, altitude: Number) -> Vector:
+    def to_enu(self, latitude: Number, longitude: Number, altitude: Number) -> Vector:
         """East, north, up [m] of a position relative to the origin."""
         x, y, z = to_ecef(latitude, longitude, altitude)
         x0, y0, z0 = self._ecef

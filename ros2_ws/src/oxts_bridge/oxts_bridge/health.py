@@ -6,8 +6,8 @@ from typing import Any
 
 from st_ros.diagnostics import ERROR, OK, WARN, Check
 
-from .motion import UNIT, Accuracy, Origin, variances
-from .ncom import BLOCKED, BY_STATUS, EXPIRED, LOCKED, LOCKING, mode_rank, mode_text
+from .motion import UNIT, Accuracy, Origin, compute_variances
+from .ncom import BLOCKED, BY_STATUS, EXPIRED, LOCKED, LOCKING, describe_mode, rank_mode
 from .sources import SourceStatus
 from .status import StatusTracker
 from .stream import NcomParser, StreamStatistics
@@ -116,9 +116,9 @@ class Health:
         get, accuracy = self._status.get, Accuracy.from_status(self._status)
         east, north, _ = accuracy.position
         values = {
-            "position mode": mode_text(get("GpsPosMode")),
-            "velocity mode": mode_text(get("GpsVelMode")),
-            "orientation mode": mode_text(get("GpsAttMode")),
+            "position mode": describe_mode(get("GpsPosMode")),
+            "velocity mode": describe_mode(get("GpsVelMode")),
+            "orientation mode": describe_mode(get("GpsAttMode")),
             "satellites": get("GpsNumObs"),
             "position accuracy east [m]": east,
             "position accuracy north [m]": north,
@@ -131,9 +131,9 @@ class Health:
         text = BY_STATUS[self.navigation_status].text
         if self.navigation_status == LOCKED:
             mode = get("GpsPosMode")
-            self._best_mode = max(self._best_mode, mode, key=mode_rank)
-            if mode_rank(mode) < mode_rank(self._best_mode):
-                change = f"position mode fell from {mode_text(self._best_mode)} to {mode_text(mode)}"
+            self._best_mode = max(self._best_mode, mode, key=rank_mode)
+            if rank_mode(mode) < rank_mode(self._best_mode):
+                change = f"position mode fell from {describe_mode(self._best_mode)} to {describe_mode(mode)}"
                 return Check("solution", WARN, f"{text}: {change}", values)
             return Check("solution", OK, text, values)
         if self.navigation_status in (EXPIRED, BLOCKED):
@@ -151,19 +151,19 @@ class Health:
             degraded.append("absolute time (channel 0): minute taken from the host's clock")
         if status.get("Undulation") is None and not self._ellipsoidal:
             degraded.append("geoid undulation (channel 48): altitude of ins/nav_sat_fix is NaN")
-        if None in map(variances, Accuracy.from_status(status)):
+        if None in map(compute_variances, Accuracy.from_status(status)):
             degraded.append("accuracies (channels 3, 4, 5): covariances unknown")
         if self._origin.frame is None:
             pending = "the unit's local frame" if self._origin.source == UNIT else "the first fix"
             degraded.append(f"map origin: ins/odometry and tf wait for {pending}")
-        elif self._origin.used != self._origin.source:
+        elif self._origin.chosen_source != self._origin.source:
             degraded.append("the unit's local frame (channels 66, 67): map origin is the first fix")
         if self._parser.utc_offset is None:
             missing.append("UTC offset (leap-second table used)")
         if status.get("SerialNumber") is None and status.get("SerialNumber24") is None:
             missing.append("serial number")
         values = {"also missing": ", ".join(missing) or "nothing", "channels seen": len(status.seen),
-                  "map origin": self._origin.used or "none"}
+                  "map origin": self._origin.chosen_source or "none"}
         if degraded:
             return Check("completeness", WARN, "missing: " + "; ".join(degraded), values)
         return Check("completeness", OK, "complete", values)
@@ -172,7 +172,7 @@ class Health:
         offset = self._parser.utc_offset
         values: dict[str, Any] = {"time jumps": self._parser.clock.jumps,
                                   "UTC offset [s]": "leap-second table" if offset is None else offset}
-        differences = self._statistics.stamp_minus_host() if self._live else None
+        differences = self._statistics.summarise_clock_offset() if self._live else None
         if differences is None:
             return Check("time", OK, "not compared with the host's clock" if not self._live else "no time yet", values)
         median, percentile_1, newest = differences

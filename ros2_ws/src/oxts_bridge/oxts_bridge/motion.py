@@ -9,7 +9,7 @@ from .geometry import Attitude, LocalFrame, Number, Vector, flu_from_frd, yaw_fr
 from .ncom import Packet
 from .packet_time import NEW, SAME
 from .status import StatusTracker
-from .stream import HostMinute, NcomParser, Received
+from .stream import HostMinute, NcomParser, ReceivedPacket
 
 FIRST_FIX, GIVEN, UNIT = "first_fix", "given", "unit"
 # A unit with a local frame sends it at least every 200 packets; after this time [ns], the unit is taken to have none.
@@ -28,12 +28,12 @@ class Accuracy(NamedTuple):
 
     @classmethod
     def from_status(cls, status: StatusTracker) -> "Accuracy":
-        get = status.number
+        get = status.get_number
         return cls((get("EastAcc"), get("NorthAcc"), get("AltAcc")), (get("VeAcc"), get("VnAcc"), get("VdAcc")),
                    (radians(get("RollAcc")), radians(get("PitchAcc")), radians(get("HeadingAcc"))))
 
 
-def variances(deviations: Vector) -> Vector | None:
+def compute_variances(deviations: Vector) -> Vector | None:
     """Squares of three standard deviations; None if one is unknown."""
     a, b, c = deviations
     return None if isnan(a + b + c) else (a**2, b**2, c**2)
@@ -64,12 +64,12 @@ class Motion:
         return cls(packet.latitude, packet.longitude, packet.altitude, attitude, velocity, attitude.to_body(velocity),
                    flu_from_frd(packet.angular_rate), flu_from_frd(packet.acceleration))
 
-    def position(self, frame: LocalFrame) -> Vector:
+    def locate(self, frame: LocalFrame) -> Vector:
         """East, north, up [m] in a local frame."""
-        return frame.enu(self.latitude, self.longitude, self.altitude)
+        return frame.to_enu(self.latitude, self.longitude, self.altitude)
 
 
-def extract_motion(received: Received) -> Motion | None:
+def extract_motion(received: ReceivedPacket) -> Motion | None:
     """The motion in a packet; None unless it has a fix and valid position, velocity, angles and angular rates."""
     if received.rule.navigation != "valid" or received.kind not in ("regular", "trigger"):
         return None
@@ -83,13 +83,13 @@ class Origin:
     """Origin of the map frame: the first fix, a given point, or the unit's own local frame; constant once chosen.
 
     frame: None until chosen. geodetic: latitude, longitude [deg], altitude [m] of the origin. source: as configured.
-    used: source of the chosen origin ("" before), FIRST_FIX also if the unit sends no local frame within 10 s.
+    chosen_source: source of the chosen origin ("" before), FIRST_FIX also if the unit sends no local frame within 10 s.
     """
 
     def __init__(self, source: str, given: tuple[float, float, float] | None = None) -> None:
         """given: latitude, longitude [deg], altitude [m] as the unit sends it; required for source GIVEN."""
         self.source = source
-        self.used = ""
+        self.chosen_source = ""
         self.frame: LocalFrame | None = None
         self.geodetic: tuple[float, float, float] | None = None
         self._waiting_since_ns: int | None = None  # for the unit's local frame
@@ -114,7 +114,7 @@ class Origin:
         return self._set(FIRST_FIX, degrees(motion.latitude), degrees(motion.longitude), motion.altitude)
 
     def _set(self, used: str, latitude: float, longitude: float, altitude: float) -> LocalFrame:
-        self.used = used
+        self.chosen_source = used
         self.geodetic = latitude, longitude, altitude
         self.frame = LocalFrame(radians(latitude), radians(longitude), altitude)
         return self.frame
@@ -144,4 +144,4 @@ def reconstruct_odometry(packets: Iterable[tuple[int, bytes]], origin: Origin, l
                 minute.update(received, received_ns, parser.clock)
             stamp = received_ns if by_receive_time else received.utc_ns
             if motion is not None and frame is not None and stamp is not None:
-                yield stamp, motion.position(frame), motion
+                yield stamp, motion.locate(frame), motion

@@ -108,17 +108,17 @@ _FIX_STATUS = {
 _MODES_BY_ACCURACY = (0, 1, 2, 3, 7, 4, 5, 6)
 
 
-def mode_text(mode: int | None) -> str:
+def describe_mode(mode: int | None) -> str:
     """Name of a position, velocity or orientation mode; "" for None, "unknown (n)" for an undefined number."""
     return "" if mode is None else MODES.get(mode, f"unknown ({mode})")
 
 
-def mode_rank(mode: int | None) -> int:
+def rank_mode(mode: int | None) -> int:
     """Accuracy rank of a live GNSS mode, 0 (none) to 7 (RTK integer); -1 for any other mode and for None."""
     return _MODES_BY_ACCURACY.index(mode) if mode in _MODES_BY_ACCURACY else -1
 
 
-def fix_status(mode: int | None) -> int:
+def get_fix_status(mode: int | None) -> int:
     """NavSatStatus.status for a position mode; NO_FIX for None and undefined numbers."""
     return NO_FIX if mode is None else _FIX_STATUS.get(mode, NO_FIX)
 
@@ -155,7 +155,7 @@ class Packet:
 
 
 def decode(data: bytes) -> Packet:
-    """Physical values of a packet; next_packet() verifies the checksums.
+    """Physical values of a packet; find_next_packet() verifies the checksums.
 
     Raises NcomError for another length, a wrong sync byte, or structure B (navigation status 11, vendor-internal).
     """
@@ -245,7 +245,7 @@ class Counters:
     impossible_positions: int = 0  # NaN or out of range although the navigation status declares a position: masked
 
 
-def next_packet(data: bytes, at: int, in_sync: bool, counters: Counters) -> tuple[int, bool]:
+def find_next_packet(data: bytes, at: int, in_sync: bool, counters: Counters) -> tuple[int, bool]:
     """(index of the next whole packet, or else of the first byte to keep; whether a packet is expected there).
 
     in_sync: a packet is expected at `at`. Counts checksum_errors and skipped_bytes. Out of sync, a packet is accepted

@@ -16,10 +16,10 @@ from .geometry import LocalFrame, Vector
 from .health import Health
 from .motion import FIRST_FIX, GIVEN, UNIT, Accuracy, Motion, Origin, extract_motion
 from .ncom import NcomError
-from .packet_time import DUPLICATE, NEW, SAME, unix_nanoseconds
+from .packet_time import DUPLICATE, NEW, SAME, to_unix_nanoseconds
 from .sources import Continuity, ReplaySource, Source, UdpSource, is_address
 from .status import EventLog, StatusTracker
-from .stream import HostMinute, NcomParser, Received, StreamStatistics
+from .stream import HostMinute, NcomParser, ReceivedPacket, StreamStatistics
 
 TOPICS = ("ncom", "odometry", "imu", "nav_sat_fix", "velocity", "time_reference", "status", "trigger", "origin")
 NCOM, RECEIVE = "ncom", "receive"
@@ -163,7 +163,7 @@ class OxtsBridge(LifecycleNode):
                                         throttle_duration_sec=10.0)
         return len(packets)
 
-    def _process(self, received: Received, received_ns: int, publishers: Publishers, publish: bool) -> None:
+    def _process(self, received: ReceivedPacket, received_ns: int, publishers: Publishers, publish: bool) -> None:
         now = time.monotonic()
         self._health.last_packet_at = now
         if publish and received.order != DUPLICATE:
@@ -184,7 +184,7 @@ class OxtsBridge(LifecycleNode):
         position = self._position(publishers, received_ns, motion)
         if (event := self._events.detect(received)) is not None:
             pose = (position, motion) if event.has_pose else (None, None)
-            utc_ns = unix_nanoseconds(event.gps_ns, self._parser.utc_offset)
+            utc_ns = to_unix_nanoseconds(event.gps_ns, self._parser.utc_offset)
             publishers.publish_trigger(utc_ns, event.channel, event.count, *pose)
         if in_series:
             self._continuity.update(received.packet)
@@ -201,9 +201,9 @@ class OxtsBridge(LifecycleNode):
         if frame is not self._published_frame and self._origin.geodetic is not None:
             self._published_frame = frame
             publishers.publish_origin(received_ns, self._origin.geodetic)
-        return None if frame is None else motion.position(frame)
+        return None if frame is None else motion.locate(frame)
 
-    def _publish_motion(self, publishers: Publishers, received: Received, motion: Motion | None,
+    def _publish_motion(self, publishers: Publishers, received: ReceivedPacket, motion: Motion | None,
                         position: Vector | None, now: float) -> None:
         stamp = received.utc_ns if self._settings.stamp_source == NCOM else received.received_ns
         publishers.publish_time_reference(received, now)

@@ -26,7 +26,7 @@ CONFIRMATION_MS = 1_000
 LARGEST_STEP_NS = 1_000_000_000
 
 
-def unix_nanoseconds(gps_nanoseconds: int, utc_offset: int | None = None) -> int:
+def to_unix_nanoseconds(gps_nanoseconds: int, utc_offset: int | None = None) -> int:
     """UTC [ns since 1970] from GPS time [ns since 1980-01-06].
 
     utc_offset: UTC - GPS as sent by the unit [s], negative; None: leap-second table.
@@ -36,7 +36,7 @@ def unix_nanoseconds(gps_nanoseconds: int, utc_offset: int | None = None) -> int
     return gps_nanoseconds + (GPS_EPOCH_UNIX + utc_offset) * 1_000_000_000
 
 
-def host_minute(received_ns: int, milliseconds: int) -> int:
+def compute_host_minute(received_ns: int, milliseconds: int) -> int:
     """The GPS minute in which a packet with these milliseconds is nearest to a host time [ns since 1970].
 
     Correct if the host's clock is within half a minute of UTC.
@@ -67,7 +67,7 @@ class GpsClock:
     @property
     def is_settled(self) -> bool:
         """Whether the time is known and neither a minute change nor a run of late packets awaits confirmation."""
-        return self._time() is not None and self._unconfirmed is None and self._late_count == 0
+        return self._compute_time() is not None and self._unconfirmed is None and self._late_count == 0
 
     def hint(self, minute: int) -> None:
         """Set the minute from a status-only packet (its milliseconds are not valid) if none is known yet."""
@@ -100,9 +100,10 @@ class GpsClock:
         elif minute is not None:
             self._unconfirmed = None
         self.jumps += jumped
-        return self._time(), NEW if ahead else SAME
+        return self._compute_time(), NEW if ahead else SAME
 
-    def _time(self) -> int | None:
+    def _compute_time(self) -> int | None:
+        """GPS time of the newest packet [ms]."""
         if self.minute is None or self.milliseconds is None:
             return None
         return self.minute * MINUTE_MS + self.milliseconds
@@ -119,7 +120,7 @@ class GpsClock:
 
     def _step_back(self, ms: int, minute: int | None, behind: int) -> tuple[int | None, int]:
         """GPS time [ms] and order of a packet that is `behind` the newest one by this many milliseconds."""
-        now = self._time()
+        now = self._compute_time()
         if minute is not None and now is not None and minute * MINUTE_MS + ms > now:  # a later minute was sent
             self.jumps += 1
             return self._restart(ms, minute), NEW
@@ -142,4 +143,4 @@ class GpsClock:
     def _restart(self, ms: int, minute: int | None) -> int | None:
         self.milliseconds, self.minute = ms, minute
         self._unconfirmed, self._late_count = None, 0
-        return self._time()
+        return self._compute_time()

@@ -167,7 +167,7 @@ class UdpSource(Source):
                 data, control, _, peer = sock.recvmsg(_LARGEST_DATAGRAM, ancillary)
             except TimeoutError:
                 continue
-            self._process(data, _kernel_time(control), peer[:2])
+            self._process(data, _extract_kernel_time(control), peer[:2])
 
     def _process(self, data: bytes, received_ns: int, sender: tuple[str, int]) -> None:
         self.status.datagrams += 1
@@ -196,7 +196,7 @@ class UdpSource(Source):
             self._on_change()
 
 
-def _kernel_time(control: list[tuple[int, int, bytes]]) -> int:
+def _extract_kernel_time(control: list[tuple[int, int, bytes]]) -> int:
     """Kernel receive time of a datagram [ns since 1970], or the current time if the kernel gives none."""
     for level, kind, data in control:
         if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(data) >= _TIMESPEC.size:
@@ -227,7 +227,7 @@ class ReplaySource(Source):
         columns = decode_file(path)
         self._data = path.read_bytes()
         self._offsets = columns.offset
-        self._due = _due_times(columns.gps_ns, start_offset)
+        self._due = _compute_due_times(columns.gps_ns, start_offset)
         self._on_data, self._on_restart = on_data, on_restart
         self._speed, self._loop = speed_factor, loop
 
@@ -253,7 +253,7 @@ class ReplaySource(Source):
             self.status.progress = number / count
 
 
-def _due_times(gps_ns: np.ndarray, start_offset: float) -> np.ndarray:
+def _compute_due_times(gps_ns: np.ndarray, start_offset: float) -> np.ndarray:
     """Time to send each packet [ns after the start], negative before the start offset.
 
     A packet without a time is sent with the previous one, or with the first one that has a time.

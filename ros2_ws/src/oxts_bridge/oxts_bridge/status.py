@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import cos, degrees, isfinite, radians, sin, sqrt
 
-from .channels import FIELDS, TRIGGER_CHANNELS, Value, decode_channel, event_nanoseconds
-from .geometry import radii
-from .stream import Received
+from .channels import FIELDS, TRIGGER_CHANNELS, Value, decode_channel, decode_event_time
+from .geometry import compute_radii
+from .stream import ReceivedPacket
 
 # Fields that StatusTracker replaces by values derived from them.
 RAW_FIELDS = frozenset(
@@ -56,7 +56,7 @@ class StatusTracker:
             if previous is not None:
                 fields[name] = previous + (fields[name] - previous) % modulus
         if channel in TRIGGER_CHANNELS:
-            time, name = event_nanoseconds(channel, data), TRIGGER_CHANNELS[channel]
+            time, name = decode_event_time(channel, data), TRIGGER_CHANNELS[channel]
             fields = {name: self.values.get(name) if time is None else time / 1e9}
         elif channel == 23:
             lag, code = fields["BnsLag"], fields.pop("UpTimeCode")
@@ -80,7 +80,7 @@ class StatusTracker:
         self.values.update(fields)
         return fields
 
-    def update_from(self, received: Received) -> dict[str, Value]:
+    def update_from(self, received: ReceivedPacket) -> dict[str, Value]:
         """Set and return the values in a packet; empty if its status channel is invalid or unchanged."""
         if not received.rule.has_status:
             return {}
@@ -93,7 +93,7 @@ class StatusTracker:
         """Newest value; None if invalid or never sent."""
         return self.values.get(name)
 
-    def number(self, name: str) -> float:
+    def get_number(self, name: str) -> float:
         """Newest value; NaN if invalid or never sent."""
         value = self.values.get(name)
         return float("nan") if value is None else float(value)
@@ -140,7 +140,7 @@ def origin_from_channel_25(x: float, y: float, heading: float, latitude: float, 
     north, east = x * c + y * s, x * s - y * c
     origin = latitude
     for _ in range(4):
-        meridian, normal = radii(origin)
+        meridian, normal = compute_radii(origin)
         origin = latitude - north / (meridian + altitude)
     longitude -= east / ((normal + altitude) * cos(origin))
     return degrees(origin), degrees(longitude), altitude, wrap_degrees(heading)
@@ -182,11 +182,11 @@ class EventLog:
     def __init__(self) -> None:
         self._last: dict[int, tuple[int, int]] = {}  # by channel: count and time of the newest event
 
-    def detect(self, received: Received) -> Event | None:
+    def detect(self, received: ReceivedPacket) -> Event | None:
         """The event that this packet is the first to report, else None."""
         packet = received.packet
         channel = packet.channel
-        time = event_nanoseconds(channel, packet.batch_s) if received.rule.has_status else None
+        time = decode_event_time(channel, packet.batch_s) if received.rule.has_status else None
         if time is None:
             return None
         count = packet.batch_s[7]

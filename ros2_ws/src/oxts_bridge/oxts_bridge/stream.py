@@ -7,8 +7,18 @@ from statistics import median
 
 from . import channels, ncom
 from .channels import Value
-from .ncom import PACKET_SIZE, Counters, Packet, StatusRule, next_packet
-from .packet_time import DUPLICATE, LAST_MINUTE, LATE, MINUTE_MS, NEW, SAME, GpsClock, host_minute, unix_nanoseconds
+from .ncom import PACKET_SIZE, Counters, Packet, StatusRule, find_next_packet
+from .packet_time import (
+    DUPLICATE,
+    LAST_MINUTE,
+    LATE,
+    MINUTE_MS,
+    NEW,
+    SAME,
+    GpsClock,
+    compute_host_minute,
+    to_unix_nanoseconds,
+)
 
 _NO_VECTOR = (ncom.NAN, ncom.NAN, ncom.NAN)
 _NO_FIELDS: Mapping[str, Value] = {}
@@ -20,7 +30,7 @@ _CLOCK_SAMPLES = 1000  # four seconds at 250 Hz
 
 
 @dataclass(slots=True)
-class Received:
+class ReceivedPacket:
     """One accepted packet.
 
     packet: values, NaN where the navigation status declares them invalid.  raw: the 72 bytes.
@@ -63,13 +73,13 @@ class NcomParser:
         self.clock.jumps = jumps
         self._tail, self._in_sync = b"", True
 
-    def feed(self, data: bytes, received_ns: int | None = None) -> list[Received]:
+    def feed(self, data: bytes, received_ns: int | None = None) -> list[ReceivedPacket]:
         """All packets completed by these bytes, in order; received_ns: host time of receipt [ns since 1970]."""
         buffer = self._tail + data if self._tail else bytes(data)
-        packets: list[Received] = []
+        packets: list[ReceivedPacket] = []
         at = 0
         while at < len(buffer):
-            at, self._in_sync = next_packet(buffer, at, self._in_sync, self.counters)
+            at, self._in_sync = find_next_packet(buffer, at, self._in_sync, self.counters)
             raw = buffer[at : at + PACKET_SIZE]
             if len(raw) < PACKET_SIZE:
                 break
@@ -81,7 +91,7 @@ class NcomParser:
         self._consumed += at
         return packets
 
-    def _accept(self, raw: bytes, offset: int, received_ns: int | None) -> Received | None:
+    def _accept(self, raw: bytes, offset: int, received_ns: int | None) -> ReceivedPacket | None:
         counters = self.counters
         counters.packets += 1
         status = raw[ncom.STATUS_AT]
@@ -98,18 +108,19 @@ class NcomParser:
         if rule.has_time and packet.milliseconds >= MINUTE_MS:
             counters.impossible_times += 1
         elif rule.has_time:
-            gps_ns, order = self._time(packet, raw, minute, received_ns)
+            gps_ns, order = self._compute_time(packet, raw, minute, received_ns)
         elif kind == "trigger":
-            gps_ns, order = self._event_time(packet, raw)
+            gps_ns, order = self._compute_event_time(packet, raw)
             if gps_ns is None:
                 kind = "empty"
         elif not rule.is_defined:
             counters.unknown_statuses += 1
         counters.impossible_positions += _mask_invalid(packet, rule, kind)
-        utc_ns = None if gps_ns is None else unix_nanoseconds(gps_ns, self.utc_offset)
-        return Received(packet, raw, fields, offset, kind, rule, gps_ns, utc_ns, order, received_ns)
+        utc_ns = None if gps_ns is None else to_unix_nanoseconds(gps_ns, self.utc_offset)
+        return ReceivedPacket(packet, raw, fields, offset, kind, rule, gps_ns, utc_ns, order, received_ns)
 
-    def _time(self, packet: Packet, raw: bytes, minute: int | None, received_ns: int | None) -> tuple[int | None, int]:
+    def _compute_time(self, packet: Packet, raw: bytes, minute: int | None,
+                      received_ns: int | None) -> tuple[int | None, int]:
         """GPS time [ns] and order of a measurement."""
         gps_ms, order = self.clock.step(packet.milliseconds, minute, received_ns)
         if order == SAME and raw == self._last_raw:
@@ -120,11 +131,11 @@ class NcomParser:
         self._last_raw = raw
         return None if gps_ms is None else gps_ms * 1_000_000, order
 
-    def _event_time(self, packet: Packet, raw: bytes) -> tuple[int | None, int]:
+    def _compute_event_time(self, packet: Packet, raw: bytes) -> tuple[int | None, int]:
         """GPS time [ns] of an event, None if the packet contains none, and order of the packet."""
         self.counters.triggers += 1
         before, self._last_trigger = self._last_trigger, raw
-        gps_ns = channels.event_nanoseconds(packet.channel, packet.batch_s)
+        gps_ns = channels.decode_event_time(packet.channel, packet.batch_s)
         if gps_ns is None or raw != before:
             return gps_ns, NEW
         self.counters.duplicates += 1
@@ -142,7 +153,7 @@ class NcomParser:
             self._decoded[channel] = packet.batch_s, fields
         if status not in ncom.MINUTE_STATUSES:
             return fields, None
-        if channel == channels.UTC_CHANNEL and (offset := channels.utc_offset(packet.batch_s)) is not None:
+        if channel == channels.UTC_CHANNEL and (offset := channels.decode_utc_offset(packet.batch_s)) is not None:
             self.utc_offset = offset
         minute = fields["GpsMinutes"] if channel == 0 else None
         if minute is None or minute > LAST_MINUTE:
@@ -158,7 +169,7 @@ class HostMinute:
     def __init__(self) -> None:
         self._untimed_since: int | None = None
 
-    def update(self, received: Received, received_ns: int, clock: GpsClock) -> bool:
+    def update(self, received: ReceivedPacket, received_ns: int, clock: GpsClock) -> bool:
         """Process a regular packet and its time of receipt [ns]; returns whether the minute of the clock was set."""
         if not received.rule.has_time or received.gps_ns is not None:
             self._untimed_since = None
@@ -167,7 +178,7 @@ class HostMinute:
             self._untimed_since = received_ns
         if received_ns - self._untimed_since <= HOST_MINUTE_DELAY_NS:
             return False
-        clock.hint(host_minute(received_ns, received.packet.milliseconds))
+        clock.hint(compute_host_minute(received_ns, received.packet.milliseconds))
         return True
 
 
@@ -181,7 +192,7 @@ class StreamStatistics:
         self._offsets: deque[int] = deque(maxlen=_CLOCK_SAMPLES)  # packet time minus receive time [ns]
         self._steps, self._covered_ns, self._longest_ns = 0, 0, 0  # since take()
 
-    def add(self, received: Received) -> None:
+    def add(self, received: ReceivedPacket) -> None:
         """Count a new regular packet, unless its time is unknown."""
         if received.gps_ns is None:
             return
@@ -204,7 +215,7 @@ class StreamStatistics:
         self._steps, self._covered_ns, self._longest_ns = 0, 0, 0
         return rate, longest
 
-    def stamp_minus_host(self) -> tuple[float, float, float] | None:
+    def summarise_clock_offset(self) -> tuple[float, float, float] | None:
         """Median, 1st percentile and newest value of packet time minus time of receipt [s], normally negative."""
         offsets = list(self._offsets.copy())
         if not offsets:

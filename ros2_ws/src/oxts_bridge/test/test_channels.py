@@ -11,8 +11,8 @@ from oxts_bridge.channels import (
     TABLE,
     TRIGGER_CHANNELS,
     decode_channel,
+    decode_event_time,
     encode_channel,
-    event_nanoseconds,
 )
 from oxts_bridge.ncom import NcomError
 from oxts_bridge.status import decode_up_time
@@ -145,21 +145,21 @@ def test_wrong_values_are_refused_by_name(channel, values, text):
 )
 def test_event_times_keep_four_microseconds(channel, time, count):
     data = encode_trigger(channel, time, count)
-    assert abs(event_nanoseconds(channel, data) - time) <= 2_000
+    assert abs(decode_event_time(channel, data) - time) <= 2_000
     assert data[7] == count
     assert int.from_bytes(data[4:6], "little") < 60_000
 
 
 def test_event_times_with_fine_parts_of_both_signs():
     data = encode_channel(24, {"TrigMinutes": 24015600, "TrigMilliseconds": 500, "TrigFine": -125, "TrigCount": 3})
-    assert event_nanoseconds(24, data) == 24015600 * 60_000_000_000 + 500_000_000 - 500_000
+    assert decode_event_time(24, data) == 24015600 * 60_000_000_000 + 500_000_000 - 500_000
     data = encode_channel(24, {"TrigMinutes": 24015600, "TrigMilliseconds": 500, "TrigFine": 125, "TrigCount": 3})
-    assert event_nanoseconds(24, data) == 24015600 * 60_000_000_000 + 500_000_000 + 500_000
+    assert decode_event_time(24, data) == 24015600 * 60_000_000_000 + 500_000_000 + 500_000
 
 
 @pytest.mark.parametrize(("minutes", "count"), [(-10080, 0), (0, 3), (24015600, 0), (2_000_000_000, 3)])
 def test_no_event_yet(minutes, count):
-    assert event_nanoseconds(24, minutes.to_bytes(4, "little", signed=True) + b"\0\0\0" + bytes([count])) is None
+    assert decode_event_time(24, minutes.to_bytes(4, "little", signed=True) + b"\0\0\0" + bytes([count])) is None
 
 
 @pytest.mark.parametrize(

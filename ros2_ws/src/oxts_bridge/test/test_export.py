@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from oxts_bridge.derived import low_pass
+from oxts_bridge.derived import filter_low_pass
 from oxts_bridge.export import write_csv
 from oxts_bridge.ncom import NcomError
 
@@ -96,7 +96,7 @@ def test_missing_file_names_itself(tmp_path):
 
 def filtered(signal, rate, seconds, cutoff, damping):
     times = np.arange(int(rate * seconds)) / rate
-    return low_pass(times, signal(times), [(0, cutoff, damping)])
+    return filter_low_pass(times, signal(times), [(0, cutoff, damping)])
 
 
 def test_low_pass_keeps_a_constant_and_needs_three_samples():
@@ -118,9 +118,9 @@ def test_low_pass_off_and_cutoff_above_half_the_sampling_rate():
 def test_low_pass_with_a_new_setting_starts_from_the_last_three_samples():
     times = np.arange(50) / 100
     values = np.cos(20 * times)
-    out = low_pass(times, values, [(0, 5.0, 0.7), (10, 5.0, 0.7), (20, None, None), (30, 10.0, 0.7)])
-    assert np.array_equal(out[:30], low_pass(times, values, [(0, 5.0, 0.7)])[:30], equal_nan=True)
-    assert out[30:] == pytest.approx(low_pass(times[27:], values[27:], [(0, 10.0, 0.7)])[3:])
+    out = filter_low_pass(times, values, [(0, 5.0, 0.7), (10, 5.0, 0.7), (20, None, None), (30, 10.0, 0.7)])
+    assert np.array_equal(out[:30], filter_low_pass(times, values, [(0, 5.0, 0.7)])[:30], equal_nan=True)
+    assert out[30:] == pytest.approx(filter_low_pass(times[27:], values[27:], [(0, 10.0, 0.7)])[3:])
 
 
 @given(north=st.floats(-50, 50), east=st.floats(-50, 50), heading=st.floats(-3.1, 3.1))

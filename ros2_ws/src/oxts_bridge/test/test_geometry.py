@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from oxts_bridge.geometry import Attitude, LocalFrame, flu_from_frd, radii, to_ecef, yaw_from_heading
+from oxts_bridge.geometry import Attitude, LocalFrame, compute_radii, flu_from_frd, to_ecef, yaw_from_heading
 from oxts_bridge.status import origin_from_channel_25, wrap_degrees
 
 POLAR_RADIUS = 6356752.314245179
@@ -44,7 +44,7 @@ def from_quaternion(x, y, z, w):
     ],
 )
 def test_worked_orientations(degrees, quaternion):
-    assert Attitude.from_ned(*map(math.radians, degrees)).quaternion() == pytest.approx(quaternion, abs=1e-9)
+    assert Attitude.from_ned(*map(math.radians, degrees)).to_quaternion() == pytest.approx(quaternion, abs=1e-9)
 
 
 def test_worked_velocity():
@@ -71,7 +71,7 @@ vectors = st.tuples(*[st.floats(-100, 100)] * 3)
 def test_rotation_is_the_matrix_product(angles, enu):
     attitude = Attitude.from_ned(*angles)
     matrix = T @ r_no(*angles) @ F
-    assert from_quaternion(*attitude.quaternion()) == pytest.approx(matrix, abs=1e-9)
+    assert from_quaternion(*attitude.to_quaternion()) == pytest.approx(matrix, abs=1e-9)
     assert attitude.to_body(enu) == pytest.approx(matrix.T @ enu, abs=1e-9)
     assert attitude.to_enu(attitude.to_body(enu)) == pytest.approx(enu, abs=1e-9)
 
@@ -80,7 +80,7 @@ def test_rotation_is_the_matrix_product(angles, enu):
 def test_velocity_covariance_is_rotated(angles, sigma):
     matrix = T @ r_no(*angles) @ F
     wanted = matrix.T @ np.diag(np.square(sigma)) @ matrix
-    got = Attitude.from_ned(*angles).covariance_to_body(tuple(s * s for s in sigma))
+    got = Attitude.from_ned(*angles).rotate_covariance(tuple(s * s for s in sigma))
     assert np.reshape(got, (3, 3)) == pytest.approx(wanted, abs=1e-9)
 
 
@@ -90,7 +90,7 @@ def test_orientation_covariance_is_turned_to_the_fixed_axes(heading, sigma):
     s, c = math.sin(attitude.yaw), math.cos(attitude.yaw)
     rz = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     wanted = rz @ np.diag(np.square(sigma)) @ rz.T
-    assert np.reshape(attitude.orientation_covariance(tuple(np.square(sigma))), (3, 3)) == pytest.approx(
+    assert np.reshape(attitude.rotate_orientation_covariance(tuple(np.square(sigma))), (3, 3)) == pytest.approx(
         wanted, abs=1e-12
     )
 
@@ -110,18 +110,18 @@ def test_points_on_the_axes(place, ecef):
 
 @given(latitude=st.floats(-1.4, 1.4), longitude=st.floats(-3.1, 3.1), north=st.floats(-50, 50), east=st.floats(-50, 50))
 def test_short_distances_follow_the_radii_of_curvature(latitude, longitude, north, east):
-    meridian, normal = radii(latitude)
+    meridian, normal = compute_radii(latitude)
     frame = LocalFrame(latitude, longitude, 100.0)
     there = (latitude + north / (meridian + 100), longitude + east / ((normal + 100) * math.cos(latitude)), 103.0)
     # Over 50 m the curvature of the parallel bends the way by tan(latitude) * d^2 / 2R, and the earth drops by d^2 /
     # 2R.
-    assert frame.enu(*there) == pytest.approx((east, north, 3.0), abs=5e-3)
+    assert frame.to_enu(*there) == pytest.approx((east, north, 3.0), abs=5e-3)
 
 
 def test_far_points_are_not_on_a_flat_earth():
     frame = LocalFrame(math.radians(52), 0.0, 0.0)
-    _, normal = radii(math.radians(52))
-    up = frame.enu(math.radians(52), 10_000 / (normal * math.cos(math.radians(52))), 0.0)[2]
+    _, normal = compute_radii(math.radians(52))
+    up = frame.to_enu(math.radians(52), 10_000 / (normal * math.cos(math.radians(52))), 0.0)[2]
     assert up == pytest.approx(-(10_000**2) / (2 * normal), rel=2e-3)
 
 
@@ -136,10 +136,10 @@ def test_old_local_frame_puts_the_car_where_it_says(x, y, heading):
     here = (math.radians(52), math.radians(-1.25), 100.0)
     latitude, longitude, altitude, angle = origin_from_channel_25(x, y, heading, *here)
     latitude, longitude = math.radians(latitude), math.radians(longitude)
-    east, north, _ = LocalFrame(latitude, longitude, altitude).enu(*here)
+    east, north, _ = LocalFrame(latitude, longitude, altitude).to_enu(*here)
     # flat formula of old firmware
     assert along_heading(east, north, math.radians(angle)) == pytest.approx((x, y), abs=4.0)
-    meridian, normal = radii(latitude)
+    meridian, normal = compute_radii(latitude)
     flat_north = (here[0] - latitude) * (meridian + 100)
     flat_east = (here[1] - longitude) * (normal + 100) * math.cos(latitude)
     assert along_heading(flat_east, flat_north, math.radians(angle)) == pytest.approx((x, y), abs=1e-6)

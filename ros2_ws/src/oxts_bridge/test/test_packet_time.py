@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from oxts_bridge.file_decoder import packet_times
-from oxts_bridge.packet_time import LATE, LATE_RUN, NEW, SAME, GpsClock, host_minute, unix_nanoseconds
+from oxts_bridge.file_decoder import compute_packet_times
+from oxts_bridge.packet_time import LATE, LATE_RUN, NEW, SAME, GpsClock, compute_host_minute, to_unix_nanoseconds
 from st_core.leap_seconds import leap_seconds_at_gps
 
 SECOND = 1_000_000_000
@@ -45,14 +45,14 @@ def test_leap_second_changes_at_utc_midnight():
 
 def test_worked_example():
     gps = (MINUTE * 60_000 + 34_560) * 1_000_000
-    assert unix_nanoseconds(gps) == 1_756_900_816_560_000_000
-    assert unix_nanoseconds(gps, -18) == unix_nanoseconds(gps)
-    assert unix_nanoseconds(gps, -19) == unix_nanoseconds(gps) - SECOND
+    assert to_unix_nanoseconds(gps) == 1_756_900_816_560_000_000
+    assert to_unix_nanoseconds(gps, -18) == to_unix_nanoseconds(gps)
+    assert to_unix_nanoseconds(gps, -19) == to_unix_nanoseconds(gps) - SECOND
 
 
 def test_stamps_are_whole_nanoseconds_at_four_microseconds():
     gps = 1_440_936_034_560_004_000
-    assert unix_nanoseconds(gps) - unix_nanoseconds(gps - 4_000) == 4_000
+    assert to_unix_nanoseconds(gps) - to_unix_nanoseconds(gps - 4_000) == 4_000
 
 
 def feed(clock, *packets):
@@ -174,15 +174,15 @@ def test_columns_step_from_a_late_packet_although_a_wrong_minute_follows():
     minutes[0], minutes[-2] = 1_000_000, 999_281
     clock = GpsClock()
     one_by_one = [clock.step(int(a), None if b < 0 else int(b)) for a, b in zip(ms, minutes, strict=True)]
-    times, order, _ = packet_times(ms, minutes, [])
+    times, order, _ = compute_packet_times(ms, minutes, [])
     assert list(zip(times.tolist(), order.tolist(), strict=True)) == one_by_one
     assert order[-4:].tolist() == [LATE] * 4
 
 
 @given(offset=st.integers(-29_000, 29_000), ms=st.integers(0, 59_999))
 def test_minute_from_a_host_clock_within_half_a_minute(offset, ms):
-    utc_ns = unix_nanoseconds((MINUTE * 60_000 + ms) * 1_000_000)
-    assert host_minute(utc_ns + offset * 1_000_000, ms) == MINUTE
+    utc_ns = to_unix_nanoseconds((MINUTE * 60_000 + ms) * 1_000_000)
+    assert compute_host_minute(utc_ns + offset * 1_000_000, ms) == MINUTE
 
 
 @given(

@@ -287,5 +287,5 @@ def test_statistics_count_rate_and_gaps(drive):
             statistics.add(received)
     assert statistics.gaps == 1
     assert statistics.take() == (pytest.approx(247.0), pytest.approx(0.016))
-    assert statistics.stamp_minus_host()[0] == pytest.approx(-0.003)
+    assert statistics.summarise_clock_offset()[0] == pytest.approx(-0.003)
     assert statistics.take() == (0.0, 0.0)

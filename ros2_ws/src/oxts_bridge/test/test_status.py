@@ -11,10 +11,10 @@ from oxts_bridge.motion import (
     UNIT,
     Accuracy,
     Origin,
+    compute_variances,
     extract_motion,
-    variances,
 )
-from oxts_bridge.ncom import fix_status, mode_text
+from oxts_bridge.ncom import describe_mode, get_fix_status
 from oxts_bridge.status import EventLog, StatusTracker
 from oxts_bridge.stream import NcomParser
 from trigger_bytes import encode_trigger
@@ -34,10 +34,10 @@ def test_old_accuracy_is_unknown_not_zero():
     status.update(3, encode_channel(3, {"NorthAcc": 0.1, "EastAcc": 0.2, "AltAcc": 0.3}))
     accuracy = Accuracy.from_status(status)
     assert accuracy.position == pytest.approx((0.2, 0.1, 0.3))
-    assert variances(accuracy.position) == pytest.approx((0.04, 0.01, 0.09))
-    assert variances(accuracy.velocity) is variances(accuracy.attitude) is None
+    assert compute_variances(accuracy.position) == pytest.approx((0.04, 0.01, 0.09))
+    assert compute_variances(accuracy.velocity) is compute_variances(accuracy.attitude) is None
     status.update(3, encode_channel(3, {}))
-    assert variances(Accuracy.from_status(status).position) is None
+    assert compute_variances(Accuracy.from_status(status).position) is None
 
 
 def test_same_bytes_again_change_nothing_but_the_filtered_lag():
@@ -162,15 +162,15 @@ def test_no_motion_from_half_a_solution(packet, changes):
 def test_first_fix_is_kept(motion):
     origin = Origin(FIRST_FIX)
     frame = origin.update(motion, StatusTracker(), 0)
-    assert motion.position(frame) == pytest.approx((0, 0, 0), abs=1e-9)
+    assert motion.locate(frame) == pytest.approx((0, 0, 0), abs=1e-9)
     motion.latitude += 1e-5
     assert origin.update(motion, StatusTracker(), 1) is frame
-    assert motion.position(frame)[1] == pytest.approx(63.6, abs=0.5)
+    assert motion.locate(frame)[1] == pytest.approx(63.6, abs=0.5)
 
 
 def test_given_origin(motion):
     origin = Origin(GIVEN, (52.0, -1.25, 99.5))
-    assert motion.position(origin.update(motion, StatusTracker(), 0)) == pytest.approx((0, 0, 1), abs=1e-6)
+    assert motion.locate(origin.update(motion, StatusTracker(), 0)) == pytest.approx((0, 0, 1), abs=1e-6)
 
 
 def test_origin_of_the_unit_is_waited_for_but_not_for_ever(motion):
@@ -180,12 +180,12 @@ def test_origin_of_the_unit_is_waited_for_but_not_for_ever(motion):
     status.update(66, encode_channel(66, {"RefLat": 52.001, "RefLon": -1.25}))
     status.update(67, encode_channel(67, {"RefAlt": 100.5, "RefHeading": 90.0}))
     frame = origin.update(motion, status, 1)
-    assert motion.position(frame)[1] == pytest.approx(-111.26, abs=0.02)
-    assert origin.used == UNIT
+    assert motion.locate(frame)[1] == pytest.approx(-111.26, abs=0.02)
+    assert origin.chosen_source == UNIT
     patient = Origin(UNIT)
     assert patient.update(motion, StatusTracker(), 0) is None
     assert patient.update(motion, StatusTracker(), LOCAL_FRAME_TIMEOUT_NS) is not None
-    assert patient.used == FIRST_FIX
+    assert patient.chosen_source == FIRST_FIX
 
 
 @pytest.mark.parametrize(
@@ -202,4 +202,4 @@ def test_origin_of_the_unit_is_waited_for_but_not_for_ever(motion):
     ],
 )
 def test_modes(mode, text, fix):
-    assert (mode_text(mode), fix_status(mode)) == (text, fix)
+    assert (describe_mode(mode), get_fix_status(mode)) == (text, fix)

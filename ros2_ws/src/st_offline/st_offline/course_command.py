@@ -11,7 +11,7 @@ from st_core.errors import ConfigurationError, StCoreError
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunError, find_runs, read
-from st_recordings.runs.ncom import origin_offset
+from st_recordings.runs.ncom import compute_origin_offset
 
 from .terminal import print_line
 
@@ -33,7 +33,7 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
                 if "origin" in run.provenance:
                     latitude, longitude = map(math.degrees, run.provenance["origin"][:2])
                     origin = origin or (latitude, longitude)
-                    new = Course(tuple(new)).shift(*origin_offset(origin, latitude, longitude)).passes
+                    new = Course(tuple(new)).shift(*compute_origin_offset(origin, latitude, longitude)).passes
         except (RunError, StCoreError) as error:
             failed += 1
             print_line(f"[red]{escape(source.name)}: {escape(' '.join(str(error).split()))}[/red]", console)

@@ -35,7 +35,7 @@ def test_quaternions_of_the_bridge(ins: NcomLog) -> None:
     columns = ins.columns
     for k, row in enumerate(ins.rows):
         attitude = Attitude.from_ned(columns.heading[row], columns.pitch[row], columns.roll[row])
-        np.testing.assert_allclose(found[k], attitude.quaternion(), atol=1e-12)
+        np.testing.assert_allclose(found[k], attitude.to_quaternion(), atol=1e-12)
 
 
 def test_velocities_of_the_bridge(ins: NcomLog) -> None:
@@ -56,9 +56,9 @@ def test_covariances_of_the_bridge(ins: NcomLog) -> None:
         if k >= 10:
             expected_pose[range(3), range(3)] = np.square([0.03, 0.02, 0.05])
         if k >= 11:
-            expected_twist[:3, :3] = np.reshape(attitude.covariance_to_body((0.02**2, 0.01**2, 0.03**2)), (3, 3))
+            expected_twist[:3, :3] = np.reshape(attitude.rotate_covariance((0.02**2, 0.01**2, 0.03**2)), (3, 3))
         if k >= 12:
             expected_pose[3:, 3:] = np.reshape(
-                attitude.orientation_covariance(tuple(np.radians([0.05, 0.1, 0.2])**2)), (3, 3))
+                attitude.rotate_orientation_covariance(tuple(np.radians([0.05, 0.1, 0.2])**2)), (3, 3))
         np.testing.assert_allclose(pose[k].reshape(6, 6), expected_pose, rtol=0.02, atol=1e-12)  # sent in 1e-5 rad
         np.testing.assert_allclose(twist[k].reshape(6, 6), expected_twist, rtol=1e-3, atol=1e-12)

@@ -53,7 +53,7 @@ def test_positions_in_the_plane_of_the_origin(which: str, case: str) -> None:
     log = read_ncom(vectors(which, f"ncom/{case}.ncom"))
     columns, last = log.columns, int(log.rows[-1])
     frame = LocalFrame(*log.origin)
-    expected = frame.enu(columns.latitude[last], columns.longitude[last], columns.altitude[last])
+    expected = frame.to_enu(columns.latitude[last], columns.longitude[last], columns.altitude[last])
     np.testing.assert_allclose(log.position[:, -1], expected, atol=1e-6)
     assert log.position[:, 0].tolist() == pytest.approx([0, 0, 0], abs=1e-6)
     # Velocity is the derivative of position: body axes, yaw and plane belong together.

@@ -52,7 +52,7 @@ def test_a_real_drive_comes_out_of_the_wire_as_recorded(tmp_path):
     assert time[-1] == pytest.approx(table["t"][-1], abs=0.005) and np.diff(time) == pytest.approx(0.004)
     frame = LocalFrame(math.radians(51.448), math.radians(5.49), 65.0)
     place = np.array(
-        [frame.enu(r.packet.latitude, r.packet.longitude, r.packet.altitude + UNDULATION) for r in received]
+        [frame.to_enu(r.packet.latitude, r.packet.longitude, r.packet.altitude + UNDULATION) for r in received]
     )
     for i, name in enumerate(("x", "y")):
         assert place[:, i] == pytest.approx(np.interp(time, table["t"], table[name]), abs=2e-5)

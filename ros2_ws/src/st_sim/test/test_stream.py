@@ -66,7 +66,7 @@ def test_ncom_equals_the_truth_within_its_resolution(rate):
     for i, (r, t) in enumerate(zip(received, expected, strict=True)):
         p = r.packet
         x, y, vx, vy = t.motion_at(-0.398, 0.0)
-        assert FRAME.enu(p.latitude, p.longitude, p.altitude + UNDULATION) == pytest.approx((x, y, 0.0), abs=2e-5)
+        assert FRAME.to_enu(p.latitude, p.longitude, p.altitude + UNDULATION) == pytest.approx((x, y, 0.0), abs=2e-5)
         yaw = math.pi / 2 - p.heading
         assert math.remainder(yaw - t.yaw, 2 * math.pi) == pytest.approx(0.0, abs=6e-7)
         north, east, down = p.velocity_ned
@@ -243,7 +243,7 @@ def test_minute_of_every_packet_is_its_own():
 
 @pytest.mark.parametrize("point", [(0.0, 0.0, 0.0), (100.0, -50.0, 2.0), (-3000.0, 8000.0, 30.0), (20000.0, 1.0, -5.0)])
 def test_there_and_back_through_the_bridge(point):
-    assert FRAME.enu(*ORIGIN.to_geodetic(*point)) == pytest.approx(point, abs=1e-6)
+    assert FRAME.to_enu(*ORIGIN.to_geodetic(*point)) == pytest.approx(point, abs=1e-6)
 
 
 def test_short_distances_follow_the_radii():

@@ -26,7 +26,7 @@ from st_core.stability import StepTooLongWarning
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 from st_recordings.runs.csv_table import read_header
-from st_recordings.runs.ncom import origin_offset
+from st_recordings.runs.ncom import compute_origin_offset
 from st_recordings.runs.raw import summarise_alignment
 
 from ..bands.bands_report import collect_intervals, sum_shares
@@ -251,7 +251,7 @@ def make_future_inputs(run: LoadedRun, signals: LogSignals, vehicle: VehiclePara
         if course.origin is not None and "origin" in run.provenance:
             latitude, longitude = map(math.degrees, run.provenance["origin"][:2])
             try:
-                others = others.shift(*origin_offset((latitude, longitude), *course.origin))
+                others = others.shift(*compute_origin_offset((latitude, longitude), *course.origin))
             except StCoreError as error:
                 raise RunError(Path(run.log.name), f"--course: {error}",
                                "leave the option out, or give a course of this location") from None

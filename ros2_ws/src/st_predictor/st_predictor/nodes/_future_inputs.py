@@ -13,7 +13,7 @@ from st_core.prediction import Predictor, Start
 from st_core.types import InputSequence
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import InputPlan
-from st_recordings.runs.ncom import origin_offset
+from st_recordings.runs.ncom import compute_origin_offset
 from st_ros import diagnostics
 from st_ros.diagnostics import Check
 from st_ros.polling import LATCHED, PolledSubscription
@@ -91,7 +91,7 @@ class CourseInput:
         if self._course.origin is None:
             return
         try:
-            offset = origin_offset((message.latitude, message.longitude), *self._course.origin)
+            offset = compute_origin_offset((message.latitude, message.longitude), *self._course.origin)
             self._tracker.course, self._origin_problem = _build_search_tree(self._course.shift(*offset)), ""
         except StCoreError as error:
             self._origin_problem = str(error)

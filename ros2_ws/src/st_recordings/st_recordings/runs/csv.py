@@ -248,7 +248,7 @@ def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarr
         latitude, longitude = (np.where(has_fix, values, np.nan) for values in (latitude, longitude))
         found = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.used)
         origin = (float(latitude[found[0]]), float(longitude[found[0]]), 0.0) if len(found) else None
-        columns["x"], columns["y"], _ = LocalFrame(*(origin or (0.0, 0.0, 0.0))).enu(latitude, longitude, 0.0)
+        columns["x"], columns["y"], _ = LocalFrame(*(origin or (0.0, 0.0, 0.0))).to_enu(latitude, longitude, 0.0)
         _check_distance(table, columns, latitude, longitude)
     _interpolate_lower_rates(table, columns, notes)
     _interpolate_held_positions(table, columns, notes)
@@ -304,7 +304,7 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
     def compare(latitude: np.ndarray, longitude: np.ndarray) -> tuple[float, float]:
         """Medians over steps: (ratio of position distance to driven distance, |course - heading| [rad])."""
         frame, at = LocalFrame(float(latitude[rows[0]]), float(longitude[rows[0]]), 0.0), rows[::step]
-        east, north, _ = map(np.diff, frame.enu(latitude[at], longitude[at], 0.0))
+        east, north, _ = map(np.diff, frame.to_enu(latitude[at], longitude[at], 0.0))
         ratio = np.median((np.hypot(east, north) / np.maximum(np.diff(driven), 1e-9))[moving])
         if heading is None:
             return float(ratio), np.nan

@@ -62,7 +62,7 @@ def read_ncom(file: Path) -> NcomLog:
     origin = float(motion.latitude[0]), float(motion.longitude[0]), float(motion.altitude[0])
     stamped = (columns.kind == file_decoder.REGULAR) & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
     return NcomLog(
-        file=file, time_ns=columns.utc_ns[rows], position=np.stack(motion.position(LocalFrame(*origin))),
+        file=file, time_ns=columns.utc_ns[rows], position=np.stack(motion.locate(LocalFrame(*origin))),
         yaw=np.unwrap(np.pi / 2 - columns.heading[rows]), pitch=motion.attitude.pitch, roll=motion.attitude.roll,
         velocity=np.stack(motion.body_velocity), rate=np.stack(motion.angular_velocity),
         acceleration=np.stack(motion.acceleration), origin=origin, stamps_ns=columns.utc_ns[stamped],
@@ -70,10 +70,10 @@ def read_ncom(file: Path) -> NcomLog:
     )
 
 
-def origin_offset(origin: tuple[float, float], latitude: float, longitude: float) -> tuple[float, float]:
+def compute_origin_offset(origin: tuple[float, float], latitude: float, longitude: float) -> tuple[float, float]:
     """East and north offset [m] of a point from the origin (latitude, longitude), all in deg at altitude 0."""
     frame = LocalFrame(math.radians(origin[0]), math.radians(origin[1]), 0.0)
-    return frame.enu(math.radians(latitude), math.radians(longitude), 0.0)[:2]
+    return frame.to_enu(math.radians(latitude), math.radians(longitude), 0.0)[:2]
 
 
 def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:

@@ -74,7 +74,7 @@ class Reconstruction:
         packets = zip(raw["header.stamp"].tolist(), map(bytes, raw["raw_packet"]), strict=True)
         odometry = reconstruct_odometry(packets, self._origin(bridge), not bridge.get("replay_file"),
                                         bridge.get("stamp_source") == "receive")
-        rows = [(stamp_ns, *position[:2], *motion.attitude.quaternion(), *motion.body_velocity[:2],
+        rows = [(stamp_ns, *position[:2], *motion.attitude.to_quaternion(), *motion.body_velocity[:2],
                  motion.angular_velocity[2]) for stamp_ns, position, motion in odometry]
         if not rows:
             raise RunError(self._path, "none of its raw packets has a fix and a time",
