@@ -53,7 +53,7 @@ def record_scenario(scenario: str, seconds: float, vehicle: VehicleParameters) -
     rows = []
     for k in range(round(seconds * 1000 / INTERVAL_MS)):
         simulated.advance(k * INTERVAL_MS / 1000)
-        truth = simulated.truth()
+        truth = simulated.make_truth()
         r = ins.read(truth)
         steering_wheel = round(sensor.read(truth) / STEERING_RESOLUTION) * STEERING_RESOLUTION
         rows.append((r.x, r.y, r.yaw, r.velocity_x, r.velocity_y, r.rates[2], steering_wheel))

@@ -187,13 +187,13 @@ def run() -> dict:
         folder = Path(name)
         with running(folder, 250, full_bus=True) as rig:
             began_ns = time.time_ns()
-            ticks = rig.monitor.state.ticks
+            ticks = rig.monitor.state.predictor_status
             samples, faults, when = run_with_faults(rig, minutes, seed)
             problems, restarts = rig.problems(), rig.supervisor.restarts
             rig.car.ins.change = rig.car.can.change = lambda data: ()  # stop sending, so that all sent data can arrive
             rig.run(2.0)
             sent, frames_sent = np.array(rig.car.ins.sent_ns), len(rig.car.can.sent_ns)
-            ticks = rig.monitor.state.ticks or ticks
+            ticks = rig.monitor.state.predictor_status or ticks
         statuses = rig.statuses
         found = read_recordings(folder)
         size = sum(f.stat().st_size for f in folder.rglob("*.mcap"))

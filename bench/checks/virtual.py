@@ -39,13 +39,13 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
     for now in range(0, round(seconds * 1000), TICK_MS):
         source.advance(now / 1000)
         if now % INS_MS == 0:
-            readings.append(ins.read(source.truth()))
-            exact.append(noiseless.read(source.truth()))
+            readings.append(ins.read(source.make_truth()))
+            exact.append(noiseless.read(source.make_truth()))
         if now % STEERING_SCHEDULE[0] == STEERING_SCHEDULE[1]:
-            steering.append((now / 1000 + settings["steering_sensor_latency"], sensor.read(source.truth())))
+            steering.append((now / 1000 + settings["steering_sensor_latency"], sensor.read(source.make_truth())))
         if now % WHEEL_SCHEDULE[0] == WHEEL_SCHEDULE[1]:
             # The rear wheels, because they do not travel further than the car in a turn.
-            wheels.append((now / 1000, sum(read_wheel_speeds(source.truth(), settings)[0][2:]) / 2))
+            wheels.append((now / 1000, sum(read_wheel_speeds(source.make_truth(), settings)[0][2:]) / 2))
     log = _make_log(drive_name(scenario), readings, np.array(steering), vehicle)
     times, speeds = np.array(wheels).T
     auxiliary = AuxiliaryData(wheel_speed=Series(_to_nanoseconds(times), round_to_resolution(speeds, "wheel")))

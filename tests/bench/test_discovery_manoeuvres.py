@@ -48,7 +48,7 @@ def by_the_virtual_car(manoeuvre) -> np.ndarray:
     rows = []
     for time in np.arange(0.0, looked_at(manoeuvre), 0.02):
         car.advance(time)
-        truth = car.truth()
+        truth = car.make_truth()
         rows.append((truth.velocity_x, truth.velocity_x * truth.yaw_rate))
     return np.array(rows)
 

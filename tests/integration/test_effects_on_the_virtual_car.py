@@ -65,7 +65,7 @@ def drive(scenario: str, settings: tuple[tuple[str, float], ...]) -> DriveLog:
     rows, angles = [], []
     for k in range(round(DURATION[scenario] * 1e9 / PERIOD_NS)):
         car.advance(k * PERIOD_NS * 1e-9)
-        truth = car.truth()
+        truth = car.make_truth()
         r = ins.read(truth)
         rows.append((r.x, r.y, r.yaw, r.velocity_x, r.velocity_y, r.rates[2]))
         angles.append(LEAF.road_wheel_angle(steering.read(truth)))

@@ -47,7 +47,7 @@ class SuiteState:
     """The newest messages of a running suite."""
 
     summary: ErrorSummary | None = None
-    ticks: PredictorStatus | None = None
+    predictor_status: PredictorStatus | None = None
     health: dict[str, Status] = field(default_factory=dict)
     prediction: Prediction | None = None  # the newest one of any model
 
@@ -63,7 +63,8 @@ class Monitor:
                    signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
         self._node = Node("st_monitor", context=self._context)
         self._node.create_subscription(ErrorSummary, "evaluator/summary", lambda m: self._update(summary=m), 10)
-        self._node.create_subscription(PredictorStatus, "predictor/status", lambda m: self._update(ticks=m), 10)
+        self._node.create_subscription(PredictorStatus, "predictor/status",
+                                       lambda m: self._update(predictor_status=m), 10)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._predictions = [
@@ -173,15 +174,15 @@ def render_errors(state: SuiteState) -> RenderableType:
 
 
 def render_ticks(state: SuiteState) -> Text:
-    ticks = state.ticks
-    if ticks is None:
+    status = state.predictor_status
+    if status is None:
         return Text("predictor: no status yet", style="dim")
-    skipped = ticks.skipped_stale + ticks.skipped_overrun + ticks.skipped_slow
-    text = Text(f"ticks {ticks.due}, predicted {ticks.predicted}, skipped {skipped}")
-    if ticks.state_age > 0.0:
-        text.append(f", from a state {ticks.state_age * 1e3:.0f} ms old")
-    if ticks.reason:
-        text.append(f"  ({ticks.reason})", style="yellow")
+    skipped = status.skipped_stale + status.skipped_overrun + status.skipped_slow
+    text = Text(f"ticks {status.due}, predicted {status.predicted}, skipped {skipped}")
+    if status.state_age > 0.0:
+        text.append(f", from a state {status.state_age * 1e3:.0f} ms old")
+    if status.reason:
+        text.append(f"  ({status.reason})", style="yellow")
     return text
 
 

@@ -28,8 +28,8 @@ INPUTS_OF_MODE = {"hindsight": "measured inputs", "forecast": "inputs held"}
 def report_results(folder: Path, outcome: Outcome, about: dict[str, Any], console: Console) -> int:
     """Write and print the results of a run; returns the exit status.
 
-    0: every process ended normally, and a horizon was scored or the user ended the run. 130: the user ended the run
-    before the first data. 1: all other cases.
+    about: further entries of summary.json. Status 0: every process ended normally, and a horizon was scored or the user
+    ended the run; 130: the user ended the run before the first data; 1: all other cases.
     """
     if outcome.interrupted and not outcome.statuses:
         console.print("the run was ended before the first data")
@@ -123,13 +123,13 @@ def _draw_map(axes: Axes, results: Results) -> None:
 
 
 def _draw_errors(axes: Axes, results: Results, mode: str, quantity: str) -> None:
-    origin = results.track.time_ns[0] if len(results.track.time_ns) else 0
+    origin_ns = results.track.time_ns[0] if len(results.track.time_ns) else 0
     axes.axhline(0, color="k", lw=0.6)
     for model in results.models():
         scores = results.scores.get((model, mode))
         if scores is None:
             continue
-        time = (scores.start_ns[scores.complete] - origin) * 1e-9
+        time = (scores.start_ns[scores.complete] - origin_ns) * 1e-9
         error = getattr(scores, quantity)[scores.complete]
         breaks = np.nonzero(np.diff(time) > MAX_LINE_GAP)[0] + 1
         axes.plot(np.insert(time, breaks, np.nan), np.insert(error, breaks, np.nan), color=MODEL_COLOUR[model],

@@ -1,8 +1,7 @@
 """Starts the nodes of the suite as processes with one parameter file, watches them and stops them in order.
 
-Nodes are started by their console scripts, which exist with and without `ros2 run`. Each child leaves the process group
-of the terminal: Ctrl-C reaches only this process, which then ends the children in order. If this process is killed, the
-kernel interrupts the children (parent-death signal, set by setpriv of util-linux).
+Each child leaves the process group of the terminal: Ctrl-C reaches only this process, which then ends the children in
+order. If this process is killed, the kernel interrupts the children (parent-death signal, set by setpriv).
 
 All other nodes lower their priority below bridges and predictor, which `st live --realtime` schedules in real time.
 """

@@ -67,7 +67,7 @@ def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
     The additional attribute `where` names the parameter file, if one was given, and the node, as a prefix of messages.
     Raises ConfigurationError with this prefix, key and limit, also for a given parameter that is not declared.
     """
-    overrides = dict(node._parameter_overrides)
+    overrides = dict(node._parameter_overrides)  # rclpy gives no public access before the declaration
     arguments = list(getattr(node.context, "_cli_args", None) or sys.argv)
     files = [arguments[i + 1] for i, option in enumerate(arguments[:-1]) if option == "--params-file"]
     origin = f"{files[-1]}: " if files else ""

@@ -76,7 +76,10 @@ class Environment:
 
 
 def make_normal_source(generator: np.random.Generator, block: int = 4096) -> Callable[[], float]:
-    """A function that returns one standard normal number per call; drawing in blocks makes it ten times faster."""
+    """A function that returns one standard normal number per call; drawing in blocks makes it ten times faster.
+
+    Every use of random numbers in st_sim has its own generator, seeded with [seed, number of the use].
+    """
     buffer: list[float] = []
 
     def draw() -> float:

@@ -43,13 +43,13 @@ TRUTH_SCHEMA = {
 
 def make_truth_record(truth: Truth) -> dict[str, object]:
     record = {name: getattr(truth, name) for name in ("time", *_UNITS) if name in Truth.__dataclass_fields__}
-    forces = truth.forces
-    if forces is not None:
+    outputs = truth.outputs
+    if outputs is not None:
         for axle, (left, right) in (("front", (0, 1)), ("rear", (2, 3))):
-            record[f"lateral_force_{axle}"] = forces.lateral[left] + forces.lateral[right]
-            record[f"longitudinal_force_{axle}"] = forces.longitudinal[left] + forces.longitudinal[right]
-            record[f"load_{axle}"] = forces.load[left] + forces.load[right]
-            record[f"slip_angle_{axle}"] = (forces.slip_angle[left] + forces.slip_angle[right]) / 2
+            record[f"lateral_force_{axle}"] = outputs.lateral[left] + outputs.lateral[right]
+            record[f"longitudinal_force_{axle}"] = outputs.longitudinal[left] + outputs.longitudinal[right]
+            record[f"load_{axle}"] = outputs.load[left] + outputs.load[right]
+            record[f"slip_angle_{axle}"] = (outputs.slip_angle[left] + outputs.slip_angle[right]) / 2
     record.update(truth.surroundings)
     return record
 

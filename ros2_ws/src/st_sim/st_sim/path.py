@@ -49,9 +49,9 @@ def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> l
     if arc < 0:
         raise ValueError(f"a turn of {angle_deg:g} deg at radius {radius:g} m has no room for blends of {blend:g} m")
     curvature = math.copysign(1.0 / radius, angle_deg)
-    ramp = [Piece(blend, 0.0, curvature, speed)] if blend else []
-    back = [Piece(blend, curvature, 0.0, speed)] if blend else []
-    return [*ramp, Piece(arc, curvature, curvature, speed), *back]
+    ramp_in = [Piece(blend, 0.0, curvature, speed)] if blend else []
+    ramp_out = [Piece(blend, curvature, 0.0, speed)] if blend else []
+    return [*ramp_in, Piece(arc, curvature, curvature, speed), *ramp_out]
 
 
 def lane_shift(offset: float, length: float, speed: float) -> list[Piece]:

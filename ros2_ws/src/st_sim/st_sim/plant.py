@@ -30,7 +30,7 @@ STANDSTILL = 0.02  # m/s; at lower speed with the brakes applied, the car is at 
 DRIVE = 4  # gear code on CAN; 1 P, 2 R, 3 N
 
 
-class Forces(NamedTuple):
+class PlantOutputs(NamedTuple):
     """Forces, loads, slip angles and speeds of the wheels (FL, FR, RL, RR), and accelerations of the body [SI]."""
 
     acceleration_x: float
@@ -74,7 +74,7 @@ class Truth:
     roll_rate: float = 0.0
     wheel_speed: tuple[float, ...] = (0.0,) * 4
     gear: int = DRIVE
-    forces: Forces | None = None
+    outputs: PlantOutputs | None = None
     surroundings: dict[str, float] = field(default_factory=dict)
 
     def motion_at(self, x: float, y: float) -> tuple[float, float, float, float]:
@@ -96,7 +96,6 @@ class Plant:
         self.car, self.settings, self.time_step = car, settings, step
         self.environment = Environment(settings, step, seed)
         self.state: tuple[float, ...] = (0.0,) * STATES
-        self.forces: Forces
         self.parked = False
         self.surroundings = self.environment.advance(0.0, 0.0)
         self.constants = dynamics.make_constants(car, settings, step)
@@ -157,8 +156,8 @@ class Plant:
         self.parked = s[VX] < STANDSTILL and drive_force <= 0.0
         self.state = dynamics.bring_to_rest(s, dt) if self.parked else s
 
-    def observe(self, drive_force: float) -> Forces:
-        """Forces and accelerations in the current state, also stored in `forces`; accelerations are zero at rest."""
+    def observe(self, drive_force: float) -> PlantOutputs:
+        """Forces and accelerations in the current state; accelerations are zero at rest. drive_force: as for `step`."""
         s, moving = self.state, not self.parked
         rates, wheels = derivative(s, s[RACK], drive_force, self.surroundings, self.constants)
         road_wheel_angle, lateral, longitudinal, load, across_speeds, along_speeds = wheels
@@ -166,12 +165,12 @@ class Plant:
                 for across, along in zip(across_speeds, along_speeds, strict=True)]
         speeds = [along * (1 + self._wheel_slip_compliance * force / wheel_load)
                   for along, force, wheel_load in zip(along_speeds, longitudinal, load, strict=True)]
-        self.forces = Forces(acceleration_x=rates[VX] - s[YAW_RATE] * s[VY] if moving else 0.0,
-                             acceleration_y=rates[VY] + s[YAW_RATE] * s[VX] if moving else 0.0,
-                             yaw_acceleration=rates[YAW_RATE] if moving else 0.0,
-                             velocity_z=rates[Z] if moving else 0.0, road_wheel_angle=road_wheel_angle, lateral=lateral,
-                             longitudinal=longitudinal, load=load, slip_angle=tuple(slip), wheel_speed=tuple(speeds))
-        return self.forces
+        return PlantOutputs(
+            acceleration_x=rates[VX] - s[YAW_RATE] * s[VY] if moving else 0.0,
+            acceleration_y=rates[VY] + s[YAW_RATE] * s[VX] if moving else 0.0,
+            yaw_acceleration=rates[YAW_RATE] if moving else 0.0, velocity_z=rates[Z] if moving else 0.0,
+            road_wheel_angle=road_wheel_angle, lateral=lateral, longitudinal=longitudinal, load=load,
+            slip_angle=tuple(slip), wheel_speed=tuple(speeds))
 
     def _find_rack_target(self, angle: float) -> float:
         """Road-wheel angle that the rack approaches, from the steering-wheel angle after delay and play [rad]."""

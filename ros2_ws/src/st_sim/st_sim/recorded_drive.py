@@ -36,7 +36,7 @@ class RecordedDrive:
         self._time = min(time, self._times[-1])
         self._index = min(max(bisect_right(self._times, self._time) - 1, 0), len(self._rows) - 2)
 
-    def truth(self) -> Truth:
+    def make_truth(self) -> Truth:
         a, b = self._rows[self._index], self._rows[self._index + 1]
         step = self._times[self._index + 1] - self._times[self._index]
         fraction = (self._time - self._times[self._index]) / step

@@ -13,7 +13,7 @@ RUN_IN = 4.0  # s simulated before time 0, so that the drive begins in steady mo
 
 
 class SimulatedCar:
-    """Car and driver in a scenario. Call advance(), then truth(); the car is already moving at time 0."""
+    """Car and driver in a scenario. Call advance(), then make_truth(); the car is already moving at time 0."""
 
     def __init__(self, car: Car, settings: Settings, plan: Plan, seed: int = 0):
         self.car = car
@@ -46,18 +46,18 @@ class SimulatedCar:
             self._steering_wheel_rate = (driver.steering_wheel_angle - previous_angle) / step
             self._count += 1
 
-    def truth(self) -> Truth:
+    def make_truth(self) -> Truth:
         plant, s = self.plant, self.plant.state
-        forces = plant.observe(self.driver.drive_force)
+        outputs = plant.observe(self.driver.drive_force)
         return Truth(time=self.time, x=s[X], y=s[Y], z=s[Z], yaw=s[YAW], velocity_x=s[VX], velocity_y=s[VY],
-                     yaw_rate=s[YAW_RATE], acceleration_x=forces.acceleration_x, acceleration_y=forces.acceleration_y,
-                     yaw_acceleration=forces.yaw_acceleration, velocity_z=forces.velocity_z,
+                     yaw_rate=s[YAW_RATE], acceleration_x=outputs.acceleration_x, acceleration_y=outputs.acceleration_y,
+                     yaw_acceleration=outputs.yaw_acceleration, velocity_z=outputs.velocity_z,
                      steering_wheel_angle=self.driver.steering_wheel_angle,
                      steering_wheel_rate=self._steering_wheel_rate,
-                     road_wheel_angle=forces.road_wheel_angle, roll=plant.body_roll + plant.surroundings.bank_angle,
+                     road_wheel_angle=outputs.road_wheel_angle, roll=plant.body_roll + plant.surroundings.bank_angle,
                      pitch=plant.body_pitch + plant.surroundings.grade_angle, gear=DRIVE,
                      roll_rate=0.0 if plant.parked else plant.settings["roll_gradient"] * s[A_Y_RATE],
-                     wheel_speed=forces.wheel_speed, forces=forces, surroundings=plant.surroundings._asdict())
+                     wheel_speed=outputs.wheel_speed, outputs=outputs, surroundings=plant.surroundings._asdict())
 
 
 class ControlledCar:

@@ -84,18 +84,18 @@ class Stream:
 
     def _measure(self, now_ms: int, time: float) -> None:
         if now_ms % self._ins_period == 0:
-            self._send_ins(self._source.truth(), time)
+            self._send_ins(self._source.make_truth(), time)
         if now_ms % TRUTH_PERIOD_MS == 0:
-            self._push(time, self._source.truth())
+            self._push(time, self._source.make_truth())
         if now_ms % STEERING_SCHEDULE[0] == STEERING_SCHEDULE[1]:
-            truth = self._source.truth()
+            truth = self._source.make_truth()
             frames = self._can.encode_steering(self._steering.read(truth), truth.steering_wheel_rate)
             self._send_frames(frames, time + self._settings["steering_sensor_latency"])
         if now_ms % WHEEL_SCHEDULE[0] == WHEEL_SCHEDULE[1]:
-            wheel_speeds, vehicle_speed = read_wheel_speeds(self._source.truth(), self._settings)
+            wheel_speeds, vehicle_speed = read_wheel_speeds(self._source.make_truth(), self._settings)
             self._send_frames(self._can.encode_wheel_speeds(wheel_speeds, vehicle_speed), time)
         if now_ms % GEAR_SCHEDULE[0] == GEAR_SCHEDULE[1]:
-            self._send_frames(self._can.encode_gear(self._source.truth().gear), time)
+            self._send_frames(self._can.encode_gear(self._source.make_truth().gear), time)
         if self._background:
             for ms in range(now_ms, now_ms + TICK_MS):
                 self._send_frames(self._background.select_frames(ms), ms / 1000)

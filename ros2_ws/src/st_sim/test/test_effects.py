@@ -72,20 +72,20 @@ def steady(effects, steering_wheel=2.0, speed=9.0, seconds=8.0):
     plant.place(0.0, 0.0, 0.0, speed)
     for _ in range(round(seconds / STEP)):
         plant.step(steering_wheel, 8000.0 * (speed - plant.state[VX]) + 300.0)
-    plant.observe(300.0)
     return plant
 
 
 def test_ratio_and_offset():
     assert steady(["steering_ratio_factor=1.1"]).state[RACK] == pytest.approx(2.0 / (1.1 * CAR.steering_ratio))
-    assert steady(["steering_offset=0.01"]).forces.road_wheel_angle == pytest.approx(2.0 / CAR.steering_ratio + 0.01)
+    assert steady(["steering_offset=0.01"]).observe(300.0).road_wheel_angle == pytest.approx(2.0 / CAR.steering_ratio + 0.01)
 
 
 def test_compliance_takes_its_share_of_the_front_force():
     plant = steady(["steering_compliance=2e-6"])
-    front = plant.forces.lateral[0] + plant.forces.lateral[1]
+    outputs = plant.observe(300.0)
+    front = outputs.lateral[0] + outputs.lateral[1]
     assert front > 1000.0
-    assert plant.forces.road_wheel_angle == pytest.approx(2.0 / CAR.steering_ratio - 2e-6 * front, rel=1e-4)
+    assert outputs.road_wheel_angle == pytest.approx(2.0 / CAR.steering_ratio - 2e-6 * front, rel=1e-4)
 
 
 def rack_after_step(effects, seconds):
@@ -108,8 +108,9 @@ def test_delay_lag_and_play():
 
 def test_load_transfer_and_roll_follow_the_lateral_acceleration():
     plant = steady(["lateral_load_transfer=1", "roll_gradient=0.0075"])
-    a_y = plant.forces.acceleration_y
-    left, right = plant.forces.load[0] + plant.forces.load[2], plant.forces.load[1] + plant.forces.load[3]
+    outputs = plant.observe(300.0)
+    a_y, (front_left, front_right, rear_left, rear_right) = outputs.acceleration_y, outputs.load
+    left, right = front_left + rear_left, front_right + rear_right
     assert a_y > 2.0
     assert right - left == pytest.approx(2 * CAR.mass * a_y * CAR.cg_height / TRACK_WIDTH, rel=0.01)
     assert plant.body_roll == pytest.approx(0.0075 * a_y, rel=0.01)
@@ -211,7 +212,8 @@ def test_gusts_have_the_set_size_and_follow_the_seed():
 
 def test_cg_shift_moves_the_loads():
     forward = steady(["cg_shift=0.2"])
-    assert forward.forces.load[0] / forward.forces.load[2] > 1.5
+    load = forward.observe(300.0).load
+    assert load[0] / load[2] > 1.5
     assert forward.to_front == pytest.approx(CAR.cg_to_front_axle - 0.2)
 
 

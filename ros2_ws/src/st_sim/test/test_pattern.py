@@ -23,7 +23,7 @@ def drive(name, seconds):
     rows = []
     for k in range(seconds * RATE + 1):
         car.advance(k / RATE)
-        t = car.truth()
+        t = car.make_truth()
         ins = t.motion_at(CAR.cg_to_ins_x, CAR.cg_to_ins_y)
         steer = t.steering_wheel_angle / CAR.steering_ratio
         rows.append((t.x, t.y, t.velocity_x, t.velocity_y, t.yaw, t.yaw_rate, steer, *ins[:2]))

@@ -31,7 +31,7 @@ def test_straight_lines_between_rows(tmp_path):
     drive = RecordedDrive(written(tmp_path, [a, b]), CAR)
     assert drive.duration == pytest.approx(0.1)
     drive.advance(0.025)
-    t = drive.truth()
+    t = drive.make_truth()
     assert (t.x, t.y, t.velocity_x, t.velocity_y) == pytest.approx((-0.2, 0.025, 8.25, 0.15))
     assert (t.yaw_rate, t.acceleration_x, t.acceleration_y) == pytest.approx((0.45, 0.25, 3.5))
     assert t.yaw == pytest.approx(3.1 + 0.25 * (2 * math.pi - 6.2))
@@ -39,7 +39,7 @@ def test_straight_lines_between_rows(tmp_path):
     assert t.steering_wheel_angle == pytest.approx(0.055 * CAR.steering_ratio)
     assert t.wheel_speed == pytest.approx((8.25,) * 4)
     drive.advance(7.0)
-    assert drive.truth().velocity_x == pytest.approx(9.0)
+    assert drive.make_truth().velocity_x == pytest.approx(9.0)
 
 
 def test_a_real_drive_comes_out_of_the_wire_as_recorded(tmp_path):

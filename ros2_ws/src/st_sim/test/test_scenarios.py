@@ -23,7 +23,7 @@ class Drive:
         rows = []
         for i in range(seconds * RATE):
             car.advance(i / RATE)
-            t = car.truth()
+            t = car.make_truth()
             motion = t.velocity_x, t.velocity_y, t.yaw_rate, t.acceleration_x, t.acceleration_y
             rows.append((t.time, t.x, t.y, t.yaw, *motion, t.steering_wheel_angle, car.driver.drive_force))
         for name_, column in zip(COLUMNS, np.array(rows).T, strict=True):

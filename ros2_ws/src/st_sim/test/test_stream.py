@@ -52,7 +52,7 @@ def truths(seconds, scenario="S6", rate=100):
     found = []
     for i in range(seconds * rate):
         car.advance(i / rate)
-        found.append(car.truth())
+        found.append(car.make_truth())
     return found
 
 
