@@ -26,7 +26,7 @@ AGGREGATE_PERIOD = 1.0  # s between messages on /diagnostics_agg
 PREDICTION_PERIOD = 0.25  # s between reads of the newest prediction
 STATUS_TIMEOUT = 5.0  # s without an update until a status counts as silent
 LEVELS = ("ok", "warning", "error", "stale")
-STALE = LEVELS.index("stale")
+ERROR, STALE = LEVELS.index("error"), LEVELS.index("stale")
 
 
 @dataclass(frozen=True)
@@ -194,8 +194,8 @@ def render_health(state: SuiteState) -> Text:
         silent = status.is_silent(now)
         if status.level == 0 and not silent:
             continue
-        level = "silent" if silent else LEVELS[min(status.level, 3)]
-        style = "red" if status.level >= 2 or silent else "yellow"
+        level = "silent" if silent else LEVELS[min(status.level, STALE)]
+        style = "red" if status.level >= ERROR or silent else "yellow"
         text.append(f"{level}: {status.name}: {status.message}\n", style=style)
     return text if text else Text("all nodes OK" if state.health else "", style="green")
 

@@ -146,7 +146,7 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
             _check_no_other_suite(monitor, domain, allowed=0)
         with Suite(folder, parameters, domain, realtime) as suite:
             if not start_nodes(suite, monitor, NODES, stopped):
-                return Outcome({}, True)
+                return Outcome({}, interrupted=True)
             _check_no_other_suite(monitor, domain, allowed=1)
             text = f"{len(NODES)} nodes up in ROS domain {domain}; output in {folder}"
             console.print(escape(text), highlight=False, soft_wrap=True)

@@ -98,7 +98,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     truncated = [TRUNCATION_WARNING.format(file, "compared") for file in dict.fromkeys((bag, *score_bags))
                  if was_interrupted(file)]
     comparisons, warnings = [], [*drive.warnings, *truncated]
-    for name, live_predictions in predictions.items():
+    for name, forecasts in predictions.items():
         try:
             model = get_model(name)
         except ConfigurationError:
@@ -107,7 +107,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
         model_scores = {mode: scores[name, mode] for mode in (*MODES, *PLANNED_MODES) if (name, mode) in scores}
         planned = {mode: by_model[name] for mode, by_model in planned_by_mode.items() if name in by_model}
         comparisons.append(
-            _compare(model, car, signals, live_predictions, planned, model_scores, settings.filter_cutoff, progress))
+            _compare(model, car, signals, forecasts, planned, model_scores, settings.filter_cutoff, progress))
     expected = configuration_hash(car, settings)
     same = all(recorded.hashes == {expected} for recorded in predictions.values())
     return Verification(comparisons, f"{car.name}, from {source}", same, tuple(warnings))
@@ -130,21 +130,21 @@ def find_settled_starts(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: 
     return has_ins & (since_ns > SETTLING_TIME_CONSTANTS / (2.0 * np.pi * cutoff) * 1e9)
 
 
-def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Predictions,
+def _compare(model: Model, car: VehicleParameters, signals: LogSignals, forecasts: Predictions,
              planned: Mapping[Mode, PlannedPredictions], scores: Mapping[Mode, Scores], cutoff: float,
              progress: Progress | None) -> Comparison:
-    horizon = live.step * (live.states.shape[1] - 1)
-    settings = EvaluationSettings(PredictionSettings(horizon=horizon, step=live.step, minimum_speed=0.0))
+    horizon = forecasts.step * (forecasts.states.shape[1] - 1)
+    settings = EvaluationSettings(PredictionSettings(horizon=horizon, step=forecasts.step, minimum_speed=0.0))
     result = Comparison(model.name)
-    is_settled = find_settled_starts(live.starts_ns, signals.log.ins_time_ns, cutoff)
+    is_settled = find_settled_starts(forecasts.starts_ns, signals.log.ins_time_ns, cutoff)
     result.n_settling = int((~is_settled).sum())
-    starts_ns, live_states = live.starts_ns[is_settled], live.states[is_settled]
+    starts_ns, states = forecasts.starts_ns[is_settled], forecasts.states[is_settled]
     future_inputs: dict[Mode, FutureInputs] = {mode: predictions.inputs_at for mode, predictions in planned.items()}
     # The inputs of a plan or course are known only from its recorded predictions; other scores cannot be recomputed.
-    scores = {mode: scored.at(planned[mode].starts_ns) if mode in planned else scored for mode, scored in scores.items()
-              if mode in MODES or mode in planned}
+    scores = {mode: mode_scores.at(planned[mode].starts_ns) if mode in planned else mode_scores
+              for mode, mode_scores in scores.items() if mode in MODES or mode in planned}
     for rows, block in evaluate_blocks([model], car, signals, starts_ns, settings, future_inputs):
-        computed, recorded = block.trajectories[model.name, "forecast"], live_states[rows]
+        computed, recorded = block.trajectories[model.name, "forecast"], states[rows]
         finite = np.isfinite(computed).all(axis=(1, 2)) & np.isfinite(recorded).all(axis=(1, 2))
         difference = computed[finite] - recorded[finite]
         distance = np.hypot(difference[..., 0], difference[..., 1])
@@ -157,8 +157,8 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Pr
             result.yaw_difference = max(result.yaw_difference, float(np.abs(difference[..., 4]).max()))
         for mode, predictions in planned.items():
             _compare_planned(result, predictions, starts_ns[rows], block.trajectories[model.name, mode])
-        for mode, scored in scores.items():
-            _compare_scores(result, mode, scored, starts_ns[rows], block.errors[model.name, mode])
+        for mode, mode_scores in scores.items():
+            _compare_scores(result, mode, mode_scores, starts_ns[rows], block.errors[model.name, mode])
         if progress:
             progress(rows.stop, len(starts_ns))
     return result
@@ -175,18 +175,18 @@ def _compare_planned(result: Comparison, planned: PlannedPredictions, starts_ns:
         result.planned_difference = max(result.planned_difference, float(distance.max()))
 
 
-def _compare_scores(result: Comparison, mode: str, scored: Scores, starts_ns: np.ndarray, errors: np.ndarray) -> None:
-    _, computed, recorded = np.intersect1d(starts_ns, scored.starts_ns, assume_unique=True, return_indices=True)
+def _compare_scores(result: Comparison, mode: str, scores: Scores, starts_ns: np.ndarray, errors: np.ndarray) -> None:
+    _, computed, recorded = np.intersect1d(starts_ns, scores.starts_ns, assume_unique=True, return_indices=True)
     complete = np.isfinite(errors[computed]).all(axis=(1, 2))
-    both = complete & scored.complete[recorded]
-    cut = complete & scored.cut[recorded]
+    both = complete & scores.complete[recorded]
+    cut = complete & scores.cut[recorded]
     result.n_cut += int(cut.sum())
     # The evaluator does not score across a position jump; the library does, unless the jump is excluded from the run.
-    excluded = cut | scored.jumped[recorded]
-    result.n_disagree += int(((complete != scored.complete[recorded]) & ~excluded).sum())
+    excluded = cut | scores.jumped[recorded]
+    result.n_disagree += int(((complete != scores.complete[recorded]) & ~excluded).sum())
     result.n_scores[mode] = result.n_scores.get(mode, 0) + int(both.sum())
     if both.any():
-        difference = np.abs(errors[computed][both][..., :2] - scored.errors[recorded][both][..., :2])
+        difference = np.abs(errors[computed][both][..., :2] - scores.errors[recorded][both][..., :2])
         result.score_difference[mode] = max(result.score_difference.get(mode, 0.0), float(difference.max()))
 
 
@@ -248,8 +248,10 @@ def _make_table(result: Verification) -> Table:
 
 def _print_conclusion(result: Verification, tolerance: float, console: Console) -> int:
     n_scores = sum(sum(c.n_scores.values()) for c in result.comparisons)
-    n_disagree, n_cut, n_settling, n_planned = (sum(getattr(c, name) for c in result.comparisons)
-                                                for name in ("n_disagree", "n_cut", "n_settling", "n_planned"))
+    n_disagree = sum(c.n_disagree for c in result.comparisons)
+    n_cut = sum(c.n_cut for c in result.comparisons)
+    n_settling = sum(c.n_settling for c in result.comparisons)
+    n_planned = sum(c.n_planned for c in result.comparisons)
     passed = result.largest <= tolerance and not n_disagree
     verdict = "[green]live equals offline[/green]" if passed else "[red]live differs from offline[/red]"
     worst = max(result.comparisons, key=lambda c: c.path_difference)

@@ -69,16 +69,16 @@ class Consistency:
             return False
         self._checked_ns, self._checked_at = newest, now
         try:
-            self._check(select_recent(history), self._started)
+            self._check(*select_recent(history), self._started)
         except Exception as error:  # a failed check must not stop the scoring of predictions
             self.verdict = Verdict("warning", f"check failed: {type(error).__name__}: {error}")
         return True
 
-    def _check(self, log: DriveLog | float, started: float) -> None:
-        """log: measurements, or the duration of driving [s] if it is too short. started: time of the first poll [s]."""
+    def _check(self, log: DriveLog | None, driving_time: float, started: float) -> None:
+        """log, driving_time: as from `select_recent`. started: time of the first poll [s]."""
         previous_faults, self._faults = self._faults, frozenset()
-        if isinstance(log, float):
-            self.verdict = _make_pending_verdict(log)
+        if log is None:
+            self.verdict = _make_pending_verdict(driving_time)
             return
         cpu_start = time.thread_time()
         findings = [finding for finding in check(log, self._vehicle).findings if finding.name not in NOT_LIVE]
@@ -88,23 +88,25 @@ class Consistency:
         self._not_before = started + self.cpu_time / self._share
 
 
-def select_recent(history: MeasurementHistory) -> DriveLog | float:
-    """The measurements to check, thinned out; if they contain too little driving, its duration [s] instead."""
+def select_recent(history: MeasurementHistory) -> tuple[DriveLog | None, float]:
+    """(thinned-out measurements to check, None if they contain too little driving; duration of driving [s])."""
     newest = history.ins.newest or 0
     oldest = max(newest - round(HISTORY_SPAN / NANOSECOND), *history.ins.breaks, 0)
     times, rows = _thin_out(history.ins, oldest)
     step = np.minimum(np.diff(times, append=newest) * NANOSECOND, MAX_STEP)
     # Duration of driving from each sample to the newest [s].
-    driven = np.cumsum((step * (np.abs(rows[:, INS_SIGNALS.index("velocity_x")]) > MIN_SPEED))[::-1])[::-1]
-    if not len(driven) or driven[0] < MIN_DRIVING:
-        return float(driven[0]) if len(driven) else 0.0
-    start = min(newest - round(WINDOW / NANOSECOND), int(times[np.flatnonzero(driven >= MIN_DRIVING)[-1]]))
+    remaining = np.cumsum((step * (np.abs(rows[:, INS_SIGNALS.index("velocity_x")]) > MIN_SPEED))[::-1])[::-1]
+    driving_time = float(remaining[0]) if len(remaining) else 0.0
+    if driving_time < MIN_DRIVING:
+        return None, driving_time
+    start = min(newest - round(WINDOW / NANOSECOND), int(times[np.flatnonzero(remaining >= MIN_DRIVING)[-1]]))
     start = max(start, oldest)
     times, rows = _thin_out(history.ins, start)
     columns = dict(zip(INS_SIGNALS, rows.T, strict=False))
     steering_times, angles = _thin_out(history.steering, start)
-    return DriveLog("live", times, **columns | {"yaw": np.unwrap(columns["yaw"])},
-                    steering_time_ns=steering_times, road_wheel_angle=angles[:, 0])
+    log = DriveLog("live", times, **columns | {"yaw": np.unwrap(columns["yaw"])},
+                   steering_time_ns=steering_times, road_wheel_angle=angles[:, 0])
+    return log, driving_time
 
 
 def _thin_out(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
@@ -115,8 +117,8 @@ def _thin_out(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray
     return times[kept], series.rows[first:][kept]
 
 
-def _make_pending_verdict(driven: float) -> Verdict:
-    return Verdict("", f"not checked: {driven:.0f} s of driving in the last minute or since the position jumped, "
+def _make_pending_verdict(driving_time: float) -> Verdict:
+    return Verdict("", f"not checked: {driving_time:.0f} s of driving in the last minute or since the position jumped, "
                    f"{MIN_DRIVING:g} s above {MIN_SPEED:g} m/s required")
 
 

@@ -135,9 +135,10 @@ def wheel_forces(contact: tuple[float, float, float], tyre: TyreCoefficients, fr
     """
     relaxation, combined, max_rate = contact
     speed = abs(along)
-    steady = across / (speed if speed > MIN_SLIP_SPEED else MIN_SLIP_SPEED)
+    slip_speed = speed if speed > MIN_SLIP_SPEED else MIN_SLIP_SPEED
+    steady = across / slip_speed
     if relaxation:
-        inverse_time = (speed if speed > MIN_SLIP_SPEED else MIN_SLIP_SPEED) / relaxation
+        inverse_time = slip_speed / relaxation
         rate = (inverse_time if inverse_time < max_rate else max_rate) * (steady - slip)
         if speed < CREEP_SPEED:
             slip += CREEP_DAMPING * across * (1.0 - speed / CREEP_SPEED)

@@ -78,7 +78,7 @@ class Path:
         self._step = self.length / count
         self._poses = [Pose(0.0, 0.0, 0.0)]
         yaws = [self._integrate_heading(i * self._step / 2) for i in range(2 * count + 1)]
-        for i in range(count):
+        for i in range(count):  # position by Simpson's rule
             a, b, c = yaws[2 * i : 2 * i + 3]
             dx = self._step / 6 * (math.cos(a) + 4 * math.cos(b) + math.cos(c))
             dy = self._step / 6 * (math.sin(a) + 4 * math.sin(b) + math.sin(c))
@@ -128,7 +128,7 @@ class Path:
 
     def _find_lap_start(self, lap: int) -> Pose:
         if lap not in self._lap_starts:
-            if len(self._lap_starts) > 8:
+            if len(self._lap_starts) > 8:  # a drive needs only the current and the next lap
                 self._lap_starts.clear()
             one_lap = self._poses[-1] if lap > 0 else self._poses[-1].inverse()
             pose = self._anchor

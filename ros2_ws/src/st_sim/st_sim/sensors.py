@@ -135,9 +135,9 @@ def _specific_force(ax: float, ay: float, roll: float, pitch: float) -> tuple[fl
     """Specific force in the axes of the tilted body (FLU) for a horizontal acceleration (a_x, a_y, 0) and gravity."""
     forward, right, down = ax, -ay, -GRAVITY
     cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
-    x, d = cp * forward - sp * down, sp * forward + cp * down
-    y, z = cr * right + sr * d, -sr * right + cr * d
-    return x, -y, -z
+    forward, down = cp * forward - sp * down, sp * forward + cp * down
+    right, down = cr * right + sr * down, -sr * right + cr * down
+    return forward, -right, -down
 
 
 class SteeringSensor:

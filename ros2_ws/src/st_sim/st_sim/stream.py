@@ -21,13 +21,14 @@ from .simulation import SimulatedCar
 
 Source = SimulatedCar | RecordedDrive
 TICK_MS = 2
-TRUTH_PERIOD_MS = 10
 # Period and phase [ms]; the control units of the car are not synchronous with the INS.
-STEERING_SCHEDULE, WHEEL_SCHEDULE, GEAR_SCHEDULE = (10, 2), (20, 6), (60, 8)
+TRUTH_SCHEDULE, STEERING_SCHEDULE, WHEEL_SCHEDULE, GEAR_SCHEDULE = (10, 0), (10, 2), (20, 6), (60, 8)
 INS_CAN_DELAY = 0.0015  # s from the datagram to the first frame on CAN
 EARLY_TOLERANCE = 0.0003  # s; a frame due within this time is sent at once; a real bus has the same jitter
 LATE_THRESHOLD = 0.005  # s after the deadline; an output sent later counts as late
-INITIALISING_END, LOCKING_DURATION = 7.0, 11.0  # s, phases of the start-up of an INS
+# s after power-up of an INS: ends of the phases without data and with raw data, then start and end of initialising.
+NO_DATA_END, RAW_IMU_END, INITIALISING_START, INITIALISING_END = 0.5, 2.0, 3.0, 7.0
+LOCKING_DURATION = 11.0  # s
 
 
 class Output(NamedTuple):
@@ -42,17 +43,22 @@ class Output(NamedTuple):
 def find_start_up_status(time: float) -> tuple[int, float] | None:
     """Navigation status and delay [s] of the epoch at `time` [s] after power-up; None if it is not sent.
 
-    The phases are: no data, raw IMU data at 10 Hz, a pause of 1 s, initialising with a delay of 1 s, locking, locked.
+    The phases are: no data and raw IMU data, both at 10 Hz, a pause, initialising with a delay of 1 s, locking, locked.
     """
-    if time < 2.0:
+    if time < RAW_IMU_END:
         sent = round(time * 1000) % 100 == 0
-        return (NO_DATA if time < 0.5 else RAW_IMU, 0.0) if sent else None
-    if time < 3.0:
+        return (NO_DATA if time < NO_DATA_END else RAW_IMU, 0.0) if sent else None
+    if time < INITIALISING_START:
         return None
     if time < INITIALISING_END:
         return INITIALISING, 1.0
     progress = (time - INITIALISING_END) / LOCKING_DURATION
     return (LOCKING, 1.0 - progress) if progress < 1.0 else (LOCKED, 0.0)
+
+
+def _is_due(now_ms: int, schedule: tuple[int, int]) -> bool:
+    period, phase = schedule
+    return now_ms % period == phase
 
 
 class Stream:
@@ -62,7 +68,7 @@ class Stream:
                  can: CanWire, ins_rate: int, seed: int, background: bool = False, start_up: bool = False):
         self._source, self._settings = source, settings
         self._ins, self._steering, self._ncom, self._can = ins, steering, ncom, can
-        self._ins_period = 1000 // ins_rate
+        self._ins_schedule = 1000 // ins_rate, 0
         self._background = Background(seed) if background else None
         self._start_up = start_up
         self._ins_loss = Loss(settings["ins_packet_loss"], settings["ins_outage_every"], (seed, 7))
@@ -83,18 +89,18 @@ class Stream:
             yield heapq.heappop(self._queue)
 
     def _measure(self, now_ms: int, time: float) -> None:
-        if now_ms % self._ins_period == 0:
+        if _is_due(now_ms, self._ins_schedule):
             self._send_ins(self._source.make_truth(), time)
-        if now_ms % TRUTH_PERIOD_MS == 0:
+        if _is_due(now_ms, TRUTH_SCHEDULE):
             self._push(time, self._source.make_truth())
-        if now_ms % STEERING_SCHEDULE[0] == STEERING_SCHEDULE[1]:
+        if _is_due(now_ms, STEERING_SCHEDULE):
             truth = self._source.make_truth()
             frames = self._can.encode_steering(self._steering.read(truth), truth.steering_wheel_rate)
             self._send_frames(frames, time + self._settings["steering_sensor_latency"])
-        if now_ms % WHEEL_SCHEDULE[0] == WHEEL_SCHEDULE[1]:
+        if _is_due(now_ms, WHEEL_SCHEDULE):
             wheel_speeds, vehicle_speed = read_wheel_speeds(self._source.make_truth(), self._settings)
             self._send_frames(self._can.encode_wheel_speeds(wheel_speeds, vehicle_speed), time)
-        if now_ms % GEAR_SCHEDULE[0] == GEAR_SCHEDULE[1]:
+        if _is_due(now_ms, GEAR_SCHEDULE):
             self._send_frames(self._can.encode_gear(self._source.make_truth().gear), time)
         if self._background:
             for ms in range(now_ms, now_ms + TICK_MS):
@@ -170,9 +176,9 @@ class LiveOutput:
 
 
 def send(outputs: Iterable[Output], send_ncom: Callable[[bytes], object], send_frame: Callable[[Frame, float], object],
-         record_truth: Callable[[Truth], None] | None, stopped: Callable[[], bool], report: Report,
+         record_truth: Callable[[Truth], None] | None, stop_requested: Callable[[], bool], report: Report,
          started: float | None = None) -> float:
-    """Send outputs at their deadlines, late ones at once, until their end or until stopped() returns True.
+    """Send outputs at their deadlines, late ones at once, until their end or until stop_requested() returns True.
 
     started: monotonic time of the start of the drive [s]; None: send as fast as possible. Returns the due time of the
     last output [s since the start].
@@ -184,7 +190,7 @@ def send(outputs: Iterable[Output], send_ncom: Callable[[bytes], object], send_f
         # Only frames may be sent early: a packet must not arrive before its time of measurement.
         if wait > (0.0 if isinstance(output.payload, bytes) else EARLY_TOLERANCE):
             time.sleep(wait)
-        if stopped():
+        if stop_requested():
             break
         due = output.due
         if isinstance(output.payload, Truth):

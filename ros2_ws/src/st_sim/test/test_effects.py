@@ -77,7 +77,8 @@ def steady(effects, steering_wheel=2.0, speed=9.0, seconds=8.0):
 
 def test_ratio_and_offset():
     assert steady(["steering_ratio_factor=1.1"]).state[RACK] == pytest.approx(2.0 / (1.1 * CAR.steering_ratio))
-    assert steady(["steering_offset=0.01"]).observe(300.0).road_wheel_angle == pytest.approx(2.0 / CAR.steering_ratio + 0.01)
+    angle = steady(["steering_offset=0.01"]).observe(300.0).road_wheel_angle
+    assert angle == pytest.approx(2.0 / CAR.steering_ratio + 0.01)
 
 
 def test_compliance_takes_its_share_of_the_front_force():

@@ -11,7 +11,7 @@ import threading
 import time
 from collections import deque
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -37,7 +37,7 @@ MAX_AGE = 1.0  # s; an older prediction or steering angle is not shown
 DIAGNOSTICS_TIMEOUT = 3.0  # s until a node counts as silent; nodes of the suite publish diagnostics once a second
 MISSED_REPORTS = 3  # reporting intervals until a node counts as silent, if longer than DIAGNOSTICS_TIMEOUT
 BAND_LEVEL = 0.9
-LEVELS = ("ok", "warning", "error", "error")  # by level of diagnostic_msgs; stale counts as an error
+LEVELS, ERROR = ("ok", "warning", "error", "error"), 2  # of diagnostic_msgs; stale counts as an error
 INPUTS_OF_MODE = {"forecast": "held", "course": "of the course", "plan": "planned"}  # the preferred mode last
 TOPICS = {  # kind of message by topic
     "predictor/status": "status", "ins/status": "ins_status", "ins/odometry": "odometry",
@@ -51,6 +51,14 @@ TYPES = {"status": PredictorStatus, "ins_status": InsStatus, "odometry": Odometr
          "forecast": Prediction, "plan": PlannedPrediction, "course": PlannedPrediction, "error": PredictionError,
          "diagnostics": DiagnosticArray}
 QUEUE_DEPTHS, DEFAULT_QUEUE_DEPTH = {"error": 200, "diagnostics": 50}, 3  # all scores of one instant arrive together
+
+
+class NodeHealth(NamedTuple):
+    """Newest diagnostics of a node. timeout: until it counts as silent [s]. checks: (level, text) by name."""
+
+    received: float
+    timeout: float
+    checks: dict[str, tuple[int, str]]
 
 
 class PassengerFrames:
@@ -70,7 +78,7 @@ class PassengerFrames:
         # By mode and model: time of arrival [s], and the message, or the errors [m] with the horizon [s].
         self._predictions: dict[str, dict[str, tuple[float, Any]]] = {mode: {} for mode in INPUTS_OF_MODE}
         self._errors: dict[str, dict[str, tuple[float, dict[str, float]]]] = {mode: {} for mode in INPUTS_OF_MODE}
-        self._health: dict[str, tuple[float, float, dict[str, tuple[int, str]]]] = {}  # received, timeout [s], checks
+        self._health: dict[str, NodeHealth] = {}
 
     def take(self, topic: str, message: Any, now: float) -> None:
         """Process a message of one of TOPICS, received at `now`."""
@@ -139,7 +147,7 @@ class PassengerFrames:
         """(level, text) of the worst check; a silent node is an error, and without checks the level is "none"."""
         checks = [(level, f"{node}: {text}") for node, (received, timeout, node_checks) in self._health.items()
                   for level, text in (node_checks.values() if now - received < timeout else
-                                      [(2, f"silent for {now - received:.0f} s")])]
+                                      [(ERROR, f"silent for {now - received:.0f} s")])]
         if not checks:
             return "none", "no diagnostics"
         level, text = max(checks)
@@ -165,12 +173,12 @@ class PassengerFrames:
 
     def _take_diagnostics(self, message: Any, now: float) -> None:
         for node in {status.name.partition(": ")[0] for status in message.status}:
-            last = self._health.get(node, (now, 0.0, {}))[0]
-            self._health[node] = now, max(DIAGNOSTICS_TIMEOUT, MISSED_REPORTS * (now - last)), {}
+            interval = now - self._health[node].received if node in self._health else 0.0
+            self._health[node] = NodeHealth(now, max(DIAGNOSTICS_TIMEOUT, MISSED_REPORTS * interval), {})
         for status in message.status:
             node, _, check = status.name.partition(": ")
             text = f"{check}: {status.message}" if check else status.message
-            self._health[node][2][check] = int.from_bytes(status.level, "little"), text
+            self._health[node].checks[check] = int.from_bytes(status.level, "little"), text
 
 
 def _to_car_axes(x: np.ndarray, y: np.ndarray, pose: tuple[float, float, float]) -> list[list[float]]:

@@ -79,9 +79,9 @@ def read_header_stamp(data: bytes) -> int:
 
 
 def read_issued_at(data: bytes) -> int:
-    """issued_at [ns] of a serialised st_msgs/Prediction: the field after the header."""
+    """issued_at [ns] of a serialised st_msgs/Prediction: the field after frame_id, which is padded to 4 bytes."""
     (length,) = struct.unpack_from("<I", data, 12)
-    seconds, nanoseconds = struct.unpack_from("<iI", data, 16 + -(-length // 4) * 4)
+    seconds, nanoseconds = struct.unpack_from("<iI", data, 16 + math.ceil(length / 4) * 4)
     return seconds * 1_000_000_000 + nanoseconds
 
 

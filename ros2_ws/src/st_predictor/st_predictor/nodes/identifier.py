@@ -50,11 +50,12 @@ class IdentifierNode(Node):
     def _drain(self) -> None:
         for message, _, _ in self._odometry.take(QUEUE_DEPTH):
             sample = convert.read_ins_sample(message, self._values.map_frame)
-            self._received["INS"] += not isinstance(sample, str) and self._core.add_ins(sample)
+            if not isinstance(sample, str):
+                self._received["INS"] += self._core.add_ins(sample)
         for message, _, _ in self._steering.take(QUEUE_DEPTH):
-            usable = message.valid and math.isfinite(message.steering_wheel_angle)
-            self._received["steering"] += usable and self._core.add_steering(
-                to_nanoseconds(message.header.stamp), message.steering_wheel_angle)
+            if message.valid and math.isfinite(message.steering_wheel_angle):
+                self._received["steering"] += self._core.add_steering(
+                    to_nanoseconds(message.header.stamp), message.steering_wheel_angle)
         self._fit_in_background()
 
     def _fit_in_background(self) -> None:
