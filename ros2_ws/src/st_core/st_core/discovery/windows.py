@@ -54,7 +54,7 @@ class Signals(LogSignals):
         self.velocity_x_dot = (ends[1] - ends[0]) / np.maximum(high - low, STEP)
         self._lookups: OrderedDict[tuple, tuple] = OrderedDict()
 
-    def of(self, log: DriveLog) -> "Signals":
+    def for_log(self, log: DriveLog) -> "Signals":
         if not share_memory(log, self.log, "ins_time_ns", "velocity_x"):
             other = Signals(log, self.maximum_gap)
             other._lookups = self._lookups
