@@ -12,7 +12,7 @@ from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.fit import Problem
 from st_core.discovery.loss import Loss
-from st_core.discovery.next_manoeuvre import drive
+from st_core.discovery.next_manoeuvre import simulate_drive
 from st_core.discovery.space import Space
 from st_core.log import DriveLog
 from st_core.manoeuvres import CATALOGUE
@@ -31,7 +31,7 @@ def recorded(vehicle: VehicleParameters, effects: Mapping, seed: int, names: Seq
     """One log for each manoeuvre of the catalogue named. effects: {name: {parameter: value}}."""
     rng, model, logs = np.random.default_rng(seed), augment(base, effects), []
     for k, name in enumerate(names):
-        log = drive(next(m for m in CATALOGUE if m.name == name), model, vehicle)
+        log = simulate_drive(next(m for m in CATALOGUE if m.name == name), model, vehicle)
         noisy = {key: getattr(log, key) + noise * size * rng.standard_normal(len(log.x)) for key, size in NOISE.items()}
         logs.append(replace(log, name=f"{name} {k + 1}", **noisy))
     return logs
@@ -67,7 +67,7 @@ class LinearErrors:
     def at(self, vector: np.ndarray) -> np.ndarray:
         return self.noise + np.tensordot((self.truth - vector) / self.space.scale, self.signatures, 1)
 
-    def many(self, vectors: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def at_all(self, vectors: Sequence[np.ndarray]) -> list[np.ndarray]:
         return [self.at(v) for v in vectors]
 
 

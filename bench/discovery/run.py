@@ -78,7 +78,7 @@ def describe_answer(found: Discovery) -> Record:
         "effects": [*({"name": e.name, "kind": e.kind, "alternatives": list(e.alternatives),
                        "position_5s": round(e.position_5s_increase, 4), "values": _values(e)} for e in found.effects),
                     *({"name": c.effects[0], "kind": "combination", "alternatives": list(c.effects[1:]),
-                       "position_5s": 0.0, "values": {}} for c in found.known_together)],
+                       "position_5s": 0.0, "values": {}} for c in found.unseparated_combinations)],
         "kept": {e.name: _values(e) for e in found.minor},
         "on_top": {c.name: dict(c.parameters) for c in found.candidates},
         "varying": [[b.resembles, b.varies_with] for b in found.varying],

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from st_core.discovery import axles, evidence, fit, loss
-from st_core.discovery.partitions import partitions
+from st_core.discovery.partitions import make_partitions
 from st_core.discovery.search import Search
 from st_core.discovery.settings import DiscoverySettings
 from st_core.effects import EFFECTS
@@ -44,7 +44,7 @@ LIMITS = ("max_file_deviation", "min_relative_size", "min_peak_force", "unexplai
 IN_SEARCH = {"MAX_QUADRATIC_RISE": fit, "MAX_SCALED": fit, "DIVERGED": fit, "MIN_CURVATURE": evidence,
              "PART_PRIOR": evidence, "MIN_INFORMATION_SHARE": evidence, "NU": loss, "DIFFERENCE_STEP": loss,
              "MAX_SCALED_ERROR": loss,
-             **dict.fromkeys(("MIN_RUNS", "SAME_SITE_SHARE", "PLACE_SIZE"), sys.modules[partitions.__module__])}
+             **dict.fromkeys(("MIN_RUNS", "SAME_SITE_SHARE", "PLACE_SIZE"), sys.modules[make_partitions.__module__])}
 CONSTANTS = {"UNSELECTED_DEVIATION": evidence, "MIN_FORCE_CHANGE": axles, "MAX_SLIP": axles, "SMALL_SLIP": axles,
              "DRAWS": axles, "GAIN_SPEED": axles, **IN_SEARCH}
 NUMBERS = (*LIMITS, "model_error", *CONSTANTS)
@@ -112,7 +112,7 @@ def _multiply(analysis: Any, number: str, factor: float) -> Iterator[Any]:
 def _search(analysis: Any) -> tuple[Any, ...]:
     """(problem, noise of the channels, partitions of the windows, search, its result)."""
     problem, by_column = analysis._make_problem()
-    parts = partitions(analysis.windows)
+    parts = make_partitions(analysis.windows)
     search = Search(problem, analysis.limits, parts, analysis.sensors, analysis.settings.seed)
     return problem, analysis._channel_noise(by_column), parts, search, search.run()
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from st_cli.verbs.live import SCENARIOS as OFFERED
 from st_core.augmented import augment
-from st_core.discovery.next_manoeuvre import drive
+from st_core.discovery.next_manoeuvre import simulate_drive
 from st_core.manoeuvres import CATALOGUE
 from st_core.vehicle import VehicleParameters
 from st_sim.car import read_car
@@ -54,7 +54,7 @@ def by_the_virtual_car(manoeuvre) -> np.ndarray:
 
 
 def by_the_model(manoeuvre) -> np.ndarray:
-    log = drive(manoeuvre, augment("nonlinear", {}), LEAF)
+    log = simulate_drive(manoeuvre, augment("nonlinear", {}), LEAF)
     assert (log.ins_time_ns[-1] - log.ins_time_ns[0]) * 1e-9 == pytest.approx(manoeuvre.duration, abs=0.03)
     kept = log.ins_time_ns - log.ins_time_ns[0] < looked_at(manoeuvre) * 1e9
     return np.column_stack((log.velocity_x, log.velocity_x * log.yaw_rate))[kept]

@@ -16,7 +16,7 @@ import pytest
 from raw_drives import LEAF, write_drives
 from st_cli.cli import app
 from st_core.discovery import DiscoverySettings, discover
-from st_core.discovery.reference import healthy_car
+from st_core.discovery.reference import fit_healthy_car
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile
 from st_core.vehicle import VehicleParameters
@@ -67,11 +67,11 @@ def healthy_car_fitted_once():
     def once(runs, vehicle, space, settings, threads, tick):
         key = (*map(id, runs), id(vehicle), settings)
         if key not in found:
-            found[key] = runs, vehicle, healthy_car(runs, vehicle, space, settings, threads, tick)
+            found[key] = runs, vehicle, fit_healthy_car(runs, vehicle, space, settings, threads, tick)
         return found[key][-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys.modules[discover.__module__], "healthy_car", once)
+        patch.setattr(sys.modules[discover.__module__], "fit_healthy_car", once)
         yield
 
 

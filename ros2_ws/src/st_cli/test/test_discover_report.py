@@ -26,7 +26,7 @@ from st_core.discovery.result import (
 )
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import drives, quantities, report_text
-from st_offline.discovery.discovery_report import document, print_result, write_page
+from st_offline.discovery.discovery_report import build_document, print_result, write_page
 from st_offline.discovery.drives import Request, read_drive, read_result, write_result
 from st_offline.discovery.figures import Scene, draw_agreement, draw_axle_curves, draw_maps, draw_waterfall
 from st_offline.discovery.relation_report import RelationReport
@@ -61,11 +61,11 @@ def tied(logs, partition="run"):
 
 def test_title_and_table_name_the_values_of_the_answer_the_largest_effect_first(logs):
     found = discovery(logs, STEPS, 1.72)
-    assert report_text.title(found) == (
+    assert report_text.format_title(found) == (
         "5 s position error 1.72 m → 0.55 m (held-out): steering ratio × 0.8940; heading misalignment 0.561°; lateral "
         "acceleration bias -0.600 m/s²")
     effects = [replace(e, channel="yaw", share=0.25) for e in reversed(found.effects)]
-    first, *_, last = report_text.effect_rows(replace(found, effects=tuple(effects)))
+    first, *_, last = report_text.list_effect_rows(replace(found, effects=tuple(effects)))
     assert first[0] == "steering ratio" and first[2:4] == ("+0.90 m", "heading error by 25 %")
     assert last[2] == "+0.000 m" and "2 of 2 runs, 2 of 2 sites" in last
 
@@ -83,7 +83,7 @@ def test_names_not_distinguishable_are_listed_together(logs):
     found = discovery(logs, STEPS[:1], 1.72, alternatives={"steering_ratio": ("front_stiffness",)}, outcome="ambiguous")
     stiff = CandidateEffect("front_stiffness", "vehicle parameters", {"factor": 1.31}, 0.2, "alternative", "")
     found = replace(found, candidates=(*found.candidates, stiff))
-    assert "steering ratio × 0.8940 or front stiffness × 1.31" in report_text.title(found)
+    assert "steering ratio × 0.8940 or front stiffness × 1.31" in report_text.format_title(found)
     assert any("record the next drive" in text for text in report_text.recommend(found, None))
 
 
@@ -113,7 +113,7 @@ def test_recordings_are_to_be_corrected_only_if_a_correction_exists(logs):
     blind = Finding("channel_frozen", Severity.WARNING, ("velocity_y",), "velocity_y is 0 throughout",
                     advice=Advice("look", "record velocity_y"))
     found = discovery(logs, STEPS[:1], 1.72)
-    correct, look = (dict(report_text.summary(found, None, {"a": [one]}))["recordings"] for one in (late, blind))
+    correct, look = (dict(report_text.summarise(found, None, {"a": [one]}))["recordings"] for one in (late, blind))
     assert correct.endswith("correct them as st check proposes, and run st discover again")
     assert look == "velocity_y is 0 throughout (a). Advice: record velocity_y"
 
@@ -136,14 +136,14 @@ def test_kept_effects_are_listed_with_all_alternatives(logs):
     ("ambiguous", "no effect is certain enough to be named"),
     ("unknown", "a significant error that no effect of the library explains")])
 def test_without_a_name(logs, outcome, message):
-    assert message in report_text.title(discovery(logs, (), 1.72, outcome=outcome))
+    assert message in report_text.format_title(discovery(logs, (), 1.72, outcome=outcome))
 
 
 def test_the_unexplained_part_is_reported_with_the_names(logs):
     named = discovery(logs, STEPS, 1.72)
     much = replace(named, signature=("errors are 3.1 times the noise",))
     message = "; a residual remains that no effect of the library explains: errors are 3.1 times the noise"
-    assert report_text.title(much) == report_text.title(named) + message
+    assert report_text.format_title(much) == report_text.format_title(named) + message
     assert "an effect that is not in the library; errors are 3.1 times the noise" in report_text.explain_effects(much)
     assert any("residual may have biased their values" in text for text in report_text.recommend(much, None))
     assert not any("biased their values" in text for text in report_text.recommend(named, None))
@@ -151,18 +151,18 @@ def test_the_unexplained_part_is_reported_with_the_names(logs):
 
 def test_varying_effects_are_reported_and_not_named(logs):
     found = discovery(logs, (), 1.72, varying=(tied(logs),), outcome="varying")
-    assert report_text.title(found).endswith("an effect that resembles crosswind (0.090 m) but varies with run; no "
-                                             "effect is named")
-    (text,) = dict(report_text.details(found, None))["varying, not named"]
+    title = report_text.format_title(found)
+    assert title.endswith("an effect that resembles crosswind (0.090 m) but varies with run; no effect is named")
+    (text,) = dict(report_text.list_details(found, None))["varying, not named"]
     assert "not a property of the car" in text and "other: -1.00 ± 0.39" in text
 
 
 def test_first_lines_name_runs_and_references_with_seconds(logs):
-    lines = report_text.details(discovery(logs, STEPS, 1.72, reference=[replace(logs[0], name="healthy")]), None)
+    lines = report_text.list_details(discovery(logs, STEPS, 1.72, reference=[replace(logs[0], name="healthy")]), None)
     assert [question for question, _ in lines[:2]] == ["suspect", "reference"]
     assert lines[0][1] == ["2 runs, 40 s at 2 sites (overlapping tracks are one site): <b>weave 20 s, other 20 s"]
     assert lines[1][1] == ["1 run, 20 s: healthy 20 s"]
-    answers_by_question = dict(report_text.details(discovery(logs, STEPS, 1.72), None))
+    answers_by_question = dict(report_text.list_details(discovery(logs, STEPS, 1.72), None))
     assert "starts from the vehicle file" in answers_by_question["reference"][0]
 
 
@@ -217,9 +217,9 @@ def test_a_small_number_is_never_rounded_to_zero_and_zero_has_no_sign(number, de
 
 def test_errors_of_the_recordings_come_before_the_answer_is_used(logs):
     wrong = Finding("x_scale", Severity.WARNING, ("x",), "x is 0.97 times the integrated velocity", effect=1.1)
-    lines = dict(report_text.summary(discovery(logs, STEPS, 1.72), None, {"a": [wrong], "b": [wrong]}))
+    lines = dict(report_text.summarise(discovery(logs, STEPS, 1.72), None, {"a": [wrong], "b": [wrong]}))
     assert "velocity (a, b, shifts the position after 5 s by about 1.1 m). The recordings" in lines["recordings"]
-    assert "recordings" not in dict(report_text.summary(discovery(logs, STEPS, 1.72), None, {"a": []}))
+    assert "recordings" not in dict(report_text.summarise(discovery(logs, STEPS, 1.72), None, {"a": []}))
 
 
 def test_a_combination_that_differs_from_the_file_is_reported_when_no_effect_of_it_is_named(logs):
@@ -228,22 +228,22 @@ def test_a_combination_that_differs_from_the_file_is_reported_when_no_effect_of_
     understeer = Combination("stability factor K", "s^2/m^2", 0.003, (0.0025, 0.004), 0.002, ("front_stiffness",))
     found = replace(discovery(logs, STEPS, 1.72), combinations=(stiffness, understeer))
     text = "front cornering stiffness over mass 0.80 (0.67 to 0.89) times the vehicle file value"
-    assert text in report_text.title(found)
-    assert dict(report_text.summary(found, None, {}))["only the combination is identifiable"] == (
+    assert text in report_text.format_title(found)
+    assert dict(report_text.summarise(found, None, {}))["only the combination is identifiable"] == (
         f"{text}: front stiffness or steering compliance, which these drives do not separate")
     delay = Combination("total delay of the steering", "s", -0.0619, (-0.07, -0.05), 0.0, ("steering_delay",))
     late = replace(found, combinations=(delay,))
-    assert "total delay of the steering -0.062 s (-0.070 to -0.050)" in report_text.title(late)
+    assert "total delay of the steering -0.062 s (-0.070 to -0.050)" in report_text.format_title(late)
     either = replace(delay, effects=("steering_delay", "tyre_relaxation"))
-    assert "(-0.070 to -0.050) or tyre relaxation" in report_text.title(replace(found, combinations=(either,)))
+    assert "(-0.070 to -0.050) or tyre relaxation" in report_text.format_title(replace(found, combinations=(either,)))
     small = replace(understeer, file=-0.0001)
-    assert "stability factor K 0.003 s²/m² (0.0025 to 0.004; vehicle file -0.0001)" in report_text.title(
+    assert "stability factor K 0.003 s²/m² (0.0025 to 0.004; vehicle file -0.0001)" in report_text.format_title(
         replace(found, combinations=(small,)))
     assert not any("weigh the car" in line for line in report_text.recommend(late, None))
     same = replace(found, combinations=(replace(stiffness, interval=(30.0, 44.0)),))
     named = replace(found, combinations=(replace(stiffness, effects=(found.effects[0].name,)),))
     for one in (same, named):
-        assert "over mass" not in report_text.title(one)
+        assert "over mass" not in report_text.format_title(one)
 
 
 def test_page_and_terminal_hold_the_answer_and_no_markup_of_a_name(logs, drive, tmp_path, capsys):
@@ -252,13 +252,13 @@ def test_page_and_terminal_hold_the_answer_and_no_markup_of_a_name(logs, drive, 
     found = discovery(logs, STEPS, 1.72, varying=(tied(logs),))
     question = Request("nonlinear", CAR, "leaf.yaml", LEAF.read_text(), DiscoverySettings(), drives=[drive])
     corrected = update_vehicle(found, question)
-    content = document(found, question, corrected, {})
+    content = build_document(found, question, corrected, {})
     assert content["schema"] == 3 and content["files"]["vehicle.yaml"]["kept"]["steering_ratio"]
     json.dumps(content, allow_nan=False)
     page = tmp_path / "report.html"
     write_page(page, found, corrected, content, [draw_waterfall(scene(found, logs))])
     text = page.read_text()
-    assert report_text.title(found) in text and "&lt;b&gt;weave" in text and "<b>weave 20" not in text
+    assert report_text.format_title(found) in text and "&lt;b&gt;weave" in text and "<b>weave 20" not in text
     assert "2.5 % are asked for" in text and not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"', text)
     print_result(found, corrected, [], {"report.html": page}, True, Console(width=300))
     message = capsys.readouterr().out
@@ -277,7 +277,8 @@ def test_page_and_terminal_hold_the_same_of_a_proposal(logs, drive, tmp_path, ca
     table = Table("By run", "Note.", ("run", "m"), [("[weave]", "0.1")])
     reported = RelationReport([("proposal", ["a law, <b>bold"])], [table], "PROPOSAL: a law")
     page = tmp_path / "report.html"
-    write_page(page, found, None, document(found, question, None, {}), [draw_waterfall(scene(found, logs))], reported)
+    content = build_document(found, question, None, {})
+    write_page(page, found, None, content, [draw_waterfall(scene(found, logs))], reported)
     text = html.unescape(page.read_text())
     print_result(found, None, [], {"report.html": page}, False, Console(width=60), reported)
     message = capsys.readouterr().out

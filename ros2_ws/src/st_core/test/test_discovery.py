@@ -14,7 +14,7 @@ from st_core.discovery import OUTCOMES, PARTS, DiscoverySettings, Limits, discov
 from st_core.discovery.clocks import apply_clock_corrections
 from st_core.discovery.discover import fit_effects
 from st_core.discovery.result import Reason
-from st_core.discovery.search import Found, Search
+from st_core.discovery.search import Search, SearchState
 from st_core.discovery.space import Space
 from st_core.effects import EFFECTS, load_folder
 from st_core.errors import ConfigurationError, StCoreError
@@ -144,7 +144,7 @@ def test_one_effect_takes_the_place_of_two_only_where_it_explains_as_much(headin
     signatures[of("road_bank")] = signatures[of(PAIR[0])] + signatures[of(PAIR[1])]
     problem.update_design_effect(problem.start)
     fit = problem.fit(PAIR, problem.all_sensitivities(problem.start))
-    found = Search(problem, Limits(), {}, {})._exchange_until_accepted(Found(fit, list(PAIR)))
+    found = Search(problem, Limits(), {}, {})._exchange_until_accepted(SearchState(fit, list(PAIR)))
     assert sorted(found.fit.names) == sorted(left)
 
 
@@ -237,7 +237,7 @@ HEALTHY = {"steering_lag": {"time_constant": 0.03}, "tyre_relaxation": {"length"
 @pytest.mark.slow
 def test_what_the_healthy_car_differs_by_is_not_stated(leaf):
     found = discover(recorded(leaf, HEALTHY, 12), leaf, reference=recorded(leaf, HEALTHY, 11), settings=SETTINGS)
-    assert found.outcome == "not_testable" and found.effects == () and found.known_together == ()
+    assert found.outcome == "not_testable" and found.effects == () and found.unseparated_combinations == ()
     assert found.model is None and found.start == "reference"
     assert [r.role for r in found.runs] == ["suspect"] * 3 + ["reference"] * 3
 

@@ -21,30 +21,30 @@ from st_core.discovery.decision import (
     PARTITION_NAMES,
     SENSORS,
     VARIES,
-    Checks,
+    NamingChecks,
     Rival,
     SearchResult,
     decide,
     judge,
     judge_alternative,
-    naming_verdict,
+    judge_naming,
     varies_relevantly,
     varying_partition,
 )
-from st_core.discovery.discover import include_effects, with_sensor_interval
+from st_core.discovery.discover import complete_delay, replace_interval
 from st_core.discovery.evidence import AgainstFile, Agreement, Evidence
-from st_core.discovery.result import Combination, FittedParameter, FoundEffect, known_together
+from st_core.discovery.result import Combination, FittedParameter, FoundEffect, unseparated_combinations
 from st_core.errors import ConfigurationError
 
 LIMITS = Limits()
-GOOD = Evidence("mass", gain=0.2, p_value=1e-4, position=0.5, position_somewhere=0.5)
+GOOD = Evidence("mass", gain=0.2, p_value=1e-4, position=0.5, position_in_condition=0.5)
 SAME = Agreement({}, p_equal=0.5, p_absent=1e-6)
 DIFFERENT = Agreement({}, p_equal=1e-4, p_absent=0.2)
 SMALL, LUCKY = replace(GOOD, gain=0.005), replace(GOOD, p_value=0.02)
-CHEAP = replace(GOOD, gain=0.02, position=0.01, position_somewhere=0.015)
+CHEAP = replace(GOOD, gain=0.02, position=0.01, position_in_condition=0.015)
 MAYBE_NULL = replace(GOOD, null_p_value=0.2)
 DENIED, EDGE = replace(GOOD, sensors_p_value=0.01), replace(GOOD, bound_distance=0.0)
-SLIGHT = replace(GOOD, position=0.01, position_somewhere=0.0)
+SLIGHT = replace(GOOD, position=0.01, position_in_condition=0.0)
 HEAVY = replace(GOOD, against_file=AgainstFile("mass", "kg", 2000.0, 1580.0, 47.4, 8.9))
 LOCAL = replace(GOOD, agreement={"run": SAME, "place": DIFFERENT})
 EQUAL = Rival("rear_stiffness", "mass", share=0.9, p_no_worse=0.4, deficit=0.02,
@@ -68,7 +68,7 @@ NOTHING = SearchResult([], {}, [], noise_ratio=1.0, detectable_share=0.9)
     (CHEAP, IRRELEVANT, {"gain": 0.02, "position": 0.015}),
     (replace(CHEAP, gain=0.03), ACCEPTED, {}),
     (replace(CHEAP, position=0.03), ACCEPTED, {}),
-    (replace(CHEAP, position_somewhere=0.03), ACCEPTED, {}),
+    (replace(CHEAP, position_in_condition=0.03), ACCEPTED, {}),
     (replace(SENSED, gain=0.0, p_value=0.5, null_p_value=0.5, size=0.6), ACCEPTED,
      {}),  # a sensor's error, however little it costs
     (replace(SENSED, gain=0.0, p_value=0.5, size=0.4), IRRELEVANT, {"share": 0.0, "position": 0.0}),
@@ -107,22 +107,22 @@ def test_a_total_delay_is_reported_with_the_stiffness_unless_a_part_of_it_is_nam
     gain = Combination("steady-state yaw gain at 20 m/s", "1/s", 0.3, (0.29, 0.31), 0.35, ("mass",))
     delay = Combination("total delay of the steering", "s", -0.06, (-0.07, -0.05), 0.0, ("steering_lag",))
     named = FoundEffect("steering_lag", "physics", {}, (), 0.0, {})
-    assert known_together((stiffness, gain, delay), ()) == (stiffness, delay)
-    assert known_together((gain, replace(delay, interval=(-0.15, 0.03))), ()) == (gain,)
-    assert known_together((delay,), (named,)) == ()
+    assert unseparated_combinations((stiffness, gain, delay), ()) == (stiffness, delay)
+    assert unseparated_combinations((gain, replace(delay, interval=(-0.15, 0.03))), ()) == (gain,)
+    assert unseparated_combinations((delay,), (named,)) == ()
 
 
 def test_a_delay_from_one_effect_is_as_uncertain_as_this_effect_and_has_its_alternatives():
     delay = Combination("total delay of the steering", "s", 0.02, (0.01, 0.06), 0.0, ("steering_delay", "steering_lag"))
     wide = {"time": FittedParameter(0.02, "s", (-0.07, 0.05), 0.0)}
     one = FoundEffect("steering_delay", "physics", wide, ("steering_lag", "tyre_relaxation"), 0.0, {})
-    found = include_effects(delay, (one,))
+    found = complete_delay(delay, (one,))
     assert found.interval == (-0.07, 0.06) and not found.differs
     assert found.effects == ("steering_delay", "steering_lag", "tyre_relaxation")
     other = replace(one, name="steering_lag", alternatives=())  # what one loses, the other gains: the sum is certain
-    assert include_effects(delay, (one, other)).interval == delay.interval
+    assert complete_delay(delay, (one, other)).interval == delay.interval
     stiffness = Combination("front cornering stiffness over mass", "N/(rad kg)", 35.0, (34.0, 36.0), 40.0, ("mass",))
-    assert include_effects(stiffness, (replace(one, name="mass"),)) == stiffness  # yaw inertia does not change it
+    assert complete_delay(stiffness, (replace(one, name="mass"),)) == stiffness  # yaw inertia does not change it
 
 
 def test_rules_are_asked_in_their_order():
@@ -145,7 +145,7 @@ def test_rules_are_asked_in_their_order():
     (replace(SLIGHT, shares={"yaw": (0.1, 1.5)}), MINOR, {"share": 0.0}),  # a channel that is noise
     (replace(SLIGHT, shares={"yaw": (0.01, 5.0)}), MINOR, {"share": 0.01, "position": 0.01}),
     (replace(SLIGHT, position=0.03), NAMED, {"position": 0.03}),
-    (replace(SLIGHT, position_somewhere=0.03), NAMED, {"position": 0.03}),
+    (replace(SLIGHT, position_in_condition=0.03), NAMED, {"position": 0.03}),
     (SLIGHT, MINOR, {"share": 0.0}),
     (WEAK, NAMED, {"position": 0.5}),
     (replace(WEAK, noise_ratio=5.0), MINOR, {"gain": 0.1, "noise_ratio": 5.0}),  # beside more than it takes away itself
@@ -155,21 +155,21 @@ def test_rules_are_asked_in_their_order():
      {}),  # the sensors say so among themselves
 ])
 def test_effect_that_holds_is_named_or_kept(evidence, rule, figures):
-    verdict = naming_verdict(evidence, LIMITS)
+    verdict = judge_naming(evidence, LIMITS)
     assert verdict.rule == rule and verdict.subject == "mass" and verdict.text
     assert {k: verdict.figures[k] for k in figures} == figures
 
 
 @pytest.mark.parametrize(("evidence", "checks", "rule"), [
-    (GOOD, Checks(), NAMED), (GOOD, Checks(excludes_null=False), MINOR),
-    (CONFIRMED, Checks(excludes_null=False), NAMED),
-    (GOOD, Checks(crossing="factor"), MINOR), (GOOD, Checks(peak_force_share=0.5), MINOR),
-    (GOOD, Checks(worse_axle="rear"), FORCES), (GOOD, Checks(summed=("steering_lag",)), MINOR),
-    (CONFIRMED, Checks(objection="yaw_inertia: k^2 / (l_f l_r) 0.5 is outside 0.6 to 1.4"), IMPLAUSIBLE),
-    (replace(GOOD, position=-0.03), Checks(), MINOR),  # its own step makes the held-out error larger
-    (replace(CONFIRMED, position=-0.03), Checks(), NAMED)])  # but the sensors show it among themselves
+    (GOOD, NamingChecks(), NAMED), (GOOD, NamingChecks(excludes_null=False), MINOR),
+    (CONFIRMED, NamingChecks(excludes_null=False), NAMED),
+    (GOOD, NamingChecks(crossing="factor"), MINOR), (GOOD, NamingChecks(peak_force_share=0.5), MINOR),
+    (GOOD, NamingChecks(worse_axle="rear"), FORCES), (GOOD, NamingChecks(summed=("steering_lag",)), MINOR),
+    (CONFIRMED, NamingChecks(objection="yaw_inertia: k^2 / (l_f l_r) 0.5 is outside 0.6 to 1.4"), IMPLAUSIBLE),
+    (replace(GOOD, position=-0.03), NamingChecks(), MINOR),  # its own step makes the held-out error larger
+    (replace(CONFIRMED, position=-0.03), NamingChecks(), NAMED)])  # but the sensors show it among themselves
 def test_what_intervals_and_axles_say_of_an_effect(evidence, checks, rule):
-    verdict = naming_verdict(evidence, LIMITS, checks)
+    verdict = judge_naming(evidence, LIMITS, checks)
     assert verdict.rule == rule and verdict.text
 
 
@@ -192,8 +192,8 @@ def test_effect_with_a_value_of_its_own_in_each_part(gain, p_value, healthy_gain
 
 
 def test_what_varies_must_be_relevant():
-    assert not varies_relevantly(replace(GOOD, position=0.01, position_somewhere=0.01), LIMITS)
-    cheap = replace(EDGE, position=0.01, position_somewhere=0.01)
+    assert not varies_relevantly(replace(GOOD, position=0.01, position_in_condition=0.01), LIMITS)
+    cheap = replace(EDGE, position=0.01, position_in_condition=0.01)
     assert decide(replace(NOTHING, refused=[cheap]), LIMITS)[0] == "none"
 
 
@@ -205,7 +205,7 @@ def test_what_varies_must_be_relevant():
     ((-1.0, 9.0), None, (-1.0, 9.0)),
 ])
 def test_interval_is_as_sure_as_the_sensors_where_they_deny_the_null(interval, known, expected):
-    assert with_sensor_interval(FittedParameter(4.0, "rad/s", interval, 0.0), known).interval == expected
+    assert replace_interval(FittedParameter(4.0, "rad/s", interval, 0.0), known).interval == expected
 
 
 def test_every_partition_has_a_name():
@@ -283,7 +283,7 @@ TURNED = {
     "negligible": (lambda limits: judge(SMALL, limits).rule, 1e-9, NEGLIGIBLE, ACCEPTED),
     "min_rival_gain": (lambda limits: judge_alternative(replace(EQUAL, share=0.4), limits).rule, 1e-9, "explains less",
                        "alternative"),
-    "min_peak_force": (lambda limits: naming_verdict(GOOD, limits, Checks(peak_force_share=0.5)).rule, 1e-9, MINOR,
+    "min_peak_force": (lambda limits: judge_naming(GOOD, limits, NamingChecks(peak_force_share=0.5)).rule, 1e-9, MINOR,
                        NAMED),
     "max_file_deviation": (lambda limits: judge(HEAVY, limits).rule, 1e9, FILE, ACCEPTED),
     "at_bound": (lambda limits: judge(replace(EDGE, bound_distance=0.001), limits).rule, 1e-9, BOUND, ACCEPTED),
@@ -314,18 +314,18 @@ def test_limit_turns_an_answer(limit):
     ("undecided_p", 0.9, lambda limits: judge(LOCAL, limits).rule, VARIES, ACCEPTED),
     ("undecided_p", 1e-9, lambda limits: judge_alternative(WORSE, limits).rule, "explains less", "alternative"),
     ("undecided_p", 0.9, lambda limits: judge(MAYBE_NULL, limits).rule, NULL, ACCEPTED),
-    ("relevant", 1e-9, lambda limits: naming_verdict(replace(SLIGHT, shares={"yaw": (0.01, 5.0)}), limits).rule, MINOR,
+    ("relevant", 1e-9, lambda limits: judge_naming(replace(SLIGHT, shares={"yaw": (0.01, 5.0)}), limits).rule, MINOR,
      NAMED),
     ("relevant", 1e-9, lambda limits: varies_relevantly(SMALL_GAIN, limits), False, True),
     ("false_alarm", 1.0, lambda limits: varies_relevantly(LUCKY, limits), False, True),
-    ("relevant_position", 1e-9, lambda limits: naming_verdict(SLIGHT, limits).rule, MINOR, NAMED),
-    ("unexplained_share", 1e-9, lambda limits: naming_verdict(replace(WEAK, noise_ratio=5.0), limits).rule, MINOR,
+    ("relevant_position", 1e-9, lambda limits: judge_naming(SLIGHT, limits).rule, MINOR, NAMED),
+    ("unexplained_share", 1e-9, lambda limits: judge_naming(replace(WEAK, noise_ratio=5.0), limits).rule, MINOR,
      NAMED),
-    ("max_noise_ratio", 1e9, lambda limits: naming_verdict(replace(WEAK, noise_ratio=5.0), limits).rule, MINOR, NAMED),
-    ("undecided_p", 1e-9, lambda limits: naming_verdict(
+    ("max_noise_ratio", 1e9, lambda limits: judge_naming(replace(WEAK, noise_ratio=5.0), limits).rule, MINOR, NAMED),
+    ("undecided_p", 1e-9, lambda limits: judge_naming(
         replace(CONFIRMED, gain=0.1, noise_ratio=5.0, sensors_p_value=0.01), limits).rule, MINOR, NAMED),
     ("max_noise_ratio", 1e9, lambda limits: judge_alternative(AMONG, limits).rule, "alternative", "explains less"),
-    ("max_noise_ratio", 1e9, lambda limits: naming_verdict(replace(SLIGHT, shares={"yaw": (0.1, 5.0)}), limits).rule,
+    ("max_noise_ratio", 1e9, lambda limits: judge_naming(replace(SLIGHT, shares={"yaw": (0.1, 5.0)}), limits).rule,
      NAMED,
      MINOR),
 ])

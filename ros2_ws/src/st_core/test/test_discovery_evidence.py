@@ -9,22 +9,30 @@ from scipy import stats
 from st_core.channels import SMOOTHING_NS
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.evidence import (
-    FLIPS,
+    SIGN_DRAWS,
     Scores,
-    agreement,
+    collect_evidence,
+    column_shares,
+    compare_parts,
     covariance,
-    deviation,
     distance_to_bound,
-    evidence,
     library_p_value,
     null_p_value,
     pool_ratios,
-    screen,
+    score_statistic,
+    screen_library,
     sensor_p_values,
-    shares,
-    statistic,
+    standard_deviations,
 )
-from st_core.discovery.partitions import CONDITIONS, TIMES, conditions, partitions, places, runs, sites
+from st_core.discovery.partitions import (
+    CONDITIONS,
+    TIMES,
+    divide_by_condition,
+    divide_by_place,
+    divide_by_run,
+    find_sites,
+    make_partitions,
+)
 from st_core.discovery.windows import Windows, noise_floor
 from st_core.timeseries import moving_average
 
@@ -37,7 +45,7 @@ def fitted(problem, *names):
 
 def screened(problem, seed: int = 0):
     base = fitted(problem)
-    return base, screen(problem, base, np.random.default_rng(seed))
+    return base, screen_library(problem, base, np.random.default_rng(seed))
 
 
 def chances(problem) -> dict[str, float]:
@@ -67,23 +75,23 @@ def test_effect_of_few_blocks_is_found_by_the_ratio():
     problem.errors.noise[few] += 3.0 * problem.errors.signatures[mass][few]
     _, scores = screened(problem)
     gain, _ = scores.gains["mass"]
-    assert (scores.largest >= statistic(scores.by_effect["mass"])).mean() > 0.01
+    assert (scores.largest >= score_statistic(scores.by_effect["mass"])).mean() > 0.01
     assert library_p_value(scores.by_effect["mass"], gain, scores, len(FEW)) <= 0.01
 
 
 def test_statistic_is_the_square_of_the_sum_over_the_sum_of_squares():
-    assert statistic(np.array([[1.0], [2.0], [-1.0]])) == pytest.approx(4.0 / 6.0)
-    assert statistic(np.ones((7, 1))) == pytest.approx(7.0)
+    assert score_statistic(np.array([[1.0], [2.0], [-1.0]])) == pytest.approx(4.0 / 6.0)
+    assert score_statistic(np.ones((7, 1))) == pytest.approx(7.0)
 
 
 def test_chance_is_the_smaller_of_two_tests():
     own, gain = np.ones((10, 1)), np.linspace(0.5, 1.5, 10)
-    beaten, unbeaten = (Scores({}, np.full(FLIPS, size), 1.0, {}) for size in (11.0, 9.0))
+    beaten, unbeaten = (Scores({}, np.full(SIGN_DRAWS, size), 1.0, {}) for size in (11.0, 9.0))
     by_ratio = 5 * stats.f.sf(2.0 * 10.0, 1, 9)
     assert library_p_value(own, gain, beaten, 5) == pytest.approx(by_ratio)
-    assert library_p_value(own, gain, unbeaten, 5) == pytest.approx(1.0 / (1 + FLIPS))
+    assert library_p_value(own, gain, unbeaten, 5) == pytest.approx(1.0 / (1 + SIGN_DRAWS))
     wide = replace(unbeaten, design_effect=1e9)
-    assert library_p_value(own, gain, wide, 5) == pytest.approx(1.0 / (1 + FLIPS))
+    assert library_p_value(own, gain, wide, 5) == pytest.approx(1.0 / (1 + SIGN_DRAWS))
     assert library_p_value(own, -gain, wide, 5) > 0.5  # held out it is worse
     assert library_p_value(own, gain, replace(beaten, design_effect=1e9), 5) == 1.0
     assert library_p_value(own[:1], gain[:1], unbeaten, 5) == 1.0  # one block says nothing
@@ -98,7 +106,7 @@ def test_design_effect_is_what_dependent_windows_make_of_the_variance():
 def test_screen_leaves_out_what_is_there_and_is_the_same_twice():
     problem = linear_problem(FEW, {"mass": 1.0}, 2)
     fit = fitted(problem, "mass")
-    first, second = (screen(problem, fit, np.random.default_rng(0)) for _ in range(2))
+    first, second = (screen_library(problem, fit, np.random.default_rng(0)) for _ in range(2))
     assert "mass" not in first.by_effect and set(first.by_effect) == set(FEW) - {"mass"}
     np.testing.assert_array_equal(first.largest, second.largest)
 
@@ -111,7 +119,7 @@ def test_null_is_hotellings_test():
     fit = fitted(problem, "mass", "yaw_inertia")
     assert null_p_value(problem, fit, "mass") < 1e-3 and null_p_value(problem, fit, "yaw_inertia") > 0.01
     own = problem.space.indices("mass")
-    z = (fit.vector - problem.start)[own] / deviation(problem, fit, "mass")
+    z = (fit.vector - problem.start)[own] / standard_deviations(problem, fit, "mass")
     expected = 2.0 * stats.t.sf(abs(z[0]), problem.blocks - 1)
     assert null_p_value(problem, fit, "mass") == pytest.approx(expected, rel=1e-6)
 
@@ -123,7 +131,7 @@ def test_deviation_is_that_of_repeated_drives():
         problem = linear_problem(FEW, {"mass": 1.0}, seed, common=0.8)
         fit = fitted(problem, "mass")
         values.append(fit.vector[problem.space.indices("mass")[0]])
-        result.append(deviation(problem, fit, "mass")[0])
+        result.append(standard_deviations(problem, fit, "mass")[0])
         assert (np.linalg.eigvalsh(covariance(problem, fit)) > -1e-12).all()
     assert np.median(result) == pytest.approx(np.std(values), rel=0.25)
 
@@ -148,7 +156,8 @@ def test_bound_at_the_null_or_at_theory_is_none(effect, by):
 def test_sensors_confirm_or_contradict():
     problem = linear_problem(FEW, {"yaw_rate_bias": 1.0}, 6)
     fit = fitted(problem, "yaw_rate_bias")
-    value, own = fit.vector[problem.space.indices("yaw_rate_bias")[0]], deviation(problem, fit, "yaw_rate_bias")[0]
+    value = fit.vector[problem.space.indices("yaw_rate_bias")[0]]
+    own = standard_deviations(problem, fit, "yaw_rate_bias")[0]
     off = value - 0.003
     reach = 0.001 * stats.norm.ppf(0.975)
     said = {"yaw_rate_bias.bias": (0.003, 0.003 - reach, 0.003 + reach)}
@@ -172,7 +181,7 @@ def test_shares_of_the_columns():
     half[:, 1::len(COLUMNS)] = 0.005
     problem.errors.noise = rows
     problem.errors.truth = problem.start
-    result = shares(problem, rows, half)
+    result = column_shares(problem, rows, half)
     assert result["yaw_rate"] == pytest.approx((0.75, 2.0))
     assert result["velocity_y"] == pytest.approx((0.0, 2.0))
 
@@ -181,16 +190,16 @@ def test_evidence_of_a_fit_against_that_without():
     problem = linear_problem(FEW, {"mass": 1.0}, 8)
     base, scores = screened(problem)
     fit = fitted(problem, "mass")
-    e = evidence(problem, base, fit, "mass", scores, {}, {})
+    e = collect_evidence(problem, base, fit, "mass", scores, {}, {})
     by_run = problem.held_out_loss(base, problem.held_out_groups) - problem.held_out_loss(fit, problem.held_out_groups)
     assert e.gain == pytest.approx(min((base.held_out - fit.held_out).sum(), by_run.sum()) / problem.residual_count)
     fall = (problem.position_error(problem.held_out_rows(base))
             - problem.position_error(problem.held_out_rows(fit)))
-    assert e.position == e.position_somewhere == pytest.approx(fall.mean()) and e.position > 0.0
+    assert e.position == e.position_in_condition == pytest.approx(fall.mean()) and e.position > 0.0
     halves = (np.arange(160) % 2, ["even", "odd"])
-    bent = evidence(problem, base, fit, "mass", scores, {"condition": halves}, {})
+    bent = collect_evidence(problem, base, fit, "mass", scores, {"condition": halves}, {})
     surely = [f.mean() - 1.645 * f.std(ddof=1) / np.sqrt(80) for f in (fall[::2], fall[1::2])]
-    assert bent.position_somewhere == pytest.approx(max(surely))
+    assert bent.position_in_condition == pytest.approx(max(surely))
 
 
 # The same everywhere
@@ -238,7 +247,7 @@ def test_shares_of_parts_are_those_put_in():
     problem.errors.noise[run == 3] -= 1.0 * signature[run == 3]
     problem.loss.rescale(problem.errors.truth)
     fit = fitted(problem, "mass")
-    result = agreement(problem, fit, "mass", run, ["a", "b", "c", "d"])
+    result = compare_parts(problem, fit, "mass", run, ["a", "b", "c", "d"])
     stated = (fit.vector - problem.start)[own] / problem.space.scale[own]
     assert stated == pytest.approx(2.0, abs=0.2)
     assert [share * stated for share, _ in result.ratios.values()] == pytest.approx([3.0, 2.0, 2.0, 1.0], abs=0.25)
@@ -250,7 +259,7 @@ def test_runs_of_one_car_agree(common):
     result = []
     for seed in range(60):
         problem = linear_problem(FEW, {"mass": 1.0}, seed, common=common)
-        result.append(agreement(problem, fitted(problem, "mass"), "mass", problem.errors.windows.run, list("abcd")))
+        result.append(compare_parts(problem, fitted(problem, "mass"), "mass", problem.errors.windows.run, list("abcd")))
     assert np.mean([a.p_equal < 0.05 for a in result]) <= 0.15
     assert max(a.p_absent for a in result) < 0.05
 
@@ -270,24 +279,24 @@ def windows_of(logs, leaf) -> Windows:
 def test_runs_that_share_places_are_of_one_site(logs, leaf):
     elsewhere = replace(logs[1], x=logs[1].x + 5000.0)
     together, apart = (windows_of([logs[0], other], leaf) for other in (logs[1], elsewhere))
-    assert set(sites(together)) == {0}
-    assert [set(sites(apart)[apart.run == k]) for k in (0, 1)] == [{0}, {1}]
-    assert "site" not in partitions(apart)  # nothing beyond the runs
+    assert set(find_sites(together)) == {0}
+    assert [set(find_sites(apart)[apart.run == k]) for k in (0, 1)] == [{0}, {1}]
+    assert "site" not in make_partitions(apart)  # nothing beyond the runs
     both = windows_of([*logs[:2], replace(logs[2], x=logs[2].x + 5000.0)], leaf)
-    assert partitions(both)["site"][1] == ["site 1", "site 2"]
+    assert make_partitions(both)["site"][1] == ["site 1", "site 2"]
 
 
 def test_few_runs_are_divided_into_stretches(logs, leaf):
-    part, called = runs(windows_of(logs[:1], leaf))
+    part, called = divide_by_run(windows_of(logs[:1], leaf))
     assert len(np.unique(part)) == len(called) == 6 and called[0] == "lane_change 1, part 1"
     assert (np.diff(part) >= 0).all()
     five = windows_of([replace(logs[0], name=f"run {k}") for k in range(5)], leaf)
-    assert runs(five)[1] == [f"run {k}" for k in range(5)]
+    assert divide_by_run(five)[1] == [f"run {k}" for k in range(5)]
 
 
 def test_thirds_are_of_each_run(logs, leaf):
     windows = windows_of(logs, leaf)
-    part, called = partitions(windows)["time"]
+    part, called = make_partitions(windows)["time"]
     assert called == list(TIMES)
     for run in range(3):
         mine, seconds = part[windows.run == run], windows.seconds[windows.run == run]
@@ -296,14 +305,14 @@ def test_thirds_are_of_each_run(logs, leaf):
 
 
 def test_places_are_squares_of_the_map():
-    number, called = places(np.array([0.0, 49.0, 51.0, -1.0]), np.array([0.0, 49.0, 0.0, 0.0]))
+    number, called = divide_by_place(np.array([0.0, 49.0, 51.0, -1.0]), np.array([0.0, 49.0, 0.0, 0.0]))
     assert number[0] == number[1] and len(set(number)) == 3
     assert called[number[2]] == "east 75 m, north 25 m" and called[number[3]] == "east -25 m, north 25 m"
 
 
 def test_conditions_are_halves_by_speed_and_by_how_hard_it_corners():
     speed, lateral = np.array([5.0, 5.0, 20.0, 20.0]), np.array([0.5, 3.0, 0.1, 1.0])
-    part, called = conditions(speed, lateral)
+    part, called = divide_by_condition(speed, lateral)
     assert [called[k] for k in part] == ["slow and gentle", "slow and hard", "fast and gentle", "fast and hard"]
     assert called == list(CONDITIONS)
 

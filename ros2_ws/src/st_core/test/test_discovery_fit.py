@@ -109,7 +109,7 @@ def test_what_was_not_measured_does_not_count():
     loss = Loss(problem.errors, problem.start)
     before = loss.total(problem.start)
     assert loss.residual_count == (160 - 1) * 4 * (len(COLUMNS) - 1) + 4
-    assert loss.by_window(problem.start)[5] == 0.0
+    assert loss.window_losses(problem.start)[5] == 0.0
     scale = loss.scale.copy()
     problem.errors.noise[1:, 2::len(COLUMNS)] = 1e3
     problem.errors.noise[5] = np.nan
@@ -122,10 +122,10 @@ def test_what_was_not_measured_does_not_count():
 def test_prediction_that_diverges_is_far_off_and_has_no_sensitivities():
     problem = linear_problem(FEW, {}, 3)
     loss = Loss(problem.errors, problem.start)
-    before = loss.by_window(problem.start)
+    before = loss.window_losses(problem.start)
     problem.errors.noise[7] = np.nan  # measured, lost by a later vector only
     problem.errors.noise[8] = 1e9
-    after = loss.by_window(problem.start)
+    after = loss.window_losses(problem.start)
     assert after[7] == after[8] == pytest.approx(4 * len(COLUMNS) * rho(np.array(MAX_SCALED_ERROR)))
     np.testing.assert_array_equal(np.delete(after, (7, 8)), np.delete(before, (7, 8)))
     q = loss.quadratic(problem.errors.at(problem.start), problem.errors.signatures)
@@ -137,7 +137,7 @@ def test_windows_without_any_prediction_at_the_start_are_left_out():
     problem = linear_problem(FEW, {}, 3)
     problem.errors.noise[7] = np.nan
     loss = Loss(problem.errors, problem.start)
-    assert loss.residual_count == (160 - 1) * 4 * len(COLUMNS) and loss.by_window(problem.start)[7] == 0.0
+    assert loss.residual_count == (160 - 1) * 4 * len(COLUMNS) and loss.window_losses(problem.start)[7] == 0.0
 
 
 def test_quadratic_touches_the_loss_and_lies_above_it():
@@ -145,11 +145,11 @@ def test_quadratic_touches_the_loss_and_lies_above_it():
     problem = linear_problem(FEW, {"mass": 2.0, "yaw_inertia": -1.0}, 4)
     loss, space = problem.loss, problem.space
     q = loss.quadratic(problem.errors.at(problem.start), problem.errors.signatures)
-    np.testing.assert_allclose(q.cost, loss.by_window(problem.start))
+    np.testing.assert_allclose(q.cost, loss.window_losses(problem.start))
     rng = np.random.default_rng(0)
     for size in (1e-4, 0.3, 3.0):
         d = np.where(np.isin(space.effect_of, FEW), size * rng.standard_normal(len(space)), 0.0)
-        true = loss.by_window(problem.start + d * space.scale)
+        true = loss.window_losses(problem.start + d * space.scale)
         result = q.cost - 2.0 * q.gradient @ d + np.einsum("i,nij,j->n", d, q.hessian, d)
         assert (result >= true - 1e-9).all()
         if size == 1e-4:
@@ -161,7 +161,7 @@ def test_quadratic_by_group_is_the_sum_of_its_windows():
     q = problem.loss.quadratic(problem.errors.at(problem.start), problem.errors.signatures)
     groups = np.arange(160) % 3
     for part, whole in zip(("cost", "gradient", "hessian"), (q.cost, q.gradient, q.hessian), strict=True):
-        summed = getattr(q.summed(groups), part)
+        summed = getattr(q.sum_groups(groups), part)
         np.testing.assert_allclose(summed, [whole[groups == k].sum(axis=0) for k in range(3)])
     indices = problem.space.indices("mass", "yaw_inertia")
     np.testing.assert_array_equal(q.only(indices).hessian, q.hessian[:, indices[:, None], indices])
@@ -198,14 +198,14 @@ def test_broyden_gives_what_was_lost_for_the_step_and_nothing_else_new():
     scale, there = np.array([0.1, 1.0, 10.0]), np.array([0.05, 0.0, -3.0])
     taken = rng.standard_normal((5, 4))
     taken[0, 0] = np.nan
-    moved = sensitivities.moved(there, scale, taken)
+    moved = sensitivities.update(there, scale, taken)
     step = there / scale
     known = np.isfinite(taken)
     np.testing.assert_allclose(np.tensordot(step, moved.values, 1)[known], taken[known])
     assert moved.values[:, 0, 0] == pytest.approx(sensitivities.values[:, 0, 0])
     across = np.array([step[2], 5.0, -step[0]])
     np.testing.assert_allclose(np.tensordot(across, moved.values, 1), np.tensordot(across, sensitivities.values, 1))
-    assert sensitivities.moved(sensitivities.vector, scale, taken) is sensitivities
+    assert sensitivities.update(sensitivities.vector, scale, taken) is sensitivities
 
 
 # Fits
@@ -295,9 +295,9 @@ def test_with_a_prior_leaving_it_costs_and_a_fold_moves_only_what_is_free():
     without, fit = fitted(problem, ()), fitted(problem, ("mass",))
     away = (without.vector - problem.start) / problem.space.scale
     assert without.held_out.sum() == pytest.approx(problem.loss.total(without.vector) + away @ prior @ away, rel=1e-6)
-    assert not any(step.any() for step in problem.leave_out_of(without, problem.fold)[0].values())
+    assert not any(step.any() for step in problem.leave_out_groups(without, problem.fold)[0].values())
     own = problem.space.indices("mass")
-    for step in problem.leave_out_of(fit, problem.fold)[0].values():
+    for step in problem.leave_out_groups(fit, problem.fold)[0].values():
         assert step[own].any() and not np.delete(step, own).any()
 
 
@@ -305,7 +305,7 @@ def test_held_out_loss_is_that_of_fits_without_the_fold():
     """Their optimism, block by block of a fold, is what single refits show, but for terms of third order."""
     problem = linear_problem(FEW, {"mass": 1.0}, 14, count=320)
     fit = fitted(problem, FEW, iterations=100)
-    inside = problem.loss.by_window(fit.vector)
+    inside = problem.loss.window_losses(fit.vector)
     promised = fit.held_out.sum() - inside.sum()
     shown = 0.0
     for fold in range(FOLDS):
@@ -314,7 +314,7 @@ def test_held_out_loss_is_that_of_fits_without_the_fold():
         loss.known, loss.scale = problem.loss.known & ~mine[:, None], problem.loss.scale
         rest = Problem(loss, problem.start, problem.block)
         vector = rest.fit(FEW, problem.all_sensitivities(problem.start), iterations=100).vector
-        shown += float((problem.loss.by_window(vector) - inside)[mine].sum())
+        shown += float((problem.loss.window_losses(vector) - inside)[mine].sum())
     assert promised > 0.0 and shown > 0.0
     assert promised == pytest.approx(shown, rel=0.25)
 
@@ -323,7 +323,7 @@ def test_held_out_rows_are_those_of_the_fold_values():
     problem = linear_problem(FEW, {"mass": 1.0}, 15)
     fit = fitted(problem, FEW, iterations=100)
     rows = problem.held_out_rows(fit)
-    for group, step in problem.leave_out_of(fit, problem.held_out_groups)[0].items():
+    for group, step in problem.leave_out_groups(fit, problem.held_out_groups)[0].items():
         mine = problem.held_out_groups[problem.block] == group
         vector = fit.vector.copy()
         vector[fit.indices] += step * problem.space.scale[fit.indices]

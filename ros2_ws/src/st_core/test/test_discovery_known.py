@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from discovery_drives import linear_problem
-from st_core.discovery.evidence import against_file, covariance
+from st_core.discovery.evidence import compare_with_file, covariance
 from st_core.discovery.fit import Problem
 from st_core.discovery.settings import DiscoverySettings
 from st_core.discovery.space import FileQuantity, Space, known_quantities, prior_deviations
@@ -72,7 +72,7 @@ def test_known_value_moves_as_far_as_its_deviation_allows():
         problem = _held(free, deviation)
         fit = problem.fit(("mass",), problem.all_sensitivities(problem.start))
         moved.append((fit.vector[i] - problem.start[i]) / problem.space.scale[i])
-        assert against_file(problem, fit, "mass").z_score == pytest.approx(moved[-1] / deviation, rel=1e-6)
+        assert compare_with_file(problem, fit, "mass").z_score == pytest.approx(moved[-1] / deviation, rel=1e-6)
     assert moved[0] == pytest.approx(1.0, abs=0.1) and 0.0 < moved[2] < 0.1 < moved[1] < moved[0]
 
 

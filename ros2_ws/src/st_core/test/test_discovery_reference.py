@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from discovery_drives import linear_problem, recorded
 from st_core.discovery import DiscoverySettings
-from st_core.discovery.reference import _gain_between_runs, healthy_car, theoretical_values
+from st_core.discovery.reference import _gain_between_runs, fit_healthy_car, theoretical_values
 from st_core.discovery.space import Space
 
 FEW = ("steering_offset", "mass", "yaw_rate_bias")
@@ -42,7 +42,7 @@ def test_what_is_learnt_holds_the_car(leaf):
     effects = {"steering_lag": {"time_constant": 0.06}, "heading_misalignment": {"angle": 0.01}}
     settings = DiscoverySettings(windows=60, effects=("steering_lag", "heading_misalignment", "yaw_rate_bias"))
     space = Space("nonlinear", settings)
-    healthy = healthy_car(recorded(leaf, effects, 3), leaf, space, settings, 1, lambda: None)
+    healthy = fit_healthy_car(recorded(leaf, effects, 3), leaf, space, settings, 1, lambda: None)
     spread = np.sqrt(0.5 * np.diag(np.linalg.inv(healthy.prior))) * space.scale
     for name, values in effects.items():
         (truth,), own = values.values(), int(space.indices(name)[0])

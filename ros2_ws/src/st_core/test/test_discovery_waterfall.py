@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from discovery_drives import COLUMNS, linear_problem, recorded
 from st_core.discovery import DiscoverySettings, Limits, certificate, waterfall
-from st_core.discovery.evidence import screen
+from st_core.discovery.evidence import screen_library
 from st_core.discovery.fit import Problem
 from st_core.discovery.loss import Errors, Loss
 from st_core.discovery.next_manoeuvre import (
     MIN_SEPARATION,
-    catalogue,
+    choose_manoeuvre,
+    list_separabilities,
     most_informative,
-    next_manoeuvre,
-    separability,
     separation,
+    simulate_catalogue,
 )
 from st_core.discovery.result import FoundEffect
 from st_core.discovery.space import Space
@@ -36,7 +36,7 @@ def explained():
     problem.loss.rescale(final.vector)
     final = fitted(problem, *TRUTH)
     ends = waterfall.HorizonErrors(problem, 0)
-    steps, base = waterfall.steps(problem, final, list(TRUTH), ends, {})
+    steps, base = waterfall.build_steps(problem, final, list(TRUTH), ends, {})
     return problem, final, ends, steps, base
 
 
@@ -56,7 +56,7 @@ def test_folds_are_whole_runs_where_there_are_three():
 
 def test_steps_lead_from_the_base_to_the_answer(explained):
     problem, final, ends, steps, base = explained
-    error = waterfall.channel_errors(ends, base, final, {"position": 0.01, "position_5s": 0.01})
+    error = waterfall.compare_channel_errors(ends, base, final, {"position": 0.01, "position_5s": 0.01})
     assert [s.effect for s in steps] == list(TRUTH) and [s.kind for s in steps] == ["vehicle parameters", "sensors"]
     assert steps[0].position_5s.base == pytest.approx(error["position_5s"].base)
     assert steps[-1].position_5s.augmented == pytest.approx(error["position_5s"].augmented)
@@ -82,27 +82,27 @@ def test_interval_of_a_change_holds_it(explained):
         low, high = step.position_5s.interval
         assert 0.0 < low < step.position_5s.base - step.position_5s.augmented < high
     same = np.abs(np.random.default_rng(0).standard_normal(320))
-    low, high = ends.change("position_5s", same, same[::-1]).interval
+    low, high = ends.compare("position_5s", same, same[::-1]).interval
     assert low < 0.0 < high
-    nothing = ends.change("position_5s", np.full(320, np.nan), same)
+    nothing = ends.compare("position_5s", np.full(320, np.nan), same)
     assert np.isnan(nothing.base)
 
 
 def test_gap_names_the_worst_run_and_those_that_grew(explained):
     _, final, ends, _, base = explained
-    error = waterfall.channel_errors(ends, base, final, {})["position_5s"]
-    after = ends.by_run(ends.of(final)["position_5s"])
+    error = waterfall.compare_channel_errors(ends, base, final, {})["position_5s"]
+    after = ends.mean_by_run(ends.of(final)["position_5s"])
     assert (error.worst_run, error.worst) == (max(after, key=after.get), max(after.values())) and error.worse_runs == ()
-    back = waterfall.channel_errors(ends, final, base, {})["position_5s"]
+    back = waterfall.compare_channel_errors(ends, final, base, {})["position_5s"]
     assert set(back.worse_runs) == set(after)
-    assert waterfall.channel_errors(ends, final, base, {"position_5s": 10.0})["position_5s"].worse_runs == ()
+    assert waterfall.compare_channel_errors(ends, final, base, {"position_5s": 10.0})["position_5s"].worse_runs == ()
 
 
 def test_budget_lines(explained):
     problem, final, ends, _, base = explained
-    lines = {line.part: line for line in waterfall.budget(problem, base, final, final, None, ends)}
+    lines = {line.part: line for line in waterfall.build_budget(problem, base, final, final, None, ends)}
     assert list(lines) == ["sensors", "vehicle parameters", "unexplained"]
-    error = waterfall.channel_errors(ends, base, final, {})["position_5s"]
+    error = waterfall.compare_channel_errors(ends, base, final, {})["position_5s"]
     assert lines["unexplained"].last == lines["unexplained"].first == pytest.approx(error.augmented, rel=0.01)
     assert lines["unexplained"].share_last == pytest.approx(error.augmented / error.base, rel=0.01)
     # Mean length of what is left of 3^2 + 2^2 + 1: without the mass 2^2 + 1, without the bias 3^2 + 1.
@@ -117,8 +117,8 @@ def test_budget_of_one_part_is_the_same_first_and_last():
     problem = linear_problem(FEW, {"mass": 3.0}, 2)
     final = fitted(problem, "mass")
     ends = waterfall.HorizonErrors(problem, 0)
-    _, base = waterfall.steps(problem, final, ["mass"], ends, {})
-    part, rest = waterfall.budget(problem, base, final, final, None, ends)
+    _, base = waterfall.build_steps(problem, final, ["mass"], ends, {})
+    part, rest = waterfall.build_budget(problem, base, final, final, None, ends)
     assert (part.part, part.last, part.loss_last) == ("vehicle parameters", part.first, part.loss_first)
     assert part.share_last + rest.share_last == pytest.approx(1.0)
     assert part.loss_last + rest.loss_last == pytest.approx(1.0)
@@ -134,7 +134,7 @@ def test_intervals_cover_the_truth(common):
     for seed in range(100):
         problem = linear_problem(FEW, {"mass": 1.0}, seed, common=common)
         partitions = {"run": (problem.errors.windows.run, list("abcd"))}
-        result = waterfall.parameters(problem, fitted(problem, "mass"), "mass", partitions)["factor"]
+        result = waterfall.estimate_parameters(problem, fitted(problem, "mass"), "mass", partitions)["factor"]
         covered.append(result.interval[0] <= 1.1 <= result.interval[1])
         widths.append(result.interval[1] - result.interval[0])
     assert sum(covered) >= 88
@@ -152,7 +152,7 @@ def test_interval_of_a_value_that_differs_between_runs_is_wide():
     problem.loss.rescale(problem.errors.truth)
     fit = fitted(problem, "mass")
     by_run, by_place = {"run": (run, list("abcd"))}, {"place": (run, list("abcd"))}
-    alone, places, wide = (waterfall.parameters(problem, fit, "mass", partitions)["factor"].interval
+    alone, places, wide = (waterfall.estimate_parameters(problem, fit, "mass", partitions)["factor"].interval
                            for partitions in ({}, by_place, by_run))
     assert wide[0] < 1.2 < wide[1] and places == alone
     assert 0.65 * 2 * 3.18 * 0.2 * 0.2 < wide[1] - wide[0] < 0.8
@@ -164,11 +164,11 @@ def test_interval_reaches_to_the_values_of_sets_nearly_as_good(explained):
     own = problem.space.indices("mass")
     other = final.vector.copy()
     other[own] += 0.5 * problem.space.scale[own]
-    alone = waterfall.parameters(problem, final, "mass", {})["factor"]
-    wide = waterfall.parameters(problem, final, "mass", {}, [(("mass", "road_bank"), other)])["factor"]
+    alone = waterfall.estimate_parameters(problem, final, "mass", {})["factor"]
+    wide = waterfall.estimate_parameters(problem, final, "mass", {}, [(("mass", "road_bank"), other)])["factor"]
     assert (wide.value, wide.interval[0]) == (alone.value, alone.interval[0])
     assert wide.interval[1] - alone.interval[1] == pytest.approx(0.5 * problem.space.scale[own][0])
-    assert waterfall.parameters(problem, final, "mass", {}, [(("road_bank",), other)])["factor"] == alone
+    assert waterfall.estimate_parameters(problem, final, "mass", {}, [(("road_bank",), other)])["factor"] == alone
 
 
 def test_value_with_a_reference_is_the_change_since():
@@ -176,7 +176,7 @@ def test_value_with_a_reference_is_the_change_since():
     start = problem.start.copy()
     start[problem.space.indices("mass")] += 0.1
     problem = Problem(problem.loss, start, problem.block, np.eye(len(problem.space)))
-    result = waterfall.parameters(problem, fitted(problem, "mass"), "mass", {})["factor"]
+    result = waterfall.estimate_parameters(problem, fitted(problem, "mass"), "mass", {})["factor"]
     assert result.value == pytest.approx(1.2, abs=0.02) and result.null == 1.0
 
 
@@ -188,7 +188,7 @@ def test_promised_power_is_what_imitated_drives_show():
     problem.errors.signatures *= 0.8  # so that a quarter of a typical size is not worth it, and half of it is
     problem.noise = np.full(len(COLUMNS), 0.02)  # nothing is left that noise does not explain
     base = fitted(problem)
-    scores = screen(problem, base, np.random.default_rng(0))
+    scores = screen_library(problem, base, np.random.default_rng(0))
     promised = certificate.predict_power(problem, base, scores, Limits())
     ticks = []
     shown = certificate.measure_power(problem, base, Limits(), 0, lambda: ticks.append(1))
@@ -207,7 +207,8 @@ def test_effect_that_changes_nothing_is_never_found():
     problem = linear_problem(FEW, {}, 6)
     problem.errors.signatures[problem.space.indices("road_bank")] = 0.0
     base = fitted(problem)
-    promised = certificate.predict_power(problem, base, screen(problem, base, np.random.default_rng(0)), Limits())
+    scores = screen_library(problem, base, np.random.default_rng(0))
+    promised = certificate.predict_power(problem, base, scores, Limits())
     found = {e: max(p.probability for p in promised.powers if p.effect == e) for e in FEW}
     assert found["road_bank"] < 0.01 and min(found[e] for e in FEW if e != "road_bank") > 0.8
 
@@ -248,18 +249,18 @@ def test_suggested_drive_tells_the_pair_apart(leaf):
     """A small error of the inertia and a lag are not separable in gentle driving; after the drive, as predicted."""
     true, answer = {"yaw_inertia": {"factor": 1.05}}, [effect_of("yaw_inertia", "steering_lag")]
     problem, fit = driven(leaf, ("weave",), true, ("yaw_inertia",))
-    design = screen(problem, fit, np.random.default_rng(0)).design_effect
-    before, = separability(problem, fit, answer, design)
-    options = catalogue(problem, fit)
-    result = next_manoeuvre(problem, fit, answer, options, design)
+    design = screen_library(problem, fit, np.random.default_rng(0)).design_effect
+    before, = list_separabilities(problem, fit, answer, design)
+    options = simulate_catalogue(problem, fit)
+    result = choose_manoeuvre(problem, fit, answer, options, design)
     assert result.separates == ("yaw_inertia", "steering_lag") and result.name in {m.name for m in CATALOGUE}
     assert result.strength == max(result.options.values()) >= MIN_SEPARATION and result.strength > before.strength
     more, again = driven(leaf, ("weave", *[result.name] * result.times), true, ("yaw_inertia",))
     more.loss.scale = problem.loss.scale
-    after, = separability(more, again, answer, design)
+    after, = list_separabilities(more, again, answer, design)
     assert after.strength == pytest.approx(result.strength, rel=0.5)
-    assert next_manoeuvre(problem, fit, [effect_of("yaw_inertia")], options, design) is None  # nothing to tell apart
+    assert choose_manoeuvre(problem, fit, [effect_of("yaw_inertia")], options, design) is None  # nothing to tell apart
     assert most_informative(problem, "friction", options) == "ramp_to_limit"
     strong = driven(leaf, ("weave",), {"yaw_inertia": {"factor": 1.2}}, ("yaw_inertia",))
-    assert separability(*strong, answer, design)[0].strength > MIN_SEPARATION
-    assert next_manoeuvre(*strong, answer, options, design) is None  # already separated
+    assert list_separabilities(*strong, answer, design)[0].strength > MIN_SEPARATION
+    assert choose_manoeuvre(*strong, answer, options, design) is None  # already separated

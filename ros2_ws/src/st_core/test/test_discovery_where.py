@@ -11,11 +11,11 @@ from st_core.discovery.error_regions import (
     CELL_SIZE,
     Range,
     Samples,
+    assign_ranges,
     compute_excesses,
     find_cells,
-    find_changes,
     find_error_regions,
-    membership,
+    find_stretches,
     range_text,
 )
 from st_core.log import DriveLog
@@ -44,7 +44,7 @@ def made(seed: int, levels=None, correlation: int = 8, count: int = 800, **condi
 
 
 def found(samples: Samples, reference: Samples | None):
-    ranges, members = membership(samples)
+    ranges, members = assign_ranges(samples)
     return compute_excesses(samples, members, ranges, reference, NOISE, 0, 200)
 
 
@@ -92,12 +92,12 @@ def test_range_the_reference_never_saw_says_so():
 
 def test_change_in_time_is_found_where_it_is():
     samples = made(6, lambda time, c: np.where(time > 120.0, 3.0, 1.0), **PLAIN)
-    (part,) = find_changes(samples, "yaw_rate", 0.001, 4.0, 0, 299)
+    (part,) = find_stretches(samples, "yaw_rate", 0.001, 4.0, 0, 299)
     assert abs(part.start - 120.0) <= 4.0 and part.end > 198.0 and part.ratio > 2.0 and part.p <= 0.01
 
 
 def test_stationary_drives_have_no_change():
-    assert sum(bool(find_changes(made(seed, **PLAIN), "yaw_rate", 0.001, 4.0, seed, 199)) for seed in range(30)) <= 2
+    assert sum(bool(find_stretches(made(seed, **PLAIN), "yaw_rate", 0.001, 4.0, seed, 199)) for seed in range(30)) <= 2
 
 
 def test_harder_driving_is_no_change():
@@ -108,7 +108,7 @@ def test_harder_driving_is_no_change():
     time = 0.25 * np.arange(800)
     samples = made(7, lambda time, c: np.where(lateral(time) > 1.0, 3.0, 1.0),
                    **{**PLAIN, "lateral_acceleration": lateral(time)})
-    assert not find_changes(samples, "yaw_rate", 0.001, 4.0, 0, 299)
+    assert not find_stretches(samples, "yaw_rate", 0.001, 4.0, 0, 299)
 
 
 def test_place_that_is_bad_on_every_pass():
@@ -128,7 +128,7 @@ def test_words(low, high, said):
 
 
 def test_every_prediction_is_in_one_range_of_each_quantity():
-    ranges, members = membership(made(9))
+    ranges, members = assign_ranges(made(9))
     for quantity in {r.quantity for r in ranges}:
         columns = [k for k, r in enumerate(ranges) if r.quantity == quantity]
         assert (members[:, columns].sum(axis=1) == 1).all()

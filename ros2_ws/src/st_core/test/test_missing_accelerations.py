@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
-from st_core.discovery.next_manoeuvre import drive
+from st_core.discovery.next_manoeuvre import simulate_drive
 from st_core.discovery.windows import Windows, noise_floor
 from st_core.log import DriveLog
 from st_core.manoeuvres import CATALOGUE
@@ -16,7 +16,7 @@ from st_core.readings import find_missing_reading
 @pytest.fixture(scope="module")
 def logs(leaf) -> tuple[DriveLog, DriveLog]:
     """A drive with noise, and the same with three single samples and 2.5 s of the accelerometer missing."""
-    log = drive(next(m for m in CATALOGUE if m.name == "sweep"), augment("nonlinear", {}), leaf)
+    log = simulate_drive(next(m for m in CATALOGUE if m.name == "sweep"), augment("nonlinear", {}), leaf)
     rng = np.random.default_rng(4)
     names = ("yaw_rate", "velocity_x", "velocity_y", "acceleration_y")
     log = replace(log, **{n: getattr(log, n) + 0.01 * rng.standard_normal(len(log.x)) for n in names})

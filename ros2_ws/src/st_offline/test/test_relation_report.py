@@ -21,12 +21,12 @@ from st_core.relations.candidates import ADMISSIBLE, NEITHER, PAIRS
 from st_core.relations.next_drive import NextDrives, Option
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import quantities
-from st_offline.discovery.figures import display_unit, draw_relation
-from st_offline.discovery.relation_files import effect_name, effect_source, relation_document, write_files
+from st_offline.discovery.figures import curve_unit, draw_relation
+from st_offline.discovery.relation_files import build_relation_document, effect_name, effect_source, write_files
 from st_offline.discovery.relation_report import (
     RelationReport,
-    next_drive_sentences,
-    relation_report,
+    describe_next_drives,
+    report_relation,
 )
 from st_offline.evaluation.drawing import FigureOutput
 from support import ROOT
@@ -56,7 +56,7 @@ ANSWER = discovery([LAP], [("mass", {"factor": 1.2}, 0.8)], 1.0)
 
 
 def text_of(said: RelationSearch) -> str:
-    return "\n".join(line for _, lines in relation_report(said, ANSWER, CAR, "out").groups for line in lines)
+    return "\n".join(line for _, lines in report_relation(said, ANSWER, CAR, "out").groups for line in lines)
 
 
 @pytest.mark.parametrize(("place", "quantity", "parity", "by"), EVERY, ids=[f"{p}-{q}-{b}" for p, q, _, b in EVERY])
@@ -95,9 +95,9 @@ def test_the_file_meets_the_requirements_on_an_effect(tmp_path, registry, place,
 
 def test_the_curve_is_drawn_in_the_units_of_an_engineer():
     assert set(quantities.TERMS) == set(ADMISSIBLE)
-    assert [display_unit(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
+    assert [curve_unit(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
         "°", "%", "m/s²", "rad per rad/s"]
-    assert display_unit("1")[0] == 100.0 and display_unit("rad")[0] == pytest.approx(57.2958)
+    assert curve_unit("1")[0] == 100.0 and curve_unit("rad")[0] == pytest.approx(57.2958)
     drawn = draw_relation(proposal("front_grip", "speed", NEITHER), FigureOutput(None, ()))
     assert "0.800 m without it, 0.500 m with it" in drawn.title and "y in 1, u in m/s" in drawn.caption
     pushed = draw_relation(proposal("yaw_moment", "acceleration_x", NEITHER), FigureOutput(None, ()))
@@ -127,12 +127,12 @@ def test_what_is_written_says_what_it_is(tmp_path, registry):
     lines = text_of(said)
     assert "without the relation, 0.500 m with it; noise floor 0.060 m" in lines
     assert "do not separate it from: side force on the body as a function of the speed (0.90)" in lines
-    assert "mass is named above, but is redundant with this relation (without it, 0.4% of" in lines
+    assert "mass is named above, but is redundant with this relation (without it, the residual increases" in lines
     assert "1 of 1 runs" in lines
     assert "widest interval at -6 m/s²: " in lines and "± 1.1 ° (95 %)" in lines
     assert "y = 2 u (linear; keeps 97% of" in lines and "textbook causes: a cause. These" in lines
     assert "u: lateral acceleration (left +), m/s²" in lines
-    content = relation_document(said)
+    content = build_relation_document(said)
     assert content["proposal"]["place"] == "rear_steer" and len(content["proposal"]["curve"]["at"]) == 41
 
 
@@ -166,16 +166,16 @@ def test_without_a_proposal_the_reason_is_told(tmp_path):
     said = RelationSearch(None, "no relation is significant", {})
     assert write_files(said, CAR, [], "", {}, tmp_path) == {} and not list(tmp_path.iterdir())
     groups = [("proposal", ["none: no relation is significant"])]
-    assert relation_report(said, ANSWER, CAR, "out") == RelationReport(groups)
+    assert report_relation(said, ANSWER, CAR, "out") == RelationReport(groups)
     said = RelationSearch(None, "the curve of side_force over speed runs into its bound",
                           {"side_force over speed": (0.1, 0.2)})
     assert "none: the curve of side force on the body as a function of the speed runs into its bound" in text_of(said)
-    assert relation_document(said)["proposal"] is None
+    assert build_relation_document(said)["proposal"] is None
 
 
 def test_the_error_of_every_run_and_both_sizes_of_a_value_are_tabled():
     found = RelationSearch(proposal("rear_steer", "acceleration_y", -1.0), "", {})
-    by_run, values = relation_report(found, ANSWER, CAR, "out").tables
+    by_run, values = report_relation(found, ANSWER, CAR, "out").tables
     assert by_run.rows == [("lap", "1.000", "0.800", "0.500", "−0.300 (−38 %)"),
                            ("all windows", "1.000", "0.800", "0.500", "−0.300 (−38 %)")]
     assert values.rows == [("mass", "× 1.20; mass 1590 → 1908 kg", "× 1.10; mass 1590 → 1749 kg")]
@@ -196,26 +196,26 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
                          Option(sweep, 0.8 * one.deviation, {rival: 1.5}, (0.0, 0.1))])
     one = replace(one, next_drives=drives)
     assert "y = 1 rad/s² corresponds to a moment of 2925 N m, with the yaw" in text_of(RelationSearch(one, "", {}))
-    text = "\n".join(next_drive_sentences(one))
+    text = "\n".join(describe_next_drives(one))
     assert "from side force on the body as a function of the speed: brake_in_turn, 3 times" in text
     assert "separation is then 6.0 times as large" in text
     assert "for a narrower interval: brake_in_turn, 3 times" in text and "The widest 95 % interval shrinks" in text
     assert "from ± 0.02 to ± 0.0098 rad/s²" in text
-    content = relation_document(RelationSearch(one, "", {}))["proposal"]["next_drives"]
+    content = build_relation_document(RelationSearch(one, "", {}))["proposal"]["next_drives"]
     assert content["most_separating"] == {"manoeuvre": "brake_in_turn", "from": rival}
     assert content["most_precise"] == "brake_in_turn" and len(content["options"]) == 2
-    weak = replace(one, next_drives=replace(drives, options=drives.options[1:]))
-    assert "no manoeuvre of the catalogue separates it much better from" in "\n".join(next_drive_sentences(weak))
-    hardly = replace(one, next_drives=replace(drives, options=[Option(brake, 0.9 * one.deviation, {}, (0.0, 0.0))]))
-    assert "for a narrower interval" not in "\n".join(next_drive_sentences(hardly))
-    without_options = replace(drives, current_separation={}, options=[])
-    of_a_place = replace(one, others={"side_force over position_x": 0.9}, next_drives=without_options)
-    text = "\n".join(next_drive_sentences(of_a_place))
+    weak = replace(one, drives=replace(drives, options=drives.options[1:]))
+    assert "no manoeuvre of the catalogue separates it much better from" in "\n".join(describe_next_drives(weak))
+    hardly = replace(one, drives=replace(drives, options=[Option(brake, 0.9 * one.deviation, {}, (0.0, 0.0))]))
+    assert "for a narrower interval" not in "\n".join(describe_next_drives(hardly))
+    of_a_place = replace(one, others={"side_force over position_x": 0.9}, drives=replace(drives, current_separation={},
+                                                                                         options=[]))
+    text = "\n".join(describe_next_drives(of_a_place))
     assert "from effects of place, heading or time: repeat the drive twice" in text and "much better" not in text
 
 
 def test_a_run_that_becomes_much_worse_is_in_the_first_line():
     one = replace(proposal("rear_steer", "acceleration_y", -1.0), runs={"lap": (0.8, 0.5), "rain": (0.20, 0.26)})
-    report = relation_report(RelationSearch(one, "", {}), ANSWER, CAR, "out")
+    report = report_relation(RelationSearch(one, "", {}), ANSWER, CAR, "out")
     assert "ERRORS LARGER by 25 % or more in rain (0.20 → 0.26 m)" in report.headline
     assert report.groups[0][1][0].startswith("ERRORS LARGER by 25 % or more in rain")

@@ -22,29 +22,30 @@ from ..log import DriveLog
 from ..readings import correct_log
 from ..sideslip import steady_velocity_y
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
-from .evidence import Joint
+from .evidence import JointFit
 from .fit import Fit, Problem
 from .result import Combination, ForceCurve
 
 DRAWS = 100  # number of random draws of the values, for 90 % and 95 % intervals
 MAX_SLIP = 0.35  # rad, above the slip of peak force of every road tyre
+MIN_SAMPLES = 100  # of a run, for the comparison of measured and modelled forces
 MIN_FORCE_CHANGE = 0.01  # relative; an effect that changes the force by less does not count as acting on the axle
 SMALL_SLIP = 0.005  # rad, where the cornering stiffness of an axle is evaluated
 GAIN_SPEED = 20.0  # m/s, where the steady-state yaw gain is evaluated
 
 
 class Axles:
-    """Forces of both axles in a fitted model. unexplained: ratio of residual to noise, by which bands and intervals are
-    widened. near: vectors of sets that fit nearly as well; the bands include their curves. Raises StCoreError for a
+    """Forces of both axles in a fitted model. noise_ratio [1]: ratio of residual to noise, by which bands and intervals
+    are widened. near: vectors of sets that fit nearly as well; the bands include their curves. Raises StCoreError for a
     base model without tyres, or drives without slip."""
 
-    def __init__(self, problem: Problem, fit: Fit, joint: Joint | None, runs: Sequence[DriveLog],
-                 vehicle: VehicleParameters, unexplained: float, near: Sequence[np.ndarray] = ()):
+    def __init__(self, problem: Problem, fit: Fit, joint_fit: JointFit | None, runs: Sequence[DriveLog],
+                 vehicle: VehicleParameters, noise_ratio: float, near: Sequence[np.ndarray] = ()):
         if not problem.space.model.base.has_tyres:
             raise StCoreError(f"{problem.space.model.base.name}: this model has no axle forces")
         self.problem, self.fit, self.runs, self.vehicle = problem, fit, runs, vehicle
         self.model = problem.space.at(fit.vector)
-        self.sideslip = "velocity_y" in problem.errors.windows.settings.channels
+        self.has_sideslip = "velocity_y" in problem.errors.windows.settings.channels
         # Measured slip and force of both axles, corrected only for fitted effects of steering, sensors and load.
         logs, additions = [], problem.space.additions
         corrected = self.model.select_effects(e for e in self.model.effects
@@ -54,32 +55,32 @@ class Axles:
             log = correct_log(corrected, run)
             angle = corrected.inputs(log.road_wheel_angle, np.zeros(len(log.road_wheel_angle)), p)[0]
             log = replace(log, road_wheel_angle=np.asarray(angle), steering_wheel_angle=None)
-            logs.append(log if self.sideslip else replace(log, velocity_y=steady_velocity_y(log, car)))
+            logs.append(log if self.has_sideslip else replace(log, velocity_y=steady_velocity_y(log, car)))
         self.regressions = fit_axle_regressions(logs, car)
-        self.near = ([] if joint is None else
-                     select_valid_models([problem.space.at(vector) for vector in near], vehicle))
+        self.near: list[AugmentedModel] = []
         self.draws: list[AugmentedModel] = []
-        if joint is not None:
-            inside = joint.indices < len(problem.space) - 1  # the last parameter is the gain of the accelerometer
-            indices = joint.indices[inside]
+        if joint_fit is not None:
+            self.near = select_valid_models([problem.space.at(vector) for vector in near], vehicle)
+            of_effects = joint_fit.indices < len(problem.space) - 1  # the last parameter is the accelerometer gain
+            indices = joint_fit.indices[of_effects]
             covariance, scale = np.zeros((len(self.model.vector),) * 2), problem.space.scale[indices]
-            covariance[np.ix_(indices, indices)] = joint.covariance[np.ix_(inside, inside)] * np.outer(
-                scale, scale) * max(unexplained, 1.0) ** 2
+            covariance[np.ix_(indices, indices)] = joint_fit.covariance[np.ix_(of_effects, of_effects)] * np.outer(
+                scale, scale) * max(noise_ratio, 1.0) ** 2
             model_error = np.array([p.model_error for _, p in self.model.free])[indices]
             covariance[indices, indices] += np.square(model_error)
             self.draws = draw_models(self.model, covariance, vehicle, DRAWS)
 
-    def curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
+    def force_curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
         """`ForceCurve` of each axle in the slip range of the drives. base: model for its `file` values."""
-        found = (make_axle_curve(self.model, self.vehicle, regression.axle, regression.samples.slip, self.draws, base,
-                                 alternatives=self.near) for regression in self.regressions)
+        curves = (make_axle_curve(self.model, self.vehicle, r.axle, r.samples.slip, self.draws, base,
+                                  alternatives=self.near) for r in self.regressions)
         return tuple(ForceCurve(c.axle, *(tuple(values.tolist()) for values in (
-            c.slip, c.force, c.low, c.high, c.file, c.density))) for c in found)
+            c.slip, c.force, c.low, c.high, c.file, c.density))) for c in curves)
 
     def combinations(self, base: AugmentedModel) -> tuple[Combination, ...]:
         """`COMBINATIONS` of vehicle parameters, with 95 % intervals."""
-        value, file = _combined(self.model, self.vehicle), _combined(base, self.vehicle)
-        drawn = np.array([_combined(model, self.vehicle) for model in self.draws]) if self.draws else value[None]
+        value, file = _combination_values(self.model, self.vehicle), _combination_values(base, self.vehicle)
+        drawn = np.array([_combination_values(model, self.vehicle) for model in self.draws] or [value])
         low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
         low, high = np.minimum(low, value).tolist(), np.maximum(high, value).tolist()
         changing = {name: tuple(e.name for e in EFFECTS.values() if name in e.combinations) for name in COMBINATIONS}
@@ -87,52 +88,53 @@ class Axles:
                      for i, (name, unit) in enumerate(COMBINATIONS.items()))
 
     def reached_force_ratios(self) -> dict[str, float]:
-        """Ratio of the force at the largest slip in the drives to the peak force, by axle [1]."""
-        found = {}
+        """Ratio of the force at the largest slip in the drives to the peak force [1], by axle."""
+        ratios = {}
         for regression in self.regressions:
             slip = np.linspace(0.0, MAX_SLIP, 61)
             force = compute_axle_force(self.model, self.vehicle, regression.axle, slip)
             largest = float(np.quantile(np.abs(regression.samples.slip), 0.995))
             reached = float(np.interp(largest, slip, np.maximum.accumulate(force)))
-            found[regression.axle] = reached / max(float(force.max()), 1.0)
-        return found
+            ratios[regression.axle] = reached / max(float(force.max()), 1.0)
+        return ratios
 
-    def acting(self, axle: str, names: Sequence[str]) -> tuple[str, ...]:
+    def effects_on(self, axle: str, names: Sequence[str]) -> tuple[str, ...]:
         """The effects among `names` that change the force of an axle at the slip angles of the drives."""
         samples = next(regression.samples for regression in self.regressions if regression.axle == axle)
         slip = np.quantile(np.abs(samples.slip), (0.5, 0.95))
         force = compute_axle_force(self.model, self.vehicle, axle, slip)
-        acting = []
-        for name in names:
-            without = self.problem.space.at(self.problem.vector_without(self.fit, name))
-            if np.abs(compute_axle_force(without, self.vehicle, axle, slip) / force - 1.0).max() > MIN_FORCE_CHANGE:
-                acting.append(name)
-        return tuple(acting)
 
-    def contradicting(self, base: AugmentedModel,
-                      leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
-        """Axles with measured forces that agree less with the model than with the vehicle file; none without measured
+        def changes_force(name: str) -> bool:
+            without = self.problem.space.at(self.problem.vector_without(self.fit, name))
+            change = compute_axle_force(without, self.vehicle, axle, slip) / force - 1.0
+            return bool(np.abs(change).max() > MIN_FORCE_CHANGE)
+
+        return tuple(filter(changes_force, names))
+
+    def contradicting_axles(self, base: AugmentedModel,
+                            leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
+        """Axles whose measured forces agree less with the model than with the vehicle file; none without measured
         sideslip or with low excitation. leave_one_out: see `Discovery`."""
-        space, found = self.problem.space, []
+        space, contradicting = self.problem.space, []
         base = base.with_values({name: space.values(name, self.fit.vector) for name in space.additions})
-        for regression in self.regressions if self.sideslip else ():
+        for regression in self.regressions if self.has_sideslip else ():
             if not regression.usable:
                 continue
-            sums = np.zeros(2)
+            square_errors = np.zeros(2)  # of the model, of the vehicle file
             for k, run in enumerate(self.runs):
                 of_run = np.asarray(regression.samples.run_of) == k
-                if of_run.sum() < 100:
+                if of_run.sum() < MIN_SAMPLES:
                     continue
                 samples = replace(regression.samples, **{name: getattr(regression.samples, name)[of_run]
                                                          for name in ("slip", "force", "run_of", "time", "used")})
                 without = self.model.with_values(leave_one_out.get(run.name, {}))
-                sums += [compute_force_error(m, self.vehicle, samples) ** 2 for m in (without, base)]
-            if sums[0] > sums[1]:
-                found.append(regression.axle)
-        return tuple(found)
+                square_errors += [compute_force_error(m, self.vehicle, samples) ** 2 for m in (without, base)]
+            if square_errors[0] > square_errors[1]:
+                contradicting.append(regression.axle)
+        return tuple(contradicting)
 
 
-def _combined(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
+def _combination_values(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
     """(5,) `COMBINATIONS` of a model."""
     car = model.effective_vehicle(vehicle)
     limits = VEHICLE_QUANTITIES["cornering_stiffness_front"]  # random draws are clipped to these
@@ -140,7 +142,7 @@ def _combined(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
                    for force in compute_axle_forces(model, vehicle, np.array([SMALL_SLIP])))
     understeer = stability_factor(replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear))
     gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))
-    w = model.inputs(1.0 / vehicle.steering_ratio, 0.0, model.parameters(vehicle))
+    wheel_angle = model.inputs(1.0 / vehicle.steering_ratio, 0.0, model.parameters(vehicle))[0]
     delay = sum(sum(values.values()) for name, values in model.values.items()
                 if TOTAL_DELAY in get_effect(name).combinations)
-    return np.array([front / car.mass, rear / car.mass, understeer, gain * float(w[0]), delay])
+    return np.array([front / car.mass, rear / car.mass, understeer, gain * float(wheel_angle), delay])

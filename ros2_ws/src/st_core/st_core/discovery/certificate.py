@@ -1,8 +1,8 @@
 """Power and false-alarm rate of the tests on these drives, predicted from the curvature of the loss or measured.
 
-To measure them, drives are simulated: the residuals of the final fit, with random signs of whole blocks, plus the
-change caused by a known effect. The effect counts as detected if one forward step of the search on the quadratic
-approximation of the loss selects it; the whole search is not repeated.
+To measure them, the residuals of drives are simulated: those of the final fit, with random signs of whole blocks, plus
+the change caused by a known effect. The effect counts as detected if one forward step of the search selects it, on the
+quadratic approximation of the loss; the whole search is not repeated.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import confounded_effects
-from .evidence import FLIPS, Scores, library_p_value, make_scores, residual_over_noise, score
+from .evidence import Scores, efficient_score, library_p_value, make_scores, residual_over_noise
 from .fit import Fit, Problem
 from .loss import Quadratic
 from .result import Certificate, Power
@@ -19,37 +19,39 @@ from .settings import Limits
 
 SIZES = (0.25, 0.5, 1.0)  # sizes of an effect that are tested, in parameter scales
 DRAWS = 20  # simulated drives for each size; the standard deviation of the measured power is at most 0.11
+FALSE_ALARM_DRAWS, FLIPS = 100, 100  # simulated drives without an effect; draws of block signs in each drive
 
 
 def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> Certificate:
-    """Power from the curvature at the final fit. Twice the gain over the design effect is noncentral chi-square."""
-    q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
+    """Power from the curvature at the final fit. Twice the gain divided by the design effect has a noncentral
+    chi-square distribution."""
+    q = problem.full_quadratic(fit.vector).sum_groups(problem.block, problem.blocks)
     powers = []
     for effect in problem.space.hypotheses:
         names = tuple(n for n in fit.names if not problem.space.overlaps(effect, (n,)))
-        information = score(q, problem, names, effect)[1]
+        information = efficient_score(q, problem, names, effect)[1]
         indices = problem.space.indices(effect)
         best = int(np.argmax(information))
         free = problem.space.free[indices[best]]
         for share in SIZES:
             powers.append(Power(effect, free.parameter, free.unit, share * free.scale,
                                 _power(problem, fit, indices[best], share, information[best], scores, limits), 0))
-    return Certificate(tuple(powers), 0, 0, False)
+    return Certificate(tuple(powers), 0, 0, measured=False)
 
 
-def confounded_with(problem: Problem, fit: Fit, effect: str, scores: Scores, limits: Limits) -> str:
-    """Name of the effect of the fit that masks `effect`: if its values were known, `effect` would be detected at a size
-    of one parameter scale; "" if there is none."""
-    q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
+def find_confounding_effect(problem: Problem, fit: Fit, effect: str, scores: Scores, limits: Limits) -> str:
+    """Name of the effect of the fit that masks `effect`: if its values were known, a change by one parameter scale of
+    `effect` would be detected; "" if there is none."""
+    q = problem.full_quadratic(fit.vector).sum_groups(problem.block, problem.blocks)
     names = [n for n in fit.names if not problem.space.overlaps(effect, (n,))]
-    indices, best, found = problem.space.indices(effect), "", limits.detection_power
+    indices, masking, largest = problem.space.indices(effect), "", limits.detection_power
     for other in names:
-        information = score(q, problem, tuple(n for n in names if n != other), effect)[1]
+        information = efficient_score(q, problem, tuple(n for n in names if n != other), effect)[1]
         index = int(np.argmax(information))
         power = _power(problem, fit, indices[index], SIZES[-1], information[index], scores, limits)
-        if power >= found:
-            best, found = other, power
-    return best
+        if power >= largest:
+            masking, largest = other, power
+    return masking
 
 
 def _power(problem: Problem, fit: Fit, index: int, share: float, information: float, scores: Scores,
@@ -76,7 +78,7 @@ def _required_gain(problem: Problem, rows: np.ndarray, reduction: float, limits:
 
 def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> Certificate:
     """Power and false alarms of a forward step on simulated drives: DRAWS drives for each size of each effect, and
-    FLIPS / 4 drives without an effect."""
+    FALSE_ALARM_DRAWS drives without an effect."""
     rng = np.random.default_rng(seed)
     rows = np.nan_to_num(problem.errors.at(fit.vector))
     sensitivities = problem.all_sensitivities(fit.vector).values
@@ -86,9 +88,7 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
         index = indices[int(np.argmax(np.square(sensitivities[indices] / problem.loss.scale).sum(axis=(1, 2))))]
         free = problem.space.free[index]
         for share in SIZES:
-            moved = fit.vector.copy()
-            moved[index] += share * free.scale * problem.space.sign[index]
-            moved = problem.space.inside(moved)
+            moved = problem.take_step(fit.vector, np.array([index]), share * problem.space.sign[[index]])
             change = rows - np.nan_to_num(problem.errors.at(moved))
             reduction = float(np.nanmean(problem.position_error(rows + change) - problem.position_error(rows)))
             required = _required_gain(problem, rows, reduction, limits)
@@ -96,30 +96,28 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
                         for _ in range(DRAWS))
             powers.append(Power(effect, free.parameter, free.unit, share * free.scale, found / DRAWS, DRAWS))
         tick()
-    draws = FLIPS // 4
     alarms = sum(bool(_detect_effects(problem, fit, rows, 0.0 * rows, sensitivities, limits.relevant, limits, rng))
-                 for _ in range(draws))
-    return Certificate(tuple(powers), alarms, draws, True)
+                 for _ in range(FALSE_ALARM_DRAWS))
+    return Certificate(tuple(powers), alarms, FALSE_ALARM_DRAWS, measured=True)
 
 
 def _detect_effects(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, sensitivities: np.ndarray,
                     required: float, limits: Limits, rng: np.random.Generator) -> list[str]:
-    """Effects that would be named on one simulated drive: the best and those inseparable from it; empty if it is not
-    significant. change: (n, m) change of the residuals by the simulated effect. required: minimum gain per residual."""
+    """Effects that would be named on one simulated drive: the best one and those inseparable from it; none if the best
+    is not significant. change: (n, m) change of the residuals due to the simulated effect. required: minimum gain per
+    residual."""
     signs = rng.choice([-1.0, 1.0], problem.blocks)
     simulated = signs[problem.block][:, None] * rows + change
-    q = problem.loss.quadratic(simulated, sensitivities).summed(problem.block, problem.blocks)
-    base = _held_out(problem, q, fit.names, fit.vector)
+    q = problem.loss.quadratic(simulated, sensitivities).sum_groups(problem.block, problem.blocks)
+    base = _held_out_losses(problem, q, fit.names, fit.vector)
     gains, by_effect, information = {}, {}, {}
     for effect in problem.space.hypotheses:
-        names = fit.names
-        if problem.space.overlaps(effect, names):
-            names = tuple(n for n in names if not problem.space.overlaps(effect, (n,)))
-        by_effect[effect], information[effect] = score(q, problem, names, effect)
-        gains[effect] = (_held_out(problem, q, names, fit.vector) if names != fit.names else base
-                         ) - _held_out(problem, q, (*names, effect), fit.vector)
+        names = tuple(n for n in fit.names if not problem.space.overlaps(effect, (n,)))
+        by_effect[effect], information[effect] = efficient_score(q, problem, names, effect)
+        without = base if names == fit.names else _held_out_losses(problem, q, names, fit.vector)
+        gains[effect] = without - _held_out_losses(problem, q, (*names, effect), fit.vector)
     best = max(gains, key=lambda e: gains[e].sum())
-    scores = make_scores(q, by_effect, information, {}, rng, FLIPS // 4)
+    scores = make_scores(q, by_effect, information, {}, rng, FLIPS)
     p_value = library_p_value(by_effect[best], gains[best], scores, len(by_effect))
     if p_value > limits.false_alarm or gains[best].sum() / problem.residual_count < required:
         return []
@@ -127,7 +125,7 @@ def _detect_effects(problem: Problem, fit: Fit, rows: np.ndarray, change: np.nda
             or (e in confounded_effects(best) and gains[e].sum() > limits.min_rival_gain * gains[best].sum())]
 
 
-def _held_out(problem: Problem, q: Quadratic, names: Sequence[str], vector: np.ndarray) -> np.ndarray:
+def _held_out_losses(problem: Problem, q: Quadratic, names: Sequence[str], vector: np.ndarray) -> np.ndarray:
     """(b,) held-out loss of a set of effects, from the quadratic approximation."""
     indices = problem.free_indices(names)
     return problem.leave_out(q.only(indices), names, vector, indices, problem.fold)[1]

@@ -25,9 +25,9 @@ MAX_CLOCK_DEVIATION = 0.01  # s, largest standard deviation of a clock that coun
 ITERATIONS = 3  # repetitions of the joint fit, each with the corrected time stamps
 
 
-def clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
-                      deviations: Mapping[str, float], threads: int = 1, tick: Callable[[], None] = lambda: None,
-                      ) -> dict[str, float]:
+def estimate_clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space,
+                               settings: DiscoverySettings, deviations: Mapping[str, float], threads: int,
+                               tick: Callable[[], None]) -> dict[str, float]:
     """Correction of the steering time stamps by run [s], > 0 if they were early; empty if none is needed. deviations
     [s]: standard deviation of the steering clock by run, used as a prior; up to MAX_CLOCK_DEVIATION a clock counts as
     exact. The corrections are fitted together with all parameters of the library. An error common to all runs is
@@ -47,7 +47,7 @@ def clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, spac
         vector, prior = fit_library(loss, windows, weak_prior(space), quantities, vector, tick)
         problem = Problem(loss, space.null, windows.block, prior)
         problem.update_design_effect(vector)
-        q, member = problem.quadratic_of_all(vector), (windows.run == np.array(free)[:, None]).astype(float)
+        q, member = problem.full_quadratic(vector), (windows.run == np.array(free)[:, None]).astype(float)
         cross = member @ q.hessian[:, :, k]
         clock_prior = 0.5 * problem.design_effect * np.square(scale / prior_deviation[free])
         h = np.block([[q.hessian.sum(axis=0) + prior, cross.T], [cross, np.diag(cross[:, k] + clock_prior)]])
@@ -58,6 +58,6 @@ def clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, spac
 
 
 def apply_clock_corrections(runs: Sequence[DriveLog], corrections: Mapping[str, float]) -> list[DriveLog]:
-    """The runs with steering time stamps corrected by the result of `clock_corrections`."""
+    """The runs with steering time stamps corrected by the result of `estimate_clock_corrections`."""
     return [replace(run, steering_time_ns=run.steering_time_ns + round(corrections[run.name] / NANOSECOND))
             if corrections.get(run.name) else run for run in runs]

@@ -4,27 +4,27 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from ..channels import CHANNEL_OF_COLUMN, CHANNELS
-from .evidence import AgainstFile, Evidence, share_of
+from .evidence import Evidence, share_of
 from .result import Outcome, Reason
 from .settings import Limits
 
-(ACCEPTED, NAMED, MINOR, NEGLIGIBLE, GAIN_INSIGNIFICANT, NULL, IRRELEVANT, SENSORS, FILE, BOUND, VARIES, FORCES,
- IMPLAUSIBLE) = (
-    "accepted", "named", "minor", "too small", "gain not significant", "value not significant", "not relevant",
-    "refuted by the sensors", "refuted by the vehicle file", "on a bound", "varies", "refuted by the axle forces",
-    "implausible")
+ACCEPTED, NAMED, MINOR = "accepted", "named", "minor"
+NEGLIGIBLE, GAIN_INSIGNIFICANT, NULL = "too small", "gain not significant", "value not significant"
+IRRELEVANT, BOUND, VARIES, IMPLAUSIBLE = "not relevant", "on a bound", "varies", "implausible"
+SENSORS, FILE, FORCES = "refuted by the sensors", "refuted by the vehicle file", "refuted by the axle forces"
+ALTERNATIVE, EXPLAINS_LESS = "alternative", "explains less"
 PARTITION_NAMES = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",
                    "condition": "the kinds of driving"}
 
 
 @dataclass(frozen=True)
-class Checks:
-    """Checks of an effect that need intervals and axle curves. excludes_null: whether an interval excludes the null.
-    crossing: parameter with an interval that crosses a bound, or "". peak_force_share [1]: largest axle force in the
-    drives divided by the peak force, for an effect on the peak. worse_axle: an axle on which the effect acts, and with
-    measured forces closer to the vehicle file than to the final model, or "". summed: other effects of the model; only
-    their sum with this effect is identifiable. objection: reason why the car with this effect would be implausible (see
-    `handling.find_implausible_values`), or ""."""
+class NamingChecks:
+    """Checks of an effect that need intervals and axle curves. excludes_null: whether an interval excludes the
+    null. crossing: parameter with an interval that crosses a bound, or "". peak_force_share [1]: largest axle force in
+    the drives divided by the peak force, for an effect on the peak. worse_axle: an axle on which the effect acts and
+    where the measured forces agree better with the vehicle file than with the final model, or "". summed: other effects
+    of the model; only their sum with this effect is identifiable. objection: reason why the car with this effect would
+    be implausible (see `handling.find_implausible_values`), or ""."""
 
     excludes_null: bool = True
     crossing: str = ""
@@ -39,8 +39,8 @@ class Rival:
     """An effect that could replace the effect `replaces` in the model. share [1]: ratio of its gain to the gain of the
     replaced effect. p_no_worse [1]: p-value of the hypothesis that it is as good. deficit [1]: gain of the replaced
     effect minus gain of the rival, per residual. evidence, values: those of the rival in place of the replaced effect.
-    shared: whether both are in the model and the rival explains a part of the replaced effect. added [1]: ratio of the
-    gain of the rival in addition to the replaced effect, from other errors, to the gain of the replaced effect."""
+    shared: whether both are in the model and the rival explains a part of the replaced effect. added [1]: gain of the
+    rival in addition to the replaced effect, which comes from other errors, divided by the gain of that effect."""
 
     name: str
     replaces: str
@@ -55,11 +55,11 @@ class Rival:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Input of `decide`. noise_ratio [1]: ratio of residual to noise. detectable_share [1]: fraction of the library's
-    effects that are detectable in these drives at a size of one parameter scale. varying_effects: number of effects
-    that vary between parts of the drives. combinations: names of the parameter combinations that differ from the
-    vehicle file, but that no named effect changes. effects: number of effects in the model. base_noise_ratio [1]: ratio
-    of the error without them to noise."""
+    """Input of `decide`. noise_ratio [1]: ratio of the residual to the noise. detectable_share [1]: fraction of the
+    library's effects that are detectable in these drives at a size of one parameter scale. varying_effects: number of
+    effects that vary between parts of the drives. combinations: names of the parameter combinations that differ from
+    the vehicle file and that no named effect changes. effects: number of effects in the model. base_noise_ratio [1]:
+    ratio of the error without them to the noise."""
 
     named: Sequence[Evidence]
     rivals: Mapping[str, Sequence[Rival]]
@@ -90,8 +90,8 @@ def judge(e: Evidence, limits: Limits) -> Reason:
         return Reason(FILE, e.name, {"value": known.value, "file": known.file,
                                      "standard_deviation": known.standard_deviation, "z_score": known.z_score,
                                      "max_file_deviation": limits.max_file_deviation},
-                      f"the best fit has {known.key} {_format_with_unit(known, known.value)}, the vehicle file "
-                      f"{known.file:g} ± {_format_with_unit(known, known.standard_deviation)}: check it; if it is "
+                      f"the best fit has {known.key} {_format_with_unit(known.value, known.unit)}, the vehicle file "
+                      f"{known.file:g} ± {_format_with_unit(known.standard_deviation, known.unit)}: check it; if it is "
                       "correct, another cause has the same effect")
     if e.bound_distance < limits.at_bound:
         return Reason(BOUND, e.name, {"bound_distance": e.bound_distance, "at_bound": limits.at_bound},
@@ -102,11 +102,11 @@ def judge(e: Evidence, limits: Limits) -> Reason:
         f"{e.p_value:.2g}), and does not vary significantly between parts of the drives")
 
 
-def correction_verdict(e: Evidence, limits: Limits) -> Reason:
+def judge_correction(e: Evidence, limits: Limits) -> Reason:
     """The verdict on one effect as an effective correction: it must improve predictions in all parts of the drives, but
     need not be a property of the car."""
     return _reject_insignificant(e, limits) or _reject_varying(e, limits) or Reason(
-        ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value}, f"it reduces the size of the errors by {e.share:.1%}")
+        ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value}, f"it reduces the errors by {e.share:.1%}")
 
 
 def _reject_varying(e: Evidence, limits: Limits) -> Reason | None:
@@ -121,18 +121,18 @@ def _reject_varying(e: Evidence, limits: Limits) -> Reason | None:
                   f"probability {a.p_absent:.2g} it is absent or of opposite sign in a new part")
 
 
-def _format_with_unit(known: AgainstFile, number: float) -> str:
-    """A value of the quantity, with its unit."""
-    unit = "" if known.unit == "1" else f" {known.unit}"
-    return f"{float(f'{number:.3g}'):.0f}{unit}" if abs(number) >= 100.0 else f"{number:.3g}{unit}"
+def _format_with_unit(number: float, unit: str) -> str:
+    """A value to three significant digits, without an exponent if it is 100 or more, with its unit."""
+    text = f"{float(f'{number:.3g}'):.0f}" if abs(number) >= 100.0 else f"{number:.3g}"
+    return text if unit == "1" else f"{text} {unit}"
 
 
 def _reject_insignificant(e: Evidence, limits: Limits) -> Reason | None:
     """Reason to reject an effect that is not significant or too small; None otherwise."""
     if e.gain < limits.negligible:
-        return Reason(NEGLIGIBLE, e.name, {"gain": e.gain, "negligible": limits.negligible},
-                      f"it reduces the size of the errors by {e.share:.1%}, below the limit of "
-                      f"{limits.negligible:.1%}")
+        text = (f"it reduces the errors by {e.share:.1%}, less than the limit of {limits.negligible:.1%}"
+                if e.gain > 0.0 else "it does not reduce the errors")
+        return Reason(NEGLIGIBLE, e.name, {"gain": e.gain, "negligible": limits.negligible}, text)
     if e.p_value > limits.false_alarm:
         return Reason(GAIN_INSIGNIFICANT, e.name, {"p_value": e.p_value, "false_alarm": limits.false_alarm},
                       f"it is not significant: p = {e.p_value:.2g}, corrected for the number of effects tested")
@@ -160,7 +160,7 @@ def is_confirmed(e: Evidence, limits: Limits) -> bool:
 
 def position_reduction(e: Evidence) -> float:
     """Reduction of the position error, overall or in one driving condition [m]."""
-    return max(e.position, e.position_somewhere)
+    return max(e.position, e.position_in_condition)
 
 
 def is_relevant(e: Evidence, limits: Limits) -> bool:
@@ -175,7 +175,7 @@ def most_affected(e: Evidence, limits: Limits) -> tuple[str, float]:
     with an error above the noise; ("", 0) if there is none."""
     share, column = max(((share, column) for column, (share, noise_ratio) in e.shares.items()
                          if noise_ratio > limits.max_noise_ratio), default=(0.0, ""))
-    return CHANNEL_OF_COLUMN[column].name if column else "", share
+    return (CHANNEL_OF_COLUMN[column].name if column else ""), share
 
 
 def _relevance_figures(e: Evidence, limits: Limits) -> dict[str, float]:
@@ -183,9 +183,9 @@ def _relevance_figures(e: Evidence, limits: Limits) -> dict[str, float]:
             "relevant_position": limits.relevant_position}
 
 
-def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) -> Reason:
+def judge_naming(e: Evidence, limits: Limits, checks: NamingChecks | None = None) -> Reason:
     """Whether an accepted effect is named, or only stays in the model to avoid a bias of the other values."""
-    by_sensors, checks = is_confirmed(e, limits), checks or Checks()
+    confirmed_by_sensors, checks = is_confirmed(e, limits), checks or NamingChecks()
     if checks.worse_axle:
         return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {checks.worse_axle} axle agree "
                       "with it less than with the vehicle file: it improves predictions, but is not named")
@@ -204,18 +204,18 @@ def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) ->
                                       "min_peak_force": limits.min_peak_force},
                       f"the drives reach {checks.peak_force_share:.1%} of the peak force: the curve is reported up to "
                       "there, without a peak")
-    if e.position < -limits.relevant_position and not by_sensors:
+    if e.position < -limits.relevant_position and not confirmed_by_sensors:
         return Reason(MINOR, e.name, {"position": e.position, "relevant_position": limits.relevant_position},
                       f"without it the held-out position error is {-100 * e.position:.1f} cm smaller: it stays in "
                       "the model, but is not named")
-    if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.unexplained_share and not by_sensors:
+    if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.unexplained_share and not confirmed_by_sensors:
         return Reason(MINOR, e.name, {"gain": e.gain, "noise_ratio": e.noise_ratio,
                                       "max_noise_ratio": limits.max_noise_ratio,
                                       "unexplained_share": limits.unexplained_share},
                       f"it is significant, but reduces the errors by only {e.share:.1%}, and one channel's error "
                       f"remains {e.noise_ratio:.1f} times the noise; {limits.unexplained_share:.0%} is required, as it "
                       "may imitate an unmodelled effect: it stays in the model, but is not named")
-    if not checks.excludes_null and not by_sensors:
+    if not checks.excludes_null and not confirmed_by_sensors:
         return Reason(MINOR, e.name, {"gain": e.gain}, "it reduces the errors, but the interval of its value contains "
                       "the value without influence: it stays in the model, but is not named")
     if is_relevant(e, limits):
@@ -229,7 +229,7 @@ def _describe_effect_size(e: Evidence, limits: Limits) -> str:
     """Clause with the largest error reductions."""
     channel, share = most_affected(e, limits)
     channel_part = f"the baseline {CHANNELS[channel].label} error by {share:.1%} and " if channel else ""
-    where = " in one driving condition" if e.position_somewhere > e.position else ""
+    where = " in one driving condition" if e.position_in_condition > e.position else ""
     return f"it reduces {channel_part}the position error after 5 s by {100 * position_reduction(e):.1f} cm{where}"
 
 
@@ -248,7 +248,6 @@ def varies_relevantly(e: Evidence, limits: Limits) -> bool:
 
 def judge_alternative(rival: Rival, limits: Limits) -> Reason:
     """Whether another effect is an alternative to an effect of the final model."""
-    verdict = judge(rival.evidence, limits)
     figures = {"share": rival.share, "added": rival.added, "p_no_worse": rival.p_no_worse, "deficit": rival.deficit,
                "min_rival_gain": limits.min_rival_gain, "undecided_p": limits.undecided_p,
                "unexplained_share": limits.unexplained_share}
@@ -258,53 +257,55 @@ def judge_alternative(rival: Rival, limits: Limits) -> Reason:
     no_worse = f"p = {rival.p_no_worse:.2g} for the hypothesis that it is as good"
     worse = rival.p_no_worse < limits.undecided_p
     if rival.share - rival.added < limits.min_rival_gain or (worse and not unexplained):
-        return Reason("explains less", rival.name, figures, f"{gain}; {no_worse}")
+        return Reason(EXPLAINS_LESS, rival.name, figures, f"{gain}; {no_worse}")
     if rival.shared:
         gain = f"together with {rival.replaces.replace('_', ' ')} it gains no more than that effect alone"
-    elif verdict.rule not in (ACCEPTED, IRRELEVANT):
+    elif (verdict := judge(rival.evidence, limits)).rule not in (ACCEPTED, IRRELEVANT):
         return verdict
     if worse:
         no_worse += f", but unmodelled effects may cause the difference of {rival.deficit:.1%} of the residual"
-    return Reason("alternative", rival.name, figures, f"{gain}; {no_worse}")
+    return Reason(ALTERNATIVE, rival.name, figures, f"{gain}; {no_worse}")
 
 
-def decide(a: SearchResult, limits: Limits) -> tuple[Outcome, Reason]:
+def is_alternative(rival: Rival, limits: Limits) -> bool:
+    return judge_alternative(rival, limits).rule == ALTERNATIVE
+
+
+def decide(search: SearchResult, limits: Limits) -> tuple[Outcome, Reason]:
     """The outcome and its reason."""
     def because(outcome: Outcome, text: str, **figures: float) -> tuple[Outcome, Reason]:
         return outcome, Reason(outcome, "outcome", figures, text)
 
-    equal = {name: [r for r in others if judge_alternative(r, limits).rule == "alternative"]
-            for name, others in a.rivals.items()}
-    if len(a.named) > 1:
-        return because("several", f"{len(a.named)} effects are significant, relevant and do not vary significantly",
-                       effects=len(a.named))
-    if a.named:
-        name = a.named[0].name
-        others = equal.get(name, [])
-        if others:
-            return because("ambiguous", f"{1 + len(others)} effects explain the errors equally well",
-                           names=1 + len(others))
+    noise_ratio, base_noise_ratio = search.noise_ratio, search.base_noise_ratio
+    if len(search.named) > 1:
+        return because("several", f"{len(search.named)} effects are significant, relevant and do not vary "
+                       "significantly", effects=len(search.named))
+    if search.named:
+        names = 1 + sum(is_alternative(r, limits) for r in search.rivals.get(search.named[0].name, ()))
+        if names > 1:
+            return because("ambiguous", f"{names} effects explain the errors equally well", names=names)
         return because("named", "one effect is significant, relevant and does not vary significantly")
-    if a.combinations:
-        return because("ambiguous", f"{' and '.join(a.combinations)}: different from the vehicle file, but the "
-                       "effects that change it cannot be separated", combinations=len(a.combinations))
-    verdicts = [judge(e, limits) for e in a.refused if is_relevant(e, limits)]
-    if a.varying_effects or any(v.rule == VARIES for v in verdicts):
+    if search.combinations:
+        return because("ambiguous", f"{' and '.join(search.combinations)}: different from the vehicle file, but the "
+                       "effects that change it cannot be separated", combinations=len(search.combinations))
+    verdicts = [judge(e, limits) for e in search.refused if is_relevant(e, limits)]
+    if search.varying_effects or any(v.rule == VARIES for v in verdicts):
         return because("varying", "a significant effect varies between parts of the drives")
     if any(v.rule in (BOUND, SENSORS, FILE) for v in verdicts):
         return because("unknown", "errors are significant, but no effect of the library explains them within its "
                        "bounds")
-    if a.noise_ratio > limits.max_noise_ratio:
-        return because("unknown", f"the position error is {a.noise_ratio:.1f} times the noise, and no further effect "
-                       "of the library reduces it significantly", noise_ratio=a.noise_ratio,
+    if noise_ratio > limits.max_noise_ratio:
+        return because("unknown", f"the position error is {noise_ratio:.1f} times the noise, and no further effect "
+                       "of the library reduces it significantly", noise_ratio=noise_ratio,
                        max_noise_ratio=limits.max_noise_ratio)
-    if a.effects and a.base_noise_ratio > limits.max_noise_ratio:
-        return because("ambiguous", f"the model reduces the position error from {a.base_noise_ratio:.1f} to "
-                       f"{a.noise_ratio:.1f} times the noise, but none of its effects is certain enough to be named",
-                       effects=a.effects, base_noise_ratio=a.base_noise_ratio, max_noise_ratio=limits.max_noise_ratio)
-    if a.detectable_share < limits.detection_power:
-        return because("not_testable", f"only {a.detectable_share:.0%} of the library's effects would be detectable "
-                       "in these drives at their typical size", detectable_share=a.detectable_share,
+    if search.effects and base_noise_ratio > limits.max_noise_ratio:
+        return because("ambiguous", f"the model reduces the position error from {base_noise_ratio:.1f} to "
+                       f"{noise_ratio:.1f} times the noise, but none of its effects is certain enough to be named",
+                       effects=search.effects, base_noise_ratio=base_noise_ratio,
+                       max_noise_ratio=limits.max_noise_ratio)
+    if search.detectable_share < limits.detection_power:
+        return because("not_testable", f"only {search.detectable_share:.0%} of the library's effects would be "
+                       "detectable in these drives at their typical size", detectable_share=search.detectable_share,
                        detection_power=limits.detection_power)
-    return because("none", f"the position error is {a.noise_ratio:.1f} times the noise", noise_ratio=a.noise_ratio,
+    return because("none", f"the position error is {noise_ratio:.1f} times the noise", noise_ratio=noise_ratio,
                    max_noise_ratio=limits.max_noise_ratio)

@@ -15,25 +15,26 @@ from ..models import Model
 from ..vehicle import VehicleParameters
 from . import certificate, decision, result, waterfall
 from .axles import Axles
-from .clocks import MAX_CLOCK_DEVIATION, apply_clock_corrections, clock_corrections
+from .clocks import MAX_CLOCK_DEVIATION, apply_clock_corrections, estimate_clock_corrections
 from .decision import Rival
 from .error_regions import find_error_regions
-from .evidence import Evidence, Joint, joint, library_p_value, share_of
+from .evidence import Evidence, JointFit, approximate_joint_fit, library_p_value, share_of
 from .fit import Fit, Problem
 from .loss import Errors, Loss
-from .next_manoeuvre import Catalogue, catalogue, most_informative, next_manoeuvre, separability
-from .partitions import Partition, partitions, sites
-from .reference import healthy_car
-from .search import Found, Search
+from .next_manoeuvre import Curvatures, choose_manoeuvre, list_separabilities, most_informative, simulate_catalogue
+from .partitions import Partition, find_sites, make_partitions
+from .reference import fit_healthy_car
+from .search import Search, SearchState
 from .settings import DiscoverySettings
-from .space import Space, known_quantities
-from .varying import evidence_of, find_varying_effects
+from .space import FreeParameter, Space, known_quantities
+from .varying import Varying, collect_varying_evidence, find_varying_effects
 from .windows import MARGIN_NS, Windows, noise_floor
 
 Progress = Callable[[str, int, int], None]
 Sensors = Mapping[str, tuple[float, float, float]]
-IN_INPUT = "the measured forward acceleration is an input and contains it already"
-NOT_TESTABLE = {"drag": IN_INPUT, "rolling_resistance": IN_INPUT, "grade": f"{IN_INPUT}; pitch is not measured"}
+CONTAINED_IN_INPUT = "the measured forward acceleration is an input and contains it already"
+NEVER_TESTABLE = {"drag": CONTAINED_IN_INPUT, "rolling_resistance": CONTAINED_IN_INPUT,
+                  "grade": f"{CONTAINED_IN_INPUT}; pitch is not measured"}  # effect: reason
 
 
 def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
@@ -44,9 +45,9 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
 
     runs: suspect drives. vehicle: parameters of the vehicle file, from which the search starts. reference: drives of
     the healthy car; with them the search starts from the values fitted to these drives and finds later changes.
-    sensor_estimates: (value, low, high) from redundant sensors, by the name of the estimate in `st_core.checks`.
-    parallel: number of threads. clocks: by run, standard deviation of the error of the steering clock [s]; clocks of
-    other runs count as exact. progress(stage, done, total): called regularly.
+    progress(stage, done, total): called regularly. sensor_estimates: (value, low, high) from redundant sensors, by the
+    name of the estimate in `st_core.checks`. parallel: number of threads. clocks: standard deviation of the error of
+    the steering clock [s], by run; clocks of other runs count as exact.
 
     Raises StCoreError if the runs contain no usable prediction, ConfigurationError for settings that are not valid for
     the base model. Checked by: test_discovery*.py, bench/discovery.
@@ -73,8 +74,8 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
 
 
 class _JudgedEffects(NamedTuple):
-    """The effects of the final fit, by verdict. minor: in the model, but not named. contradicted: refuted by the
-    measured axle forces, or leading to an implausible car. leave_one_out: see `Discovery`."""
+    """The effects of the final fit. minor: in the model, but not named. contradicted: refuted by the measured axle
+    forces, or leading to an implausible car. verdicts: by effect. leave_one_out: see `Discovery`."""
 
     named: tuple[result.FoundEffect, ...]
     minor: tuple[result.FoundEffect, ...]
@@ -113,38 +114,39 @@ class _Analysis:
 
     def analyse(self) -> result.Discovery:
         settings, space = self.settings, self.space
-        problem, by_column = self._make_problem()
-        self.problem = problem
+        self.problem, by_column = self._make_problem()
+        problem = self.problem
         self._warn_of_low_excitation()
-        parts = partitions(self.windows)
+        parts = make_partitions(self.windows)
         search = Search(problem, self.limits, parts, self.sensors, settings.seed, self._ticker("searching"))
         found = search.run()
         without_priors, fit = self._add_corrections(found, parts)
         self._ticker("explaining")()
         horizon_errors = waterfall.HorizonErrors(without_priors, settings.seed)
-        varied = self._find_varying(found, parts)
+        varying, varying_fit = self._find_varying(found, parts)
         floor = self._channel_noise(by_column)
         judged = self._judge_effects(search, found, parts, floor)
-        steps, base = waterfall.steps(problem, found.fit, found.order, horizon_errors, parts)
-        errors, named_errors = (waterfall.channel_errors(horizon_errors, base, f, floor) for f in (fit, found.fit))
-        budget = waterfall.budget(problem, base, found.fit, fit, next((fit for _, fit in varied), None), horizon_errors)
+        steps, base = waterfall.build_steps(problem, found.fit, found.order, horizon_errors, parts)
+        errors = waterfall.compare_channel_errors(horizon_errors, base, fit, floor)
+        named_errors = waterfall.compare_channel_errors(horizon_errors, base, found.fit, floor)
+        budget = waterfall.build_budget(problem, base, found.fit, fit, varying_fit, horizon_errors)
         power = (certificate.measure_power(problem, found.fit, self.limits, settings.seed, self._ticker("certifying"))
                  if settings.certify else certificate.predict_power(problem, found.fit, found.scores, self.limits))
         effects, design_effect = judged.named, found.scores.design_effect
-        drives = self._simulate_catalogue(found, effects)
-        untestable = self._find_untestable(found, power, judged, drives)
+        curvatures = self._simulate_catalogue(found, effects)
+        untestable = self._find_untestable(found, power, judged, curvatures)
         noise_ratios = _noise_ratios(named_errors.get("position_5s"), floor)
-        outcome, why = self._decide_outcome(found, judged, untestable, noise_ratios, len(varied))
-        statements = self._locate_errors(base, floor) if settings.where else ()
+        outcome, why = self._decide_outcome(found, judged, untestable, noise_ratios, len(varying))
+        regions = self._locate_errors(base, floor) if settings.where else ()
         return result.Discovery(
             outcome=outcome, effects=effects, minor=judged.minor,
             effective=(*judged.contradicted, *self._list_corrections(without_priors, fit, found)),
-            varying=tuple(v for v, _ in varied), steps=tuple(steps), errors=errors, named_errors=named_errors,
+            varying=varying, steps=tuple(steps), errors=errors, named_errors=named_errors,
             budget=tuple(budget), reasons=(why, *self._collect_reasons(found, judged.verdicts)),
-            candidates=self._list_candidates(found, judged.verdicts), where=statements, not_testable=untestable,
-            next_manoeuvre=next_manoeuvre(problem, found.fit, effects, drives, design_effect) if drives else None,
-            separability=separability(problem, found.fit, effects, design_effect), certificate=power,
-            signature=self._describe_residual(noise_ratios[1], statements), runs=self._list_runs(),
+            candidates=self._list_candidates(found, judged.verdicts), where=regions, not_testable=untestable,
+            next_manoeuvre=choose_manoeuvre(problem, found.fit, effects, curvatures, design_effect),
+            separability=list_separabilities(problem, found.fit, effects, design_effect), certificate=power,
+            signature=self._describe_residual(noise_ratios[1], regions), runs=self._list_runs(),
             start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
             model=space.at(fit.vector) if fit.names else None, warnings=tuple(self.warnings),
             named=space.at(problem.vector_without(found.fit, *(e.name for e in judged.contradicted)))
@@ -153,61 +155,62 @@ class _Analysis:
             # The residual of the best model counts as noise in all later comparisons, whatever its cause.
             noise={c: error.augmented for c, error in errors.items()}, acceleration_gain=float(fit.vector[-1]))
 
-    def _judge_effects(self, search: Search, found: Found, parts: Mapping[str, Partition],
+    def _judge_effects(self, search: Search, found: SearchState, parts: Mapping[str, Partition],
                        floor: Mapping[str, float]) -> _JudgedEffects:
         """Judge the effects found by the search; add the force curves and the parameter combinations of the axles."""
         problem = self.problem
         # All other parameters of the library are free as well, so intervals include their possible contribution.
-        joint_fit = joint(problem, found.fit) if problem.prior is None else None
+        joint_fit = approximate_joint_fit(problem, found.fit) if problem.prior is None else None
         position = problem.position_error(problem.held_out_rows(found.fit))
-        unexplained = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
+        noise_ratio = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
                        if np.isfinite(position).any() else 1.0)
-        known, effects = {} if self.reference else self.sensors, []
+        sensors, effects = {} if self.reference else self.sensors, []
         for name in found.order:
             evidence = found.evidence[name]
             others = sorted(filter(self._is_alternative, found.rivals.get(name, ())), key=lambda r: -r.share)
-            values = waterfall.parameters(problem, found.fit, name, parts, found.near, joint_fit, unexplained)
+            values = waterfall.estimate_parameters(problem, found.fit, name, parts, found.near, joint_fit, noise_ratio)
             effects.append(result.FoundEffect(
                 name, get_effect(name).kind,
-                {n: with_sensor_interval(p, known.get(f"{name}.{n}")) for n, p in values.items()},
+                {n: replace_interval(p, sensors.get(f"{name}.{n}")) for n, p in values.items()},
                 tuple(r.name for r in others), evidence.position, _local_estimates(evidence),
-                search.cancelling(found.fit, name), *decision.most_affected(evidence, self.limits)))
+                search.find_cancelling(found.fit, name), *decision.most_affected(evidence, self.limits)))
         leave_one_out = waterfall.leave_one_out(problem, found.fit)
-        axles, curves, combinations = self._analyse_axles(found, joint_fit, unexplained)
+        axles, curves, combinations = self._analyse_axles(found, joint_fit, noise_ratio)
         verdicts = self._name_effects(found, effects, axles, leave_one_out)
         named, minor, contradicted = (tuple(e for e in effects if verdicts[e.name].rule in rules) for rules in (
             (decision.NAMED,), (decision.MINOR,), (decision.FORCES, decision.IMPLAUSIBLE)))
         return _JudgedEffects(named, minor, contradicted, verdicts, leave_one_out, curves,
-                              tuple(include_effects(c, effects) for c in combinations))
+                              tuple(complete_delay(c, effects) for c in combinations))
 
-    def _decide_outcome(self, found: Found, judged: _JudgedEffects, untestable: Sequence[result.NotTestable],
+    def _decide_outcome(self, found: SearchState, judged: _JudgedEffects, untestable: Sequence[result.NotTestable],
                         noise_ratios: tuple[float, float], varying_effects: int,
                         ) -> tuple[result.Outcome, result.Reason]:
-        """Outcome and reason. noise_ratios [1]: ratio of position error to noise without and with the effects."""
+        """Outcome and reason. noise_ratios [1]: ratio of position error to noise, without and with the effects."""
         hypotheses = self.space.hypotheses
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         refused = [evidence for evidence, *_ in found.refused.values()]
         return decision.decide(decision.SearchResult(
             [found.evidence[e.name] for e in judged.named], found.rivals, refused, noise_ratios[1], detectable,
-            varying_effects, [c.name for c in result.known_together(judged.combinations, judged.named)],
+            varying_effects, [c.name for c in result.unseparated_combinations(judged.combinations, judged.named)],
             len(found.fit.names), noise_ratios[0]), self.limits)
 
-    def _add_corrections(self, found: Found, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:
+    def _add_corrections(self, found: SearchState, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:
         """(problem, fit) with effective corrections in addition to the effects found, without the priors of the vehicle
         file; those of the search if the gain is too small, or if reference drives replace these priors."""
         problem, scale = self.problem, self.problem.loss.scale
         if problem.prior is not None:
             return problem, found.fit
-        free = problem.without_file()
-        search = Search(free, self.limits, parts, self.sensors, self.settings.seed, self._ticker("correcting"),
-                        decision.correction_verdict)
-        fit = search.corrections(found.fit)
+        without_priors = problem.without_file_priors()
+        search = Search(without_priors, self.limits, parts, self.sensors, self.settings.seed,
+                        self._ticker("correcting"), decision.judge_correction)
+        fit = search.add_corrections(found.fit)
         problem.loss.scale = scale
-        fit = free.fit_at(fit.names, fit.vector, fit.indices, fit.sensitivities)
-        gain = free.held_out_gain(found.fit, fit)
+        fit = without_priors.fit_at(fit.names, fit.vector, fit.indices, fit.sensitivities)
+        gain = without_priors.held_out_gain(found.fit, fit)
         # Both sums are over the same windows; they are 0 if position is not a channel.
-        named, best = (np.nansum(p.position_error(p.held_out_rows(f))) for p, f in ((problem, found.fit), (free, fit)))
-        return (problem, found.fit) if gain < self.limits.relevant or best > named else (free, fit)
+        before, after = (np.nansum(p.position_error(p.held_out_rows(f)))
+                         for p, f in ((problem, found.fit), (without_priors, fit)))
+        return (problem, found.fit) if gain < self.limits.relevant or after > before else (without_priors, fit)
 
     # Inputs
 
@@ -217,7 +220,7 @@ class _Analysis:
         start, prior, gain_between_drives, by_column = space.null, None, 0.0, noise_floor(self.windows)
         if self.reference:
             tick = self._ticker("reference")
-            healthy = healthy_car(self.reference, self.vehicle, space, settings, self.threads, tick)
+            healthy = fit_healthy_car(self.reference, self.vehicle, space, settings, self.threads, tick)
             start, prior, gain_between_drives = healthy.vector, healthy.prior, healthy.gain
             # The residual of the healthy car counts as noise: it is not a change since the reference drives.
             by_column = {c: max(by_column[c], float(v))
@@ -241,8 +244,8 @@ class _Analysis:
         uncertain = [s for run in runs if (s := deviations.get(run.name, 0.0)) > MAX_CLOCK_DEVIATION]
         if not uncertain:
             return runs
-        corrections = clock_corrections(runs, self.vehicle, self.space, self.settings, deviations, self.threads,
-                                        self._ticker("clocks"))
+        corrections = estimate_clock_corrections(runs, self.vehicle, self.space, self.settings, deviations,
+                                                 self.threads, self._ticker("clocks"))
         self.clock_errors |= corrections
         warning = (f"the steering clock has an uncertainty of ± {1e3 * max(uncertain):.0f} ms, in {len(uncertain)} of "
                    f"{len(runs)} runs")
@@ -268,7 +271,7 @@ class _Analysis:
         if len(self.runs) < 3:
             self.warnings.append(f"{'two runs' if len(self.runs) == 2 else 'one run'} only: parts of them are "
                                  "compared with each other instead of whole runs")
-        if not sites(self.windows).any():
+        if not find_sites(self.windows).any():
             self.warnings.append("all driving is at one site: effects of the site, such as banked roads and wind, "
                                  "cannot be separated from properties of the car")
         if self.problem.blocks < 10:
@@ -284,7 +287,7 @@ class _Analysis:
     # Results
 
     def _is_alternative(self, rival: Rival) -> bool:
-        return decision.judge_alternative(rival, self.limits).rule == "alternative"
+        return decision.is_alternative(rival, self.limits)
 
     def _list_assumed(self) -> tuple[result.Assumed, ...]:
         """The quantities of the vehicle file that are used as priors."""
@@ -293,90 +296,85 @@ class _Analysis:
         return tuple(known.values())
 
     def _analyse_axles(
-            self, found: Found, joint_fit: Joint | None, unexplained: float,
+            self, found: SearchState, joint_fit: JointFit | None, noise_ratio: float,
             ) -> tuple[Axles | None, tuple[result.ForceCurve, ...], tuple[result.Combination, ...]]:
         """(axle forces of the final model, force curves, combinations); (None, (), ()) for a base model without tyres,
         for driving without slip, and for values so uncertain that they exceed the limits of a vehicle file. With a
         reference, combinations are left out: they are compared with the vehicle file, not with the healthy car."""
         base = self.space.at(self.problem.start)
         try:
-            axles = Axles(self.problem, found.fit, joint_fit, self.runs, self.vehicle, unexplained,
+            axles = Axles(self.problem, found.fit, joint_fit, self.runs, self.vehicle, noise_ratio,
                           [vector for _, vector in found.near])
-            return axles, axles.curves(base), axles.combinations(base) if joint_fit else ()
+            return axles, axles.force_curves(base), axles.combinations(base) if joint_fit else ()
         except StCoreError:
             return None, (), ()
 
-    def _name_effects(self, found: Found, effects: Sequence[result.FoundEffect], axles: Axles | None,
+    def _name_effects(self, found: SearchState, effects: Sequence[result.FoundEffect], axles: Axles | None,
                       leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, result.Reason]:
         """Verdict on each effect of the final fit. With a reference, intervals include the uncertainty of the healthy
         car, so verdicts do not use them."""
-        worse_axle: dict[str, str] = {}
-        objection: dict[str, str] = {}
+        worse_axles: dict[str, str] = {}
+        car_objections: dict[str, str] = {}
         reached_force_ratio, names = 1.0, [e.name for e in effects]
         if axles is not None and not self.reference:
             reached_force_ratio = max(axles.reached_force_ratios().values())
-            for axle in axles.contradicting(self.space.at(self.space.null), leave_one_out):
-                worse_axle |= dict.fromkeys(axles.acting(axle, names), axle)
+            for axle in axles.contradicting_axles(self.space.at(self.space.null), leave_one_out):
+                worse_axles |= dict.fromkeys(axles.effects_on(axle, names), axle)
             for name in names:
                 alone = self.space.at(self.problem.start).with_values({name: self.space.values(name, found.fit.vector)})
                 implausible = find_implausible_values(alone.effective_vehicle(self.vehicle), self.vehicle)
-                objection[name] = next(iter(implausible), "")
+                car_objections[name] = next(iter(implausible), "")
         # Only the total delay of the steering is identifiable, not its parts.
         delays = [n for n in names if TOTAL_DELAY in get_effect(n).combinations] if axles is not None else []
-        return {e.name: decision.naming_verdict(found.evidence[e.name], self.limits, decision.Checks(
-            bool(self.reference) or excludes_null(e), "" if self.reference else find_parameter_across_bound(e),
-            reached_force_ratio if get_effect(e.name).at_peak_force else 1.0, worse_axle.get(e.name, ""),
-            tuple(n for n in delays if n != e.name) if e.name in delays else (),
-            objection.get(e.name, ""))) for e in effects}
+        return {e.name: decision.judge_naming(found.evidence[e.name], self.limits, decision.NamingChecks(
+            excludes_null=bool(self.reference) or excludes_null(e),
+            crossing="" if self.reference else find_parameter_across_bound(e),
+            peak_force_share=reached_force_ratio if get_effect(e.name).at_peak_force else 1.0,
+            worse_axle=worse_axles.get(e.name, ""), objection=car_objections.get(e.name, ""),
+            summed=tuple(n for n in delays if n != e.name) if e.name in delays else ())) for e in effects}
 
-    def _list_corrections(self, problem: Problem, fit: Fit, found: Found) -> tuple[result.FoundEffect, ...]:
+    def _list_corrections(self, problem: Problem, fit: Fit, found: SearchState) -> tuple[result.FoundEffect, ...]:
         """Effective corrections: the effects of `fit` that are not in `found.fit`."""
         horizon_errors = waterfall.HorizonErrors(problem, self.settings.seed)
-        return tuple(result.FoundEffect(n, get_effect(n).kind, waterfall.parameters(problem, fit, n, {}), (),
-                                        horizon_errors.position_without(fit, n), {})
+        return tuple(result.FoundEffect(n, get_effect(n).kind, waterfall.estimate_parameters(problem, fit, n, {}), (),
+                                        horizon_errors.position_increase_without(fit, n), {})
                      for n in fit.names if n not in found.fit.names)
 
-    def _find_varying(self, found: Found,
-                      parts: Mapping[str, Partition]) -> list[tuple[result.VaryingEffect, Fit | None]]:
-        """Find at most one significant effect that varies between parts of the drives: one that the search rejected for
-        this reason, with its fit, otherwise the one with the largest gain from separate values, without a fit."""
-        collected: list[tuple[result.VaryingEffect, Fit | None]] = []
+    def _find_varying(self, found: SearchState,
+                      parts: Mapping[str, Partition]) -> tuple[tuple[result.VaryingEffect, ...], Fit | None]:
+        """At most one significant effect that varies between parts of the drives: one that the search rejected for this
+        reason, and its fit; otherwise the one with the largest gain from separate values, and None."""
+        varying, varying_fit = None, None
         # An effect of the final fit, or an alternative to one, is not also reported as varying.
         rivals = [r for others in found.rivals.values() for r in others]
         reported = [*found.fit.names, *(r.name for r in filter(self._is_alternative, rivals))]
         for name, (evidence, verdict, fit) in found.refused.items():
             if (verdict.rule == decision.VARIES and not self.space.overlaps(name, reported)
-                    and decision.is_relevant(evidence, self.limits) and not collected):
+                    and decision.is_relevant(evidence, self.limits)):
                 partition = decision.varying_partition(evidence, self.limits)
-                collected.append((result.VaryingEffect(
-                    name, partition, waterfall.parameters(self.problem, fit, name, {}),
-                    _local_estimates(evidence)[partition], evidence.position), fit))
-        if not collected:
-            for v in find_varying_effects(self.problem, found.fit, parts):
-                evidence = evidence_of(self.problem, found.fit, v, parts)
-                if decision.varies_relevantly(evidence, self.limits) and not self.space.overlaps(v.name, reported):
-                    free = next(f for f in self.space.free if (f.effect, f.parameter) == (v.name, v.parameter))
-                    value, spread = max(v.values.values(), key=lambda each: abs(each[0] - free.null))
-                    change = value - free.null or free.scale
-                    ratios = tuple(result.LocalEstimate(part, (x - free.null) / change, s / abs(change))
-                                   for part, (x, s) in v.values.items())
-                    interval = value - 1.96 * spread, value + 1.96 * spread
-                    fitted = result.FittedParameter(value, free.unit, interval, free.null)
-                    collected.append((result.VaryingEffect(v.name, v.varies_with, {v.parameter: fitted}, ratios,
-                                                           evidence.position), None))
-                    break
-        for effect, _ in collected:
-            self.warnings.append(f"an effect that resembles {effect.resembles.replace('_', ' ')} is significant, but "
-                                 f"varies over {decision.PARTITION_NAMES[effect.varies_with]}: it is reported, not "
-                                 "named")
-        return collected
+                varying_fit, varying = fit, result.VaryingEffect(
+                    name, partition, waterfall.estimate_parameters(self.problem, fit, name, {}),
+                    _local_estimates(evidence)[partition], evidence.position)
+                break
+        for v in find_varying_effects(self.problem, found.fit, parts) if varying is None else ():
+            evidence = collect_varying_evidence(self.problem, found.fit, v, parts)
+            if decision.varies_relevantly(evidence, self.limits) and not self.space.overlaps(v.name, reported):
+                free = next(f for f in self.space.free if (f.effect, f.parameter) == (v.name, v.parameter))
+                varying = describe_varying(v, free, evidence.position)
+                break
+        if varying is None:
+            return (), None
+        self.warnings.append(f"an effect that resembles {varying.resembles.replace('_', ' ')} is significant, but "
+                             f"varies over {decision.PARTITION_NAMES[varying.varies_with]}: it is reported, not named")
+        return (varying,), varying_fit
 
-    def _collect_reasons(self, found: Found, named: Mapping[str, result.Reason]) -> list[result.Reason]:
+    def _collect_reasons(self, found: SearchState, verdicts: Mapping[str, result.Reason]) -> list[result.Reason]:
         rivals = (r for others in found.rivals.values() for r in others)
-        return [*named.values(), *(decision.judge_alternative(r, self.limits) for r in rivals),
+        return [*verdicts.values(), *(decision.judge_alternative(r, self.limits) for r in rivals),
                 *(verdict for _, verdict, _ in found.refused.values())]
 
-    def _list_candidates(self, found: Found, named: Mapping[str, result.Reason]) -> tuple[result.CandidateEffect, ...]:
+    def _list_candidates(self, found: SearchState,
+                         verdicts: Mapping[str, result.Reason]) -> tuple[result.CandidateEffect, ...]:
         """Every effect of the library with its gain and verdict, in order of decreasing gain."""
         problem, space, rows = self.problem, self.space, []
         # An effect that was tried in place of several others is listed with the one that it replaces best.
@@ -385,7 +383,7 @@ class _Analysis:
         for name in space.hypotheses:
             values: Mapping[str, float] = space.values(name, found.fit.vector)
             if name in found.evidence:
-                verdict, gain = named[name], found.evidence[name].gain
+                verdict, gain = verdicts[name], found.evidence[name].gain
             elif name in found.refused:
                 evidence, verdict, fit = found.refused[name]
                 gain, values = evidence.gain, space.values(name, fit.vector)
@@ -400,7 +398,7 @@ class _Analysis:
                 p_value = library_p_value(found.scores.by_effect[name], gains, found.scores, len(space.hypotheses))
                 verdict = decision.judge(Evidence(name, gain, p_value), self.limits)
                 if verdict.rule == decision.ACCEPTED:
-                    verdict = result.Reason("explains less", name, {"gain": gain},
+                    verdict = result.Reason(decision.EXPLAINS_LESS, name, {"gain": gain},
                                      f"it reduces the errors by {share_of(gain):.1%}; effects that reduce them by more "
                                      "were tried first")
             else:
@@ -409,35 +407,34 @@ class _Analysis:
                                         verdict.text))
         return tuple(sorted(rows, key=lambda c: -c.gain))
 
-    def _simulate_catalogue(self, found: Found, effects: Sequence[result.FoundEffect]) -> Catalogue | None:
-        """Simulate the manoeuvres of the catalogue; None if they are not needed."""
+    def _simulate_catalogue(self, found: SearchState, effects: Sequence[result.FoundEffect]) -> Curvatures:
+        """Curvatures of the loss for the manoeuvres of the catalogue; empty if they are not needed."""
         if not self.settings.where and not any(e.alternatives for e in effects):
-            return None
+            return {}
         self._ticker("next drive")()
-        return catalogue(self.problem, found.fit)
+        return simulate_catalogue(self.problem, found.fit)
 
-    def _find_untestable(self, found: Found, power: result.Certificate, judged: _JudgedEffects,
-                         manoeuvres: Catalogue | None) -> tuple[result.NotTestable, ...]:
+    def _find_untestable(self, found: SearchState, power: result.Certificate, judged: _JudgedEffects,
+                         curvatures: Curvatures) -> tuple[result.NotTestable, ...]:
         """Effects that these drives cannot show, each with the reason and a manoeuvre that would show it."""
         listed = {*(name for e in judged.named for name in (e.name, *e.alternatives)), *(e.name for e in judged.minor)}
-        collected = []
-        problem, scores = self.problem, found.scores
+        untestable, problem = [], self.problem
         for name in self.space.hypotheses:
             powers = [p for p in power.powers if p.effect == name]
             if name in listed or max((p.probability for p in powers), default=0.0) >= self.limits.detection_power:
                 continue
             largest = max(powers, key=lambda p: p.size)
-            drive = most_informative(problem, name, manoeuvres) if manoeuvres else ""
-            other = certificate.confounded_with(problem, found.fit, name, scores, self.limits)
-            why = (f"in these drives it cannot be separated from {other.replace('_', ' ')}; it is visible" if other
-                   else "it is visible")
+            manoeuvre = most_informative(problem, name, curvatures)
+            other = certificate.find_confounding_effect(problem, found.fit, name, found.scores, self.limits)
+            why = f"in these drives it cannot be separated from {other.replace('_', ' ')}; " if other else ""
             size = f"{100 * largest.size:.3g} %" if largest.unit == "1" else f"{largest.size:.3g} {largest.unit}"
-            collected.append(result.NotTestable(name, f"a change of {size} would be detected with probability "
-                                         f"{largest.probability:.2f}; {why} in {get_effect(name).excited_by}", drive))
+            untestable.append(result.NotTestable(
+                name, f"a change of {size} would be detected with probability {largest.probability:.2f}; {why}it "
+                f"is visible in {get_effect(name).excited_by}", manoeuvre))
         for name in self.space.without_signal:
             signals = ", ".join(get_effect(name).signals)
-            collected.append(result.NotTestable(name, f"it needs the signal {signals}, which is not recorded"))
-        return (*collected, *(result.NotTestable(name, reason) for name, reason in NOT_TESTABLE.items()))
+            untestable.append(result.NotTestable(name, f"it needs the signal {signals}, which is not recorded"))
+        return (*untestable, *(result.NotTestable(name, reason) for name, reason in NEVER_TESTABLE.items()))
 
     @staticmethod
     def _channel_noise(by_column: Mapping[str, float]) -> dict[str, float]:
@@ -450,12 +447,12 @@ class _Analysis:
             noise["position_5s"] = max(noise.get("position_5s", 0.0), noise["position"] * float(np.sqrt(np.pi) / 2.0))
         return noise
 
-    def _describe_residual(self, residual: float, statements: Sequence[result.LargeErrorRegion]) -> tuple[str, ...]:
-        """Description of the residual; empty if the residual is near the noise."""
-        if residual <= self.limits.max_noise_ratio:
+    def _describe_residual(self, noise_ratio: float, regions: Sequence[result.LargeErrorRegion]) -> tuple[str, ...]:
+        """Sentences on the residual; empty if the residual is near the noise."""
+        if noise_ratio <= self.limits.max_noise_ratio:
             return ()
-        return (f"the position error is {residual:.1f} times the noise",
-                *(f"{w.channel}: {w.condition}" for w in statements[:5]))
+        return (f"the position error is {noise_ratio:.1f} times the noise",
+                *(f"{r.channel}: {r.condition}" for r in regions[:5]))
 
     def _locate_errors(self, fit: Fit, floor: Mapping[str, float]) -> tuple[result.LargeErrorRegion, ...]:
         self._ticker("where")()
@@ -464,7 +461,7 @@ class _Analysis:
                                   noise, float(fit.vector[-1]))
 
     def _list_runs(self) -> tuple[result.Run, ...]:
-        site = sites(self.windows)
+        site = find_sites(self.windows)
         windows = [np.flatnonzero(self.windows.run == k) for k in range(len(self.runs))]
         return (*(result.Run(log.name, "suspect", log.overlap, int(site[rows[0]]) if len(rows) else 0, len(rows))
                   for log, rows in zip(self.runs, windows, strict=True)),
@@ -491,17 +488,27 @@ def _noise_ratios(position: result.ChannelError | None, floor: Mapping[str, floa
     return (1.0, 1.0) if position is None else (position.base / noise, position.augmented / noise)
 
 
-def include_effects(c: result.Combination, effects: Sequence[result.FoundEffect]) -> result.Combination:
-    """The combination; a delay also has the alternatives to the effects of the model that change it, such as tyre
-    relaxation, and a delay from a single effect is as uncertain as the value of this effect."""
-    own = [e for e in effects if e.name in c.effects]
-    if not c.is_time:
-        return c
-    low, high = c.interval
-    for p in own[0].parameters.values() if len(own) == 1 else ():
+def complete_delay(delay: result.Combination, effects: Sequence[result.FoundEffect]) -> result.Combination:
+    """Add the alternatives of its effects, such as tyre relaxation, to the total delay. If only one effect of the model
+    contributes to it, its interval also covers the interval of this effect. Other combinations are unchanged."""
+    if not delay.is_time:
+        return delay
+    contributing = [e for e in effects if e.name in delay.effects]
+    low, high = delay.interval
+    for p in contributing[0].parameters.values() if len(contributing) == 1 else ():
         low, high = min(low, p.interval[0]), max(high, p.interval[1])
-    names = dict.fromkeys((*c.effects, *(other for e in own for other in e.alternatives)))
-    return replace(c, interval=(low, high), effects=tuple(names))
+    names = dict.fromkeys((*delay.effects, *(other for e in contributing for other in e.alternatives)))
+    return replace(delay, interval=(low, high), effects=tuple(names))
+
+
+def describe_varying(v: Varying, free: FreeParameter, position_reduction: float) -> result.VaryingEffect:
+    """The effect with the values of its parameter `free` in the parts, relative to the value furthest from the null."""
+    value, deviation = max(v.values.values(), key=lambda estimate: abs(estimate[0] - free.null))
+    change = value - free.null or free.scale
+    ratios = tuple(result.LocalEstimate(part, (x - free.null) / change, s / abs(change))
+                   for part, (x, s) in v.values.items())
+    fitted = result.FittedParameter(value, free.unit, (value - 1.96 * deviation, value + 1.96 * deviation), free.null)
+    return result.VaryingEffect(v.name, v.varies_with, {v.parameter: fitted}, ratios, position_reduction)
 
 
 def find_parameter_across_bound(effect: result.FoundEffect) -> str:
@@ -518,11 +525,11 @@ def excludes_null(effect: result.FoundEffect) -> bool:
     return any(not p.interval[0] <= p.null <= p.interval[1] for p in effect.parameters.values())
 
 
-def with_sensor_interval(fitted: result.FittedParameter,
-                         known: tuple[float, float, float] | None) -> result.FittedParameter:
-    """The fitted value. Its interval becomes as wide as that of the redundant sensors, `known` (value, low, high), if
-    the fitted interval contains the null, and the sensors agree with the value and exclude the null."""
-    _, low, high = known or (0.0, -np.inf, np.inf)
+def replace_interval(fitted: result.FittedParameter,
+                     sensors: tuple[float, float, float] | None) -> result.FittedParameter:
+    """The fitted value with an interval as wide as that of the redundant sensors (value, low, high), if the fitted
+    interval contains the null, and the sensors agree with the value and exclude the null; otherwise unchanged."""
+    _, low, high = sensors or (0.0, -np.inf, np.inf)
     contains_null = fitted.interval[0] <= fitted.null <= fitted.interval[1]
     if not contains_null or not low <= fitted.value <= high or low <= fitted.null <= high:
         return fitted

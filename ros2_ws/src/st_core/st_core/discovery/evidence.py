@@ -13,10 +13,10 @@ from .loss import Quadratic
 from .partitions import Partition
 from .space import Space
 
-FLIPS = 400  # draws of random block signs, enough to resolve a p-value of 0.01
-TWO_SIDED = float(stats.norm.ppf(0.975))
+SIGN_DRAWS = 400  # draws of random signs of the blocks, enough to resolve a p-value of 0.01
+Z95 = float(stats.norm.ppf(0.975))
 MIN_CURVATURE = 0.3  # minimum ratio of the curvature of the robust loss to that of the reweighted least squares
-PART_PRIOR = 0.05  # prior curvature of the other parameters in one part, relative to the mean curvature of all parts
+PART_PRIOR = 0.05  # prior curvature of the other parameters in one part, divided by the mean curvature of all parts
 UNSELECTED_DEVIATION = 0.5  # prior standard deviation of effects outside the set, for intervals [parameter scales]
 MIN_INFORMATION_SHARE = 0.02  # fraction of the information in all driving; a part with less is ignored
 
@@ -34,8 +34,8 @@ class Agreement:
 
 @dataclass(frozen=True)
 class AgainstFile:
-    """A quantity of the vehicle file that an effect changes. value: with the effect [unit]; file, standard_deviation:
-    from the vehicle file [unit]. z_score [1]: difference of the two values in standard deviations."""
+    """A quantity of the vehicle file that an effect changes. value: with the effect [unit]. file, standard_deviation:
+    from the vehicle file [unit]. z_score [1]: magnitude of value - file, divided by the standard deviation."""
 
     key: str
     unit: str
@@ -54,10 +54,10 @@ class Evidence:
     car. p_value [1]: p-value of the gain, corrected for the whole library. null_p_value [1]: p-value of the start
     values. shares [1]: by column, (error reduction divided by the baseline error, error without the effect divided by
     the noise). position [m]: reduction of the mean held-out position error at the end of the horizon.
-    position_somewhere [m]: lower 95 % bound of this reduction in the driving condition where it is largest. noise_ratio
-    [1]: error with the effect divided by the noise, largest of all columns. bound_distance, size: distances to the
-    nearest bound and from the null [parameter scales]. sensors_p_value, sensors_null_p_value [1]: p-values of the
-    fitted value and the null, given redundant sensors, or None. against_file: the quantity that the effect moves
+    position_in_condition [m]: lower 95 % bound of this reduction in the driving condition where the bound is largest.
+    noise_ratio [1]: error with the effect divided by the noise, largest of all columns. bound_distance, size: distances
+    to the nearest bound and from the null [parameter scales]. sensors_p_value, sensors_null_p_value [1]: p-values of
+    the fitted value and the null, given redundant sensors, or None. against_file: the quantity that the effect moves
     furthest from the vehicle file, or None. agreement: consistency between parts, by partition."""
 
     name: str
@@ -66,7 +66,7 @@ class Evidence:
     null_p_value: float = 0.0
     shares: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     position: float = 0.0
-    position_somewhere: float = 0.0
+    position_in_condition: float = 0.0
     noise_ratio: float = 1.0
     bound_distance: float = 1.0
     healthy_gain: float = 0.0
@@ -78,7 +78,6 @@ class Evidence:
 
     @property
     def share(self) -> float:
-        """Relative reduction of the RMS error [1], 1 - exp(-gain)."""
         return share_of(self.gain)
 
 
@@ -90,9 +89,9 @@ def share_of(gain: float) -> float:
 @dataclass(frozen=True, eq=False)
 class Scores:
     """Efficient scores of all effects of the library that are not in a fit. by_effect: (b, k) scores by effect.
-    largest: (draws,) largest statistic of the library under random block signs. design_effect [1]: factor by which
-    dependent windows increase the variance of a score (median of the library). gains: by effect, ((b,) gain from the
-    quadratic approximation, vector at the optimum of the approximation)."""
+    largest: (draws,) largest score statistic of the library under random signs of the blocks. design_effect [1]: factor
+    by which dependent windows increase the variance of a score (median of the library). gains: by effect, ((b,) gain,
+    vector at the optimum), both from the quadratic approximation."""
 
     by_effect: Mapping[str, np.ndarray]
     largest: np.ndarray
@@ -100,10 +99,10 @@ class Scores:
     gains: Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 
-def score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str,
+def efficient_score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str,
           prior_gradient: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """((b, k) score, (k,) information) of an effect, with the effects `names` projected out. q: loss by block, in all
-    parameters. prior_gradient: (p,) half the gradient of the prior, needed if q is about a fit."""
+    parameters. prior_gradient: (p,) half the gradient of the prior; None if it is 0 at the vector of q."""
     new = problem.space.indices(effect)
     indices = np.setdiff1d(problem.free_indices(names), new)
     h = q.hessian.sum(axis=0) + problem.prior_curvature((*names, effect), np.arange(len(problem.space)))
@@ -115,35 +114,35 @@ def score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str,
     return gradient[:, new] - gradient[:, indices] @ cross, np.maximum(information, 0.0)
 
 
-def statistic(scores: np.ndarray) -> float:
-    """Score statistic s' (sum_b s_b s_b')^-1 s with s = sum_b s_b. scores: (b, k), s_b of the blocks."""
+def score_statistic(scores: np.ndarray) -> float:
+    """s' (sum_b s_b s_b')^-1 s with s = sum_b s_b. scores: (b, k) scores s_b of the blocks."""
     total = scores.sum(axis=0)
     return float(total @ np.linalg.pinv(scores.T @ scores) @ total)
 
 
-def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
+def screen_library(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
     """Scores of every effect of the library that is not in the fit, from the sensitivities at the fit."""
-    q = problem.quadratic_of_all(fit.vector).summed(problem.block, problem.blocks)
+    q = problem.full_quadratic(fit.vector).sum_groups(problem.block, problem.blocks)
     by_effect, information, gains = {}, {}, {}
     base = problem.leave_out(q.only(fit.indices), fit.names, fit.vector, fit.indices, problem.fold)[1]
     for effect in problem.space.hypotheses:
         if problem.space.overlaps(effect, fit.names):
             continue
         names = (*fit.names, effect)
-        by_effect[effect], information[effect] = score(q, problem, fit.names, effect,
+        by_effect[effect], information[effect] = efficient_score(q, problem, fit.names, effect,
                                                        problem.prior_gradient(fit.vector))
         indices = problem.free_indices(names)
         part = q.only(indices)
         held_out = problem.leave_out(part, names, fit.vector, indices, problem.fold)[1]
         step = problem.solve(part, names, fit.vector, indices)
-        gains[effect] = base - held_out, problem.moved(fit.vector, indices, step)
-    return make_scores(q, by_effect, information, gains, rng, FLIPS)
+        gains[effect] = base - held_out, problem.take_step(fit.vector, indices, step)
+    return make_scores(q, by_effect, information, gains, rng, SIGN_DRAWS)
 
 
 def make_scores(q: Quadratic, by_effect: Mapping[str, np.ndarray], information: Mapping[str, np.ndarray],
                 gains: Mapping[str, tuple[np.ndarray, np.ndarray]], rng: np.random.Generator, draws: int) -> Scores:
-    """Make `Scores` from the scores and information of each effect. q: loss by block, in all parameters. draws: number
-    of draws of random signs."""
+    """`Scores` from the scores and information of each effect. q: loss by block, in all parameters. draws: of random
+    signs."""
     signs, largest, ratios = rng.choice([-1.0, 1.0], (draws, len(q.cost))), np.zeros(draws), []
     min_information = 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
     for effect, s in by_effect.items():
@@ -157,76 +156,82 @@ def make_scores(q: Quadratic, by_effect: Mapping[str, np.ndarray], information: 
 def library_p_value(best: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> float:
     """p-value of the gain of the best effect of the library: the smaller of the p-values of two tests.
 
-    Sign flips: the score statistic is compared with the largest of the library under random signs of the blocks, and
-    the mean gain of the blocks is tested against zero; the larger p-value counts. Likelihood ratio: twice the gain
-    divided by the design effect, with a Bonferroni correction; it detects effects that act in few blocks. Its null
-    distribution is F instead of chi-square, because the design effect is estimated. library: number of effects.
+    Sign-flip test: the score statistic is compared with the largest of the library under random signs of the blocks,
+    and the mean gain of the blocks is tested against zero; the larger p-value counts. Likelihood-ratio test: twice the
+    gain divided by the design effect, with a Bonferroni correction; it detects effects that act in few blocks. Its null
+    distribution is F instead of chi-square, because the design effect is estimated. best: (b, k) scores of the effect.
+    gain: (b,). library: number of effects.
     """
     blocks, values = best.shape
     if blocks < 2:
         return 1.0
-    p_score = (1 + int((scores.largest >= statistic(best)).sum())) / (1 + len(scores.largest))
+    p_score = (1 + int((scores.largest >= score_statistic(best)).sum())) / (1 + len(scores.largest))
     ratio = 2.0 * max(float(gain.sum()), 0.0) / scores.design_effect
-    return min(max(p_score, no_worse(gain)), library * float(stats.f.sf(ratio / values, values, blocks - 1)), 1.0)
+    p_ratio = library * float(stats.f.sf(ratio / values, values, blocks - 1))
+    return min(max(p_score, no_worse_p_value(gain)), p_ratio, 1.0)
 
 
-def no_worse(difference: np.ndarray) -> float:
+def no_worse_p_value(difference: np.ndarray) -> float:
     """p-value of the hypothesis that one loss is not higher than another. difference: (b,) by block."""
-    spread = float(difference.std(ddof=1)) * np.sqrt(len(difference)) if len(difference) > 1 else np.inf
-    return float(stats.norm.sf(difference.sum() / max(spread, 1e-12)))
+    deviation = float(difference.std(ddof=1)) * np.sqrt(len(difference)) if len(difference) > 1 else np.inf
+    return float(stats.norm.sf(difference.sum() / max(deviation, 1e-12)))
 
 
-def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scores, partitions: Mapping[str, Partition],
-             sensors: Mapping[str, tuple[float, float, float]]) -> Evidence:
+def collect_evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scores,
+                     partitions: Mapping[str, Partition],
+                     sensors: Mapping[str, tuple[float, float, float]]) -> Evidence:
     """Evidence for an effect of `fit`, compared with the fit `without` it. scores: library scores at `without`.
-    sensors: (value, low, high) of parameters from redundant sensors."""
+    sensors: (value, low, high) from redundant sensors, by "effect.parameter"."""
     gain = without.held_out - fit.held_out
     block_scores = scores.by_effect.get(effect)
     if block_scores is None:
-        block_scores = score_of(problem, without, effect, fit.sensitivities)
+        block_scores = efficient_score_at_fit(problem, without, effect, fit.sensitivities)
     size = np.abs((fit.vector - problem.space.null) / problem.space.scale)[problem.space.indices(effect)].max()
-    rows, after = problem.held_out_rows(without), problem.held_out_rows(fit)
-    reduction = problem.position_error(rows) - problem.position_error(after)
+    before, after = problem.held_out_rows(without), problem.held_out_rows(fit)
+    reduction = problem.position_error(before) - problem.position_error(after)
     if problem.prior is not None:  # the other values are known from the healthy car, so they do not compensate
-        rows = problem.errors.at(problem.vector_without(fit, effect))
-    overall, somewhere = error_reductions(reduction, partitions.get("condition"))
+        before = problem.errors.at(problem.vector_without(fit, effect))
+    position, position_in_condition = error_reductions(reduction, partitions.get("condition"))
+    sensors_p_value, sensors_null_p_value = sensor_p_values(problem, fit, effect, sensors)
     return Evidence(effect, min(float(gain.sum()) / problem.residual_count, problem.held_out_gain(without, fit)),
                     library_p_value(block_scores, gain, scores, len(problem.space.hypotheses)),
-                    null_p_value(problem, fit, effect),
-                    shares(problem, rows, after), overall, somewhere, residual_over_noise(problem, after),
-                    distance_to_bound(problem, fit, effect), problem.healthy_gain, float(size),
-                    *sensor_p_values(problem, fit, effect, sensors), against_file(problem, fit, effect),
-                    {name: agreement(problem, fit, effect, *partition) for name, partition in partitions.items()})
+                    null_p_value(problem, fit, effect), column_shares(problem, before, after), position,
+                    position_in_condition, noise_ratio=residual_over_noise(problem, after),
+                    bound_distance=distance_to_bound(problem, fit, effect), healthy_gain=problem.healthy_gain,
+                    size=float(size), sensors_p_value=sensors_p_value, sensors_null_p_value=sensors_null_p_value,
+                    against_file=compare_with_file(problem, fit, effect),
+                    agreement={name: compare_parts(problem, fit, effect, *p) for name, p in partitions.items()})
 
 
 def residual_over_noise(problem: Problem, rows: np.ndarray) -> float:
     """Largest ratio of error to noise of all columns; 1 with a reference, because the healthy car has the same
-    residual, which therefore cannot imitate a change of the car."""
+    residual, which therefore cannot imitate a change since the reference drives."""
     if problem.prior is not None:
         return 1.0
     return float((problem.column_rms(rows) / np.maximum(problem.noise, 1e-12)).max())
 
 
-def shares(problem: Problem, without: np.ndarray, rows: np.ndarray) -> dict[str, tuple[float, float]]:
+def column_shares(problem: Problem, without: np.ndarray, with_effect: np.ndarray) -> dict[str, tuple[float, float]]:
     """By column, (error reduction divided by the larger of the baseline error and the error without the effect, error
     without the effect divided by the noise)."""
-    before, after = problem.column_rms(without), problem.column_rms(rows)
-    return {column: (float(fall), float(over)) for column, fall, over in zip(
-        problem.errors.windows.columns, (before - after) / np.maximum(problem.baseline_rms, before),
-        before / np.maximum(problem.noise, 1e-12), strict=True)}
+    before, after = problem.column_rms(without), problem.column_rms(with_effect)
+    reduction = (before - after) / np.maximum(problem.baseline_rms, before)
+    noise_ratio = before / np.maximum(problem.noise, 1e-12)
+    return dict(zip(problem.errors.windows.columns, zip(reduction.tolist(), noise_ratio.tolist(), strict=True),
+                    strict=True))
 
 
-def score_of(problem: Problem, fit: Fit, effect: str, sensitivities: Sensitivities) -> np.ndarray:
+def efficient_score_at_fit(problem: Problem, fit: Fit, effect: str, sensitivities: Sensitivities) -> np.ndarray:
     """(b, k) efficient scores of an effect that is not in the fit. sensitivities: to the parameters of the fit and of
     the effect, at a nearby vector."""
     indices = np.union1d(fit.indices, problem.space.indices(effect))
     rows = problem.errors.at(fit.vector)
-    q = problem.loss.quadratic(rows, sensitivities.of(indices)).summed(problem.block, problem.blocks)
+    q = problem.loss.quadratic(rows, sensitivities.of(indices)).sum_groups(problem.block, problem.blocks)
     padded = Quadratic(q.cost, np.zeros((problem.blocks, len(problem.space))),
                        np.zeros((problem.blocks, len(problem.space), len(problem.space))))
     padded.gradient[:, indices] = q.gradient
     padded.hessian[:, indices[:, None], indices] = q.hessian
-    return score(padded, problem, fit.names, effect, problem.prior_gradient(fit.vector))[0]
+    return efficient_score(padded, problem, fit.names, effect, problem.prior_gradient(fit.vector))[0]
 
 
 def error_reductions(reduction: np.ndarray, condition: Partition | None) -> tuple[float, float]:
@@ -244,48 +249,52 @@ def error_reductions(reduction: np.ndarray, condition: Partition | None) -> tupl
 
 
 def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
-    """Distance of the effect's values to their nearest `Parameter.hard_bounds`, in parameter scales."""
+    """Smallest distance of a value of the effect to one of its `Parameter.hard_bounds` [parameter scales]."""
     space, hard = problem.space, {p.name: p.hard_bounds for p in get_effect(effect).parameters}
     return min((float(abs(fit.vector[i] - edge) / space.scale[i]) for i in space.indices(effect)
                 for edge in hard[space.free[i].parameter]), default=np.inf)
 
 
-def against_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:
-    """The quantity that an effect moves furthest from the vehicle file, in standard deviations, or None."""
-    found = []
+def compare_with_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:
+    """The quantity that an effect moves furthest from the vehicle file, in standard deviations; None without one."""
+    moved = []
     for i in problem.space.indices(effect) if problem.prior is None else ():
-        known, change = problem.quantities[i], float(fit.vector[i] - problem.space.null[i])
-        if known is not None:
-            found.append(AgainstFile(known.key, known.unit, known.at(change), known.value, known.deviation,
-                                     known.z_score(change)))
-    return max(found, key=lambda a: a.z_score, default=None)
+        quantity, change = problem.quantities[i], float(fit.vector[i] - problem.space.null[i])
+        if quantity is not None:
+            moved.append(AgainstFile(quantity.key, quantity.unit, quantity.at(change), quantity.value,
+                                     quantity.deviation, quantity.z_score(change)))
+    return max(moved, key=lambda a: a.z_score, default=None)
 
 
 def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -> tuple[float | None, float | None]:
     """p-values of the fitted value and of the null, given redundant sensors; None if not measured."""
-    deviations = dict(zip(problem.space.indices(effect), deviation(problem, fit, effect), strict=True))
-    values = [_two_sided(fit.vector[i] - value, np.hypot(spread, deviations[i]))
-              for i, value, spread in _sensor_estimates(problem.space, effect, sensors)]
+    deviations = dict(zip(problem.space.indices(effect), standard_deviations(problem, fit, effect), strict=True))
+    p_values = [_two_sided_p_value(fit.vector[i] - value, np.hypot(deviation, deviations[i]))
+                for i, value, deviation in _sensor_estimates(problem.space, effect, sensors)]
     # With a reference the null is the value of the healthy car, which the sensors do not measure.
-    null = null_by_sensors(problem.space, effect, sensors) if problem.prior is None else None
-    return min(values, default=None), null
+    null = null_p_value_by_sensors(problem.space, effect, sensors) if problem.prior is None else None
+    return min(p_values, default=None), null
 
 
-def null_by_sensors(space: Space, effect: str, sensors: Mapping) -> float | None:
+def null_p_value_by_sensors(space: Space, effect: str, sensors: Mapping) -> float | None:
     """p-value of the null, given redundant sensors; None if not measured."""
-    return min((_two_sided(space.free[i].null - value, spread)
-                for i, value, spread in _sensor_estimates(space, effect, sensors)), default=None)
+    return min((_two_sided_p_value(space.free[i].null - value, deviation)
+                for i, value, deviation in _sensor_estimates(space, effect, sensors)), default=None)
 
 
 def _sensor_estimates(space: Space, effect: str, sensors: Mapping) -> list[tuple[int, float, float]]:
     """(index, value, standard deviation) of the parameters that redundant sensors measure."""
-    named = [(i, sensors.get(f"{effect}.{space.free[i].parameter}")) for i in space.indices(effect)]
-    return [(i, known[0], (known[2] - known[1]) / (2.0 * TWO_SIDED)) for i, known in named if known]
+    estimates = []
+    for i in space.indices(effect):
+        if interval := sensors.get(f"{effect}.{space.free[i].parameter}"):
+            value, low, high = interval
+            estimates.append((i, value, (high - low) / (2.0 * Z95)))
+    return estimates
 
 
-def _two_sided(distance: float, spread: float) -> float:
-    """Two-sided p-value of a normally distributed distance with the standard deviation `spread`."""
-    return 2.0 * float(stats.norm.sf(abs(distance) / max(spread, 1e-12)))
+def _two_sided_p_value(distance: float, deviation: float) -> float:
+    """p-value of a normally distributed distance with this standard deviation."""
+    return 2.0 * float(stats.norm.sf(abs(distance) / max(deviation, 1e-12)))
 
 
 def inverse(h: np.ndarray) -> np.ndarray:
@@ -298,7 +307,7 @@ def _regular(h: np.ndarray) -> np.ndarray:
     return h + 1e-9 * (np.trace(h) / max(len(h), 1) + 1e-12) * np.eye(len(h))
 
 
-def deviation(problem: Problem, fit: Fit, effect: str) -> np.ndarray:
+def standard_deviations(problem: Problem, fit: Fit, effect: str) -> np.ndarray:
     """(k,) standard deviations of the values of an effect [unit], from `covariance`."""
     variance = covariance(problem, fit)
     columns = np.searchsorted(fit.indices, problem.space.indices(effect))
@@ -306,9 +315,9 @@ def deviation(problem: Problem, fit: Fit, effect: str) -> np.ndarray:
 
 
 def covariance(problem: Problem, fit: Fit) -> np.ndarray:
-    """(a, a) sandwich covariance H^-1 S H^-1 of the fitted parameters, in parameter scales; S is the scatter matrix of
-    the block scores, H half the second derivative of the loss."""
-    q = fit.quadratic.summed(problem.block, problem.blocks)
+    """(a, a) sandwich covariance H^-1 S H^-1 of the fitted parameters [parameter scales]; S is the scatter matrix of
+    the block scores, H half the second derivative of the loss plus the curvature of the prior."""
+    q = fit.quadratic.sum_groups(problem.block, problem.blocks)
     curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.sensitivities.of(fit.indices))
     if len(curvature):  # raised in every direction to at least MIN_CURVATURE times that of the reweighted least squares
         root = np.linalg.cholesky(_regular(q.hessian.sum(axis=0)))
@@ -323,23 +332,23 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Joint:
-    """A fit in which all other effects of the library are free as well. indices: (a,) free parameters; covariance:
-    (a, a); shift: (a,) distance of the optimum from the fit; both in parameter scales."""
+class JointFit:
+    """A fit in which all other effects of the library are free as well. indices: (a,) free parameters. covariance:
+    (a, a). shift: (a,) distance of the optimum from the fit. Both are in parameter scales."""
 
     indices: np.ndarray
     covariance: np.ndarray
     shift: np.ndarray
 
     def of(self, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(standard deviations, shifts) of the parameters `indices`, in parameter scales."""
-        place = np.searchsorted(self.indices, indices)
-        return np.sqrt(np.maximum(np.diag(self.covariance)[place], 0.0)), self.shift[place]
+        """(standard deviations, shifts) of the parameters `indices` [parameter scales]."""
+        columns = np.searchsorted(self.indices, indices)
+        return np.sqrt(np.maximum(np.diag(self.covariance)[columns], 0.0)), self.shift[columns]
 
 
-def joint(problem: Problem, fit: Fit) -> Joint:
-    """Covariance with the uncertainties of the vehicle file and with all other effects free; these have a prior
-    standard deviation of UNSELECTED_DEVIATION.
+def approximate_joint_fit(problem: Problem, fit: Fit) -> JointFit:
+    """Quadratic approximation of a fit with all other effects free, which have a prior standard deviation of
+    UNSELECTED_DEVIATION, and with the uncertainties of the vehicle file as priors.
 
         covariance = (D / 2) (H + K)^-1,   H, K: curvature of the loss and of the priors,   D: design effect
 
@@ -358,7 +367,7 @@ def joint(problem: Problem, fit: Fit) -> Joint:
     h = h + (1e-9 * np.trace(h) / len(h)) * np.eye(len(h))
     gradient = q.gradient.sum(axis=0) - prior * problem.distance(fit.vector)[indices]
     shift = minimise_bounded(h, gradient, *problem.distance_to_bounds(fit.vector, indices))
-    return Joint(indices, 0.5 * problem.design_effect * np.linalg.inv(h), shift)
+    return JointFit(indices, 0.5 * problem.design_effect * np.linalg.inv(h), shift)
 
 
 def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
@@ -375,42 +384,43 @@ def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
     return float(stats.f.sf(ratio, len(indices), degrees_of_freedom))
 
 
-def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: list[str]) -> Agreement:
-    """Compare the values of an effect in the parts of the driving by a random-effects model. The ratio of a part is 1
-    plus the Newton step of its loss in the direction of the fitted values; the other fitted parameters are free, with a
-    weak prior (PART_PRIOR). Variances include the design effect."""
+def compare_parts(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: list[str]) -> Agreement:
+    """Compare the values of an effect in the parts of the driving by a random-effects model. part: (n,) part of each
+    window. names: of the parts. The ratio of a part is 1 plus the Newton step of its loss in the direction of the
+    fitted values; the other fitted parameters are free, with a weak prior (PART_PRIOR). Variances include the design
+    effect."""
     columns = np.searchsorted(fit.indices, problem.space.indices(effect))
     others = np.setdiff1d(np.arange(len(fit.indices)), columns)
     d = ((fit.vector - problem.space.null) / problem.space.scale)[fit.indices[columns]]
     basis = np.zeros((len(fit.indices), 1 + len(others)))
     basis[columns, 0] = d
     basis[others, 1 + np.arange(len(others))] = 1.0
-    q = fit.quadratic.summed(part)
+    q = fit.quadratic.sum_groups(part)
     g, h = q.gradient @ basis, basis.T @ q.hessian @ basis
     overall = h.sum(axis=0)
     variance = inverse(overall)
     total = 1.0 / max(variance[0, 0], 1e-30)
-    blocks = fit.quadratic.summed(problem.block, problem.blocks).gradient @ basis
+    blocks = fit.quadratic.sum_groups(problem.block, problem.blocks).gradient @ basis
     design_effect = max(float((variance @ (blocks.T @ blocks) @ variance)[0, 0] * total), 0.5)
     prior = PART_PRIOR * overall / len(h)
     prior[0, :] = prior[:, 0] = 0.0
-    shares, variances, informative = [], [], []
+    ratios, variances, informative = [], [], []
     for k in range(len(h)):
         part_variance = inverse(h[k] + prior)
         information = 1.0 / max(part_variance[0, 0], 1e-30)
         if h[k, 0, 0] <= 0.0 or information < MIN_INFORMATION_SHARE * total:
             continue
-        shares.append(1.0 + float((part_variance @ g[k])[0]))
+        ratios.append(1.0 + float((part_variance @ g[k])[0]))
         variances.append(design_effect / information)
         informative.append(names[k])
-    return pool_ratios(np.array(shares), np.array(variances), informative)
+    return pool_ratios(np.array(ratios), np.array(variances), informative)
 
 
-def pool_ratios(shares: np.ndarray, variances: np.ndarray, names: list[str]) -> Agreement:
+def pool_ratios(ratios: np.ndarray, variances: np.ndarray, names: list[str]) -> Agreement:
     """`Agreement` of independent ratios, by a random-effects model."""
-    collected = {n: (float(s), float(np.sqrt(v))) for n, s, v in zip(names, shares, variances, strict=True)}
-    if len(shares) < 2:
-        return Agreement(collected, 1.0, 0.0)
-    mean, error, between, q = random_effects(shares, variances)
-    return Agreement(collected, float(stats.chi2.sf(q, len(shares) - 1)),
+    by_part = {n: (float(r), float(np.sqrt(v))) for n, r, v in zip(names, ratios, variances, strict=True)}
+    if len(ratios) < 2:
+        return Agreement(by_part, 1.0, 0.0)
+    mean, error, between, q = random_effects(ratios, variances)
+    return Agreement(by_part, float(stats.chi2.sf(q, len(ratios) - 1)),
                      float(stats.norm.sf(mean / np.sqrt(between + error**2))))

@@ -14,7 +14,7 @@ from .space import GAIN, Quantities, prior_deviations
 ITERATIONS, STEP_SHARES = 5, (1.0, 0.5, 0.2)  # maximum number; fractions of a step, tried until the loss decreases
 MAX_REUSE_DISTANCE = 0.25  # parameter scales; below it, cached sensitivities are updated instead of recomputed
 SENSITIVITY_CACHE_SIZE = 4  # number of vectors
-MIN_LOSS_FALL = 2e-4  # per residual; a fit ends when a step reduces the loss by less
+MIN_LOSS_REDUCTION = 2e-4  # per residual; a fit ends when a step reduces the loss by less
 FOLDS = 8  # groups of blocks, each held out once
 MAX_SCALED = 5.0  # clip limit of residuals, in robust scales of the baseline; limits the influence of single windows
 DIVERGED = 100.0  # m, position error assigned to a prediction that diverges
@@ -23,7 +23,7 @@ RIDGE = 1e-6  # fraction of the mean curvature, added to the diagonal to keep st
 
 
 def minimise_bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Minimiser x of x'Ax - 2 b'x subject to low <= x <= high (low <= 0 <= high), by an active-set method."""
+    """x that minimises x'Ax - 2 b'x subject to low <= x <= high, where low <= 0 <= high, by an active-set method."""
     x = np.linalg.solve(a, b)
     if ((x >= low) & (x <= high)).all():
         return x
@@ -62,7 +62,7 @@ class Sensitivities:
     def of(self, indices: np.ndarray) -> np.ndarray:
         return self.values[np.searchsorted(self.indices, indices)]
 
-    def moved(self, vector: np.ndarray, scale: np.ndarray, reduction: np.ndarray) -> "Sensitivities":
+    def update(self, vector: np.ndarray, scale: np.ndarray, reduction: np.ndarray) -> "Sensitivities":
         """The sensitivities at another vector by Broyden's update (1965). reduction: (n, m) simulated reduction of
         the residuals by the step to that vector."""
         step = ((vector - self.vector) / scale)[self.indices]
@@ -70,7 +70,7 @@ class Sensitivities:
         if square == 0.0:
             return self
         error = reduction - np.tensordot(step, self.values, 1)
-        error[~np.isfinite(error)] = 0.0  # a window that diverges at one of the two vectors
+        error[~np.isfinite(error)] = 0.0  # of a window that diverges at one of the two vectors
         return Sensitivities(vector, self.indices, self.values + (step / square)[:, None, None] * error)
 
     def with_values(self, indices: np.ndarray, values: np.ndarray) -> "Sensitivities":
@@ -98,8 +98,8 @@ def marginalise(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
     others = np.setdiff1d(np.arange(len(prior)), free)
     marginal = np.zeros_like(prior)
     cross = prior[np.ix_(others, free)]
-    inside = prior[np.ix_(free, free)] + 1e-9 * np.eye(len(free))
-    marginal[np.ix_(others, others)] = prior[np.ix_(others, others)] - cross @ np.linalg.solve(inside, cross.T)
+    of_free = prior[np.ix_(free, free)] + 1e-9 * np.eye(len(free))
+    marginal[np.ix_(others, others)] = prior[np.ix_(others, others)] - cross @ np.linalg.solve(of_free, cross.T)
     return marginal
 
 
@@ -109,11 +109,11 @@ class Problem:
     start: (p,) initial vector of a search. prior: (p, p) curvature about `start`, from reference drives, for the
     parameters of effects outside the fitted set; if None, these keep their start values, except the gain of the
     accelerometer. block: (n,) number of the block of each window. noise: (c,) error of each column due to noise alone
-    [SI]. healthy_gain: largest gain per residual between drives of the healthy car.
+    [SI]. healthy_gain [1]: largest gain per residual between drives of the healthy car.
 
-    quantities: (p,) quantity of the vehicle file that each parameter changes. Its standard deviation s enters the loss
-    as a Gaussian prior 0.5 D (x / s)^2, x: change of the quantity. design_effect D [1]: number of residuals that count
-    as one independent residual, see `update_design_effect`.
+    quantities: (p,) quantity of the vehicle file that each parameter changes. Its standard deviation s adds a Gaussian
+    prior 0.5 D (x / s)^2 to the loss, x: change of the quantity. design_effect D [1]: number of residuals that count as
+    one independent residual, see `update_design_effect`.
     """
 
     def __init__(self, loss: Loss, start: np.ndarray, block: np.ndarray, prior: np.ndarray | None = None,
@@ -149,12 +149,12 @@ class Problem:
         MAX_SCALED scales of the baseline residuals."""
         limit = MAX_SCALED * self._baseline_scale
         square = np.square(np.clip(np.nan_to_num(rows, nan=np.inf), -limit, limit))
-        points = np.where(self.loss.known, square, 0.0).sum(axis=0) / np.maximum(self.loss.known.sum(axis=0), 1)
-        return np.sqrt(points.reshape(len(self.errors.windows.time), -1).mean(axis=0))
+        mean = np.where(self.loss.known, square, 0.0).sum(axis=0) / np.maximum(self.loss.known.sum(axis=0), 1)
+        return np.sqrt(mean.reshape(len(self.errors.windows.time), -1).mean(axis=0))
 
     @cached_property
     def held_out_groups(self) -> np.ndarray:
-        """(b,) group of each block for reported held-out errors: its run, or its fold with at most three runs."""
+        """(b,) group of each block for reported held-out errors: its run, or its fold if there are at most 3 runs."""
         return self.run_of_block if len(np.unique(self.run_of_block)) > 3 else self.fold
 
     @cached_property
@@ -164,8 +164,8 @@ class Problem:
         run[self.block] = self.errors.windows.run
         return run
 
-    def without_file(self) -> "Problem":
-        """The problem without the priors of the vehicle file. Its fits predict best, but may be implausible."""
+    def without_file_priors(self) -> "Problem":
+        """The problem without priors from the vehicle file. Its fits predict best, but may be implausible."""
         other = copy(self)
         other.set_quantities((None,) * len(self.space))
         return other
@@ -178,8 +178,8 @@ class Problem:
         return self.space.indices(*names, *always)
 
     def prior_curvature(self, names: Iterable[str], indices: np.ndarray) -> np.ndarray:
-        """(a, a) curvature of the prior about the start: from the vehicle file, or from the reference drives for all
-        parameters except those of the effects `names`."""
+        """(a, a) curvature of the prior about the start: from the vehicle file, or from the reference drives with the
+        parameters of the effects `names` marginalised."""
         if self.prior is None:
             return np.diag(self.file_curvature[indices])
         return marginalise(self.prior, self.space.indices(*names))
@@ -202,16 +202,16 @@ class Problem:
         Scores of an incomplete model vary between parts of the driving, so D grows with unmodelled effects.
         Source: Kish, Survey Sampling (1965), ch. 8.
         """
-        q = self.quadratic_of_all(vector)
+        q = self.full_quadratic(vector)
         information = np.diag(q.hessian.sum(axis=0))
         informative = information > 1e-9 * information.sum()
-        found = [1.0]
+        estimates = [1.0]
         for part in (self.block, self.errors.windows.run):
-            gradient = q.summed(part).gradient[:, informative]
+            gradient = q.sum_groups(part).gradient[:, informative]
             if len(gradient) > 2:
                 variance = 2.0 * len(gradient) * gradient.var(axis=0, ddof=1)
-                found.append(float(np.median(variance / information[informative])))
-        self.design_effect = max(found)
+                estimates.append(float(np.median(variance / information[informative])))
+        self.design_effect = max(estimates)
 
     def distance(self, vector: np.ndarray) -> np.ndarray:
         """(p,) distance from the start [parameter scales]."""
@@ -244,15 +244,15 @@ class Problem:
         self._cached_sensitivities = [*self._cached_sensitivities[-SENSITIVITY_CACHE_SIZE + 1:], new]
         return new
 
-    def quadratic_of_all(self, vector: np.ndarray) -> Quadratic:
+    def full_quadratic(self, vector: np.ndarray) -> Quadratic:
         """Quadratic approximation of the loss of each window about a vector, in all parameters."""
         return self.loss.quadratic(self.errors.at(vector), self.all_sensitivities(vector).values)
 
-    def moved(self, vector: np.ndarray, indices: np.ndarray, step: np.ndarray) -> np.ndarray:
+    def take_step(self, vector: np.ndarray, indices: np.ndarray, step: np.ndarray) -> np.ndarray:
         """The vector after a step [parameter scales] of some parameters, limited to the bounds."""
         moved = vector.copy()
         moved[indices] += step * self.space.scale[indices]
-        return self.space.inside(moved)
+        return self.space.clip_to_bounds(moved)
 
     def vector_without(self, fit: Fit, *names: str) -> np.ndarray:
         """The vector of a fit with the effects `names` at their start values."""
@@ -263,8 +263,8 @@ class Problem:
     def fit(self, names: Iterable[str], sensitivities: Sensitivities, vector: np.ndarray | None = None,
             fresh: Iterable[str] = (), iterations: int = ITERATIONS) -> Fit:
         """Fit a set of effects by robust Gauss-Newton. sensitivities: to at least the free parameters, at a nearby
-        vector; updated at each step. vector: initial vector, by default that of the sensitivities. fresh: effects with
-        sensitivities that are recomputed at each step."""
+        vector; updated at each step. vector: initial vector, by default that of the sensitivities. fresh: effects whose
+        sensitivities are recomputed at each step."""
         names = tuple(names)
         indices, new = self.free_indices(names), self.space.indices(*fresh)
         first, vector = sensitivities.vector if vector is None else vector, self.start.copy()
@@ -275,15 +275,15 @@ class Problem:
             q = self.loss.quadratic(self.errors.at(vector), sensitivities.of(indices))
             step = self.solve(q, names, vector, indices)
             for share in STEP_SHARES:
-                trial = self.moved(vector, indices, share * step)
+                trial = self.take_step(vector, indices, share * step)
                 lower = self.cost(names, trial, indices)
                 if lower < cost:
                     break
             else:
                 break
-            gained, vector, cost = cost - lower, trial, lower
+            reduction, vector, cost = cost - lower, trial, lower
             sensitivities = self._sensitivities_at(sensitivities, vector, new)
-            if gained < MIN_LOSS_FALL * self.residual_count:
+            if reduction < MIN_LOSS_REDUCTION * self.residual_count:
                 break
         return self.fit_at(names, vector, indices, sensitivities)
 
@@ -300,7 +300,7 @@ class Problem:
         """The sensitivities at another vector, with those to the parameters `new` recomputed."""
         if not np.array_equal(vector, sensitivities.vector):
             reduction = self.errors.at(sensitivities.vector) - self.errors.at(vector)
-            sensitivities = sensitivities.moved(vector, self.space.scale, reduction)
+            sensitivities = sensitivities.update(vector, self.space.scale, reduction)
         return sensitivities.with_values(new, self.loss.sensitivities(vector, new)) if len(new) else sensitivities
 
     def fit_at(self, names: tuple[str, ...], vector: np.ndarray, indices: np.ndarray,
@@ -314,8 +314,8 @@ class Problem:
                   fold: np.ndarray, at_optimum: bool = False) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """({fold: step to the values fitted without it}, (b,) loss of each block at the values fitted without its fold,
         including its share of the prior cost), from the quadratic approximation of the loss. q: loss by block. fold:
-        (b,). at_optimum: treat `vector` as the optimum, without a further Gauss-Newton step. With a prior from
-        reference drives, leaving out a fold changes only the parameters of the effects `names`."""
+        (b,) fold of each block. at_optimum: treat `vector` as the optimum, without a further Gauss-Newton step. With a
+        prior from reference drives, leaving out a fold changes only the parameters of the effects `names`."""
         names = tuple(names)
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
         optimum = self.solve(q, names, vector, indices)
@@ -349,46 +349,46 @@ class Problem:
             held_out[out] = q.cost[out] + robust + prior_cost
         return steps, held_out
 
-    def leave_out_of(self, fit: Fit, groups: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
-        """`leave_out` for the optimum of a fit. groups: (b,) group of each block."""
-        q = fit.quadratic.summed(self.block, self.blocks)
+    def leave_out_groups(self, fit: Fit, groups: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
+        """`leave_out` at the optimum of a fit. groups: (b,) group of each block."""
+        q = fit.quadratic.sum_groups(self.block, self.blocks)
         return self.leave_out(q, fit.names, fit.vector, fit.indices, groups, at_optimum=True)
 
     def held_out_loss(self, fit: Fit, groups: np.ndarray) -> np.ndarray:
-        """(b,) loss of each block at values fitted without its group; simulated if the quadratic approximation predicts
-        a large increase of the loss. groups: (b,) group of each block."""
-        steps, held_out = self.leave_out_of(fit, groups)
+        """(b,) loss of each block at values fitted without its group, by simulation if the quadratic approximation
+        predicts a large increase of the loss. groups: (b,) group of each block."""
+        steps, held_out = self.leave_out_groups(fit, groups)
         if held_out.sum() - fit.quadratic.cost.sum() < MAX_QUADRATIC_RISE * self.residual_count:
             return held_out
         prior, distance = self.prior_curvature(fit.names, fit.indices), self.distance(fit.vector)[fit.indices]
         result = np.zeros(self.blocks)
         for k, d in steps.items():
-            out, loss = groups == k, self.loss.by_window(self.moved(fit.vector, fit.indices, d))
+            out, loss = groups == k, self.loss.window_losses(self.take_step(fit.vector, fit.indices, d))
             prior_cost = (distance + d) @ prior @ (distance + d) / self.blocks
             result[out] = np.bincount(self.block, loss, self.blocks)[out] + prior_cost
         return np.minimum(held_out, result)
 
     def held_out_gain(self, without: Fit, fit: Fit) -> float:
-        """Reduction of the held-out loss per residual from a fit without some of the effects to the fit with them.
-        Each of the `held_out_groups` is held out as a whole."""
-        before, after = (self.held_out_loss(each, self.held_out_groups) for each in (without, fit))
+        """Reduction of the held-out loss per residual by the effects that `fit` has in addition. Each of the
+        `held_out_groups` is held out as a whole."""
+        before, after = (self.held_out_loss(f, self.held_out_groups) for f in (without, fit))
         return float((before - after).sum()) / self.residual_count
 
     def held_out_rows(self, fit: Fit) -> np.ndarray:
         """(n, m) errors of each window at values fitted without its group (`held_out_groups`)."""
-        steps, _ = self.leave_out_of(fit, self.held_out_groups)
+        steps, _ = self.leave_out_groups(fit, self.held_out_groups)
         group, sensitivities = self.held_out_groups[self.block], fit.sensitivities.of(fit.indices)
         rows = self.errors.at(fit.vector)
         result = rows.copy()
         for k, d in steps.items():
             out = group == k
             result[out] -= np.einsum("p,pnm->nm", d, sensitivities[:, out])
-        before, after = (self.loss.scaled(each) for each in (rows, result))
+        before, after = self.loss.scaled(rows), self.loss.scaled(result)
         # Where the linear approximation is not valid, the held-out errors are simulated.
         if rho(after).sum() - rho(before).sum() > MAX_QUADRATIC_RISE * self.residual_count:
             for k, d in steps.items():
                 out = group == k
-                result[out] = self.errors.at(self.moved(fit.vector, fit.indices, d))[out]
+                result[out] = self.errors.at(self.take_step(fit.vector, fit.indices, d))[out]
         return result
 
     def position_error(self, rows: np.ndarray) -> np.ndarray:

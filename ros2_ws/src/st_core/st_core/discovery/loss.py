@@ -4,8 +4,8 @@
 
 rho is the negative log-likelihood of Student's t distribution, r the residual (measured minus predicted) of a column at
 a scored point of the horizon, s its scale. The scale is estimated from the residuals and recomputed as the model
-improves, so that all channels have similar weight and small errors count once large errors are explained. The quadratic
-approximation is the one of iteratively reweighted least squares:
+improves: all channels have similar weight, and small errors count once large errors are explained. The quadratic
+approximation is that of iteratively reweighted least squares:
 
     cost(d) ~ cost - 2 g'd + d'H d,   d: step of the parameters, in parameter scales (`Space.scale`)
 
@@ -24,7 +24,7 @@ from .windows import Windows
 
 NU = 4.0  # degrees of freedom; residuals beyond two scales have decreasing influence
 DIFFERENCE_STEP = 0.1  # step of the difference quotients, as a fraction of the parameter scale
-MAX_SCALED_ERROR = 100.0  # scales; limit of the residuals, and value for a diverged prediction
+MAX_SCALED_ERROR = 100.0  # scales; clip limit of the residuals, and value for a diverged prediction
 ERROR_CACHE_SIZE = 64  # parameter vectors
 
 
@@ -39,13 +39,13 @@ def weight(z: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
-    """Quadratic approximation of the loss of each window: cost (n,), gradient (n, p), hessian (n, p, p)."""
+    """Quadratic approximation of the loss of each window: cost (n,), gradient g (n, p), hessian H (n, p, p)."""
 
     cost: np.ndarray
     gradient: np.ndarray
     hessian: np.ndarray
 
-    def summed(self, group: np.ndarray, count: int | None = None) -> "Quadratic":
+    def sum_groups(self, group: np.ndarray, count: int | None = None) -> "Quadratic":
         """Sums over groups of windows. group: (n,) number of the group of each window."""
         count = int(group.max()) + 1 if count is None else count
         member = (group == np.arange(count)[:, None]).astype(float)
@@ -57,7 +57,7 @@ class Quadratic:
 
 
 class Errors:
-    """Prediction errors of all windows at a parameter vector, cached. threads: used by `many`."""
+    """Prediction errors of all windows at a parameter vector, cached. threads: used by `at_all`."""
 
     def __init__(self, windows: Windows, space: Space, threads: int = 1):
         self.windows, self.space, self.threads = windows, space, threads
@@ -73,7 +73,7 @@ class Errors:
             self._cache[key] = values.reshape(len(values), -1)
         return self._cache[key]
 
-    def many(self, vectors: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def at_all(self, vectors: Sequence[np.ndarray]) -> list[np.ndarray]:
         if self.threads < 2 or len(vectors) < 2:
             return [self.at(v) for v in vectors]
         with ThreadPoolExecutor(self.threads) as pool:
@@ -81,16 +81,16 @@ class Errors:
 
 
 class Loss:
-    """Robust loss. known: (n, m) whether a residual is measured. scale: (m,) scale of the residuals [SI].
-    residual_count: number of measured residuals."""
+    """Robust loss, initially with the scale of the residuals at `vector`. known: (n, m) whether a residual is measured.
+    scale: (m,) scale of the residuals [SI]. residual_count: number of measured residuals."""
 
-    def __init__(self, errors: Errors, at: np.ndarray):
+    def __init__(self, errors: Errors, vector: np.ndarray):
         self.errors, self.space = errors, errors.space
-        self.known = errors.windows.known & np.isfinite(errors.at(at)).any(axis=1)[:, None]
+        self.known = errors.windows.known & np.isfinite(errors.at(vector)).any(axis=1)[:, None]
         self.residual_count = int(self.known.sum())
         resolution = [CHANNEL_OF_COLUMN[column].resolution for column in errors.windows.columns]
         self.resolution = np.tile(resolution, len(errors.windows.time))
-        self.scale = self.scale_of(at)
+        self.scale = self.scale_of(vector)
 
     def scale_of(self, vector: np.ndarray) -> np.ndarray:
         """(m,) 68 % quantile of the magnitude of the residuals, one standard deviation if they are normal."""
@@ -108,11 +108,11 @@ class Loss:
         z = np.nan_to_num(rows / self.scale, nan=MAX_SCALED_ERROR, posinf=MAX_SCALED_ERROR, neginf=-MAX_SCALED_ERROR)
         return np.where(self.known, np.clip(z, -MAX_SCALED_ERROR, MAX_SCALED_ERROR), 0.0)
 
-    def by_window(self, vector: np.ndarray) -> np.ndarray:
+    def window_losses(self, vector: np.ndarray) -> np.ndarray:
         return rho(self.scaled(self.errors.at(vector))).sum(axis=1)
 
     def total(self, vector: np.ndarray) -> float:
-        return float(self.by_window(vector).sum())
+        return float(self.window_losses(vector).sum())
 
     def sensitivities(self, vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
         """(a, n, m) sensitivities: reduction of the residuals [SI] per parameter scale of the parameters `indices`, by
@@ -123,11 +123,11 @@ class Loss:
         moved = np.tile(vector, (len(indices), 1))
         moved[np.arange(len(indices)), indices] += step
         before, size = self.errors.at(vector), step / self.space.scale[indices]
-        sensitivities = [(before - after) / d for after, d in zip(self.errors.many(list(moved)), size, strict=True)]
+        sensitivities = [(before - after) / d for after, d in zip(self.errors.at_all(list(moved)), size, strict=True)]
         return np.nan_to_num(np.reshape(sensitivities, (len(indices), *before.shape)), posinf=0.0, neginf=0.0)
 
     def quadratic(self, rows: np.ndarray, sensitivities: np.ndarray) -> Quadratic:
-        """The approximation about the vector with residuals `rows` (n, m) and `sensitivities` (p, n, m)."""
+        """The approximation from residuals `rows` (n, m) [SI] and `sensitivities` (p, n, m) at one vector."""
         z = self.scaled(rows)
         j = self._scaled_sensitivities(sensitivities, z)
         w = weight(z)
@@ -135,7 +135,8 @@ class Loss:
         return Quadratic(rho(z).sum(axis=1), (jw @ z[:, :, None])[:, :, 0], jw @ np.transpose(j, (1, 2, 0)))
 
     def curvature(self, rows: np.ndarray, sensitivities: np.ndarray) -> np.ndarray:
-        """(p, p) half the second derivative of the loss for residuals linear in the parameters; outliers reduce it."""
+        """(p, p) half the second derivative of the loss for residuals that are linear in the parameters. Outliers
+        reduce it."""
         z = self.scaled(rows)
         j = self._scaled_sensitivities(sensitivities, z)
         second = 0.5 * (NU + 1.0) * (NU - np.square(z)) / np.square(NU + np.square(z))  # rho'' / 2

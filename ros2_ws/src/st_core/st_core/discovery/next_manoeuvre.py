@@ -20,7 +20,7 @@ from .evidence import inverse
 from .fit import Fit, Problem
 from .loss import Errors, Loss
 from .result import FoundEffect, NextManoeuvre, Separability
-from .windows import STEP, Windows, added_acceleration
+from .windows import STEP, Windows, specific_force_excess
 
 REPETITIONS = 3  # drives of each manoeuvre, the minimum in ISO 7401
 MIN_SEPARATION = 3.0  # standard deviations; a manoeuvre with less does not separate a pair
@@ -29,12 +29,12 @@ MAX_LATERAL_ACCELERATION = 9.0  # m/s^2; above it the simulation with the base m
 PERIOD = STEP / 2  # s, sampling period of the simulated log
 LEAD_TIME = 4.0  # s before a manoeuvre, to reach its initial steering angle
 
-Catalogue = Mapping[str, np.ndarray]  # curvature (p, p) that each manoeuvre adds to the loss, by name
+Curvatures = Mapping[str, np.ndarray]  # curvature (p, p) that a manoeuvre adds to the loss, by its name
 
 
-def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameters) -> DriveLog:
+def simulate_drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameters) -> DriveLog:
     """Log of a manoeuvre simulated with the model and noise-free sensors, `duration` seconds sampled every PERIOD. The
-    steering compensates for the understeer of the vehicle file, so that the target lateral acceleration is reached."""
+    steering compensates for the understeer of the vehicle file, to reach the target lateral acceleration."""
     lead, steps = round(LEAD_TIME / PERIOD), round(manoeuvre.duration / PERIOD)
     times = 0.5 * PERIOD * np.arange(-2 * lead, 2 * steps + 1)
     understeer = max(vehicle.wheelbase * stability_factor(vehicle), 0.0)
@@ -47,12 +47,11 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
     wheels = np.interp(times_ns, *correct_steering(model, times_ns, angle, 0.1))
     path = predict(model, vehicle, start, InputSequence(wheels, forward), (lead + steps) * PERIOD, PERIOD)
     states = tuple(path.states[lead:].T)
-    true = predict_faultless_readings(model, vehicle, states)
-    a_y = np.gradient(true.velocity_y, PERIOD) + true.velocity_x * true.yaw_rate
+    faultless = predict_faultless_readings(model, vehicle, states)
+    a_y = np.gradient(faultless.velocity_y, PERIOD) + faultless.velocity_x * faultless.yaw_rate
     recorded = slice(2 * lead, None, 2)
-    specific_force = added_acceleration(model, vehicle, states, wheels[recorded], forward[recorded])
-    true = true._replace(acceleration_x=0.0 * a_y, acceleration_y=a_y + specific_force)
-    readings = model.observe(true)
+    excess = specific_force_excess(model, vehicle, states, wheels[recorded], forward[recorded])
+    readings = model.observe(faultless._replace(acceleration_x=0.0 * a_y, acceleration_y=a_y + excess))
     time_ns = times_ns[recorded] - times_ns[2 * lead]
     return DriveLog(manoeuvre.name, time_ns, *readings[:6],  # x, y, yaw, velocities, yaw rate
                     time_ns, angle[recorded].copy(), acceleration_x=readings.acceleration_x,
@@ -69,36 +68,36 @@ def simulate_manoeuvres(windows: Windows, base: Model) -> Iterator[tuple[Manoeuv
         if manoeuvre.speed > fastest:
             continue
         try:
-            log = drive(manoeuvre, model, windows.vehicle)
+            log = simulate_drive(manoeuvre, model, windows.vehicle)
         except StCoreError:
             continue  # the base model spins
-        lateral = np.abs(log.velocity_x * log.yaw_rate)
-        if (lateral > MAX_LATERAL_ACCELERATION).any():
-            log = log.slice(0, int(log.ins_time_ns[max(int(np.argmax(lateral > MAX_LATERAL_ACCELERATION)) - 1, 1)]))
+        exceeded = np.abs(log.velocity_x * log.yaw_rate) > MAX_LATERAL_ACCELERATION
+        if exceeded.any():
+            log = log.slice(0, int(log.ins_time_ns[max(int(np.argmax(exceeded)) - 1, 1)]))
         if log.overlap < settings.horizon + 3.0:
             continue
-        unknown: dict[str, Any] = {n: None for n in OPTIONAL_INS_SIGNALS if getattr(windows.joined, n) is None}
-        simulated = Windows([replace(log, **unknown)], windows.vehicle, settings)
+        unmeasured: dict[str, Any] = {n: None for n in OPTIONAL_INS_SIGNALS if getattr(windows.joined, n) is None}
+        simulated = Windows([replace(log, **unmeasured)], windows.vehicle, settings)
         if len(simulated):
             yield manoeuvre, simulated
 
 
-def catalogue(problem: Problem, fit: Fit) -> Catalogue:
-    """Curvatures at the values of a fit, for REPETITIONS drives of each manoeuvre."""
-    space, result = problem.space, {}
+def simulate_catalogue(problem: Problem, fit: Fit) -> Curvatures:
+    """Curvatures of the loss at the values of a fit, for REPETITIONS drives of each manoeuvre."""
+    space, curvatures = problem.space, {}
     for manoeuvre, simulated in simulate_manoeuvres(problem.errors.windows, space.model.base):
         loss = Loss(Errors(simulated, space, problem.errors.threads), fit.vector)
         loss.scale = problem.loss.scale
-        rows = loss.errors.at(fit.vector)
-        q = loss.quadratic(0.0 * np.nan_to_num(rows), loss.sensitivities(fit.vector, np.arange(len(space))))
-        result[manoeuvre.name] = REPETITIONS * q.hessian.sum(axis=0)
-    return result
+        no_errors = np.zeros_like(loss.errors.at(fit.vector))
+        q = loss.quadratic(no_errors, loss.sensitivities(fit.vector, np.arange(len(space))))
+        curvatures[manoeuvre.name] = REPETITIONS * q.hessian.sum(axis=0)
+    return curvatures
 
 
 def separation(h: np.ndarray, problem: Problem, others: Sequence[str], first: str, second: str, values: np.ndarray,
                design_effect: float) -> tuple[float, float]:
-    """(cosine similarity of the error changes that two effects cause, size of the component of `first` that `second`
-    does not explain [standard deviations]) for a curvature h (p, p). others: further effects in the fit. values: (p,)
+    """(cosine similarity of the error changes that two effects cause, part of `first` that `second` does not explain
+    [standard deviations of the noise]) for a curvature h (p, p). others: further effects in the fit. values: (p,)
     distance from the null [parameter scales]."""
     indices, other_indices = problem.space.indices(first), problem.space.indices(second)
     free = np.setdiff1d(problem.free_indices((*others, second)), indices)
@@ -113,10 +112,10 @@ def separation(h: np.ndarray, problem: Problem, others: Sequence[str], first: st
     return float(np.clip(cosine, -1.0, 1.0)), float(np.sqrt(max(2.0 * unexplained / design_effect, 0.0)))
 
 
-def separability(problem: Problem, fit: Fit, effects: Sequence[FoundEffect],
+def list_separabilities(problem: Problem, fit: Fit, effects: Sequence[FoundEffect],
                  design_effect: float) -> tuple[Separability, ...]:
     """Separability of every named effect from its alternatives in these drives."""
-    h = problem.quadratic_of_all(fit.vector).hessian.sum(axis=0)
+    h = problem.full_quadratic(fit.vector).hessian.sum(axis=0)
     values = (fit.vector - problem.space.null) / problem.space.scale
     found = []
     for effect in effects:
@@ -126,12 +125,12 @@ def separability(problem: Problem, fit: Fit, effects: Sequence[FoundEffect],
     return tuple(found)
 
 
-def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], manoeuvres: Catalogue,
-                   design_effect: float) -> NextManoeuvre | None:
+def choose_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], curvatures: Curvatures,
+                     design_effect: float) -> NextManoeuvre | None:
     """The manoeuvre with the largest minimum separation over all pairs that these drives separate by less than
     MIN_SEPARATION. None if no manoeuvre reaches MIN_SEPARATION, or without such a pair, since more driving does not
     reduce the error of the model."""
-    h = problem.quadratic_of_all(fit.vector).hessian.sum(axis=0)
+    h = problem.full_quadratic(fit.vector).hessian.sum(axis=0)
     values = (fit.vector - problem.space.null) / problem.space.scale
 
     def strength_of(pair: tuple[str, str], curvature: np.ndarray) -> float:
@@ -143,8 +142,8 @@ def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], m
     if not pairs:
         return None
     weakest = {}
-    for name, more in manoeuvres.items():
-        strengths = {pair: strength_of(pair, h + more) for pair in pairs}
+    for name, added in curvatures.items():
+        strengths = {pair: strength_of(pair, h + added) for pair in pairs}
         pair = min(strengths, key=strengths.__getitem__)
         weakest[name] = strengths[pair], pair
     name = max(weakest, key=lambda n: weakest[n][0], default="")
@@ -156,15 +155,15 @@ def next_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], m
                          chosen.speed, f"separates {pair[0]} and {pair[1]} best of all manoeuvres in the catalogue")
 
 
-def most_informative(problem: Problem, effect: str, manoeuvres: Catalogue) -> str:
+def most_informative(problem: Problem, effect: str, curvatures: Curvatures) -> str:
     """Name of the manoeuvre with the most information on an effect, or ""."""
     indices = problem.space.indices(effect)
-    strength = {}
-    for name, h in manoeuvres.items():
-        others = np.setdiff1d(problem.free_indices(()), indices)
+    others = np.setdiff1d(problem.free_indices(()), indices)
+    largest = {}
+    for name, h in curvatures.items():
         information = h[np.ix_(indices, indices)]
         if len(others):
             cross = h[np.ix_(indices, others)] @ inverse(h[np.ix_(others, others)])
             information = information - cross @ h[np.ix_(others, indices)]
-        strength[name] = float(np.diag(information).max())
-    return max(strength, key=strength.__getitem__, default="")
+        largest[name] = float(np.diag(information).max())
+    return max(largest, key=largest.__getitem__, default="")

@@ -5,35 +5,35 @@ import numpy as np
 from .windows import Windows
 
 PLACE_SIZE = 50.0  # m, side of the squares of the map that count as places
-SAME_SITE_SHARE = 0.2  # fraction of the places of the smaller run; runs with more places in common share a site
-MIN_RUNS = 5  # fewer runs are divided into stretches
+SAME_SITE_SHARE = 0.2  # of the places of the run with fewer places; runs with more common places are at one site
+MIN_RUNS, MIN_STRETCHES = 5, 6  # fewer runs are divided into at least this number of stretches
 TIMES = ("the first third of the runs", "the second third", "the last third")
 CONDITIONS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
 
-# ((n,) part of each window, names of the parts), like a factor in an analysis of variance.
+# ((n,) part of each window, names of the parts); a factor in the sense of an analysis of variance.
 Partition = tuple[np.ndarray, list[str]]
 
 
-def partitions(windows: Windows) -> dict[str, Partition]:
-    """Partitions by name; only those with at least two parts."""
-    site, driving = sites(windows), windows.driving
+def make_partitions(windows: Windows) -> dict[str, Partition]:
+    """Partitions with at least two parts, by name."""
+    site, driving = find_sites(windows), windows.driving
     longest = np.zeros(len(windows.names))
     np.maximum.at(longest, windows.run, windows.seconds)
     third = np.minimum((3.0 * windows.seconds / np.maximum(longest[windows.run], 1e-9)).astype(int), 2)
-    parts = {"run": runs(windows), "site": (site, [f"site {k + 1}" for k in range(int(site.max()) + 1)]),
-             "time": (third, list(TIMES)), "place": places(driving["x"], driving["y"]),
-             "condition": conditions(driving["speed"], driving["lateral_acceleration"])}
+    parts = {"run": divide_by_run(windows), "site": (site, [f"site {k + 1}" for k in range(int(site.max()) + 1)]),
+             "time": (third, list(TIMES)), "place": divide_by_place(driving["x"], driving["y"]),
+             "condition": divide_by_condition(driving["speed"], driving["lateral_acceleration"])}
     if site.max() + 1 == len(windows.names):
         del parts["site"]  # each run is a site
     return {name: partition for name, partition in parts.items() if len(np.unique(partition[0])) > 1}
 
 
-def runs(windows: Windows) -> Partition:
-    """The runs as parts; with fewer than MIN_RUNS, stretches of equal duration of the runs."""
+def divide_by_run(windows: Windows) -> Partition:
+    """The runs as parts; with fewer than MIN_RUNS runs, stretches of equal duration of each run."""
     numbers = np.unique(windows.run)
     if len(numbers) >= MIN_RUNS:
         return windows.run, list(windows.names)
-    pieces = int(np.ceil(6 / len(numbers)))
+    pieces = int(np.ceil(MIN_STRETCHES / len(numbers)))
     part = np.zeros(len(windows), int)
     for run in numbers:
         of_run = windows.run == run
@@ -43,10 +43,10 @@ def runs(windows: Windows) -> Partition:
     return part, [f"{name}, part {k + 1}" for name in windows.names for k in range(pieces)]
 
 
-def sites(windows: Windows) -> np.ndarray:
-    """(n,) site of each window. Runs with common `places`, directly or through other runs, are at one site. Distance
-    does not count, because the maps of different sites may have different origins."""
-    number = places(windows.driving["x"], windows.driving["y"])[0]
+def find_sites(windows: Windows) -> np.ndarray:
+    """(n,) site of each window. Runs with common places, directly or through other runs, are at one site. Distance does
+    not count, because the maps of different sites may have different origins."""
+    number = divide_by_place(windows.driving["x"], windows.driving["y"])[0]
     visited = [set(number[windows.run == run]) for run in range(len(windows.names))]
     site = list(range(len(visited)))
     for i, a in enumerate(visited):
@@ -56,18 +56,19 @@ def sites(windows: Windows) -> np.ndarray:
     return np.unique(np.array(site), return_inverse=True)[1][windows.run]
 
 
-def places(x: np.ndarray, y: np.ndarray) -> Partition:
-    """Places: squares of the map with side PLACE_SIZE."""
+def divide_by_place(x: np.ndarray, y: np.ndarray) -> Partition:
+    """Squares of the map with side PLACE_SIZE as parts. x, y: (n,) [m]."""
     cells = np.stack([np.floor(x / PLACE_SIZE), np.floor(y / PLACE_SIZE)], axis=1)
     unique, number = np.unique(cells, axis=0, return_inverse=True)
     return number.ravel(), [f"east {east:.0f} m, north {north:.0f} m" for east, north in PLACE_SIZE * (unique + 0.5)]
 
 
-def conditions(speed: np.ndarray, lateral: np.ndarray) -> Partition:
-    """Four kinds of driving: slower or faster than the median speed, each with less or more lateral acceleration than
-    its median."""
+def divide_by_condition(speed: np.ndarray, lateral_acceleration: np.ndarray) -> Partition:
+    """Four kinds of driving as parts: slower or faster than the median speed, each with less or more lateral
+    acceleration than its median."""
     fast = speed > np.median(speed)
     hard = np.zeros(len(speed), bool)
     for half in (fast, ~fast):
-        hard[half] = lateral[half] > np.median(lateral[half]) if half.any() else False
+        if half.any():
+            hard[half] = lateral_acceleration[half] > np.median(lateral_acceleration[half])
     return fast + 2 * hard, list(CONDITIONS)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from scipy import stats
@@ -10,7 +9,7 @@ from scipy import stats
 from ..effects import get_effect
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
-from .evidence import TWO_SIDED, inverse
+from .evidence import Z95, inverse
 from .fit import Problem, marginalise
 from .loss import Errors, Loss, Quadratic
 from .settings import DiscoverySettings
@@ -23,11 +22,11 @@ FIXED_CURVATURE = 1e6  # prior curvature that fixes a parameter
 
 
 @dataclass(frozen=True, eq=False)
-class Healthy:
+class HealthyCar:
     """The fitted healthy car. vector: (p,) values of the whole library. prior: (p, p) curvature of the prior about
     them. residual: (c,) scale (`Loss.scale_of`) of the errors of each column at the end of the horizon [SI]. position
     [m]: mean position error there, in the run where it is largest. gain [1]: largest reduction of the loss per residual
-    by an effect in one run, with a prior from the other runs; smaller gains may be false alarms."""
+    of one run by an effect, with a prior from the other runs; smaller gains may be false alarms."""
 
     vector: np.ndarray
     prior: np.ndarray
@@ -36,11 +35,11 @@ class Healthy:
     gain: float
 
 
-def healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
-                threads: int, tick: Callable[[], None]) -> Healthy:
-    """Fit the healthy car to its drives. The prior is the predictive distribution for a new drive of the same car. Its
-    covariance is the covariance of the values times the design effect, and times 2 because both the reference and the
-    new drive are uncertain."""
+def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
+                    threads: int, tick: Callable[[], None]) -> HealthyCar:
+    """Fit the healthy car to its drives. The prior is the predictive distribution for a new drive of the same car: its
+    covariance is that of the values, times the design effect, times 2 because the reference and the new drive are both
+    uncertain."""
     windows = Windows(runs, vehicle, settings)
     prior, quantities = weak_prior(space), known_quantities(space, vehicle)
     fits = []
@@ -49,22 +48,23 @@ def healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Spa
         fits.append((*fit_library(loss, windows, prior, quantities, start, tick), loss))
     vector, prior, loss = min(fits, key=lambda fit: float(np.log(fit[2].scale).sum()))
     problem = Problem(loss, space.null, windows.block, prior)
-    q = problem.quadratic_of_all(vector)
+    q = problem.full_quadratic(vector)
     h = q.hessian.sum(axis=0) + prior
     design_effects = np.ones(len(h))  # at least 1; see `Problem.update_design_effect`
     for part in (windows.block, windows.run):
-        gradient = q.summed(part).gradient
-        number = len(gradient)
-        if number > 2:
-            wider = (float(stats.t.ppf(0.975, number - 1)) / TWO_SIDED) ** 2  # for few blocks or runs
-            variance = wider * 2.0 * number * gradient.var(axis=0, ddof=1)
+        gradient = q.sum_groups(part).gradient
+        count = len(gradient)
+        if count > 2:
+            widening = (float(stats.t.ppf(0.975, count - 1)) / Z95) ** 2  # for few blocks or runs
+            variance = widening * 2.0 * count * gradient.var(axis=0, ddof=1)
             design_effects = np.maximum(design_effects, variance / np.diag(h))
-    spread = np.sqrt(2.0 * design_effects)
+    widths = np.sqrt(2.0 * design_effects)
     position = problem.position_error(problem.errors.at(vector))
     by_run = [position[windows.run == k] for k in np.unique(windows.run)]
     largest = max((float(np.nanmean(error)) for error in by_run if np.isfinite(error).any()), default=0.0)
-    return Healthy(vector, _predictive_prior(h, spread, prior), loss.scale_of(vector)[-len(windows.columns):], largest,
-                   _gain_between_runs(q, space, windows, spread, prior))
+    residual = loss.scale_of(vector)[-len(windows.columns):]
+    return HealthyCar(vector, _predictive_prior(h, widths, prior), residual, largest,
+                      _gain_between_runs(q, space, windows, widths, prior))
 
 
 def weak_prior(space: Space) -> np.ndarray:
@@ -75,36 +75,36 @@ def weak_prior(space: Space) -> np.ndarray:
     return prior
 
 
-def _predictive_prior(h: np.ndarray, spread: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """(p, p) curvature h of the loss, with the standard deviations multiplied by `spread` (p,), plus `prior`."""
-    return inverse(spread[:, None] * inverse(h) * spread) + prior
+def _predictive_prior(h: np.ndarray, widths: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """(p, p) curvature h of the loss, with the standard deviations multiplied by `widths` (p,), plus `prior`."""
+    return inverse(widths[:, None] * inverse(h) * widths) + prior
 
 
-def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, spread: np.ndarray, prior: np.ndarray) -> float:
-    """`Healthy.gain` from the quadratic approximation of the loss; 0 with fewer than three runs."""
-    run, largest = q.summed(windows.run), 0.0
+def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, widths: np.ndarray, prior: np.ndarray) -> float:
+    """`HealthyCar.gain` from the quadratic approximation of the loss; 0 with fewer than three runs."""
+    by_run, largest = q.sum_groups(windows.run), 0.0
     if len(windows.names) < 3:
         return largest
-    h, g = run.hessian.sum(axis=0) + prior, run.gradient.sum(axis=0)
-    for k in range(len(windows.names)):
-        other = h - run.hessian[k]
-        centre = inverse(other) @ (g - run.gradient[k])
-        predictive = _predictive_prior(other, spread, prior)
-        minimum = partial(_minimum, run.hessian[k], run.gradient[k], centre)
-        number = max(int(windows.known[windows.run == k].sum()), 1)
-        largest = max(largest, *((minimum(predictive) - minimum(marginalise(predictive, space.indices(n)))) / number
-                                 for n in space.hypotheses))
+    total_h, total_g = by_run.hessian.sum(axis=0) + prior, by_run.gradient.sum(axis=0)
+    for k, (h, g) in enumerate(zip(by_run.hessian, by_run.gradient, strict=True)):
+        centre = inverse(total_h - h) @ (total_g - g)
+        predictive = _predictive_prior(total_h - h, widths, prior)
+        common = _minimum_loss(h, g, centre, predictive)
+        residual_count = max(int(windows.known[windows.run == k].sum()), 1)
+        for effect in space.hypotheses:
+            free = _minimum_loss(h, g, centre, marginalise(predictive, space.indices(effect)))
+            largest = max(largest, (common - free) / residual_count)
     return largest
 
 
-def _minimum(h: np.ndarray, g: np.ndarray, centre: np.ndarray, prior: np.ndarray) -> float:
+def _minimum_loss(h: np.ndarray, g: np.ndarray, centre: np.ndarray, prior: np.ndarray) -> float:
     """Minimum over x of x'Hx - 2 g'x + (x - centre)' prior (x - centre)."""
     x = np.linalg.solve(h + prior + 1e-9 * np.eye(len(h)), g + prior @ centre)
     return float(x @ h @ x - 2.0 * g @ x + (x - centre) @ prior @ (x - centre))
 
 
 def theoretical_values(space: Space) -> np.ndarray:
-    """(p,) theoretical values where known, else the null; effects that convert the base model keep their null."""
+    """(p,) theoretical values where known, else the null. Effects that convert the base model keep their null."""
     vector = space.null.copy()
     for i, free in enumerate(space.free):
         if free.theory is not None and not get_effect(free.effect).converts:
@@ -114,8 +114,8 @@ def theoretical_values(space: Space) -> np.ndarray:
 
 def fit_library(loss: Loss, windows: Windows, prior: np.ndarray, quantities: Quantities, vector: np.ndarray,
                 tick: Callable[[], None]) -> tuple[np.ndarray, np.ndarray]:
-    """Fit all parameters from an initial vector and update the scale of the loss, until convergence. Returns (vector
-    (p,), curvature (p, p) of `prior` plus the priors of the vehicle file)."""
+    """Fit all parameters from an initial vector and update the scale of the loss, until convergence. Returns the vector
+    (p,) and the curvature (p, p) of `prior` plus the priors of the vehicle file."""
     space = loss.space
     with_priors = Problem(loss, space.null, windows.block, quantities=quantities)
     deviations = prior_deviations(quantities, space.scale)  # none for a load: the drives already include it

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from scipy import stats
@@ -12,9 +12,9 @@ from ..effects import EFFECT_KINDS
 from .settings import Limits
 
 Outcome = Literal["none", "named", "ambiguous", "several", "varying", "unknown", "not_testable"]
+OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 # Half-width of an interval at significance level `false_alarm` divided by that of a 95 % interval, normal distribution.
-WIDENING = float(stats.norm.isf(0.5 * Limits().false_alarm) / stats.norm.isf(0.025))
-OUTCOMES: tuple[Outcome, ...] = ("none", "named", "ambiguous", "several", "varying", "unknown", "not_testable")
+FALSE_ALARM_WIDENING = float(stats.norm.isf(0.5 * Limits().false_alarm) / stats.norm.isf(0.025))
 EFFECTIVE = "effective corrections"
 PARTS = (*EFFECT_KINDS, EFFECTIVE, "place or time", "unexplained")
 """Kinds of cause to which the baseline error is attributed (`BudgetLine`)."""
@@ -24,7 +24,8 @@ MODELS = ("base", "model", "named")  # fields of `Discovery` that are models and
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """Value, 95 % interval and null [unit]. The interval allows for dependent windows and differences between runs."""
+    """Value, 95 % interval, and value without influence (null) [unit]. The interval allows for dependent windows and
+    differences between runs."""
 
     value: float
     unit: str
@@ -34,7 +35,7 @@ class FittedParameter:
 
 @dataclass(frozen=True)
 class Change:
-    """A held-out error before (base) and after (augmented) a step [unit]. interval: 95 %, for base - augmented."""
+    """A held-out error before a step (base) and after it (augmented) [unit]. interval: 95 %, for base - augmented."""
 
     base: float
     augmented: float
@@ -45,8 +46,8 @@ class Change:
 @dataclass(frozen=True)
 class Step:
     """One step of the waterfall, which adds an effect. parameters: values of this effect after the step. position_5s:
-    change of the mean position error after 5 s [m]. channels: change of the root mean square error at the end of the
-    horizon. runs: mean position error after 5 s by run, before and after the step [m]. All errors are held out."""
+    mean position error after 5 s [m]. channels: root mean square error at the end of the horizon, by channel. runs:
+    mean position error after 5 s (before, after) the step, by run [m]. All errors are held out."""
 
     effect: str
     kind: str
@@ -120,7 +121,7 @@ class Combination:
     def differs(self) -> bool:
         """Whether the value of the vehicle file differs significantly, p < `Limits.false_alarm`."""
         edge = self.interval[0] if self.file < self.value else self.interval[1]
-        return abs(self.file - self.value) > WIDENING * abs(edge - self.value)
+        return abs(self.file - self.value) > FALSE_ALARM_WIDENING * abs(edge - self.value)
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,7 @@ class VaryingEffect:
 @dataclass(frozen=True)
 class Reason:
     """A decision and its reason. rule: the rule of `decision` that applied. subject: an effect, or "outcome". figures:
-    the numbers compared, by field name in `Limits`, `Evidence` (and its parts), `Checks`, `Rival`, `SearchResult`."""
+    numbers that were compared; a key is the name of a field of a dataclass in `settings`, `evidence` or `decision`."""
 
     rule: str
     subject: str
@@ -164,8 +165,8 @@ class Reason:
 
 @dataclass(frozen=True)
 class CandidateEffect:
-    """One effect of the library, in the final model or as an addition to it. gain [1]: relative reduction of the RMS
-    error. verdict: the rule of `decision` that applied. why: the reason in words, with figures."""
+    """One effect of the library, in the final model or in addition to it. gain [1]: relative reduction of the RMS
+    error. verdict: the rule of `decision` that applied. why: the reason in words, with numbers."""
 
     name: str
     kind: str
@@ -205,9 +206,10 @@ class Power:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Power of these drives. powers: three sizes of each effect. alarms: number of simulated drives without any
-    effect in which one was named. measured: whether the power is estimated by a step of the search on simulated drives
-    (--certify); otherwise it is predicted from the curvature of the loss, and simulated_drives is 0."""
+    """Power of the tests on these drives. powers: for three sizes of each effect. measured: whether the power is
+    estimated by a step of the search on simulated drives (--certify); otherwise it is predicted from the curvature of
+    the loss. simulated_drives: number of drives simulated without an effect; 0 if not measured. alarms: number of these
+    drives in which an effect was named."""
 
     powers: tuple[Power, ...]
     alarms: int
@@ -217,9 +219,8 @@ class Certificate:
 
 @dataclass(frozen=True)
 class LargeErrorRegion:
-    """Condition, time or place in which the error exceeds the floor, which is the error in the reference drives or the
-    error due to noise. channel: one of CHANNELS. excess [1]: ratio of the root mean square error to the floor;
-    interval: 95 %."""
+    """A condition, time or place in which the error is larger than expected from the reference drives or the noise.
+    channel: one of CHANNELS. excess [1]: root mean square error divided by the expected one; interval: 95 %."""
 
     channel: str
     condition: str
@@ -231,8 +232,8 @@ class LargeErrorRegion:
 class ChannelError(Change):
     """Held-out error of a channel with the base model (base) and with effects (augmented) [unit]: root mean square at
     the end of the horizon, but mean for position_5s. interval: 95 %, for base - augmented. floor: error due to noise
-    alone [unit]. worst_run, worst: run with the largest augmented error, and that error. worse_runs: runs in which the
-    effects increase the error by more than the floor."""
+    alone [unit]. worst_run, worst: run with the largest augmented error, and this error [unit]. worse_runs: runs in
+    which the effects increase the error by more than the floor."""
 
     floor: float
     worst_run: str = ""
@@ -252,7 +253,7 @@ class NotTestable:
 
 @dataclass(frozen=True)
 class NextManoeuvre:
-    """The manoeuvre that best separates an effect from its alternatives. name: name in the catalogue, and of the
+    """The manoeuvre that best separates an effect from its alternatives. name: in the catalogue, also the name of the
     scenario of the virtual car. separates: the pair of effects with the smallest separation. strength: separation of
     this pair [standard deviations] expected after `times` further drives of the manoeuvre. options: strength by
     manoeuvre. duration [s] and speed [m/s] refer to one drive."""
@@ -270,7 +271,7 @@ class NextManoeuvre:
 @dataclass(frozen=True)
 class Separability:
     """Separability of two effects in these drives. cosine [1]: cosine similarity of the error changes that they cause.
-    strength: size of the component of the first that the second does not explain [standard deviations]."""
+    strength: part of the first effect that the second does not explain [standard deviations of the noise]."""
 
     first: str
     second: str
@@ -295,18 +296,18 @@ class Discovery:
     """The result of `discover`.
 
     outcome: none = the residual is near the noise, or not significant; named = one effect; ambiguous = one effect with
-    alternatives, or a combination (`known_together`); several = more than one effect; varying = significant, but
-    specific to a run, place, time or condition; unknown = a significant residual that no effect of the library
-    explains; not_testable = too little excitation. start: origin of the values at which the search starts. minor:
-    effects that are in the model, to avoid a bias of the other values, but are not named. varying: significant effects
-    that vary between parts of the drives. effective: corrections that improve predictions without being properties of
-    the car, despite their names; part of the model, never of a vehicle file.
+    alternatives, or a combination (`unseparated_combinations`); several = more than one effect; varying = a significant
+    effect that varies between runs, places, times or conditions; unknown = a significant residual that no effect of the
+    library explains; not_testable = too little excitation. start: origin of the values at which the search starts.
+    minor: effects that are in the model to avoid a bias of the other values, but are not named. varying: significant
+    effects that vary between parts of the drives. effective: corrections that improve predictions without being
+    properties of the car, despite their names; part of the model, never of a vehicle file.
 
     base: the model at the start. model: the model with all effects, which predicts best; None if no effect was found.
     named: the model with named and minor effects only, at the reported values. steps: from the base to all effects
-    found. errors: errors of the base and the best model, by channel and for position_5s. named_errors: the same
-    without the effective corrections. reasons: all decisions. leave_one_out: values of the effects, by the run left out
-    of the fit. acceleration_gain [1]: relative excess of the measured lateral specific force over the value from the
+    found. errors: errors of the base and the best model, by channel and for position_5s. named_errors: the same without
+    the effective corrections. reasons: all decisions. leave_one_out: values of the effects, by the run left out of the
+    fit. acceleration_gain [1]: relative excess of the measured lateral specific force over that of the predicted
     motion, due to body roll. noise: error of the best model at the end of the horizon, by channel [SI]. signature:
     description of the residual. clock_errors: correction of the steering time stamps [s] of the corrected runs.
     """
@@ -348,17 +349,18 @@ class Discovery:
             object.__setattr__(self, "named_errors", self.named_errors or self.errors)
 
     @property
-    def known_together(self) -> tuple[Combination, ...]:
-        return known_together(self.combinations, self.effects)
+    def unseparated_combinations(self) -> tuple[Combination, ...]:
+        return unseparated_combinations(self.combinations, self.effects)
 
     def document(self) -> dict[str, Any]:
         """The body of discovery.json: only dicts, lists, strings and numbers."""
         return {f.name: plain_data(getattr(self, f.name)) for f in fields(self) if f.name not in MODELS}
 
 
-def known_together(combinations: Sequence[Combination], named: Sequence[FoundEffect]) -> tuple[Combination, ...]:
+def unseparated_combinations(combinations: Sequence[Combination],
+                             named: Sequence[FoundEffect]) -> tuple[Combination, ...]:
     """Combinations that differ significantly from the vehicle file and that no named effect changes: all ratios of
-    stiffness to mass or, without any, the first of stability factor and yaw gain; and the total delay."""
+    stiffness to mass or, if none differs, the first of stability factor and yaw gain; and the total delay."""
     names = {name for e in named for name in (e.name, *e.alternatives)}
     found = [c for c in combinations if c.differs and not names.intersection(c.effects)]
     delay = [c for c in found if c.is_time]

@@ -1,7 +1,7 @@
 """The parameter vector of a discovery, and the priors from the vehicle file.
 
 The vector contains all parameters of all effects of the library, and the gain of the accelerometer due to body roll.
-All vectors share one set of compiled functions.
+All vectors use the same compiled functions.
 """
 
 import math
@@ -24,8 +24,8 @@ TYPICAL_GAIN, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # typical: roll gradient of 5 mra
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """One parameter of the vector. scale: parameter scale > 0, the typical magnitude of the effect and unit of steps
-    and distances. sign: sign of initial - null."""
+    """One parameter of the vector. scale: parameter scale > 0, its typical deviation from the null, and the unit of
+    steps and distances. sign: sign of initial - null."""
 
     effect: str
     parameter: str
@@ -42,20 +42,20 @@ class Space:
     of the effects to choose from, by default all that apply.
 
     hypotheses: names of the searched effects. null: (p,) vector of the base model. scale, low, high: (p,) parameter
-    scales and bounds. deviation: (p,) prior standard deviation of additions to the measured car, such as a load
-    [parameter scales]; inf for all other parameters. additions: names of the effects with additions.
+    scales and bounds. additions: names of the effects that add something to the measured car, such as a load.
+    deviation: (p,) prior standard deviation of their parameters [parameter scales]; inf for all other parameters.
     """
 
     def __init__(self, base: str | Model, settings: DiscoverySettings, not_searched: Sequence[str] = (),
                  library: Collection[str] | None = None):
         base = get_model(base)
-        kind = base.base if isinstance(base, AugmentedModel) else base
-        known = tuple(n for n in applicable(kind.name) if library is None or n in library)
+        equations = base.base if isinstance(base, AugmentedModel) else base
+        known = tuple(n for n in applicable(equations.name) if library is None or n in library)
         self.without_signal = tuple(n for n in known if get_effect(n).signals)
         usable = [n for n in known if n not in self.without_signal]
-        self.hypotheses = _chosen(usable, settings, known)
+        self.hypotheses = _choose_effects(usable, settings, known)
         values = {n: dict(v) for n, v in base.values.items()} if isinstance(base, AugmentedModel) else {}
-        self.model = set_effects_to_null(augment(kind, [*usable, *not_searched])).with_values(values)
+        self.model = set_effects_to_null(augment(equations, [*usable, *not_searched])).with_values(values)
         self.null = np.append(self.model.vector, 0.0)
         self.free = tuple(FreeParameter(e, p.name, p.unit, float(null), typical_size(e, p.unit), p.bounds,
                                         1.0 if p.initial > p.null else -1.0, p.theory)
@@ -77,10 +77,9 @@ class Space:
 
     def at(self, vector: np.ndarray) -> AugmentedModel:
         """The model with the values of a vector, limited to the bounds."""
-        return self.model.with_vector(self.inside(vector)[:-1].tolist())
+        return self.model.with_vector(self.clip_to_bounds(vector)[:-1].tolist())
 
-    def inside(self, vector: np.ndarray) -> np.ndarray:
-        """A vector limited to the bounds."""
+    def clip_to_bounds(self, vector: np.ndarray) -> np.ndarray:
         return np.clip(vector, self.low, self.high)
 
     def indices(self, *names: str) -> np.ndarray:
@@ -98,14 +97,14 @@ class Space:
 
 
 def typical_size(effect: str, unit: str) -> float:
-    """Scale of the parameters of an effect with this unit: their largest |initial - null|, so that, for example, both
-    components of wind have the same scale."""
+    """Scale of the parameters of an effect with this unit: their largest |initial - null|. Both components of wind, for
+    example, have the same scale."""
     return max(abs(p.initial - p.null) for p in get_effect(effect).parameters if p.fit and p.unit == unit)
 
 
-def _chosen(usable: Sequence[str], settings: DiscoverySettings, known: Sequence[str]) -> tuple[str, ...]:
-    """Names of the effects to search. known: names that apply to the base model. Raises ConfigurationError if requested
-    effects do not apply, or if no effect remains."""
+def _choose_effects(usable: Sequence[str], settings: DiscoverySettings, known: Sequence[str]) -> tuple[str, ...]:
+    """Names of the effects to search. known: names that apply to the base model. Raises ConfigurationError if a
+    requested effect does not apply, or if no effect remains."""
     requested = settings.effects
     for name in requested or ():
         get_effect(name)
@@ -123,8 +122,8 @@ def _chosen(usable: Sequence[str], settings: DiscoverySettings, known: Sequence[
 class FileQuantity:
     """A quantity of the vehicle file that a parameter of an effect changes. value, deviation [SI]: value and standard
     deviation in the file. slope: change of the quantity per unit of the parameter. stated: whether the file states the
-    deviation; otherwise it is the default for the quantity. absent [SI]: value of the quantity in a model without the
-    effect; 0 if the equations of the base model do not contain it."""
+    deviation; otherwise it is the default for the quantity. without_effect [SI]: value in a model without the effect; 0
+    if the equations of the base model do not contain the quantity."""
 
     key: str
     unit: str
@@ -132,11 +131,11 @@ class FileQuantity:
     deviation: float
     slope: float
     stated: bool
-    absent: float
+    without_effect: float
 
     def at(self, change: float) -> float:
         """The quantity [SI] at a parameter that differs by `change` from its null."""
-        return self.absent + self.slope * change
+        return self.without_effect + self.slope * change
 
     def z_score(self, change: float) -> float:
         """Distance of the quantity from the file's value, in standard deviations."""
@@ -151,21 +150,21 @@ def known_quantities(space: Space, vehicle: VehicleParameters) -> Quantities:
     return (*(_changed_quantity(space, vehicle, i) for i in range(len(space.free))), None)
 
 
-def prior_deviations(known: Quantities, scale: np.ndarray) -> np.ndarray:
+def prior_deviations(quantities: Quantities, scale: np.ndarray) -> np.ndarray:
     """(p,) prior standard deviation of each parameter about its null, in units of `scale`; inf without a prior."""
-    return np.array([np.inf if k is None or k.absent != k.value else k.deviation / abs(k.slope) / s
-                     for k, s in zip(known, scale, strict=True)])
+    return np.array([np.inf if q is None or q.without_effect != q.value else q.deviation / abs(q.slope) / s
+                     for q, s in zip(quantities, scale, strict=True)])
 
 
 def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQuantity | None:
-    """Quantity that parameter i changes: the declared one, else from finite differences of the `fold` of its effect."""
+    """Quantity that parameter i changes: the declared one, or from finite differences of the `fold` of its effect."""
     free = space.free[i]
     effect = get_effect(free.effect)
     parameter = next(p for p in effect.parameters if p.name == free.parameter)
     if parameter.quantity:
         # Equations that do not contain the quantity treat it as 0.
-        absent = value_of(vehicle, parameter.quantity) if space.model.base.name == "nonlinear" else 0.0
-        return _file_quantity(vehicle, parameter.quantity, 1.0, absent)
+        without_effect = value_of(vehicle, parameter.quantity) if space.model.base.name == "nonlinear" else 0.0
+        return _file_quantity(vehicle, parameter.quantity, 1.0, without_effect)
     if effect.fold is None or parameter.deviation < math.inf:
         return None
     null = {p.name: p.null for p in effect.parameters} | space.values(free.effect, space.null)
@@ -178,14 +177,14 @@ def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQ
             continue
         sensitivities = {key: (value_of(after, key) - value_of(before, key)) / change
                          for key in dict.fromkeys((*DEFAULT_UNCERTAINTIES, *vehicle.provenance))}
-        found = [_file_quantity(vehicle, key, slope, value_of(vehicle, key)) for key, slope in sensitivities.items()
-                 if abs(slope) > 1e-9]
-        return max(filter(None, found), key=lambda k: abs(k.slope) / k.deviation, default=None)
+        changed = [_file_quantity(vehicle, key, slope, value_of(vehicle, key)) for key, slope in sensitivities.items()
+                   if abs(slope) > 1e-9]
+        return max(filter(None, changed), key=lambda q: abs(q.slope) / q.deviation, default=None)
     return None
 
 
-def _file_quantity(vehicle: VehicleParameters, key: str, slope: float, absent: float) -> FileQuantity | None:
+def _file_quantity(vehicle: VehicleParameters, key: str, slope: float, without_effect: float) -> FileQuantity | None:
     """The `FileQuantity` of a key of the vehicle file; None without a standard deviation."""
     deviation, entry, known = vehicle.uncertainty(key), vehicle.provenance.get(key), find_quantity(key)
     return FileQuantity(key, known.si_unit if known else "1", value_of(vehicle, key), deviation, slope,
-                        bool(entry and entry.uncertainty), absent) if deviation else None
+                        bool(entry and entry.uncertainty), without_effect) if deviation else None

@@ -1,7 +1,7 @@
 """Search for effects that vary between parts of the drives, such as runs, sites or stretches of time.
 
 An effect that begins in the middle of a drive has no single value that reduces the errors everywhere, so the search
-cannot find it. Here each part of a partition has a separate value, from the quadratic approximation at the final fit.
+does not find it. Here each part of a partition has its own value, from the quadratic approximation at the final fit.
 """
 
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
-from .evidence import MIN_INFORMATION_SHARE, Evidence, error_reductions, inverse, shares
+from .evidence import MIN_INFORMATION_SHARE, Evidence, column_shares, error_reductions, inverse
 from .fit import Fit, Problem
 from .loss import Quadratic
 from .partitions import Partition
@@ -19,10 +19,10 @@ from .partitions import Partition
 
 @dataclass(frozen=True)
 class Varying:
-    """An effect with its own value in each part of a partition. gain [1]: additional reduction of the loss per residual
-    compared with one common value. p_value [1]: p-value of the gain, corrected for all effects and partitions.
-    parameter: the parameter with the most information. values: (value, standard deviation) of this parameter by part
-    [its unit]. steps: by part, (p,) step of all parameters [parameter scales]."""
+    """An effect with its own value in each part of a partition. varies_with: name of the partition. gain [1]: reduction
+    of the loss per residual compared with one common value. p_value [1]: p-value of the gain, corrected for all effects
+    and partitions. parameter: the parameter with the most information. values: (value, standard deviation) of this
+    parameter by part [its unit]. steps: by part, (p,) step of all parameters [parameter scales]."""
 
     name: str
     varies_with: str
@@ -34,20 +34,20 @@ class Varying:
 
 
 def find_varying_effects(problem: Problem, fit: Fit, partitions: Mapping[str, Partition]) -> list[Varying]:
-    """Every effect of the library with separate values in the parts of each partition, largest gain first. Partitions
-    with at least half as many parts as blocks are left out."""
-    q = problem.quadratic_of_all(fit.vector)
+    """Every effect of the library with its own value in each part of a partition, largest gain first. Partitions with
+    at least half as many parts as blocks are left out."""
+    q = problem.full_quadratic(fit.vector)
     usable = {name: partition for name, partition in partitions.items()
               if len(np.unique(partition[0])) < problem.blocks / 2}
     library = [n for n in problem.space.hypotheses if not get_effect(n).members]
-    found = [_by_part(problem, fit, q, effect, name, partition, len(library) * len(usable))
+    found = [_fit_by_part(problem, fit, q, effect, name, partition, len(library) * len(usable))
              for name, partition in usable.items() for effect in library]
     return sorted((v for v in found if v), key=lambda v: -v.gain)
 
 
-def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, partition: Partition,
-             tests: int) -> Varying | None:
-    """One effect with separate values in the parts of one partition; None with fewer than two informative parts. tests:
+def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, partition: Partition,
+                 tests: int) -> Varying | None:
+    """One effect with its own value in each part of one partition; None with fewer than two informative parts. tests:
     number of tests, for the Bonferroni correction."""
     space, (number, names) = problem.space, partition
     indices = space.indices(effect)
@@ -59,43 +59,44 @@ def _by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, p
     if len(others):
         projection[others] = -inverse(h[np.ix_(others, others)]) @ h[np.ix_(others, indices)]
     gradient, curvature = q.gradient @ projection, projection.T @ q.hessian @ projection
-    # (part, half the gradient (k,), curvature (k, k)) of the loss
-    every = [(k, gradient[number == k].sum(axis=0), curvature[number == k].sum(axis=0)) for k in np.unique(number)]
-    information = np.diag(sum(hk for *_, hk in every))
+    # (part, half the gradient of its loss (k,), curvature (k, k))
+    all_parts = [(k, gradient[number == k].sum(axis=0), curvature[number == k].sum(axis=0)) for k in np.unique(number)]
+    information = np.diag(sum(hk for *_, hk in all_parts))
     if information.min() <= 1e-9 * float(np.trace(h)) / len(h):
         return None
-    parts = [part for part in every if np.diag(part[2]).min() > MIN_INFORMATION_SHARE * information.min()]
+    parts = [part for part in all_parts if np.diag(part[2]).min() > MIN_INFORMATION_SHARE * information.min()]
     degrees_of_freedom, blocks = (len(parts) - 1) * len(indices), problem.blocks - len(parts)
     if len(parts) < 2 or blocks < 1:
         return None
     separate = sum(float(gk @ inverse(hk) @ gk) for _, gk, hk in parts)
     total = sum(gk for _, gk, _ in parts)
     gain = separate - float(total @ inverse(sum(hk for *_, hk in parts)) @ total)
-    residual = gradient.copy()  # at the separate values; the scores of its blocks give the design effect
+    remaining = gradient.copy()  # at the separate values; the scores of its blocks give the design effect
     for k, gk, hk in parts:
-        residual[number == k] -= curvature[number == k] @ (inverse(hk) @ gk)
+        remaining[number == k] -= curvature[number == k] @ (inverse(hk) @ gk)
     scores = np.zeros((problem.blocks, len(indices)))
-    np.add.at(scores, problem.block, residual)
+    np.add.at(scores, problem.block, remaining)
     scatter = float(np.trace(inverse(curvature.sum(axis=0)) @ scores.T @ scores))
-    design = max(2.0 * scatter / len(indices), 1.0) * problem.blocks / blocks
-    p_value = min(tests * float(stats.f.sf(2.0 * gain / design / degrees_of_freedom, degrees_of_freedom, blocks)), 1.0)
+    design_effect = max(2.0 * scatter / len(indices), 1.0) * problem.blocks / blocks
+    ratio = 2.0 * gain / design_effect / degrees_of_freedom
+    p_value = min(tests * float(stats.f.sf(ratio, degrees_of_freedom, blocks)), 1.0)
     best = int(np.argmax(information))
     index = indices[best]
     value, scale = float(fit.vector[index]), space.scale[index]
     values = {names[k]: (value + scale * float((inverse(hk) @ gk)[best]),
-                         scale * float(np.sqrt(0.5 * design * inverse(hk)[best, best]))) for k, gk, hk in parts}
+                         scale * float(np.sqrt(0.5 * design_effect * inverse(hk)[best, best]))) for k, gk, hk in parts}
     steps = {int(k): projection @ (inverse(hk) @ gk) for k, gk, hk in parts}
     return Varying(effect, name, gain / problem.residual_count, p_value, space.free[index].parameter, values, steps)
 
 
-def evidence_of(problem: Problem, fit: Fit, v: Varying, partitions: Mapping[str, Partition]) -> Evidence:
-    """Evidence for separate values in the parts, from linearised errors in the driving to which they were fitted."""
+def collect_varying_evidence(problem: Problem, fit: Fit, v: Varying, partitions: Mapping[str, Partition]) -> Evidence:
+    """Evidence for separate values in the parts, from linearised errors in the same driving (not held out)."""
     rows = problem.errors.at(fit.vector)
     corrected, sensitivities = rows.copy(), problem.all_sensitivities(fit.vector).values
     for k, step in v.steps.items():
         inside = partitions[v.varies_with][0] == k
         corrected[inside] -= np.tensordot(step, sensitivities[:, inside], 1)
     reduction = problem.position_error(rows) - problem.position_error(corrected)
-    overall, somewhere = error_reductions(reduction, partitions.get("condition"))
-    return Evidence(v.name, v.gain, v.p_value, shares=shares(problem, rows, corrected), position=overall,
-                    position_somewhere=somewhere, healthy_gain=problem.healthy_gain)
+    position, position_in_condition = error_reductions(reduction, partitions.get("condition"))
+    return Evidence(v.name, v.gain, v.p_value, shares=column_shares(problem, rows, corrected), position=position,
+                    position_in_condition=position_in_condition, healthy_gain=problem.healthy_gain)

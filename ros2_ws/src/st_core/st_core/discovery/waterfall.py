@@ -8,7 +8,7 @@ from scipy import stats
 from ..channels import CHANNEL_OF_COLUMN, UNITS
 from ..effects import EFFECT_KINDS, get_effect
 from ..regression import random_effects
-from .evidence import TWO_SIDED, Joint, agreement, deviation, inverse
+from .evidence import Z95, JointFit, compare_parts, inverse, standard_deviations
 from .fit import Fit, Problem
 from .partitions import Partition
 from .result import PARTS, BudgetLine, Change, ChannelError, FittedParameter, Step
@@ -41,76 +41,80 @@ class HorizonErrors:
             result["position_5s"] = np.sqrt(result["position"])
         return result
 
-    def position_without(self, fit: Fit, name: str) -> float:
-        """Increase of the mean position error after 5 s if an effect is removed and the others are unchanged [m]."""
+    def position_increase_without(self, fit: Fit, name: str) -> float:
+        """Increase of the mean position error after 5 s [m] if an effect is removed and the others are unchanged."""
         p = self.problem
         without, with_effect = (float(np.nanmean(p.position_error(p.errors.at(vector))))
                                 for vector in (p.vector_without(fit, name), fit.vector))
         return without - with_effect
 
-    def change(self, channel: str, before: np.ndarray, after: np.ndarray) -> Change:
+    def compare(self, channel: str, before: np.ndarray, after: np.ndarray) -> Change:
         """Error before and after, with a 95 % interval of the reduction by bootstrap of whole blocks."""
-        mean = (lambda v: v) if channel == "position_5s" else np.sqrt
+        is_square = channel != "position_5s"
         known = np.isfinite(before) & np.isfinite(after)
         if not known.any():
             return Change(float("nan"), float("nan"), (float("nan"), float("nan")), UNITS[channel])
         count = np.bincount(self.block[known], minlength=self.problem.blocks)
         sums = [np.bincount(self.block[known], v[known], self.problem.blocks) for v in (before, after)]
         number = np.maximum(self._weights @ count, 1)
-        reduction = mean(self._weights @ sums[0] / number) - mean(self._weights @ sums[1] / number)
-        low, high = np.quantile(reduction, (0.025, 0.975))
-        base, augmented = (float(mean(v[known].mean())) for v in (before, after))
-        return Change(base, augmented, (float(low), float(high)), UNITS[channel])
+        drawn = [self._weights @ s / number for s in sums]
+        means = [v[known].mean() for v in (before, after)]
+        if is_square:
+            drawn, means = [np.sqrt(v) for v in drawn], [np.sqrt(v) for v in means]
+        low, high = np.quantile(drawn[0] - drawn[1], (0.025, 0.975))
+        return Change(float(means[0]), float(means[1]), (float(low), float(high)), UNITS[channel])
 
-    def by_run(self, values: np.ndarray) -> dict[str, float]:
+    def mean_by_run(self, values: np.ndarray) -> dict[str, float]:
         """Mean of (n,) values by run; runs without a finite value are left out."""
         return {name: float(np.nanmean(values[self.run == k])) for k, name in enumerate(self.names)
                 if np.isfinite(values[self.run == k]).any()}
 
 
-def parameters(problem: Problem, fit: Fit, effect: str, partitions: Mapping[str, Partition],
-               near: Sequence[tuple[Sequence[str], np.ndarray]] = (),
-               joint: Joint | None = None, unexplained: float = 1.0) -> dict[str, FittedParameter]:
+def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Mapping[str, Partition],
+                        near: Sequence[tuple[Sequence[str], np.ndarray]] = (), joint_fit: JointFit | None = None,
+                        noise_ratio: float = 1.0) -> dict[str, FittedParameter]:
     """Values of an effect with 95 % intervals.
 
     The half-width is the largest of three estimates: (1) from blocks taken as independent; (2) from the scatter between
-    the parts of a partition, such as runs or sites; (3) from the `joint` fit with all other parameters free, multiplied
-    by `unexplained`, the ratio of residual to noise (Birge, Phys. Rev. 40, 1932), plus the model error in quadrature.
-    To allow for errors of the model equations, it extends to the values in `near`, sets that fit nearly as well.
+    the parts of a partition, such as runs or sites; (3) from `joint_fit`, with all other parameters free, multiplied by
+    `noise_ratio`, the ratio of residual to noise (Birge, Phys. Rev. 40, 1932), plus the model error in quadrature.
+    To allow for errors of the model equations, the interval is extended by the distance to the values in `near`, sets
+    of effects that fit nearly as well.
     """
     space, result = problem.space, {}
     indices = space.indices(effect)
     model_error = np.array([p.model_error for p in get_effect(effect).parameters if p.fit])
-    spread = deviation(problem, fit, effect)
+    deviations = standard_deviations(problem, fit, effect)
     if problem.prior is not None:  # the values of the healthy car are uncertain as well
-        spread = np.hypot(spread, np.sqrt(0.5 * np.diag(inverse(problem.prior))[indices]) * space.scale[indices])
+        healthy = np.sqrt(0.5 * np.diag(inverse(problem.prior))[indices]) * space.scale[indices]
+        deviations = np.hypot(deviations, healthy)
     quantile = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.indices), 2)))
-    half = quantile * spread
-    if joint is not None:
-        joint_spread, shift = joint.of(indices)
-        joint_half = np.hypot(quantile * joint_spread, shift) * space.scale[indices] * max(unexplained, 1.0)
-        half = np.maximum(half, np.hypot(joint_half, TWO_SIDED * model_error))
+    half = quantile * deviations
+    if joint_fit is not None:
+        joint_deviations, shift = joint_fit.of(indices)
+        joint_half = np.hypot(quantile * joint_deviations, shift) * space.scale[indices] * max(noise_ratio, 1.0)
+        half = np.maximum(half, np.hypot(joint_half, Z95 * model_error))
     for partition in (partition for name, partition in partitions.items() if name != "place"):
-        ratios = agreement(problem, fit, effect, *partition).ratios
+        ratios = compare_parts(problem, fit, effect, *partition).ratios
         if len(ratios) > 2:  # 95 % prediction interval for another part, relative to the value
-            values, deviations = np.array(list(ratios.values())).T
-            _, error, between, _ = random_effects(values, np.square(deviations))
-            ratio_half = TWO_SIDED * float(np.sqrt(between + error**2))
+            values, ratio_deviations = np.array(list(ratios.values())).T
+            _, error, between, _ = random_effects(values, np.square(ratio_deviations))
+            ratio_half = Z95 * float(np.sqrt(between + error**2))
             half = np.maximum(half, np.abs(fit.vector - space.null)[indices] * ratio_half)
     others = np.array([v[indices] for v in (fit.vector, *(vector for names, vector in near if effect in names))])
     others -= fit.vector[indices]
-    for i, r, below, above in zip(indices, half, others.min(axis=0), others.max(axis=0), strict=True):
-        f, value = space.free[i], float(fit.vector[i])
+    for i, half_width, below, above in zip(indices, half, others.min(axis=0), others.max(axis=0), strict=True):
+        free, value = space.free[i], float(fit.vector[i])
         # With a reference, the reported value is the change since the reference drives.
-        value = f.null + value - float(problem.start[i]) if problem.prior is not None else value
-        interval = value + float(below - r), value + float(above + r)
-        result[f.parameter] = FittedParameter(value, f.unit, interval, f.null)
+        value = free.null + value - float(problem.start[i]) if problem.prior is not None else value
+        interval = value + float(below - half_width), value + float(above + half_width)
+        result[free.parameter] = FittedParameter(value, free.unit, interval, free.null)
     return result
 
 
-def steps(problem: Problem, final: Fit, order: Sequence[str], errors: HorizonErrors,
-          partitions: Mapping[str, Partition]) -> tuple[list[Step], Fit]:
-    """(steps from the base model to the final model, one effect at a time, fit of the base model). `loss.scale` is
+def build_steps(problem: Problem, final: Fit, order: Sequence[str], errors: HorizonErrors,
+                partitions: Mapping[str, Partition]) -> tuple[list[Step], Fit]:
+    """(steps from the base model to the final model, each with one more effect; fit of the base model). `loss.scale` is
     re-estimated in each step and restored afterwards."""
     if not order:
         return [], final
@@ -119,7 +123,7 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], errors: HorizonErr
     fit = problem.fit((), problem.all_sensitivities(problem.start))
     problem.loss.rescale(fit.vector)
     fit = base = problem.refit(fit)
-    collected, before = [], errors.of(fit)
+    steps, before = [], errors.of(fit)
     for k, effect in enumerate(order):
         if k == len(order) - 1:
             fit = final
@@ -128,23 +132,24 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], errors: HorizonErr
             problem.loss.rescale(fit.vector)
             fit = problem.refit(fit, 1)
         after = errors.of(fit)
-        changes = {c: errors.change(c, before[c], after[c]) for c in after}
+        changes = {c: errors.compare(c, before[c], after[c]) for c in after}
         position = changes.pop("position_5s", None) or next(iter(changes.values()))
         key = "position_5s" if "position_5s" in after else next(iter(after))
-        old, new = errors.by_run(before[key]), errors.by_run(after[key])
-        collected.append(Step(effect, get_effect(effect).kind, parameters(problem, fit, effect, partitions),
-                              position, changes, {n: (old[n], new[n]) for n in new}))
+        old, new = errors.mean_by_run(before[key]), errors.mean_by_run(after[key])
+        steps.append(Step(effect, get_effect(effect).kind, estimate_parameters(problem, fit, effect, partitions),
+                          position, changes, {n: (old[n], new[n]) for n in new}))
         before = after
     problem.loss.scale = scale
-    return collected, base
+    return steps, base
 
 
-def channel_errors(errors: HorizonErrors, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[str, ChannelError]:
+def compare_channel_errors(errors: HorizonErrors, base: Fit, final: Fit,
+                           floor: Mapping[str, float]) -> dict[str, ChannelError]:
     """Errors of the fits `base` and `final`, by channel and for the position after 5 s."""
     before, after, result = errors.of(base), errors.of(final), {}
     for channel in after:
-        change = errors.change(channel, before[channel], after[channel])
-        old, new = errors.by_run(before[channel]), errors.by_run(after[channel])
+        change = errors.compare(channel, before[channel], after[channel])
+        old, new = errors.mean_by_run(before[channel]), errors.mean_by_run(after[channel])
         if channel != "position_5s":
             old, new = ({n: float(np.sqrt(v)) for n, v in values.items()} for values in (old, new))
         noise = floor.get(channel, 0.0)
@@ -159,27 +164,26 @@ def leave_one_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, f
     windows = problem.errors.windows
     if len(np.unique(windows.run)) < 2:
         return {}
-    steps, _ = problem.leave_out_of(fit, problem.run_of_block)
-    return {windows.names[k]: {n: problem.space.values(n, problem.moved(fit.vector, fit.indices, step))
-                               for n in fit.names} for k, step in steps.items()}
+    steps, _ = problem.leave_out_groups(fit, problem.run_of_block)
+    vectors = {k: problem.take_step(fit.vector, fit.indices, step) for k, step in steps.items()}
+    return {windows.names[k]: {n: problem.space.values(n, vector) for n in fit.names} for k, vector in vectors.items()}
 
 
-def budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit | None,
-           errors: HorizonErrors) -> list[BudgetLine]:
+def build_budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit | None,
+                 errors: HorizonErrors) -> list[BudgetLine]:
     """Contribution of each kind of cause, added last and added first, to the mean position error after 5 s and to the
-    loss at the residual scale of the final fit. corrected: fit with effective corrections.
-    varying: fit with an effect that varies between parts of the drives."""
+    loss at the residual scale of the final fit. corrected: fit with effective corrections. varying: fit with an effect
+    that varies between parts of the drives, or None."""
     def size(fit: Fit) -> tuple[float, float]:
         """(mean position error [m], loss per residual)."""
-        end = errors.of(fit)
-        values = end.get("position_5s", np.zeros(1))
-        return float(np.nanmean(values)), float(fit.held_out.sum()) / problem.residual_count
+        position = errors.of(fit).get("position_5s", np.zeros(1))
+        return float(np.nanmean(position)), float(fit.held_out.sum()) / problem.residual_count
 
     def line(part: str, last: tuple[float, float], first: tuple[float, float]) -> BudgetLine:
         return BudgetLine(part, last[0], first[0], last[0] / max(start[0], 1e-9), first[0] / max(start[0], 1e-9),
                           last[1] / max(start[1], 1e-9), first[1] / max(start[1], 1e-9))
 
-    def fitted(names: tuple[str, ...]) -> Fit:
+    def refit(names: tuple[str, ...]) -> Fit:
         """The best of three: the base, a fit started at the final values, and one started at the base values."""
         from_final = problem.refit(problem.fit(names, final.sensitivities, iterations=3))
         from_base = problem.refit(problem.fit(names, problem.all_sensitivities(base.vector), base.vector, names))
@@ -193,8 +197,8 @@ def budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varying: Fit
         if not effects:
             continue
         others = tuple(n for n in final.names if n not in effects)
-        without = size(fitted(others)) if others else start
-        alone = size(fitted(effects)) if others else end
+        without = size(refit(others)) if others else start
+        alone = size(refit(effects)) if others else end
         lines.append(line(part, tuple(np.subtract(without, end)), tuple(np.subtract(start, alone))))
     extended = (corrected if corrected is not final else None, varying)
     for part, fit in zip(PARTS[len(EFFECT_KINDS):], extended, strict=False):

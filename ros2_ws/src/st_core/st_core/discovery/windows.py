@@ -36,6 +36,7 @@ MARGIN_NS = 600_000_000  # ns at both ends of a run, for effects that delay or a
 MAX_GAP = 0.1  # s, longest gap that is interpolated, as PredictionSettings.maximum_gap
 MIN_SPEED = 1.5  # m/s; slower windows have hardly any lateral motion
 PAUSE_NS = 5_000_000_000  # ns between runs on the common clock
+YAW_RATE_SMOOTHING_NS = 50_000_000  # ns, moving average of the initial yaw rate
 RECORDING_CACHE_SIZE = 4  # number of corrected recordings, and of input tables computed from them
 LOOKUP_CACHE_SIZE = 8  # number of sets of instants with their neighbouring samples
 SCORED_SHARES = (0.1, 0.25, 0.5, 1.0)  # scored points, as fractions of the horizon
@@ -43,15 +44,15 @@ SCORED_SHARES = (0.1, 0.25, 0.5, 1.0)  # scored points, as fractions of the hori
 
 class Signals(LogSignals):
     """Signals of a drive. Forward acceleration is the central difference of the forward speed over 2 STEP. The
-    neighbouring samples of requested instants are cached, as a fit requests the same instants thousands of times."""
+    neighbouring samples of requested instants are cached, since a fit requests the same instants thousands of times."""
 
     def __init__(self, log: DriveLog, maximum_gap: float):
         self.log, self.maximum_gap = log, maximum_gap
         self._gap_ns = round(maximum_gap / NANOSECOND)
         seconds = (log.ins_time_ns - log.ins_time_ns[:1]) * NANOSECOND
-        low, high = np.maximum(seconds - STEP, 0.0), np.minimum(seconds + STEP, seconds[-1:])
-        ends = [np.interp(t, seconds, log.velocity_x) for t in (low, high)]
-        self.velocity_x_dot = (ends[1] - ends[0]) / np.maximum(high - low, STEP)
+        before, after = np.maximum(seconds - STEP, 0.0), np.minimum(seconds + STEP, seconds[-1:])
+        change = np.interp(after, seconds, log.velocity_x) - np.interp(before, seconds, log.velocity_x)
+        self.velocity_x_dot = change / np.maximum(after - before, STEP)
         self._lookups: OrderedDict[tuple, tuple] = OrderedDict()
 
     def for_log(self, log: DriveLog) -> "Signals":
@@ -65,11 +66,11 @@ class Signals(LogSignals):
 
     def _find_neighbours(self, times: np.ndarray, requested: np.ndarray) -> Neighbours:
         key = _memory_key(times), _memory_key(requested)
-        known = self._lookups.pop(key, None)
-        # The memory may have been reused for other values. Comparing them takes a hundredth of the time of a search.
-        if known is None or not (np.array_equal(known[0], times) and np.array_equal(known[1], requested)):
-            known = times.copy(), requested.copy(), super()._find_neighbours(times, requested)
-        return _remember(self._lookups, key, known, LOOKUP_CACHE_SIZE)[2]
+        cached = self._lookups.pop(key, None)
+        # The memory may have been reused for other values; comparing them is a hundred times faster than searching.
+        if cached is None or not (np.array_equal(cached[0], times) and np.array_equal(cached[1], requested)):
+            cached = times.copy(), requested.copy(), super()._find_neighbours(times, requested)
+        return _remember(self._lookups, key, cached, LOOKUP_CACHE_SIZE)[2]
 
 
 class Batch(LogBatch):
@@ -86,17 +87,17 @@ class Batch(LogBatch):
         return _remember(self._recordings, key, self._recordings.pop(key, None) or super().recording(model))
 
     def _table(self, block: Block, values: list[np.ndarray], model: Any, p: Any) -> np.ndarray:
-        # The values are cached as well, so that their ids, which are part of the key, are not reused.
+        # The values are cached as well: their ids are part of the key and must not be reused.
         key = (block.number, model.inputs, model.input_dependencies(p), *map(id, values))
-        known = self._tables.pop(key, None) or (values, super()._table(block, values, model, p))
-        return _remember(self._tables, key, known)[1]
+        cached = self._tables.pop(key, None) or (values, super()._table(block, values, model, p))
+        return _remember(self._tables, key, cached)[1]
 
     def _count_substeps(self, model: Model, vehicle: VehicleParameters) -> Any:
         return self._substeps
 
 
 def _memory_key(array: np.ndarray) -> tuple:
-    """Cache key, equal for two views of the same memory."""
+    """Cache key that is equal for two views of the same memory."""
     return array.ctypes.data, array.shape, array.strides
 
 
@@ -109,9 +110,9 @@ def _remember(cache: OrderedDict, key: tuple, value: Any, size: int = RECORDING_
 
 
 class Windows:
-    """The n windows of some runs. starts_ns: (n,) start on the common clock. run, block: (n,) number of the run and of
-    the block. seconds: (n,) time from the start of the run to the start of the window [s]. time: (k,) scored points
-    after the start of a window [s]. columns: (c,) names of the errors."""
+    """The n windows of the runs. starts_ns: (n,) starts on the common clock [ns]. run, block: (n,) numbers of the run
+    and of the block. seconds: (n,) time from the start of the run to the start of the window [s]. time: (k,) time of
+    the scored points after the start of a window [s]. columns: (c,) names of the errors."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self.vehicle, self.settings = vehicle, settings
@@ -128,17 +129,18 @@ class Windows:
         joined, offsets = _join(runs)
         self.joined = joined
         horizon = int(self._points[-1]) + 1
-        starts, run, seconds = _starts(runs, offsets, horizon * STEP, settings)
+        starts, run, seconds = _select_starts(runs, offsets, horizon * STEP, settings)
         around = np.unique(np.concatenate([self._points - 1, self._points, self._points + 1]))
         self._around = np.searchsorted(around, np.stack([self._points - 1, self._points, self._points + 1]))
-        initial = replace(joined, yaw_rate=moving_average(joined.ins_time_ns, joined.yaw_rate, 50_000_000))
+        yaw_rate = moving_average(joined.ins_time_ns, joined.yaw_rate, YAW_RATE_SMOOTHING_NS)
+        initial = replace(joined, yaw_rate=yaw_rate)
         initial = initial if with_sideslip else replace(initial, velocity_y=steady_velocity_y(initial, vehicle))
         signals = Signals(initial, MAX_GAP)
         self._batch = Batch(signals, starts, horizon * STEP, STEP, points=np.round(around * STEP, 6))
         times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
-        self._times, self._measured = times, self._readings(times)
+        self._times, self._measured = times, self._sample_channels(times)
         self.starts_ns, self.run, self.seconds = starts, run, seconds
-        blocks = np.stack([run, (seconds // settings.block).astype(int)], axis=1)  # stretches of a run
+        blocks = np.stack([run, (seconds // settings.block).astype(int)], axis=1)
         self.block = np.unique(blocks, axis=0, return_inverse=True)[1].ravel()
         self._length = horizon * STEP
 
@@ -154,34 +156,34 @@ class Windows:
         """Measured signals at times [ns] of the common clock."""
         return tuple(self._batch.signals.ins_at(times, *names))
 
-    def _readings(self, times: np.ndarray) -> dict[str, np.ndarray]:
+    def _sample_channels(self, times: np.ndarray) -> dict[str, np.ndarray]:
         """Measured signals at times [ns], smoothed for channels with `smoothed`."""
         log = self.joined
         signals = Signals(log, MAX_GAP)
-        names = {"x": False, "y": False, "yaw": False, "velocity_x": False} | {
+        smoothed = dict.fromkeys(("x", "y", "yaw", "velocity_x"), False) | {
             name: channel.smoothed for channel in self.channels for name in channel.signals}
-        result = {}
-        for name, smooth in names.items():
+        sampled = {}
+        for name, is_smoothed in smoothed.items():
             values = getattr(log, name)
             known = np.isfinite(values)
             time_ns, values = log.ins_time_ns[known], values[known]
-            if smooth:
+            if is_smoothed:
                 values = moving_average(time_ns, values, SMOOTHING_NS)
-            result[name] = signals.sample(time_ns, values, times)
-        return result
+            sampled[name] = signals.sample(time_ns, values, times)
+        return sampled
 
     @cached_property
     def known(self) -> np.ndarray:
-        """(n, m) whether the measurement of an error exists and no gap of the inputs precedes it; points and columns of
-        a window in one row."""
+        """(n, m) whether an error is measured and not preceded by a gap of the inputs; all points and columns of a
+        window in one row."""
         measured = [np.isfinite([self._measured[name] for name in channel.signals]).all(axis=0)
                     for channel in self.channels for _ in channel.columns]
-        return (np.stack(measured, axis=-1) & self._with_inputs[..., None]).reshape(len(self), -1)
+        return (np.stack(measured, axis=-1) & self._has_inputs[..., None]).reshape(len(self), -1)
 
     @cached_property
-    def _with_inputs(self) -> np.ndarray:
-        """(n, k) whether a point precedes the first gap of steering or INS, after which inputs are missing. As at the
-        ends of a run, a gap has a margin: MARGIN_NS before the start of a window, half of it after a point."""
+    def _has_inputs(self) -> np.ndarray:
+        """(n, k) whether no gap of steering or INS precedes a point, since inputs are missing after a gap. Margins are
+        the same as at the ends of a run: MARGIN_NS before the start of a window, half of it after a point."""
         last = np.full(len(self), np.iinfo(np.int64).max)
         for time_ns in (self.joined.steering_time_ns, self.joined.ins_time_ns):
             gaps = np.flatnonzero(np.diff(time_ns) > MAX_GAP / NANOSECOND)
@@ -191,8 +193,8 @@ class Windows:
 
     @cached_property
     def driving(self) -> dict[str, np.ndarray]:
-        """Driving in each window, (n,) by name: x, y of the start [m], mean speed [m/s], mean magnitude of the lateral
-        acceleration [m/s^2]."""
+        """Conditions of each window, (n,) by name: x, y of the start [m], mean speed [m/s], mean magnitude of the
+        lateral acceleration [m/s^2]."""
         grid = self.starts_ns[:, None] + np.round(np.linspace(0.0, self._length, 12) / NANOSECOND).astype(np.int64)
         x, y, rate, speed = self._batch.signals.ins_at(grid, "x", "y", "yaw_rate", "velocity_x")
         with np.errstate(all="ignore"):
@@ -201,7 +203,7 @@ class Windows:
 
     def errors(self, model: AugmentedModel, gain: float = 0.0) -> np.ndarray:
         """(n, k, c) errors of a model, measured minus predicted [SI], by `time` and `columns`; NaN where unknown. gain
-        [1]: relative excess of the measured lateral specific force over its true value, e.g. due to body roll."""
+        [1]: see `Discovery.acceleration_gain`."""
         readings = self._predicted_readings(model, gain)
         with np.errstate(all="ignore"):  # predictions may diverge
             parts = [part for channel in self.channels for part in channel.residuals(self._measured, readings)]
@@ -213,19 +215,19 @@ class Windows:
         states = self._batch.predict(model, self.vehicle).states
         with np.errstate(all="ignore"):
             readings = predict_faultless_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
-            before, true, after = (Measured(*(value[:, i] for value in readings)) for i in self._around)
-            centripetal = [e.velocity_x * e.yaw_rate for e in (before, true, after)]
+            before, at_point, after = (Measured(*(value[:, i] for value in readings)) for i in self._around)
+            centripetal = [e.velocity_x * e.yaw_rate for e in (before, at_point, after)]
+            # Means over 2 STEP by Simpson's rule.
             a_y = (after.velocity_y - before.velocity_y) / (2 * STEP) + (
                 centripetal[0] + 4.0 * centripetal[1] + centripetal[2]) / 6.0
-            rate = (before.yaw_rate + 4.0 * true.yaw_rate + after.yaw_rate) / 6.0
-            specific_force = self._specific_force(model, states[:, self._around[1]])
-            true = true._replace(yaw_rate=rate, acceleration_x=0.0 * a_y,
-                                 acceleration_y=(1.0 + gain) * (a_y + specific_force),
-                                 yaw_acceleration=(after.yaw_rate - before.yaw_rate) / (2 * STEP))
-            return model.observe(true)
+            yaw_rate = (before.yaw_rate + 4.0 * at_point.yaw_rate + after.yaw_rate) / 6.0
+            excess = self._specific_force_excess(model, states[:, self._around[1]])
+            return model.observe(at_point._replace(
+                yaw_rate=yaw_rate, acceleration_x=0.0 * a_y, acceleration_y=(1.0 + gain) * (a_y + excess),
+                yaw_acceleration=(after.yaw_rate - before.yaw_rate) / (2 * STEP)))
 
-    def _specific_force(self, model: AugmentedModel, states: np.ndarray) -> np.ndarray | float:
-        """Lateral specific force minus lateral acceleration at the scored points [m/s^2]."""
+    def _specific_force_excess(self, model: AugmentedModel, states: np.ndarray) -> np.ndarray | float:
+        """`specific_force_excess` at the scored points [m/s^2]."""
         if not any(e.specific_force for e in model.active):
             return 0.0
         recording = self._batch.recording(model)
@@ -233,26 +235,27 @@ class Windows:
             signals = recording.signals
             acceleration, = signals.ins_at(self._times, "velocity_x_dot")
             recording.sampled["points"] = signals.road_wheel_angle_at(self._times), acceleration
-        return added_acceleration(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)),
-                                  *recording.sampled["points"])
+        return specific_force_excess(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)),
+                                     *recording.sampled["points"])
 
 
-def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,
-                       acceleration: np.ndarray) -> np.ndarray | float:
-    """Lateral specific force minus lateral acceleration at the CG [m/s^2]. states: six arrays shaped like `angle`."""
+def specific_force_excess(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,
+                          acceleration: np.ndarray) -> np.ndarray | float:
+    """Lateral specific force minus lateral acceleration at the CG [m/s^2]. states: six arrays with the shape of the
+    road-wheel angle [rad] and the forward acceleration [m/s^2]."""
     # Only effects that act on the accelerometer, change the inputs or change the base model.
     model = model.select_effects(e for e in model.effects
                                  if e.converts or (e in model.active and (e.specific_force or e.inputs)))
-    added = compose(model.base, model.effects).specific_force
-    if added is None:
+    excess = compose(model.base, model.effects).specific_force
+    if excess is None:
         return 0.0
     p = model.parameters(vehicle)
     extra = [np.zeros(np.shape(angle))] * len(model.extra_states)
-    return added((*states, *extra), model.inputs(angle, acceleration, p), p)[1]
+    return excess((*states, *extra), model.inputs(angle, acceleration, p), p)[1]
 
 
 def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
-    """(all runs on the common clock, PAUSE_NS apart; offset of each run [ns])."""
+    """(all runs as one log on the common clock, PAUSE_NS apart; offset of each run [ns])."""
     names = dict.fromkeys((*INS_SIGNALS, *(name for channel in CHANNELS.values() for name in channel.signals)))
     offsets, start = [], 0
     for run in runs:
@@ -266,14 +269,14 @@ def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
     return DriveLog(name="all runs", **columns), offsets
 
 
-def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,
-            settings: DiscoverySettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(start [ns], run, seconds since the start of the run) of all windows that start and end faster than MIN_SPEED."""
+def _select_starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,
+                   settings: DiscoverySettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(start [ns], run, seconds since the start of the run) of all windows with speeds above MIN_SPEED at both ends."""
     length = round(horizon / NANOSECOND)
     usable = sum(max(run.overlap - horizon, 0.0) for run in runs)
     interval = max(settings.interval, usable / settings.windows)
     spacing = round(round(interval / (STEP / 2)) * (STEP / 2) / NANOSECOND)
-    starts, number, seconds = [], [], []
+    starts, numbers, seconds = [], [], []
     for i, (run, offset) in enumerate(zip(runs, offsets, strict=True)):
         if not run.overlap:
             continue
@@ -283,16 +286,16 @@ def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,
         first, last = (np.interp(t - begin, run.ins_time_ns - begin, run.velocity_x) for t in (times, times + length))
         times = times[(first > MIN_SPEED) & (last > MIN_SPEED)]
         starts.append(times + offset)
-        number.append(np.full(len(times), i))
+        numbers.append(np.full(len(times), i))
         seconds.append((times - begin) * NANOSECOND)
     if not starts:
         raise StCoreError("no run in which both INS and steering were measured")
-    return np.concatenate(starts), np.concatenate(number), np.concatenate(seconds)
+    return np.concatenate(starts), np.concatenate(numbers), np.concatenate(seconds)
 
 
 def noise_floor(windows: Windows) -> dict[str, float]:
     """Standard deviation of the noise of each column at the end of the horizon [SI]; see `Channel.noise_errors`."""
     grid = windows.starts_ns[:, None] + np.round(np.linspace(0.0, windows.time[-1], 101) * 1e9).astype(np.int64)
-    path = float(windows.time[-1]) / 100.0, *windows.measured_at(grid, *INS_SIGNALS)
-    return {column: value for channel in windows.channels
-            for column, value in zip(channel.columns, channel.noise_errors(windows.joined, *path), strict=True)}
+    step, signals = float(windows.time[-1]) / 100.0, windows.measured_at(grid, *INS_SIGNALS)
+    return {column: value for c in windows.channels
+            for column, value in zip(c.columns, c.noise_errors(windows.joined, step, *signals), strict=True)}

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..discovery.partitions import sites
+from ..discovery.partitions import find_sites
 from ..discovery.windows import Windows
 from ..effects import _relation
 from ..timeseries import NANOSECOND, moving_average
@@ -164,7 +164,7 @@ def find_candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candid
     """Candidates that these drives excite: quantities with a range above MIN_RANGES, sensor terms of measured channels,
     and positions only at a single site, because the maps of several sites may have different origins."""
     values, found = compute_quantities(windows, vehicle), []
-    one_site = int(sites(windows).max()) == 0
+    one_site = int(find_sites(windows).max()) == 0
     forms = [(term, quantity, parity, "") for term, quantities in ADMISSIBLE.items() for quantity, parity in quantities]
     forms += [(term, quantity, NEITHER, factor) for term, quantity, factor in PAIRS]
     for term, quantity, parity, factor in forms:

@@ -241,7 +241,7 @@ def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, 
         step = np.linalg.solve(add_ridge(basis.T @ h @ basis), basis.T @ (g - h @ fixed))
         vector = fit.vector.copy()
         vector[fit.indices] += (fixed + basis @ step) * scale
-        return loss.space.inside(vector), float(step[-1]) if with_offset else 0.0
+        return loss.space.clip_to_bounds(vector), float(step[-1]) if with_offset else 0.0
 
     _, offset = refit(shape.parameters, np.ones(fits.blocks, bool))
     value, curve = shape.function(at, shape.parameters) + offset, fit.coefficients @ splines
@@ -251,7 +251,7 @@ def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, 
     for k, parameters in shape.by_fold.items():
         in_fold = fits.fold == k
         vector, _ = refit(parameters, ~in_fold)
-        held_out[in_fold] = np.bincount(fits.block, loss.by_window(vector), fits.blocks)[in_fold]
+        held_out[in_fold] = np.bincount(fits.block, loss.window_losses(vector), fits.blocks)[in_fold]
         windows = in_fold[fits.block]
         position[windows] = fits.problem.position_error(loss.errors.at(vector))[windows]
     before = fits.problem.position_error(without.rows)

@@ -22,7 +22,7 @@ from .candidates import Candidate, compute_run_time
 RELATION = RelationEffect.name  # the three relation effects have the same indices in the vector
 SMOOTHING = (0.003, 0.03, 0.3)  # penalties on second differences, relative to the mean curvature of the coefficients
 SIZE_PENALTY = 0.1  # penalty on coefficients, relative to that on second differences; shrinks uninformed ones to 0
-ITERATIONS, STEP_SHARES, MIN_LOSS_FALL = 8, (1.0, 0.5, 0.2), 2e-4  # as in discovery.fit
+ITERATIONS, STEP_SHARES, MIN_LOSS_REDUCTION = 8, (1.0, 0.5, 0.2), 2e-4  # as in discovery.fit
 BASE_FITS = 2  # fits of the discovered model without a relation
 RIDGE = 1e-6  # added to the diagonal of a curvature before inversion
 _SECOND_DIFFERENCE = np.diff(np.eye(SPLINES), 2, axis=0)
@@ -118,7 +118,7 @@ class RelationFits:
 
     def sum_quadratic(self, loss: Loss, rows: np.ndarray, sensitivities: np.ndarray) -> Quadratic:
         """Quadratic approximation of the loss, summed by block."""
-        return loss.quadratic(rows, sensitivities).summed(self.block, self.blocks)
+        return loss.quadratic(rows, sensitivities).sum_groups(self.block, self.blocks)
 
     def make_penalty(self, candidate: Candidate | None, hessian: np.ndarray, smooth: float) -> np.ndarray:
         """(a, a) penalty on all free parameters, the coefficients last. hessian: (a, a)."""
@@ -204,15 +204,15 @@ class RelationFits:
             for share in STEP_SHARES:
                 trial = vector.copy()
                 trial[indices] += share * step * scale[indices]
-                trial = loss.space.inside(trial)
+                trial = loss.space.clip_to_bounds(trial)
                 distance = ((trial - self.start) / scale)[indices]
                 gained = cost - (loss.total(trial) + distance @ penalty @ distance)
                 if gained > 0.0:
                     reduction = loss.errors.at(vector) - loss.errors.at(trial)
-                    sensitivities = Sensitivities(vector, indices, sensitivities).moved(trial, scale, reduction).values
+                    sensitivities = Sensitivities(vector, indices, sensitivities).update(trial, scale, reduction).values
                     vector = trial
                     break
-            if gained < MIN_LOSS_FALL * loss.residual_count:
+            if gained < MIN_LOSS_REDUCTION * loss.residual_count:
                 break
         rows = loss.errors.at(vector)
         q = self.sum_quadratic(loss, rows, sensitivities)

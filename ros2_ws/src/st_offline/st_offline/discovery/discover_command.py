@@ -9,10 +9,11 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import Progress
+from st_core.augmented import AugmentedModel
 from st_core.checks import pool_estimates
 from st_core.discovery import Discovery, discover
 from st_core.discovery.clocks import apply_clock_corrections
-from st_core.discovery.error_regions import window_errors
+from st_core.discovery.error_regions import Samples, window_errors
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError
 from st_core.log import DriveLog
@@ -26,51 +27,51 @@ from st_recordings.runs.errors import join_problems
 
 from ..evaluation.drawing import FigureOutput, PageFigure, check_formats
 from ..terminal import make_progress_bars
-from .discovery_report import build_model_file, document, print_result, write_page
+from .discovery_report import build_document, build_model_file, print_result, write_page
 from .drives import Drive, Request, cache_folder, clock_deviations, read_drives, read_result, result_key, write_result
 from .figures import Scene, draw_agreement, draw_axle_curves, draw_maps, draw_relation, draw_waterfall
-from .relation_files import relation_document, write_files
-from .relation_report import RelationReport, relation_report
+from .relation_files import build_relation_document, write_files
+from .relation_report import RelationReport, report_relation
 from .vehicle_update import VehicleUpdate, update_vehicle
 
 
 def run_command(request: Request, console: Console) -> int:
-    """Run the command; returns the exit status: 1 if a run could not be used, else 0. Raises ConfigurationError,
-    StCoreError."""
+    """Run the command. Returns the exit status: 1 if a run could not be used, else 0. Raises ConfigurationError for
+    wrong options and unusable recordings, StCoreError if a search is not possible."""
     check_formats(request.formats)
-    own: dict[str, str] = {}  # sha256 of each file of user-defined effects
+    own_effects: dict[str, str] = {}  # sha256 of each file of user-defined effects
     if request.effects is not None:
         load_folder(str(request.effects.absolute()))
-        own = {f.name: hashlib.sha256(f.read_bytes()).hexdigest() for f in sorted(request.effects.glob("*.py"))}
+        own_effects = {f.name: hashlib.sha256(f.read_bytes()).hexdigest() for f in sorted(request.effects.glob("*.py"))}
     base = load_base_model(request.base, request.vehicle, request.vehicle_file)
     folder = new_folder(request.output, "discover")
-    marks = [time.perf_counter()]
+    times = [time.perf_counter()]
     with make_progress_bars(console) as progress:
         drives, reference = _read_runs(request, progress)
-        request = replace(request, drives=drives, reference_drives=reference, own_effects=own)
-        marks.append(time.perf_counter())
+        request = replace(request, drives=drives, reference_drives=reference, own_effects=own_effects)
+        times.append(time.perf_counter())
         found, from_cache = _find_result(request, base, progress)
         request = replace(request, drives=[
             replace(d, log=apply_clock_corrections([d.log], found.clock_errors)[0]) if d.log else d for d in drives])
-        marks.append(time.perf_counter())
+        times.append(time.perf_counter())
         relations = None
         if needs_search(found) if request.propose is None else request.propose:
             bar = progress.add_task("searching for a relation beyond the library", total=None)
-            reported = {(one["name"], channel) for d in drives if d.log is not None for one in d.about["findings"]
-                        if one["severity"] != "note" for channel in one["channels"]}
+            reported = {(f["name"], channel) for d in drives if d.log is not None for f in d.about["findings"]
+                        if f["severity"] != "note" for channel in f["channels"]}
             relations = find_relation(found, _logs(request.drives), request.vehicle, request.settings, request.jobs,
                                       lambda: progress.advance(bar), reported)
-    marks.append(time.perf_counter())
-    seconds = {"read": marks[1] - marks[0], "discover": marks[2] - marks[1]}
+    times.append(time.perf_counter())
+    seconds = {"read": times[1] - times[0], "discover": times[2] - times[1]}
     if relations:
-        seconds["propose"] = marks[3] - marks[2]
+        seconds["propose"] = times[3] - times[2]
     with console.status("drawing, writing the report"):
         output = FigureOutput(folder / "figures", request.formats)
         drawn = draw(found, request, output) if request.report else None
         if drawn is not None and relations and relations.relation:
             drawn.insert(0, draw_relation(relations.relation, output))
         update = update_vehicle(found, request)
-        report = relation_report(relations, found, request.vehicle, str(folder)) if relations else None
+        report = report_relation(relations, found, request.vehicle, str(folder)) if relations else None
         files = write_results(found, request, update, folder, drawn, seconds, relations, report)
     recordings = (*drives, *reference)
     print_result(found, update, recordings, files, from_cache, console, report)
@@ -78,7 +79,8 @@ def run_command(request: Request, console: Console) -> int:
 
 
 def load_base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) -> Model:
-    """The base model with this name or from this model file. Raises ConfigurationError."""
+    """The base model with this name or from this model file. Raises ConfigurationError for an unknown model, an
+    unreadable file, or a file for another vehicle."""
     if not name.endswith((".yaml", ".yml")):
         if name not in MODELS:
             raise ConfigurationError(f"--base {name}: unknown model; use {', '.join(MODELS)} or a model file (.yaml)")
@@ -97,7 +99,8 @@ def load_base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) ->
 
 
 def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive]]:
-    """(suspect, reference) drives. Raises ConfigurationError if no suspect, or no given reference, can be used."""
+    """(suspect, reference) drives. Raises ConfigurationError if no suspect drive can be used, or none of the reference
+    drives that were given."""
     sources = find_runs(request.runs)
     reference_sources = find_runs(request.reference) if request.reference else []
     if not sources:
@@ -139,17 +142,18 @@ def _find_result(request: Request, base: Model, progress: Progress) -> tuple[Dis
     """(result, whether it was read from the cache)."""
     bar = progress.add_task("", total=None)
 
-    def stage(name: str, done: int, total: int) -> None:
-        progress.update(bar, description=escape(name), completed=done, total=total)
+    def report_progress(stage: str, done: int, total: int) -> None:
+        progress.update(bar, description=escape(stage), completed=done, total=total)
 
     logs, reference, sensors = _logs(request.drives), _logs(request.reference_drives), sensor_estimates(request.drives)
     clocks = clock_deviations((*request.drives, *request.reference_drives))
-    name = result_key(logs, reference, request.vehicle, base, request.settings, request.own_effects, sensors, clocks)
+    key = result_key(logs, reference, request.vehicle, base, request.settings, request.own_effects, sensors, clocks)
     folder = cache_folder() if request.cached else None
-    file = folder / f"{name}.json" if folder else None
+    file = folder / f"{key}.json" if folder else None
     if file and (cached := read_result(file)) is not None:
         return cached, True
-    found = discover(logs, request.vehicle, base, reference, request.settings, stage, sensors, request.jobs, clocks)
+    found = discover(logs, request.vehicle, base, reference, request.settings, report_progress, sensors, request.jobs,
+                     clocks)
     if file:
         write_result(file, found)
     return found, False
@@ -167,10 +171,10 @@ def draw(found: Discovery, request: Request, output: FigureOutput) -> list[PageF
     # found.errors contains only the channels that all runs have.
     settings = replace(request.settings, channels=tuple(c for c in found.errors if c in request.settings.channels))
 
-    def errors(model):
+    def errors_of(model: AugmentedModel) -> Samples:
         return window_errors(runs, model, request.vehicle, settings, found.acceleration_gain)
 
-    scene = Scene(found, runs, errors(found.base), errors(found.model) if found.model else None, output)
+    scene = Scene(found, runs, errors_of(found.base), errors_of(found.model) if found.model else None, output)
     functions = (draw_waterfall, draw_axle_curves, draw_maps, draw_agreement)
     return [figure for function in functions if (figure := function(scene))]
 
@@ -186,9 +190,9 @@ def write_results(found: Discovery, request: Request, update: VehicleUpdate | No
             if text:
                 files[name] = folder / name
                 files[name].write_text(text, encoding="utf-8")
-    content = document(found, request, update, seconds)
+    content = build_document(found, request, update, seconds)
     if relations:
-        content |= {"relation": json_ready(relation_document(relations))}
+        content |= {"relation": json_ready(build_relation_document(relations))}
         about = content["provenance"]
         digests = {f"{name}: {Path(file).name}": digest for name, run in about["runs"].items()
                    for file, digest in run["files"].items()}

@@ -29,7 +29,7 @@ from .vehicle_update import VehicleUpdate
 
 SCHEMA = 3
 FIRST_VERDICTS = ("alternative", "varies")  # these effects come first in the table of other effects
-MAX_ROWS = 8  # of a table; discovery.json contains all
+MAX_ROWS = 8  # maximum number of rows of a table; discovery.json contains all
 FILE_MEANINGS = {
     "report.html": "one page, with all figures", "discovery.json": "all numbers; keys in docs/manual/discovery.md",
     "vehicle.yaml": "the corrected vehicle file, for --vehicle of every command",
@@ -39,21 +39,21 @@ FILE_MEANINGS = {
 MAX_ADVICE = 3  # sentences on the terminal; the page contains all
 
 
-def document(found: Discovery, request: Request, update: VehicleUpdate | None,
-             seconds: Mapping[str, float]) -> dict[str, Any]:
-    """The content of discovery.json."""
-    changes = {} if update is None else {
-        key: dict(zip(("before", "after", "interval"), (before, after, (low, high)), strict=True))
-        for key, (before, after, low, high) in update.changes.items()}
+def build_document(found: Discovery, request: Request, update: VehicleUpdate | None,
+                   seconds: Mapping[str, float]) -> dict[str, Any]:
+    """The content of discovery.json. seconds: duration of each stage."""
+    changes = {} if update is None else {key: {"before": before, "after": after, "interval": (low, high)}
+                                         for key, (before, after, low, high) in update.changes.items()}
     files = {"vehicle.yaml": {"folded": update.folded if update else (), "kept": update.not_folded if update else {},
                               "changes": changes, "error": update.error if update else (),
                               "objections": update.objections if update else ()}}
     return {"schema": SCHEMA, **json_ready(found.document()), "files": json_ready(files),
-            "provenance": json_ready(provenance(found, request, seconds))}
+            "provenance": json_ready(collect_provenance(found, request, seconds))}
 
 
-def provenance(found: Discovery, request: Request, seconds: Mapping[str, float]) -> dict[str, Any]:
+def collect_provenance(found: Discovery, request: Request, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Inputs, settings and versions needed to repeat the discovery."""
+    all_drives = (*request.drives, *request.reference_drives)
     return {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "vehicle": {"name": request.vehicle.name, "file": request.vehicle_file, "hash": request.vehicle.hash},
@@ -63,9 +63,8 @@ def provenance(found: Discovery, request: Request, seconds: Mapping[str, float])
         "settings": plain_data(request.settings),
         "runs": {d.name: d.about for d in request.drives if d.log is not None},
         "reference": {d.name: d.about for d in request.reference_drives if d.log is not None},
-        "refused": {d.name: d.about["findings"] for d in (*request.drives, *request.reference_drives)
-                    if d.problem and d.about},
-        "not_used": {d.name: d.problem for d in (*request.drives, *request.reference_drives) if d.problem},
+        "refused": {d.name: d.about["findings"] for d in all_drives if d.problem and d.about},
+        "not_used": {d.name: d.problem for d in all_drives if d.problem},
         "effects_of_the_user": dict(request.own_effects),
         "versions": collect_versions(),
         "seconds": dict(seconds),
@@ -76,12 +75,12 @@ def build_model_file(found: Discovery, request: Request, update: VehicleUpdate) 
     """Model file with the effects of `update.model` that are not at their neutral values; None without any. Intervals
     of changes from the reference drives are shifted to the total values."""
     intervals: dict[tuple[str, str], Interval] = {}
-    for one in found.effects:
-        for name, p in one.parameters.items():
+    for named_effect in found.effects:
+        for name, p in named_effect.parameters.items():
             assert found.named is not None  # because there are named effects
-            total = found.named.values[one.name][name]
-            low, high = (total + edge - p.value for edge in p.interval)
-            intervals[one.name, name] = (min(low, total), max(high, total))
+            total = found.named.values[named_effect.name][name]
+            low, high = (total + end - p.value for end in p.interval)
+            intervals[named_effect.name, name] = (min(low, total), max(high, total))
     files = {f"{d.name}: {Path(name).name}": digest for d in (*request.drives, *request.reference_drives)
              if d.log is not None for name, digest in d.about["files"].items()}
     companion = f", for the vehicle.yaml that contains {', '.join(update.folded)}" if update.folded else ""
@@ -119,11 +118,11 @@ def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, conte
     about, plain = content["provenance"], quantities.to_words
     refused = {name: {"findings": findings} for name, findings in about["refused"].items()}
     recordings = {**refused, **about["runs"], **about["reference"]}
+    findings = {name: findings_from_json(run) for name, run in recordings.items()}
     text = load_template("discovery/discovery.html.jinja", plain=plain, channel=quantities.channel_label).render(
-        title=report_text.title(found), found=found, content=content, figures=figures, relation=relation,
-        report=report_text,
-        summary=report_text.summary(found, update, {name: findings_from_json(run) for name, run in recordings.items()}),
-        details=report_text.details(found, update), recordings=recordings, **_tables(found, content))
+        title=report_text.format_title(found), found=found, content=content, figures=figures, relation=relation,
+        report=report_text, summary=report_text.summarise(found, update, findings),
+        details=report_text.list_details(found, update), recordings=recordings, **_tables(found, content))
     file.write_text(text, encoding="utf-8")
 
 
@@ -131,17 +130,17 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
     """Tables of the page by layout (narrow, wide), largest entries first."""
     metres = quantities.format_metres
     channels = []
-    for name, g in sorted(found.errors.items(), key=lambda item: item[1].augmented / max(item[1].base, 1e-12)):
-        up, unit = quantities.display_unit(g.unit)
-        base, after, floor, worst, low, high = (f"{up * x:.3g}" for x in (
-            g.base, g.augmented, g.floor, g.worst, *g.interval))
-        channels.append((f"{quantities.channel_label(name)}, {unit}", base, after, f"{low} to {high}", floor,
-                         f"{g.worst_run} {worst}" if g.worst_run else "", ", ".join(g.worse_runs)))
-    changes = [_change_row(key, one) for key, one in content["files"]["vehicle.yaml"]["changes"].items()]
-    parts = [(one.part, f"{metres(one.last)}, {one.share_last:.0%}", f"{metres(one.first)}, {one.share_first:.0%}",
-              f"{one.loss_last:.0%}", f"{one.loss_first:.0%}") for one in sorted(found.budget, key=lambda b: -b.last)]
-    where = [(quantities.channel_label(w.channel), *report_text.describe_condition(w))
-             for w in sorted(found.where, key=lambda w: -w.interval[0])[:MAX_ROWS]]
+    for name, error in sorted(found.errors.items(), key=lambda item: item[1].augmented / max(item[1].base, 1e-12)):
+        factor, unit = quantities.display_unit(error.unit)
+        before, after, floor, worst, low, high = (f"{factor * x:.3g}" for x in (
+            error.base, error.augmented, error.floor, error.worst, *error.interval))
+        channels.append((f"{quantities.channel_label(name)}, {unit}", before, after, f"{low} to {high}", floor,
+                         f"{error.worst_run} {worst}" if error.worst_run else "", ", ".join(error.worse_runs)))
+    changes = [_change_row(key, change) for key, change in content["files"]["vehicle.yaml"]["changes"].items()]
+    parts = [(b.part, f"{metres(b.last)}, {b.share_last:.0%}", f"{metres(b.first)}, {b.share_first:.0%}",
+              f"{b.loss_last:.0%}", f"{b.loss_first:.0%}") for b in sorted(found.budget, key=lambda b: -b.last)]
+    regions = [(quantities.channel_label(r.channel), *report_text.describe_condition(r))
+               for r in sorted(found.where, key=lambda r: -r.interval[0])[:MAX_ROWS]]
     combinations = [(f"{c.name}, {c.unit}".replace("^2", "²"), f"{c.value:.4g}",
                      f"{c.interval[0]:.4g} to {c.interval[1]:.4g}", f"{c.file:.4g}")
                     for c in sorted(found.combinations, key=lambda c: -abs(c.value - c.file)
@@ -159,21 +158,22 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
               "fit minimises. The unexplained part includes the noise.",
               ("part", "last", "first", "loss, last", "loss, first"), parts),
         Table("Where the base model has the largest errors", "", ("error of", "where", f"times {expected} (95 %)"),
-              where),
+              regions),
         Table("Identifiable combinations", "Predictions depend on these combinations. The interval of a single effect "
               "differs, because it also depends on the uncertainties of the vehicle file. Cornering stiffness: secant "
               f"at a slip angle of {math.degrees(SMALL_SLIP):.1f}°. Stability factor K: road-wheel angle = wheelbase / "
               "radius (1 + K v²). Yaw gain: yaw rate per steering-wheel angle.",
               ("combination", "value", "95 % interval", "vehicle file"), combinations)]
-    return {"narrow": [one for one in narrow if one.rows], "wide": [one for one in _wide_tables(found) if one.rows]}
+    return {"narrow": [table for table in narrow if table.rows],
+            "wide": [table for table in _wide_tables(found) if table.rows]}
 
 
 def _change_row(key: str, change: Mapping[str, Any]) -> tuple[str, str, str, str]:
     """Row of a changed entry of the vehicle file [SI]."""
-    known = find_quantity(key)
-    unit = known.si_unit.removesuffix("1").replace("^2", "²") if known else ""
-    ends = (known.minimum, known.maximum) if known else ()
-    at_limit = any(math.isclose(change["after"], end, rel_tol=1e-4) for end in ends)
+    definition = find_quantity(key)
+    unit = definition.si_unit.removesuffix("1").replace("^2", "²") if definition else ""
+    limits = (definition.minimum, definition.maximum) if definition else ()
+    at_limit = any(math.isclose(change["after"], limit, rel_tol=1e-4) for limit in limits)
     return (f"{key}, {unit}" if unit else key, f"{change['before']:.5g}",
             f"{change['after']:.5g}{' (limit of the file)' if at_limit else ''}",
             f"{change['interval'][0]:.5g} to {change['interval'][1]:.5g}")
@@ -193,7 +193,7 @@ def _wide_tables(found: Discovery) -> list[Table]:
     return [
         Table("Effects that are not separable", "Separation: the part of the alternative that the effect cannot "
               "reproduce." + (f" After each possible next drive, for the pair that it separates least: {separations}."
-                              if separations else ""), report_text.PAIR_HEAD, report_text.pair_rows(found)),
+                              if separations else ""), report_text.PAIR_HEAD, report_text.list_pair_rows(found)),
         Table("Other effects that were tried", "Improvement: reduction of the errors over all channels by this effect, "
               "in addition to the result. An alternative is fitted in place of the named effect.",
               ("effect", "fitted", "improvement, %", "verdict", "why"), candidates,
@@ -205,23 +205,23 @@ def _wide_tables(found: Discovery) -> list[Table]:
 def print_result(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive], files: Mapping[str, Path],
                  from_cache: bool, console: Console, relation: RelationReport | None = None) -> None:
     """Print the result, the values of its effects, recommendations, and the files. recordings: all runs, including
-    those that could not be used."""
+    those that cannot be used."""
     def print_line(name: str, text: str) -> None:
         console.print(f"[bold]{name}[/bold]: {escape(text)}", highlight=False)
 
     for role, text in report_text.describe_drives(found):
         print_line(role, text)
-    console.print(f"[bold]{escape(report_text.title(found))}[/bold]", highlight=False)
+    console.print(f"[bold]{escape(report_text.format_title(found))}[/bold]", highlight=False)
     if relation is not None and relation.headline:
         console.print(f"[bold]{escape(relation.headline)}[/bold]", highlight=False)
     if found.effects:
         rows = [dict(zip(report_text.EFFECT_HEAD[:-1], map(escape, row[:-1]), strict=True)) for row in
-                report_text.effect_rows(found)]
+                report_text.list_effect_rows(found)]
         console.print(make_table(rows, padding=(0, 1)))
         console.print(f"[dim]{report_text.EFFECT_NOTE}.[/dim]", highlight=False)
     about = {drive.name: findings_from_json(drive.about) for drive in recordings}
     advice = report_text.recommend(found, update)[1:MAX_ADVICE]
-    for heading, text in (*report_text.summary(found, update, about), *(("to do", text) for text in advice),
+    for heading, text in (*report_text.summarise(found, update, about), *(("to do", text) for text in advice),
                           *(("warning", text) for text in found.warnings)):
         print_line(heading, text)
     for drive in recordings:

@@ -34,8 +34,8 @@ RESULT_FORMAT = 3  # version of the format of cached results; other versions are
 @dataclass(frozen=True)
 class Drive:
     """One run. log: None if a problem prevents its use. about: data for the report, including findings and estimates of
-    the checks and the name of the recorded car ("" if unknown); only the findings for a refused run, empty for an
-    unreadable run."""
+    the checks and the name of the recorded car ("" if unknown). For a run that was refused it contains only the
+    findings; for an unreadable run it is empty."""
 
     name: str
     log: DriveLog | None
@@ -51,8 +51,8 @@ class Request:
     reference: paths of recordings; drives, reference_drives: read from them. read: options for reading. effects: folder
     of user-defined effects; own_effects: sha256 of each file in it. output: folder, None for runs/discover-<time>.
     jobs: number of processes. formats: of figure files. report: whether to write a page. cached: whether to use a
-    cached result. force: whether to use runs with errors. propose: whether to search for a relation beyond the library,
-    None if this depends on the size of the residual.
+    cached result. force: whether to use runs with errors. propose: whether to search for a relation beyond the library;
+    if None, this depends on the size of the residual.
     """
 
     base: str
@@ -77,33 +77,33 @@ class Request:
 
 
 def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,
-                done: Callable[[], None], force: bool = False) -> list[Drive]:
-    """Read all runs, in the order of the sources. jobs: number of processes. done: called after each run."""
+                tick: Callable[[], None], force: bool = False) -> list[Drive]:
+    """Read all runs, in the order of the sources. jobs: number of processes. tick: called after each run."""
     if jobs <= 1 or len(sources) < 2:
         drives = []
         for source in sources:
             drives.append(read_drive(source, vehicle, settings, force))
-            done()
+            tick()
         return drives
     with ProcessPoolExecutor(min(jobs, len(sources))) as pool:
         # A source with a problem is not sent to another process, because its error cannot be pickled.
         futures = {number: pool.submit(read_drive, source, vehicle, settings, force)
                    for number, source in enumerate(sources) if source.problem is None}
         for _ in as_completed(futures.values()):
-            done()
+            tick()
         return [futures[number].result() if number in futures else read_drive(source, vehicle, settings)
                 for number, source in enumerate(sources)]
 
 
 def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, force: bool = False) -> Drive:
-    """Read and check one run; an error becomes the `problem` of the drive."""
+    """Read and check one run. An error becomes the `problem` of the drive."""
     try:
         if source.problem is not None:
             raise source.problem
         run = read(source, vehicle, settings)
         checked = check_log(run.log, vehicle, run.auxiliary)
-        text = recorded_configuration(run.provenance["recorded"]).vehicle if source.kind == "bag" else None
-        car = "" if text is None else VehicleParameters.from_yaml(text, "the vehicle in the recording").name
+        recorded = recorded_configuration(run.provenance["recorded"]).vehicle if source.kind == "bag" else None
+        car = "" if recorded is None else VehicleParameters.from_yaml(recorded, "the vehicle in the recording").name
         about = {"files": hash_files((*source.files, *source.can)),
                  "duration_s": run.log.duration, "alignment": run.alignment.verdict.value,
                  "clock_deviation_s": json_ready(run.alignment.offset_deviation),
@@ -138,19 +138,19 @@ def result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle:
     files = sorted(file for folder in st_core.__path__ for file in Path(folder).rglob("*.py"))
     code = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
     content = [RESULT_FORMAT, code, [_digest(log) for log in runs], [_digest(log) for log in reference],
-               vehicle.hash, sorted((name, one.uncertainty) for name, one in vehicle.provenance.items()),
-               _base_name(base), {effect: dict(entry) for effect, entry in values.items()}, asdict(settings),
+               vehicle.hash, sorted((name, entry.uncertainty) for name, entry in vehicle.provenance.items()),
+               _base_name(base), {effect: dict(numbers) for effect, numbers in values.items()}, asdict(settings),
                sorted(effects.items()), sorted((name, list(value)) for name, value in sensors.items()), clocks]
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
 
 
 def write_result(file: Path, found: Discovery) -> None:
     """Write a result to the cache, atomically; errors such as a full disk are ignored."""
-    def parts(model: AugmentedModel) -> list[Any]:
+    def augment_arguments(model: AugmentedModel) -> list[Any]:
         return [_base_name(model), {effect: dict(values) for effect, values in model.values.items()}]
 
     models = {name: getattr(found, name) for name in MODELS}
-    content = found.document() | {name: model and parts(model) for name, model in models.items()}
+    content = found.document() | {name: model and augment_arguments(model) for name, model in models.items()}
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         temporary = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")
@@ -165,10 +165,9 @@ def read_result(file: Path) -> Discovery | None:
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         hints = get_type_hints(Discovery)
-        parts = {one.name: _restore(hints[one.name], content[one.name]) for one in fields(Discovery)
-                 if one.name not in MODELS}
-        parts |= {name: content[name] and augment(*content[name]) for name in MODELS}
-        return Discovery(**parts)
+        values = {f.name: _restore(hints[f.name], content[f.name]) for f in fields(Discovery) if f.name not in MODELS}
+        values |= {name: content[name] and augment(*content[name]) for name in MODELS}
+        return Discovery(**values)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, StCoreError):
         return None
 
@@ -178,13 +177,13 @@ def _restore(kind: Any, value: Any) -> Any:
     origin, inner = get_origin(kind), get_args(kind)
     if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind)
-        return kind(**{one.name: _restore(hints[one.name], value[one.name]) for one in fields(kind)})
+        return kind(**{f.name: _restore(hints[f.name], value[f.name]) for f in fields(kind)})
     if origin is tuple:
         return tuple(map(_restore, repeat(inner[0]) if inner[-1] is Ellipsis else inner, value))
     if origin is Mapping:
         return {name: _restore(inner[1], entry) for name, entry in value.items()}
     if NoneType in inner:
-        return None if value is None else _restore(next(one for one in inner if one is not NoneType), value)
+        return None if value is None else _restore(next(t for t in inner if t is not NoneType), value)
     return value
 
 

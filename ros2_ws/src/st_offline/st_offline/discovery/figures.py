@@ -26,7 +26,7 @@ AFTER = MODEL_COLOUR["augmented"]
 HALF_WIDTH = 6.8  # inch; for two figures side by side on the page
 MIN_CHANGE = 0.005  # m; if the position error changes less, the most reduced channel error is reported instead
 MIN_ASPECT = 0.3  # width / length of a track; the axes of narrower tracks have different scales
-MAX_PANELS = 6
+MAX_PANELS = 6  # maximum number of effects in the figure of local estimates
 MAX_ROWS = 14  # a partition with more parts is drawn in one row
 MAX_RATIO = 3.0  # end of the axis, at which intervals are cut off
 
@@ -101,7 +101,7 @@ def _step_texts(found: Discovery, step: Step) -> tuple[str, str]:
     label = f"{quantities.to_words(step.effect)}  {quantities.format_briefly(step.effect, step.parameters)}"
     change = step.position_5s.augmented - step.position_5s.base
     text = f"{change:+.2f} m"
-    ratios = {key: one.augmented / one.base for key, one in step.channels.items() if one.base > 0}
+    ratios = {channel: c.augmented / c.base for channel, c in step.channels.items() if c.base > 0}
     if abs(change) < MIN_CHANGE and ratios:
         best = min(ratios, key=ratios.__getitem__)
         text = f"{quantities.channel_label(best)} error {100 * (ratios[best] - 1.0):+.0f} %"
@@ -127,8 +127,8 @@ def draw_axle_curves(scene: Scene) -> PageFigure | None:
             axes.fill_between(slip, low, high, color=AFTER, alpha=0.25, lw=0)
             axes.plot(slip, force, color=AFTER)
             axes.plot(slip, at_start, color=scene.colour, ls="--")
-            end, *ends = (v[-1] / curve.file[-1] for v in (curve.force, curve.low, curve.high))
-            axes.set_title(f"{curve.axle} axle\n{end:.2f} (90 %: {ends[0]:.2f} to {ends[1]:.2f}) times the "
+            ratio, lowest, highest = (v[-1] / curve.file[-1] for v in (curve.force, curve.low, curve.high))
+            axes.set_title(f"{curve.axle} axle\n{ratio:.2f} (90 %: {lowest:.2f} to {highest:.2f}) times the "
                            f"{scene.found.start} at {slip[-1]:.1f}°", fontsize=7)
             below.stairs(100.0 * np.array(curve.density), slip, color=MEASURED_COLOUR, fill=True)
             below.set_xlabel("slip angle, °")
@@ -144,7 +144,8 @@ def draw_axle_curves(scene: Scene) -> PageFigure | None:
 
 
 def draw_maps(scene: Scene) -> PageFigure | None:
-    """Draw the track of the worst run, and its predictions with base and complete model, coloured by their error."""
+    """Draw the track of the run with the largest errors, and its predictions with base and complete model, coloured by
+    their error."""
     run, errors = _find_worst_run(scene)
     if run is None:
         return None
@@ -153,7 +154,8 @@ def draw_maps(scene: Scene) -> PageFigure | None:
     largest = factor * max(float(np.nanmax(errors)), 1e-12)
     with apply_style():
         log = scene.runs[run]
-        shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if _aspect_ratio(log) > MIN_ASPECT else 0.5
+        is_wide = _aspect_ratio(log) > MIN_ASPECT
+        shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if is_wide else 0.5
         size = (HALF_WIDTH, float(np.clip(0.4 * HALF_WIDTH * shape, 1.2, 3.5)) + 0.9)
         figure, panels = plt.subplots(1, len(models), figsize=size, sharex=True, sharey=True, squeeze=False)
         stride = max(1, len(log.x) // 600)
@@ -165,7 +167,7 @@ def draw_maps(scene: Scene) -> PageFigure | None:
             axes.plot(log.x[::stride], log.y[::stride], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
             points = axes.scatter(x, y, c=error, s=14, cmap="cividis", zorder=2, linewidths=0, rasterized=True,
                                   vmin=0.0, vmax=largest)
-            if _aspect_ratio(log) > MIN_ASPECT:
+            if is_wide:
                 axes.set_aspect("equal", adjustable="box")
             axes.set_title(name, fontsize=9)
             axes.set_xlabel("east, m")
@@ -178,8 +180,8 @@ def draw_maps(scene: Scene) -> PageFigure | None:
 
 
 def _find_worst_run(scene: Scene) -> tuple[int | None, np.ndarray]:
-    """(index of the run with the largest error in `scene.channel`, its errors [SI]); prefers tracks that are not
-    straight. The index is None without errors."""
+    """(index of the run with the largest error in `scene.channel`, its errors [SI]). Runs with a straight track are
+    left out if there are others. The index is None without errors."""
     samples = scene.before
     squares = samples.squares.get(scene.channel)
     if squares is None or not len(squares):
@@ -218,7 +220,7 @@ def draw_agreement(scene: Scene) -> PageFigure | None:
         for axes, effect in zip(panels[0], effects, strict=True):
             ratios = [(partition, rows[partition, v.where], v) for partition, v in estimates[effect.name]]
             _draw_ratios(axes, [(row, v) for partition, row, v in ratios if partition not in crowded])
-            for _, row, v in (one for one in ratios if one[0] in crowded):
+            for row, v in ((row, v) for partition, row, v in ratios if partition in crowded):
                 axes.plot(np.clip(v.ratio, *axes.get_xlim()), row, "|", ms=7, color=AFTER, alpha=0.6)
             title = textwrap.fill(quantities.to_words(effect.name), 64 // len(effects), break_long_words=False)
             axes.set_title(title, fontsize=8)
@@ -239,8 +241,8 @@ def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) ->
     axes.axvline(0.0, color=TEXT, lw=0.8, ls=":")
     axes.axvline(1.0, color=TEXT, lw=0.8)
     for row, estimate in ratios:
-        reach = report_text.Z95 * estimate.deviation
-        low, high = estimate.ratio - reach, estimate.ratio + reach
+        half_width = report_text.Z95 * estimate.deviation
+        low, high = estimate.ratio - half_width, estimate.ratio + half_width
         is_significant = low > 0.0 or high < 0.0
         axes.plot(np.clip([low, high], -MAX_RATIO, MAX_RATIO), [row, row], color=AFTER, lw=1.2)
         axes.plot(np.clip(estimate.ratio, -MAX_RATIO, MAX_RATIO), row, "o", ms=4.5, color=AFTER,
@@ -252,27 +254,27 @@ def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) ->
 def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
     """Draw the curve of a relation with its 95 % interval, and the distribution of the driving below it."""
     c = relation.candidate
-    (y_scale, unit), (x_scale, x_unit) = display_unit(c.unit), display_unit(QUANTITIES[c.quantity])
+    (y_scale, unit), (x_scale, x_unit) = curve_unit(c.unit), curve_unit(QUANTITIES[c.quantity])
     at, value = x_scale * relation.at, y_scale * relation.value
     half_width = y_scale * report_text.Z95 * relation.deviation
     with apply_style():
-        figure, (curve, shares) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
+        figure, (curve, distribution) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
         curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")
         curve.fill_between(at, value - half_width, value + half_width, color=AFTER, alpha=0.25, lw=0,
                            label="95 % interval")
         curve.plot(at, value, color=AFTER, label="proposed relation")
         for k, (low, high) in enumerate(relation.next_drives.sparse):
-            for axes in (curve, shares):
+            for axes in (curve, distribution):
                 axes.axvspan(x_scale * low, x_scale * high, color=MEASURED_COLOUR, alpha=0.12, lw=0,
                              label="sparsely driven" if axes is curve and not k else None)
         curve.set_ylabel(f"{textwrap.fill(quantities.axis_label(c), 28)}, {unit}")
         curve.legend(loc="best")
-        shares.set_axisbelow(True)
-        shares.bar(at, 100.0 * relation.density, width=at[1] - at[0], color=MEASURED_COLOUR)
+        distribution.set_axisbelow(True)
+        distribution.bar(at, 100.0 * relation.density, width=at[1] - at[0], color=MEASURED_COLOUR)
         # Most driving is straight at constant speed; a linear scale would hide the other bins.
-        shares.set(yscale="log", ylim=(0.02, 100.0), yticks=(0.1, 1.0, 10.0, 100.0))
-        shares.yaxis.set_major_formatter("{x:g}")
-        shares.set(ylabel="share of the\ndriving, %", xlabel=f"{quantities.QUANTITIES[c.quantity]}, {x_unit}")
+        distribution.set(yscale="log", ylim=(0.02, 100.0), yticks=(0.1, 1.0, 10.0, 100.0))
+        distribution.yaxis.set_major_formatter("{x:g}")
+        distribution.set(ylabel="share of the\ndriving, %", xlabel=f"{quantities.QUANTITIES[c.quantity]}, {x_unit}")
         before, after = relation.position_5s
         title = (f"PROPOSAL: {full_title(relation)}; held-out position error after 5 s: "
                  f"{before:.3f} m without it, {after:.3f} m with it")
@@ -285,6 +287,6 @@ def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
         return save_figure(figure, output, "relation", title, caption)
 
 
-def display_unit(unit: str) -> tuple[float, str]:
+def curve_unit(unit: str) -> tuple[float, str]:
     """(factor from SI, unit) for the axis of a curve."""
     return (100.0, "%") if unit == "1" else quantities.display_unit(unit)

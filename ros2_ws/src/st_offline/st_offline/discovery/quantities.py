@@ -12,7 +12,7 @@ from st_core.vehicle import VehicleParameters
 
 MAX_DECIMALS = 6  # numbers that need more are written with an exponent
 BOUND_TOLERANCE = Limits().at_bound  # distance from a bound, divided by the typical size of the parameter
-_DISPLAY = {"rad": (57.29577951308232, "°"), "rad/s": (57.29577951308232, "°/s")}
+DISPLAY_UNITS = {"rad": (math.degrees(1.0), "°"), "rad/s": (math.degrees(1.0), "°/s")}  # (factor from SI, unit)
 TERMS = {
     "front_steer": "steering of the front wheels", "rear_steer": "steering of the rear wheels",
     "front_force": "lateral force of the front axle", "rear_force": "lateral force of the rear axle",
@@ -31,16 +31,16 @@ QUANTITIES = {
     "east": "cosine of the yaw angle", "position_x": "position to the east", "position_y": "position to the north",
     "run_time": "time in the run",
 }
-SIGNS = {"acceleration_x": " (derivative of the forward speed, also where a bend slows the car; braking −)",
+SIGNS = {"acceleration_x": " (derivative of the forward speed, including deceleration by cornering; braking −)",
          **dict.fromkeys(("slip_front", "slip_rear"), " (axle moving to its left +)"),
          **dict.fromkeys(("steering", "steering_rate", "lagging_steering", "acceleration_y", "lean", "yaw_rate"),
                          " (left +)")}
-"""Positive direction of a quantity."""
+"""Positive direction of each signed quantity."""
 
 
 def display_unit(unit: str) -> tuple[float, str]:
     """(factor from an SI unit, unit) in reports."""
-    return _DISPLAY.get(unit, (1.0, unit.replace("^2", "²")))
+    return DISPLAY_UNITS.get(unit, (1.0, unit.replace("^2", "²")))
 
 
 def channel_label(name: str) -> str:
@@ -71,24 +71,24 @@ def format_metres(value: float) -> str:
     return f"{value:.2f} m" if abs(value) >= 0.095 else f"{value:.3f} m"
 
 
-def format_decimal(number: float, count: int) -> str:
-    """A number with `count` decimals; with an exponent if `count` exceeds MAX_DECIMALS."""
-    if count <= MAX_DECIMALS:
-        text = f"{number:.{count}f}"
-        return text if float(text) else f"{number + 0.0:.1g}"  # neither "-0.0" nor "x 0" for a small number
-    significant = count + math.floor(math.log10(abs(number) or 10.0**-count)) + 1
+def format_decimal(number: float, decimals: int) -> str:
+    """A number with this number of decimals, or with an exponent if it would need more than MAX_DECIMALS."""
+    if decimals <= MAX_DECIMALS:
+        text = f"{number:.{decimals}f}"
+        return text if float(text) else f"{number + 0.0:.1g}"  # neither "-0.0" nor "× 0" for a small number
+    significant = decimals + math.floor(math.log10(abs(number) or 10.0**-decimals)) + 1
     return f"{number:.{max(significant, 1)}g}"
 
 
 def format_parameter(p: FittedParameter, parameter: Parameter | None = None, interval: bool = True) -> str:
     """Value and 95 % interval; a parameter with the neutral value 1 is written as a factor. parameter: definition of
-    `p`, needed to report a value on a bound. The interval may cross a bound."""
+    `p`; with it, a value on a bound is marked. The interval may cross a bound."""
     typical_size = abs(parameter.initial - parameter.null) if parameter else 0.0
     bounds = parameter.hard_bounds if parameter else ()
     factor, _ = display_unit(p.unit)
     half_width = 0.5 * (p.interval[1] - p.interval[0]) * factor
-    known = math.isfinite(half_width) and half_width > 0.0
-    decimals = max(1 - math.floor(math.log10(half_width) + 1e-6), 0) if known else 3  # second significant digit
+    has_width = math.isfinite(half_width) and half_width > 0.0
+    decimals = max(1 - math.floor(math.log10(half_width) + 1e-6), 0) if has_width else 3  # second significant digit
     number, *ends = (format_decimal(x * factor, decimals) for x in (p.value, *p.interval))
     text = f"× {number}" if p.unit == "1" and p.null == 1.0 else append_unit(number, p.unit)
     on_bound = " on its bound" if any(abs(p.value - bound) < BOUND_TOLERANCE * typical_size for bound in bounds) else ""
@@ -97,9 +97,9 @@ def format_parameter(p: FittedParameter, parameter: Parameter | None = None, int
 
 def format_parameters(effect: str, parameters: Mapping[str, FittedParameter], interval: bool = True) -> list[str]:
     """Text for each parameter of an effect; starts with the name of the parameter if there are several."""
-    known = {p.name: p for p in EFFECTS[effect].parameters} if effect in EFFECTS else {}
-    return [f"{to_words(name) + ' ' if len(parameters) > 1 else ''}{format_parameter(p, known.get(name), interval)}"
-            for name, p in parameters.items()]
+    definitions = {p.name: p for p in EFFECTS[effect].parameters} if effect in EFFECTS else {}
+    return [f"{to_words(name) + ' ' if len(parameters) > 1 else ''}"
+            f"{format_parameter(p, definitions.get(name), interval)}" for name, p in parameters.items()]
 
 
 def format_briefly(effect: str, parameters: Mapping[str, FittedParameter]) -> str:
@@ -108,48 +108,50 @@ def format_briefly(effect: str, parameters: Mapping[str, FittedParameter]) -> st
 
 
 def format_fitted(name: str, numbers: Mapping[str, float]) -> str:
-    """Values of an effect without intervals, to about two significant digits of the deviation from neutral."""
-    known = {p.name: p for p in EFFECTS[name].parameters} if name in EFFECTS else {}
+    """Values of an effect without intervals, to about two significant digits of the deviation from the neutral
+    value."""
+    definitions = {p.name: p for p in EFFECTS[name].parameters} if name in EFFECTS else {}
     texts = []
     for key, number in numbers.items():
-        unit, null = (known[key].unit, known[key].null) if key in known else ("1", 0.0)
-        count = max(2, 1 - math.floor(math.log10(abs(number - null)))) if number != null else 2
-        text = (f"× {number:.{count}f}" if (unit, null) == ("1", 1.0) else
+        unit, null = (definitions[key].unit, definitions[key].null) if key in definitions else ("1", 0.0)
+        decimals = max(2, 1 - math.floor(math.log10(abs(number - null)))) if number != null else 2
+        text = (f"× {number:.{decimals}f}" if (unit, null) == ("1", 1.0) else
                 append_unit(f"{float(f'{number * display_unit(unit)[0]:.2g}'):g}", unit))
         texts.append(f"{to_words(key) + ' ' if len(numbers) > 1 else ''}{text}")
     return ", ".join(texts)
 
 
 def format_deviation(deviation: float, unit: str) -> str:
-    """Magnitude of a deviation from the neutral value; dimensionless ones in per cent."""
+    """Magnitude of a deviation from the neutral value; in per cent if it is dimensionless."""
     return f"{float(f'{100 * abs(deviation):.2g}'):g} %" if unit == "1" else format_value(abs(deviation), unit)
 
 
 def axis_label(c: Candidate) -> str:
     """Label of the vertical axis, with the reference of relative values and the positive direction."""
-    per = {"front_force": " over its static load", "rear_force": " over its static load",
-           "yaw_moment": " over the yaw inertia", "side_force": " over the mass"}.get(c.term, "")
-    side = (", + reads too large" if c.is_sensor_error else ", relative, + more force" if c.term.endswith("grip")
-            else f"{per}, left +")
-    return f"{TERMS[c.term]}{side}{f', for each unit of {QUANTITIES[c.factor]}' if c.factor else ''}"
+    divisor = {"front_force": " divided by its static load", "rear_force": " divided by its static load",
+               "yaw_moment": " divided by the yaw inertia", "side_force": " divided by the mass"}.get(c.term, "")
+    sign = (", + reads too large" if c.is_sensor_error else ", relative, + more force" if c.term.endswith("grip")
+            else f"{divisor}, left +")
+    return f"{TERMS[c.term]}{sign}{f', for each unit of {QUANTITIES[c.factor]}' if c.factor else ''}"
 
 
 def explain_unit(c: Candidate, vehicle: VehicleParameters) -> str:
     """Force or moment on this car that corresponds to one unit of y; "" if none does."""
-    sizes = {"yaw_moment": ("1 rad/s²", f"moment of {vehicle.yaw_inertia:.4g} N m", "yaw inertia"),
+    loads = {"yaw_moment": ("1 rad/s²", f"moment of {vehicle.yaw_inertia:.4g} N m", "yaw inertia"),
              "side_force": ("1 m/s²", f"force of {vehicle.mass:.4g} N", "mass"),
              "front_force": ("1", f"force of {2.0 * vehicle.static_tyre_load_front:.4g} N", "axle load"),
              "rear_force": ("1", f"force of {2.0 * vehicle.static_tyre_load_rear:.4g} N", "axle load")}
-    if c.term not in sizes or c.factor:
+    if c.term not in loads or c.factor:
         return ""
-    unit, load, source = sizes[c.term]
+    unit, load, source = loads[c.term]
     return f"y = {unit} corresponds to a {load}, with the {source} of the vehicle file"
 
 
 def spell_out(name: str) -> str:
     """Description of the relation with this `Candidate.name`."""
-    term, _, rest = name.partition(" over ")
-    quantity, _, by = rest.partition(" times ")
+    term, _, argument = name.partition(" over ")
+    quantity, _, factor = argument.partition(" times ")
     if term not in TERMS or quantity not in QUANTITIES:
         return name
-    return f"{TERMS[term]} as a function of the {QUANTITIES[quantity]}" + (f" times {QUANTITIES[by]}" if by else "")
+    text = f"{TERMS[term]} as a function of the {QUANTITIES[quantity]}"
+    return f"{text} times {QUANTITIES[factor]}" if factor else text

@@ -33,7 +33,7 @@ SLIP_HOOK = "slip_angles(slip_front, slip_rear, extra, instant, prepared, theta)
 FORCE_HOOK = "axle_forces(forces, slip_front, slip_rear, instant, prepared, theta)"
 COMPUTE_FORCES = "front, rear = forces(slip_front, slip_rear, instant)\n        "
 HOOKS = {  # (signature, body) of the effect's method, by term
-    # Steering a wheel to the left reduces its slip to the left.
+    # Steering a wheel to the left reduces its slip angle, which is positive if the wheel moves to its left.
     "front_steer": (SLIP_HOOK, "return slip_front - {y}, slip_rear"),
     "rear_steer": (SLIP_HOOK, "return slip_front, slip_rear - {y}"),
     "front_force": (FORCE_HOOK, f"{COMPUTE_FORCES}return front + theta.constants * {{y}}, rear"),
@@ -68,7 +68,7 @@ def hat(t):
 def relation(u):
     """[{unit}] at u [{quantity_unit}]: linear interpolation of the fitted curve."""
     t = (minimum(maximum(u, LOW + 0.0 * u), HIGH + 0.0 * u) - LOW) / STEP
-    return ({heights})
+    return ({interpolation})
 
 
 @register
@@ -88,7 +88,7 @@ class {cls}(Effect):
 
 
 def effect_name(relation: Relation) -> str:
-    """Name of the effect; ends with a number if the model already has a relation for the same term."""
+    """Name of the effect, with a number if the model already has a relation for the same term."""
     name = f"proposed_{relation.candidate.term}"
     existing = sum(e.name == name or e.name.startswith(f"{name}_") for e in relation.model.effects)
     return f"{name}_{existing + 1}" if existing else name
@@ -97,9 +97,9 @@ def effect_name(relation: Relation) -> str:
 def full_title(relation: Relation) -> str:
     """Description of the relation by its term and quantity."""
     c, is_constant = relation.candidate, bool(relation.formulas) and relation.formulas[0].shape == "constant"
-    per = f", for each {quantities.QUANTITIES[c.factor]}" if c.factor else ""
-    course = "the same at every" if is_constant else "as a function of the"
-    return f"{quantities.TERMS[c.term]}{per}, {course} {quantities.QUANTITIES[c.quantity]}"
+    factor = f", for each unit of {quantities.QUANTITIES[c.factor]}" if c.factor else ""
+    dependence = "the same for every" if is_constant else "as a function of the"
+    return f"{quantities.TERMS[c.term]}{factor}, {dependence} {quantities.QUANTITIES[c.quantity]}"
 
 
 def _title_with_causes(relation: Relation) -> str:
@@ -108,22 +108,21 @@ def _title_with_causes(relation: Relation) -> str:
 
 
 def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
-    """Source of an effect file: the fitted curve, interpolated linearly between KNOTS points."""
+    """Source code of the effect file, with the fitted curve interpolated linearly between KNOTS points."""
     c = relation.candidate
     meaning = ALL_TERMS[c.term][1] + (f", for each {QUANTITIES[c.factor]} of {c.factor.replace('_', ' ')}"
                                       if c.factor else "")
     knots = np.linspace(c.low, c.high, KNOTS)
     heights = relation.coefficients @ c.splines(knots)
     terms = "\n            + ".join(f"{h:.6g} * hat(t - {k}.0)" for k, h in enumerate(heights))
-    formulas = "\n".join(f"Formula {k}: {r.text} ({r.shape}, keeps {r.retained:.0%} of the curve's held-out gain)"
-                         for k, r in enumerate(relation.formulas, 1)) or "No simple formula can replace the curve."
+    formulas = "\n".join(f"Formula {k}: {f.text} ({f.shape}, keeps {f.retained:.0%} of the curve's held-out gain)"
+                         for k, f in enumerate(relation.formulas, 1)) or "No simple formula can replace the curve."
     return EFFECT_FILE.format(
         title=_title_with_causes(relation), count=len(runs), runs=", ".join(runs), created=created, low=c.low,
         high=c.high, step=(c.high - c.low) / (KNOTS - 1), quantity=c.quantity.replace("_", " "),
-        quantity_unit=QUANTITIES[c.quantity],
-        unit=c.unit, meaning=f"y [{c.unit}]: {meaning}.", before=relation.position_5s[0], after=relation.position_5s[1],
-        p_value=relation.p_value, formulas=formulas, heights=terms,
-        cls="".join(word.title() for word in effect_name(relation).split("_")),
+        quantity_unit=QUANTITIES[c.quantity], unit=c.unit, meaning=f"y [{c.unit}]: {meaning}.",
+        before=relation.position_5s[0], after=relation.position_5s[1], p_value=relation.p_value, formulas=formulas,
+        interpolation=terms, cls="".join(word.title() for word in effect_name(relation).split("_")),
         odd=", odd=True" if c.is_one_sided else "", name=effect_name(relation),
         ops=IMPORTED_OPS.get(c.quantity, "absolute, maximum, minimum"), memory=_memory_source(c)[0],
         physics=f"y = curve of {c.quantity}: {meaning}", body=_hooks_source(relation),
@@ -132,6 +131,7 @@ def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
 
 
 def _hooks_source(relation: Relation) -> str:
+    """Source code of the methods of the effect."""
     c = relation.candidate
     if c.is_sensor_error:
         field, u = SENSOR_READINGS[c.term], READING_EXPRESSIONS[c.quantity]
@@ -139,13 +139,13 @@ def _hooks_source(relation: Relation) -> str:
                        f"        y = theta.share * relation({u})\n"
                        f"        return measured._replace({field}=measured.{field} {sign} y)\n"
                        for hook, sign in (("observe", "+"), ("correct", "-"))).rstrip("\n")
-    hook, text = HOOKS[c.term]
-    before = ""
+    signature, body = HOOKS[c.term]
+    constants = ""
     if c.term in OPPOSITE_AXLES:
-        before = ("\n    @staticmethod\n    def constants(vehicle):  # static load of the axle [N]\n"
+        constants = ("\n    @staticmethod\n    def constants(vehicle):  # static load of the axle [N]\n"
                   f"        return 9.81 * vehicle.mass * vehicle.{OPPOSITE_AXLES[c.term]} / vehicle.wheelbase\n")
     y = f"theta.share * relation({_expression(c.quantity)})" + (f" * {_expression(c.factor)}" if c.factor else "")
-    return f"{before}\n    @staticmethod\n    def {hook}:\n        {text.format(y=y)}{_memory_source(c)[1]}"
+    return f"{constants}\n    @staticmethod\n    def {signature}:\n        {body.format(y=y)}{_memory_source(c)[1]}"
 
 
 def _expression(name: str) -> str:
@@ -158,7 +158,7 @@ def _expression(name: str) -> str:
 
 def _memory_source(c: Candidate) -> tuple[str, str]:
     """(declaration of the state, hooks that integrate it) for a quantity that depends on earlier values, such as a lag;
-    two empty texts for other quantities."""
+    two empty strings for other quantities."""
     name = next((q for q in (c.quantity, c.factor) if q in FILTERED), "")
     if not name:
         return "", ""
@@ -202,7 +202,7 @@ def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequenc
     return {"effects": file, "proposed.yaml": folder / "proposed.yaml"}
 
 
-def relation_document(found: RelationSearch) -> dict:
+def build_relation_document(found: RelationSearch) -> dict:
     """The entry `relation` of discovery.json (schema in docs/manual/discovery.md)."""
     relation = found.relation
     tried = [{"relation": name, "gain": gain, "p_value": p_value, "detection_limit": found.detection_limits.get(name)}
@@ -219,8 +219,8 @@ def relation_document(found: RelationSearch) -> dict:
         "redundant": dict(relation.redundant), "next_drives": _drives_document(relation),
         "shares": {name: list(pair) for name, pair in relation.shares.ratios.items()},
         "p_equal": relation.shares.p_equal,
-        "readings": [{"shape": r.shape, "text": r.text, "explained": r.retained, "causes": r.causes}
-                     for r in relation.formulas]}}
+        "readings": [{"shape": f.shape, "text": f.text, "explained": f.retained, "causes": f.causes}
+                     for f in relation.formulas]}}
 
 
 def _drives_document(relation: Relation) -> dict:

@@ -12,7 +12,7 @@ from st_core.vehicle import VehicleParameters
 
 from ..pages import Table
 from . import quantities, report_text
-from .figures import display_unit
+from .figures import curve_unit
 from .relation_files import effect_name, full_title
 from .vehicle_update import changed_keys
 
@@ -20,30 +20,30 @@ SIGNIFICANCE_LEVEL = 0.01  # of the test that the relation has the same size in 
 SQUARES = str.maketrans({"^": None, "2": "²"})
 REPEAT_ELSEWHERE = ("repeat the drive twice, once from another starting point and once in the opposite direction, and "
                     "add these runs: only then can the effects of place, heading and time in the run be separated")
-Groups = list[tuple[str, list[str]]]
+Groups = list[tuple[str, list[str]]]  # (heading, sentences)
 
 
 @dataclass(frozen=True)
 class RelationReport:
-    """groups: (heading, sentences). headline: the proposal in one line, "" without a proposal."""
+    """Report of a search for a relation. headline: the proposal in one line, "" without a proposal."""
 
     groups: Groups
     tables: Sequence[Table] = ()
     headline: str = ""
 
 
-def relation_report(found: RelationSearch, discovery: Discovery, vehicle: VehicleParameters,
+def report_relation(found: RelationSearch, discovery: Discovery, vehicle: VehicleParameters,
                     folder: str) -> RelationReport:
-    """Report of a search for a relation. folder: folder of the results, for the commands in the report."""
+    """Report of a search for a relation. folder: of the results, for the commands in the report."""
     relation = found.relation
     terms = ", ".join(quantities.TERMS[name] for name in found.find_unexamined_terms())
-    excluded: Groups = [("not excluded", [f"a relation for a term that these drives do not excite enough: {terms}"]
-                         )] if terms else []
+    not_excluded: Groups = [("not excluded", [f"a relation for a term that these drives do not excite enough: {terms}"]
+                             )] if terms else []
     if relation is None:
         why = found.reason
         for name in sorted(found.tried, key=len, reverse=True):  # a name may begin with another
             why = why.replace(name, quantities.spell_out(name))
-        return RelationReport([("proposal", [f"none: {why}"]), *excluded])
+        return RelationReport([("proposal", [f"none: {why}"]), *not_excluded])
     without, with_it = relation.position_5s
     runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)"
                      for name, (before, after) in relation.find_worse_runs().items())
@@ -56,8 +56,8 @@ def relation_report(found: RelationSearch, discovery: Discovery, vehicle: Vehicl
                 f"{f'; {worse}' if runs else ''}")
     groups: Groups = [("proposal", proposal), ("effect size", _effect_size(relation, discovery, found.reason)),
                       ("formula", _formula(relation, vehicle)), ("uncertainty of the curve", _uncertainty(relation)),
-                      ("alternatives", _alternatives(relation)), ("next drive", next_drive_sentences(relation)),
-                      *excluded, ("files", _files(relation, discovery.model is not None, folder))]
+                      ("alternatives", _alternatives(relation)), ("next drive", describe_next_drives(relation)),
+                      *not_excluded, ("files", _files(relation, discovery.model is not None, folder))]
     tables = [_errors_by_run(relation, discovery), *_values_with_and_without(relation, discovery, vehicle)]
     return RelationReport([(heading, lines) for heading, lines in groups if lines], tables, headline)
 
@@ -74,9 +74,8 @@ def _effect_size(relation: Relation, discovery: Discovery, why: str) -> list[str
 
 def _formula(relation: Relation, vehicle: VehicleParameters) -> list[str]:
     c = relation.candidate
-    lines = [f"{'or ' if k else ''}{r.text.replace('^2', '²').replace('^3', '³')} "
-             f"({r.shape}; keeps {r.retained:.0%} of the curve's held-out gain when "
-             "simulated in its place)" for k, r in enumerate(relation.formulas)
+    lines = [f"{'or ' if k else ''}{f.text.replace('^2', '²').replace('^3', '³')} ({f.shape}; keeps {f.retained:.0%} "
+             "of the curve's held-out gain when simulated in its place)" for k, f in enumerate(relation.formulas)
              ] or ["no simple formula keeps 90 % of the curve's held-out gain when simulated in its place"]
     return [*lines, f"y: {quantities.axis_label(c)}, {c.unit.translate(SQUARES)}; u: "
             f"{quantities.QUANTITIES[c.quantity]}{quantities.SIGNS.get(c.quantity, '')}, "
@@ -87,7 +86,7 @@ def _formula(relation: Relation, vehicle: VehicleParameters) -> list[str]:
 def _uncertainty(relation: Relation) -> list[str]:
     """Sentences on the range of the quantity, the widest interval, sparse ranges and the variation between runs."""
     c, widest = relation.candidate, int(relation.deviation.argmax())
-    (y_scale, unit), (x_scale, x_unit) = display_unit(c.unit), display_unit(QUANTITIES[c.quantity])
+    (y_scale, unit), (x_scale, x_unit) = curve_unit(c.unit), curve_unit(QUANTITIES[c.quantity])
     lines = [f"driven: {quantities.QUANTITIES[c.quantity]} from {x_scale * c.low:.3g} to {x_scale * c.high:.3g} "
              f"{x_unit}; the curve is constant beyond this range",
              f"widest interval at {x_scale * relation.at[widest]:.3g} {x_unit}: {y_scale * relation.value[widest]:.2g} "
@@ -116,12 +115,12 @@ def _alternatives(relation: Relation) -> list[str]:
                      "effects on the predictions (1: identical, 0: unrelated)")
     for name, share in relation.redundant.items():
         lines.append(f"{quantities.to_words(name)} is named above, but is redundant with this relation (without it, "
-                     f"{share:.1%} of the residual returns): it may only have stood in for the relation")
+                     f"the residual increases by {share:.1%}): it may have been fitted in place of the relation")
     return lines
 
 
-def _files(relation: Relation, corrected: bool, folder: str) -> list[str]:
-    """Sentences on the files and their use. corrected: whether the result without the relation also has files."""
+def _files(relation: Relation, has_model: bool, folder: str) -> list[str]:
+    """Sentences on the files and their use. has_model: whether the result without the relation also has files."""
     if relation.candidate.quantity == "run_time":
         return ["no effect file is written: a relation with the time in a run does not apply to other drives"]
     lines = [f"with the relation: the original vehicle file, proposed.yaml and effects/{effect_name(relation)}.py. To "
@@ -129,7 +128,7 @@ def _files(relation: Relation, corrected: bool, folder: str) -> list[str]:
              f"{folder}/effects; to search for further effects, give st discover --base {folder}/proposed.yaml "
              f"--effects {folder}/effects; to test the file: st effects check "
              f"{folder}/effects/{effect_name(relation)}.py"]
-    if corrected:
+    if has_model:
         lines += ["without the relation: vehicle.yaml and model.yaml",
                   "do not combine proposed.yaml with vehicle.yaml (the commands reject this): proposed.yaml already "
                   "contains the corrections of the vehicle file, which would be applied twice"]
@@ -137,13 +136,14 @@ def _files(relation: Relation, corrected: bool, folder: str) -> list[str]:
 
 
 def _errors_by_run(relation: Relation, discovery: Discovery) -> Table:
-    first: Mapping[str, tuple[float, float]] = discovery.steps[0].runs if discovery.steps else {}
-    start = discovery.steps[0].position_5s.base if discovery.steps else None
-    errors = [(name, first[name][0] if name in first else None, *pair) for name, pair in sorted(
-        relation.runs.items(), key=lambda item: item[1][1] - item[1][0])]
-    rows = [(name, "-" if before is None else f"{before:.3f}", f"{without:.3f}", f"{with_it:.3f}",
+    first_step: Mapping[str, tuple[float, float]] = discovery.steps[0].runs if discovery.steps else {}
+    start = {name: before for name, (before, _) in first_step.items()}
+    if discovery.steps:
+        start["all windows"] = discovery.steps[0].position_5s.base
+    errors = sorted(relation.runs.items(), key=lambda item: item[1][1] - item[1][0])
+    rows = [(name, f"{start[name]:.3f}" if name in start else "-", f"{without:.3f}", f"{with_it:.3f}",
              f"{with_it - without:+.3f} ({100.0 * (with_it / max(without, 1e-9) - 1.0):+.0f} %)".replace("-", "−"))
-            for name, before, without, with_it in (*errors, ("all windows", start, *relation.position_5s))]
+            for name, (without, with_it) in (*errors, ("all windows", relation.position_5s))]
     return Table("Held-out mean position error after 5 s, by run, m",
                  "Each run is predicted with values fitted to other driving. Sorted by the change; + means a larger "
                  "error.",
@@ -173,8 +173,8 @@ def _values_with_and_without(relation: Relation, discovery: Discovery, vehicle: 
                   ("quantity", "without the relation", "with the relation"), rows)] if rows else []
 
 
-def next_drive_sentences(relation: Relation) -> list[str]:
-    """Manoeuvres that separate the relation from its alternatives, narrow its interval, and cover sparse ranges."""
+def describe_next_drives(relation: Relation) -> list[str]:
+    """Recommended manoeuvres that separate the relation from its alternatives or narrow its interval."""
     c, drives = relation.candidate, relation.next_drives
     if c.quantity in INDEPENDENT_OF_MANOEUVRE:
         return [REPEAT_ELSEWHERE]
@@ -182,16 +182,16 @@ def next_drive_sentences(relation: Relation) -> list[str]:
     separating, precise = drives.find_most_separating(), drives.find_most_precise(relation.deviation)
     if separating is not None:
         option, rival = separating
-        gain = option.separation[rival] / max(drives.current_separation[rival], 1e-9)
+        ratio = option.separation[rival] / max(drives.current_separation[rival], 1e-9)
         lines.append(f"to separate it from {quantities.spell_out(rival)}: {_describe_manoeuvre(option)}. Their "
-                     f"separation is then {gain:.1f} times as large")
+                     f"separation is then {ratio:.1f} times as large")
     elif drives.current_separation:
         lines.append("no manoeuvre of the catalogue separates it much better from its alternatives: look for "
                      "the cause on the car itself")
     if len(drives.current_separation) < len(relation.others):
         lines.append(f"to separate it from effects of place, heading or time: {REPEAT_ELSEWHERE}")
     if precise is not None:
-        y_scale, unit = display_unit(c.unit)
+        y_scale, unit = curve_unit(c.unit)
         lines.append(f"for a narrower interval: {_describe_manoeuvre(precise)}. The widest 95 % interval shrinks from "
                      f"± {y_scale * report_text.Z95 * relation.deviation.max():.2g} to ± "
                      f"{y_scale * report_text.Z95 * precise.deviation.max():.2g} {unit}")

@@ -31,7 +31,7 @@ MAX_UNDETECTABLE = 4  # effects listed in a sentence; the table contains all
 MAX_KEYS = 3  # keys of a vehicle file listed in a sentence; the table contains all
 MAX_SEPARATION = 10.0  # standard deviations; larger separations are outside the linear range of the prediction
 MAX_RATIO = 1000.0  # of an error to the expected error; with larger errors, predictions have diverged
-Z95 = 1.96
+Z95 = 1.96  # 97.5 % quantile of the standard normal distribution
 LIMITS = Limits()
 EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it", "reduces most", "significant in")
 EFFECT_NOTE = ("Errors are those of the complete model on held-out drives; \"without it\" means that this effect is "
@@ -45,15 +45,15 @@ PAIR_HEAD = ("effect", "alternative", f"share of the gain (limit {LIMITS.min_riv
              f"p (limit {LIMITS.undecided_p:g})", "cosine", "separation, σ of the noise")
 
 
-def name_with_alternatives(found: Discovery, effect: result.FoundEffect, short: str = "") -> str:
-    """Name and value of an effect (or `short`) and of its alternatives; the value of an added load is reported as an
-    upper limit."""
-    numbers = {c.name: c.parameters for c in found.candidates}
-    prefix = {name: "up to " for name in effect.alternatives
-              if any(p.deviation < math.inf for p in get_effect(name).parameters)}
-    others = (f"{to_words(name)} {prefix.get(name, '')}{format_fitted(name, numbers.get(name, {}))}".strip()
-              for name in effect.alternatives)
-    return " or ".join((short or f"{to_words(effect.name)} {format_briefly(effect.name, effect.parameters)}", *others))
+def name_with_alternatives(found: Discovery, effect: result.FoundEffect, first: str = "") -> str:
+    """An effect and its alternatives with their values. first: text for the effect itself, by default its name and
+    value. The value of an added load is reported as an upper limit."""
+    fitted = {c.name: c.parameters for c in found.candidates}
+    texts = [first or f"{to_words(effect.name)} {format_briefly(effect.name, effect.parameters)}"]
+    for name in effect.alternatives:
+        limit = "up to " if any(p.deviation < math.inf for p in get_effect(name).parameters) else ""
+        texts.append(f"{to_words(name)} {limit}{format_fitted(name, fitted.get(name, {}))}".strip())
+    return " or ".join(texts)
 
 
 def sort_by_size(effects: Sequence[result.FoundEffect]) -> list[result.FoundEffect]:
@@ -61,7 +61,7 @@ def sort_by_size(effects: Sequence[result.FoundEffect]) -> list[result.FoundEffe
     return sorted(effects, key=lambda e: -e.position_5s_increase)
 
 
-def effect_rows(found: Discovery) -> list[tuple[str, str, str, str, str]]:
+def list_effect_rows(found: Discovery) -> list[tuple[str, str, str, str, str]]:
     """Table row of each named effect, with the columns of EFFECT_HEAD."""
     return [(name_with_alternatives(found, e, to_words(e.name)), "; ".join(format_parameters(e.name, e.parameters)),
              f"{'+' if e.position_5s_increase >= 0.0 else '−'}{format_metres(abs(e.position_5s_increase))}",
@@ -69,25 +69,26 @@ def effect_rows(found: Discovery) -> list[tuple[str, str, str, str, str]]:
              count_agreement(e)) for e in sort_by_size(found.effects)]
 
 
-def title(found: Discovery) -> str:
+def format_title(found: Discovery) -> str:
     """The result in one line."""
     if found.outcome == "not_testable":
         return "These drives have too little excitation for a result"
     effects = [name_with_alternatives(found, e) for e in sort_by_size(found.effects)]
-    together = map(format_combination, found.known_together)
+    combinations = map(format_combination, found.unseparated_combinations)
     position = found.errors.get("position_5s")
     one_dominates = position is None or any(e.position_5s_increase > 0.5 * (position.base - position.augmented)
                                             for e in found.effects)
-    named = "; ".join((*effects, *together) if one_dominates else (*together, *effects))
+    named = "; ".join((*effects, *combinations) if one_dominates else (*combinations, *effects))
     if found.outcome == "unknown":
-        known = f"; in addition {named}" if named else ""
-        return f"{_describe_errors(found)}: a significant error that no effect of the library explains{known}"
-    unexplained = [f"a residual remains that no effect of the library explains: {one}" for one in found.signature[:1]]
+        addition = f"; in addition {named}" if named else ""
+        return f"{_describe_errors(found)}: a significant error that no effect of the library explains{addition}"
+    unexplained = [f"a residual remains that no effect of the library explains: {text}"
+                   for text in found.signature[:1]]
     if named:
         return f"{_describe_errors(found)}: {'; '.join((named, *unexplained))}"
     if found.outcome == "varying":
-        varying = [f"an effect that resembles {to_words(b.resembles)} ({format_metres(b.position_5s_reduction)}) but "
-                   f"varies with {b.varies_with}" for b in found.varying]
+        varying = [f"an effect that resembles {to_words(v.resembles)} ({format_metres(v.position_5s_reduction)}) but "
+                   f"varies with {v.varies_with}" for v in found.varying]
         return f"{_describe_errors(found)}: {'; '.join((*unexplained, *varying, 'no effect is named'))}"
     if found.outcome == "ambiguous":
         return f"{_describe_errors(found)}: no effect is certain enough to be named"
@@ -95,45 +96,51 @@ def title(found: Discovery) -> str:
 
 
 def _describe_errors(found: Discovery) -> str:
+    """Clause on the position error after 5 s or, without it, on the error of one channel."""
     position = found.errors.get("position_5s")
     if position is None:
         name = next((n for n in LABELS if n in found.errors), None)
         if name is None:
             return "Errors"
-        one = found.errors[name]
-        ratio = 100.0 * (one.augmented / one.base - 1.0)
-        before, reduced = (format_value(error, one.unit) for error in (one.base, one.augmented))
-        return f"{channel_label(name)} error {before} to {reduced} ({ratio:+.0f} %)"
+        error = found.errors[name]
+        before, after = (format_value(value, error.unit) for value in (error.base, error.augmented))
+        change = 100.0 * (error.augmented / error.base - 1.0)
+        return f"{channel_label(name)} error {before} to {after} ({change:+.0f} %)"
     named = found.named_errors["position_5s"].augmented if found.effective else position.augmented
-    effective = named - position.augmented > LIMITS.relevant_position
-    after = "" if found.model is None else f" → {format_metres(named if effective else position.augmented)}"
-    after += f", {format_metres(position.augmented)} with effective corrections" if effective else ""
-    more = len(found.minor) + (0 if effective else len(found.effective)) if found.effects else 0
+    corrections_help = named - position.augmented > LIMITS.relevant_position
+    after = "" if found.model is None else f" → {format_metres(named if corrections_help else position.augmented)}"
+    after += f", {format_metres(position.augmented)} with effective corrections" if corrections_help else ""
+    more = len(found.minor) + (0 if corrections_help else len(found.effective)) if found.effects else 0
     others = f", with {more} more effect{'' if more == 1 else 's'} that {'is' if more == 1 else 'are'} not named"
     return f"5 s position error {format_metres(position.base)}{after} (held-out{others if more else ''})"
 
 
-def summary(found: Discovery, update: VehicleUpdate | None, findings: Mapping[str, Sequence[Finding]]
-            ) -> list[tuple[str, str]]:
+def summarise(found: Discovery, update: VehicleUpdate | None,
+              findings: Mapping[str, Sequence[Finding]]) -> list[tuple[str, str]]:
     """(heading, text) pairs: combinations; residual and effects that are not separable or detectable; recordings;
-    recommendations."""
+    recommendations. findings: of the checks, by recording."""
     unknown = [describe_residual(found), list_inseparable(found), list_undetectable(found)]
-    serious = [(one, names) for one, names in group_by_name(findings) if one.severity is not Severity.NOTE]
-    recordings = ""
-    if serious:
-        one, names = serious[0]
-        more = f" and {len(serious) - 1} more" if len(serious) > 1 else ""
-        correction = ("The recordings contain errors: correct them as st check proposes, and run st discover again"
-                      if one.advice is None or one.advice.kind != "look" else f"Advice: {one.advice.line}")
-        recordings = f"{one.text} ({', '.join(filter(None, (*names, describe_effect(one))))}){more}. {correction}"
-    together = [f"{format_combination(one)}: {', '.join(map(to_words, one.effects[:-1]))} or "
-                f"{to_words(one.effects[-1])}, which these drives do not separate" for one in found.known_together]
+    combinations = [f"{format_combination(c)}: {', '.join(map(to_words, c.effects[:-1]))} or "
+                    f"{to_words(c.effects[-1])}, which these drives do not separate"
+                    for c in found.unseparated_combinations]
     contradicted = {r.subject: f"{to_words(r.subject)}: {r.text}" for r in found.reasons if r.rule == FILE}
     advice = [*contradicted.values(), recommend(found, update)[0], describe_next_drive(found)]
-    pairs = [("only the combination is identifiable", "; ".join(together)),
-             ("not known", "; ".join(filter(None, unknown))), ("recordings", recordings),
+    pairs = [("only the combination is identifiable", "; ".join(combinations)),
+             ("not known", "; ".join(filter(None, unknown))), ("recordings", _describe_findings(findings)),
              ("to do", "; ".join(filter(None, advice)))]
     return [(key, text) for key, text in pairs if text]
+
+
+def _describe_findings(findings: Mapping[str, Sequence[Finding]]) -> str:
+    """Sentences on the most serious error or warning of the recordings; "" without any."""
+    serious = [(finding, names) for finding, names in group_by_name(findings) if finding.severity is not Severity.NOTE]
+    if not serious:
+        return ""
+    finding, names = serious[0]
+    more = f" and {len(serious) - 1} more" if len(serious) > 1 else ""
+    correction = ("The recordings contain errors: correct them as st check proposes, and run st discover again"
+                  if finding.advice is None or finding.advice.kind != "look" else f"Advice: {finding.advice.line}")
+    return f"{finding.text} ({', '.join(filter(None, (*names, describe_effect(finding))))}){more}. {correction}"
 
 
 def describe_drives(found: Discovery) -> list[tuple[str, str]]:
@@ -153,11 +160,12 @@ def explain_effects(found: Discovery) -> list[str]:
     """Equation and signs of each effect, with the quantities and effects on which its value depends."""
     lines = []
     for effect in sort_by_size(found.effects):
-        kind = EFFECTS.get(effect.name)
-        known = next((a for a in found.assumed if kind and a.key == kind.ratio_to), None)
-        signs = [f"{to_words(p.name)}: {p.meaning}" for p in kind.parameters if p.fit and p.meaning] if kind else []
-        parts = (kind.physics if kind else "", *signs,
-                 f"if the {known.key} is {known.value:.4g} ± {known.deviation:.2g} {known.unit}" if known else "",
+        definition = EFFECTS.get(effect.name)
+        prior = next((a for a in found.assumed if definition and a.key == definition.ratio_to), None)
+        signs = [f"{to_words(p.name)}: {p.meaning}" for p in definition.parameters if p.fit and p.meaning
+                 ] if definition else []
+        parts = (definition.physics if definition else "", *signs,
+                 f"if the {prior.key} is {prior.value:.4g} ± {prior.deviation:.2g} {prior.unit}" if prior else "",
                  f"identifiable only together with {', '.join(map(to_words, effect.joint))}: they compensate for each "
                  "other" if effect.joint else "")
         lines.append(f"{to_words(effect.name)}: {'; '.join(filter(None, parts))}" if any(parts) else "")
@@ -203,8 +211,8 @@ def describe_residual(found: Discovery) -> str:
 
 
 def format_combination(combination: result.Combination) -> str:
-    """Name and value of a combination with 95 % interval: a delay in s, a stability factor, which may be 0 or negative,
-    next to that of the vehicle file, others relative to it."""
+    """Name and value of a combination with 95 % interval, relative to the value of the vehicle file. Absolute values
+    are reported for a delay, and for a stability factor, which may be 0 or negative in the file."""
     low, high = combination.interval
     if combination.unit == "s^2/m^2":
         return (f"{combination.name} {combination.value:.2g} s²/m² ({low:.2g} to {high:.2g}; vehicle file "
@@ -228,7 +236,7 @@ def list_inseparable(found: Discovery) -> str:
     return f"not separable: {'; '.join((*names, *pairs))}{limits}" if names or pairs else ""
 
 
-def pair_rows(found: Discovery) -> list[tuple[str, ...]]:
+def list_pair_rows(found: Discovery) -> list[tuple[str, ...]]:
     """Table row of each inseparable pair of effects, with the columns of PAIR_HEAD; smallest separation first."""
     rows = []
     for pair in sorted(found.separability, key=lambda p: p.strength):
@@ -245,7 +253,8 @@ def list_undetectable(found: Discovery) -> str:
     """Effects that are not detectable in these drives, with the largest size tried, vehicle parameters first."""
     largest = {p.effect: f" of {format_deviation(p.size, p.unit)}"
                for p in sorted(found.certificate.powers, key=lambda p: abs(p.size))}
-    combined = {name for one in found.known_together for name in one.effects}  # their combination is identifiable
+    # Of these effects, the combination is identifiable.
+    combined = {name for c in found.unseparated_combinations for name in c.effects}
     ranked = sorted((n.name for n in found.not_testable if n.name not in combined), key=rank_by_kind)
     names = ", ".join(f"{to_words(name)}{largest.get(name, '')}" for name in ranked[:MAX_UNDETECTABLE])
     more = len(ranked) - MAX_UNDETECTABLE
@@ -259,11 +268,11 @@ def format_separation(strength: float) -> str:
 
 def list_detectable(found: Discovery) -> str:
     """The smallest detectable size of each effect in these drives, vehicle parameters first."""
-    best: dict[str, result.Power] = {}
+    smallest: dict[str, result.Power] = {}
     for power in sorted(found.certificate.powers, key=lambda p: abs(p.size)):
         if power.probability >= LIMITS.detection_power:
-            best.setdefault(power.effect, power)
-    ranked = sorted(best.values(), key=lambda p: rank_by_kind(p.effect))
+            smallest.setdefault(power.effect, power)
+    ranked = sorted(smallest.values(), key=lambda p: rank_by_kind(p.effect))
     sizes = [f"{to_words(p.effect)} of {format_deviation(p.size, p.unit)}" for p in ranked]
     return f"detectable, one at a time: {', '.join(sizes)}" if sizes else ""
 
@@ -299,7 +308,7 @@ def describe_effective(found: Discovery) -> list[str]:
     """Sentence on the effective corrections of the model; empty without any."""
     if not found.effective:
         return []
-    position, named = (one.get("position_5s") for one in (found.errors, found.named_errors))
+    position, named = found.errors.get("position_5s"), found.named_errors.get("position_5s")
     errors = (f" ({format_metres(named.augmented)} → {format_metres(position.augmented)} after 5 s)"
               if position and named else "")
     names = ", ".join(f"{to_words(e.name)} {format_briefly(e.name, e.parameters)}" for e in found.effective)
@@ -350,12 +359,12 @@ def recommend(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         lines.append(f"{to_words(name)} is in model.yaml, because no entry of the vehicle file can correct it: these "
                      "recordings contain the road-wheel angle, or play in the steering acts before the ratio; for "
                      f"recordings of the steering-wheel angle, set {format_changes(changes)}")
-    rest = [e for e in found.effects if update is None or e.name not in update.folded]
-    sensors = [to_words(e.name) for e in rest if e.kind == "sensors"]
+    not_in_file = [e for e in found.effects if update is None or e.name not in update.folded]
+    sensors = [to_words(e.name) for e in not_in_file if e.kind == "sensors"]
     if sensors:
         lines.append(f"{', '.join(sensors)}: either use model.yaml, or correct the sensors or the recordings "
                      "(run.yaml) and run st discover again; doing both corrects the error twice")
-    others = [to_words(e.name) for e in rest if update is None or e.name not in update.not_folded]
+    others = [to_words(e.name) for e in not_in_file if update is None or e.name not in update.not_folded]
     if others:
         lines.append(f"predict with model.yaml, which adds {', '.join(others)}")
     if found.signature and found.effects:
@@ -369,9 +378,9 @@ def recommend(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         lines.append(f"record more driving{proposed} and add it to the runs")
     if found.outcome == "ambiguous" and found.next_manoeuvre is not None:
         lines.append("record the next drive and add it to the runs")
-    if not all(c.is_time for c in found.known_together):
-        use = "" if found.effects or found.minor or found.model is None else "predict with model.yaml; "
-        lines.append(f"{use}weigh the car and compare its tyres with those of the vehicle file")
+    if not all(c.is_time for c in found.unseparated_combinations):
+        prediction = "" if found.effects or found.minor or found.model is None else "predict with model.yaml; "
+        lines.append(f"{prediction}weigh the car and compare its tyres with those of the vehicle file")
     if found.minor and found.effects:
         minor = ", ".join(name_with_alternatives(found, e) for e in found.minor)
         lines.append(f"model.yaml also contains {minor}: part of the fit, but not named as properties of the car")
@@ -384,19 +393,23 @@ def recommend(found: Discovery, update: VehicleUpdate | None) -> list[str]:
 
 def format_changes(changes: Mapping[str, Sequence[float]]) -> str:
     """Entries of a vehicle file before and after a change; with SI units, because the file may use other units."""
-    units = {key: VEHICLE_QUANTITIES[key].si_unit.removesuffix("1") for key in changes if key in VEHICLE_QUANTITIES}
-    numbers = {key: [f"{x:.0f}" if abs(x) >= 1000.0 else f"{x:.4g}" for x in pair[:2]] for key, pair in changes.items()}
-    return ", ".join(f"{key} {' → '.join(pair)} {units.get(key, '')}".rstrip() for key, pair in numbers.items())
+    texts = []
+    for key, values in changes.items():
+        before, after = (f"{x:.0f}" if abs(x) >= 1000.0 else f"{x:.4g}" for x in values[:2])
+        unit = VEHICLE_QUANTITIES[key].si_unit.removesuffix("1") if key in VEHICLE_QUANTITIES else ""
+        texts.append(f"{key} {before} → {after} {unit}".rstrip())
+    return ", ".join(texts)
 
 
-def details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, list[str]]]:
+def list_details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, list[str]]]:
     """(heading, sentences) below the summary; headings without sentences are left out."""
-    why = {r.subject: r.text for r in found.reasons if r.rule in (MINOR, FORCES, IMPLAUSIBLE)}
+    reasons = {r.subject: r.text for r in found.reasons if r.rule in (MINOR, FORCES, IMPLAUSIBLE)}
     decided = [reason.text for reason in found.reasons if reason.subject == "outcome"]
     if found.certificate.measured:
         decided.append(f"false alarms: an effect was named in {found.certificate.alarms} of "
                        f"{found.certificate.simulated_drives} simulated drives without any")
-    minor = [f"{name_with_alternatives(found, e)}: {why[e.name]}" for e in sort_by_size(found.minor) if e.name in why]
+    minor = [f"{name_with_alternatives(found, e)}: {reasons[e.name]}" for e in sort_by_size(found.minor)
+             if e.name in reasons]
     sections = [*((role, [text]) for role, text in describe_drives(found)), ("meaning", explain_effects(found)),
                 ("decision rule", decided), ("not named", minor),
                 ("what to do", recommend(found, update)[1:]), ("effective corrections", describe_effective(found)),

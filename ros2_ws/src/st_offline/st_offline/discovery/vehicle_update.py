@@ -1,4 +1,4 @@
-"""Folds the named effects of a discovery into the entries of the user's vehicle file that can express them."""
+"""Folds the named effects of a discovery into those entries of the user's vehicle file that can express them."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -47,7 +47,7 @@ class VehicleUpdate:
     vehicle, text: updated car and content of vehicle.yaml; original car and "" if vehicle.yaml is not written.
     model: augmented model for `vehicle`; a folded effect keeps only its effective correction beyond the named value.
     folded: effects in vehicle.yaml. not_folded: changes (before, after), by key, of each effect that is not folded
-    because folding would change predictions. changes: (before, after, low, high) by key, SI.
+    because folding would change predictions. changes: (before, after, low, high) by key [SI]; low, high: 95 % interval.
     error: mean held-out position error of the base model after 5 s, (original file, updated file) [m].
     worse: drives with a significantly larger error with the updated file. objections: implausible values of the car.
     required_slip_speed: minimum_slip_speed that the model needs [m/s], 0 if the value in the file is sufficient.
@@ -71,8 +71,7 @@ class VehicleUpdate:
 
 
 def update_vehicle(found: Discovery, request: Request) -> VehicleUpdate | None:
-    """Update from `fold_named_effects`, but with the original file if the updated one predicts worse; None without a
-    model."""
+    """`fold_named_effects`, but with the original file if the updated one predicts worse; None without a model."""
     update = fold_named_effects(found, request)
     if update is None or not update.text or update.improves:
         return update
@@ -107,9 +106,9 @@ def fold_named_effects(found: Discovery, request: Request) -> VehicleUpdate | No
         return _without_file(request.vehicle, found.model, not_folded)
     car = fold(request.vehicle, folded, found.named.values)
     model = _remaining_model(found, car, folded, drives, request.vehicle)
-    needed = _required_slip_speed(car, model)
-    if needed > car.minimum_slip_speed:  # the written file must keep the model stable
-        car = replace(car, minimum_slip_speed=needed)
+    required = _required_slip_speed(car, model)
+    if required > car.minimum_slip_speed:  # the written file must keep the model stable
+        car = replace(car, minimum_slip_speed=required)
         model = _remaining_model(found, car, folded, drives, request.vehicle)
     error, worse = _held_out_error(found, request.vehicle, folded, drives)
     changes = {key: (*change, *_confidence_interval(found, request.vehicle, folded, key))
@@ -127,49 +126,51 @@ def fold_named_effects(found: Discovery, request: Request) -> VehicleUpdate | No
 def _without_file(vehicle: VehicleParameters, model: AugmentedModel, not_folded: Mapping[str, Mapping[str, Any]],
                   *measured: Any) -> VehicleUpdate:
     """Update that keeps the original file. measured: `error` and `worse`, if an updated file was tried."""
-    needed = _required_slip_speed(vehicle, model)
+    required = _required_slip_speed(vehicle, model)
     return replace(VehicleUpdate(vehicle, "", model, (), {}, not_folded, *measured),
-                   required_slip_speed=needed if needed > vehicle.minimum_slip_speed else 0.0)
+                   required_slip_speed=required if required > vehicle.minimum_slip_speed else 0.0)
 
 
 def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float:
-    """minimum_slip_speed [m/s] at which the base models and this model are stable; ignores models that no value
-    stabilises."""
+    """minimum_slip_speed [m/s] at which the base models and this model are stable; models that no value stabilises are
+    ignored."""
     step = PredictionSettings().step
-    needed = [slip_speed_needed((one,), car, STABILITY_SPEEDS, step) for one in ("linear", "nonlinear", model)]
-    return max((speed for speed in needed if speed is not None), default=car.minimum_slip_speed)
+    required = [slip_speed_needed((m,), car, STABILITY_SPEEDS, step) for m in ("linear", "nonlinear", model)]
+    return max((speed for speed in required if speed is not None), default=car.minimum_slip_speed)
 
 
 def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                     drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
     """`error` and `worse` of `VehicleUpdate`; each drive is predicted with values fitted without it."""
-    sums, worse = np.zeros(3), []
+    assert found.named is not None  # because there are named effects
+    errors, worse = [], []
     for drive in drives:
-        assert found.named is not None
         values = {**found.named.values, **found.leave_one_out.get(drive.name, {})}
         try:
             car = fold(vehicle, folded, values)
         except StCoreError:  # the values without this drive are outside the limits of a vehicle file
             return (0.0, math.inf), (drive.name,)
-        before, after = (np.hypot(*_final_errors(found.base, one, [drive])[0][:, :2].T) for one in (vehicle, car))
-        known = np.isfinite(before) & np.isfinite(after)
-        before, after = before[known], after[known]
-        sums += before.sum(), after.sum(), len(before)
+        pair = np.stack([np.hypot(*_final_errors(found.base, v, [drive])[0][:, :2].T) for v in (vehicle, car)])
+        before, after = pair = pair[:, np.isfinite(pair).all(axis=0)]
+        errors.append(pair)
         if len(before) > 2 and stats.ttest_rel(after, before, alternative="greater").pvalue < SIGNIFICANCE_LEVEL:
             worse.append(drive.name)
-    return ((float(sums[0] / sums[2]), float(sums[1] / sums[2])) if sums[2] else (math.nan, math.nan)), tuple(worse)
+    all_errors = np.concatenate(errors, axis=1)
+    before_mean, after_mean = all_errors.mean(axis=1).tolist() if all_errors.size else (math.nan, math.nan)
+    return (before_mean, after_mean), tuple(worse)
 
 
 def _remaining_model(found: Discovery, car: VehicleParameters, folded: Sequence[type[Effect]],
                      drives: Sequence[DriveLog], vehicle: VehicleParameters) -> AugmentedModel:
-    """Model for the updated vehicle; without effective corrections if it cannot predict like the complete model."""
+    """Model for the updated vehicle; without effective corrections if its predictions differ from those of the complete
+    model by more than MAX_POSITION_DIFFERENCE."""
     assert found.model is not None and found.named is not None
     values: dict[str, dict[str, float]] = {}
     for effect in folded:
         values[effect.name] = {}
         for p in (p for p in effect.parameters if p.fit):
-            named, best = found.named.values[effect.name][p.name], found.model.values[effect.name][p.name]
-            remaining = best / named if p.null == 1.0 else best - named + p.null
+            named, complete = found.named.values[effect.name][p.name], found.model.values[effect.name][p.name]
+            remaining = complete / named if p.null == 1.0 else complete - named + p.null
             values[effect.name][p.name] = float(np.clip(remaining, *p.bounds))
     model = found.model.with_values(values)
     difference = np.concatenate([a - b for a, b in zip(
@@ -186,7 +187,7 @@ def _changed_values(vehicle: VehicleParameters, other: VehicleParameters) -> dic
 
 def changed_keys(vehicle: VehicleParameters, effect: type[Effect], values: Mapping[str, float]
                  ) -> dict[str, tuple[float, float]]:
-    """(before, after) of each key of the vehicle file that an effect changes."""
+    """(before, after) of each key of the vehicle file that an effect changes; empty if it cannot be folded."""
     if not effect.fold:
         return {}
     try:
@@ -202,13 +203,14 @@ def without_effects(model: AugmentedModel, effects: Iterable[type[Effect]]) -> A
 
 
 def _final_errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Sequence[DriveLog]) -> list[np.ndarray]:
-    """Errors (starts, 3) [m, m, rad] of each drive at the end of the horizon; `vehicle` converts steering angles."""
+    """Errors (starts, 3) [m, m, rad] of each drive at the end of the horizon. Steering-wheel angles are converted to
+    road-wheel angles with `vehicle`."""
     errors = []
     for drive in drives:
         log = drive
         if drive.steering_wheel_angle is not None:
             log = replace(drive, road_wheel_angle=vehicle.road_wheel_angle(drive.steering_wheel_angle))
-        signals = LogSignals(log, 0.1, 5.0)
+        signals = LogSignals(log, maximum_gap=0.1, filter_cutoff=5.0)
         starts, _ = usable_starts(signals, vehicle, regular_starts(log, START_INTERVAL), MIN_SPEED)
         batch = LogBatch(signals, starts, HORIZON, STEP, points=(HORIZON,), substeps="auto")
         errors.append(batch.errors(batch.predict(model, vehicle))[:, -1, :])
@@ -221,15 +223,15 @@ def _confidence_interval(found: Discovery, vehicle: VehicleParameters, folded: S
     assert found.named is not None  # because there are named effects
     values = {name: dict(entry) for name, entry in found.named.values.items()}
     centre = value_of(fold(vehicle, folded, values), key)
-    below = above = 0.0
+    below = above = 0.0  # sums of squares
     names = {effect.name for effect in folded}
     for effect in (e for e in found.effects if e.name in names):
-        own, bounds = values[effect.name], {p.name: p.bounds for p in get_effect(effect.name).parameters}
+        fitted, bounds = values[effect.name], {p.name: p.bounds for p in get_effect(effect.name).parameters}
         for name, p in effect.parameters.items():
             ends = [centre]
-            for edge in p.interval:
-                limited = float(np.clip(own[name] + edge - p.value, *bounds[name]))
-                changed = {**values, effect.name: {**own, name: limited}}
+            for end in p.interval:
+                limited = float(np.clip(fitted[name] + end - p.value, *bounds[name]))
+                changed = {**values, effect.name: {**fitted, name: limited}}
                 ends.append(value_of(fold(vehicle, folded, changed), key))
             below += (centre - min(ends)) ** 2
             above += (max(ends) - centre) ** 2
@@ -239,23 +241,23 @@ def _confidence_interval(found: Discovery, vehicle: VehicleParameters, folded: S
 def update_vehicle_text(request: Request, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]],
                         runs: Sequence[Run], effects: str) -> str:
     """The user's vehicle file with these keys replaced; comments and all other entries are unchanged. runs, effects:
-    sources of the values. A derived lambda_ky is written only if the edited file would result in another value. If the
-    edited file does not load as `car`, a new file is written."""
+    sources of the values. A derived lambda_ky is written only if the edited file would otherwise yield another value.
+    If the edited file does not load as `car`, the result is a new file."""
     date = f"{datetime.now(UTC):%Y-%m-%d}"
     source = (f"st discover, {date}, {len(runs)} run{'' if len(runs) == 1 else 's'}, "
               f"{sum(run.seconds for run in runs):.0f} s: {effects}")
-    about = Provenance(None, "st discover", ", ".join(run.name for run in runs), date)
+    provenance = Provenance(None, "st discover", ", ".join(run.name for run in runs), date)
     original = yaml.safe_load(request.vehicle_text)
     derived = [f"{tyre}.lambda_ky" for tyre in TYRES if "lambda_ky" not in original[tyre]]
     stable = f"stable with steps of {1e3 * PredictionSettings().step:g} ms"
-    entries = {key: _entry_writer(change, source, about) for key, change in changes.items() if key not in derived}
+    entries = {key: _entry_writer(change, source, provenance) for key, change in changes.items() if key not in derived}
     if SLIP_SPEED_KEY in entries:
-        entries[SLIP_SPEED_KEY] = _entry_writer(changes[SLIP_SPEED_KEY][:2], stable, about)
+        entries[SLIP_SPEED_KEY] = _entry_writer(changes[SLIP_SPEED_KEY][:2], stable, provenance)
     try:
         edited = VehicleParameters.from_yaml(edit_entries(request.vehicle_text, entries))
     except (ConfigurationError, yaml.YAMLError):
         edited = car
-    entries |= {key: _entry_writer((value_of(request.vehicle, key), value_of(car, key)), source, about)
+    entries |= {key: _entry_writer((value_of(request.vehicle, key), value_of(car, key)), source, provenance)
                 for key in derived if not _agrees(edited, car, key, VALUE_TOLERANCE)}
     sources = {key: f"{stable if key == SLIP_SPEED_KEY else source}; before {format_number(change[0])}"
                for key, change in changes.items()}
@@ -279,43 +281,43 @@ def _agrees(car: VehicleParameters, other: VehicleParameters, key: str, toleranc
     return math.isclose(value_of(car, key), value_of(other, key), rel_tol=tolerance, abs_tol=1e-4 * tolerance)
 
 
-def _entry_writer(change: Sequence[float], source: str, about: Provenance) -> Callable[[str, float], str]:
+def _entry_writer(change: Sequence[float], source: str, provenance: Provenance) -> Callable[[str, float], str]:
     """Function that formats a YAML entry, called with the unit of the file and its factor to SI. change: (before,
     after[, low, high]) [SI]."""
-    def entry(unit: str, factor: float) -> str:
+    def write_entry(unit: str, factor: float) -> str:
         before, after, *ends = (format_number(float(f"{value / factor:.{SIGNIFICANT_DIGITS}g}")) for value in change)
         interval = f", 95 % interval {ends[0]} to {ends[1]}" if ends else ""
         deviation = (change[3] - change[2]) / (2 * 1.96) if ends else 0.0
-        provenance = replace(about, uncertainty=float(f"{deviation / factor:.3g}") if deviation > 0.0 else None)
+        uncertainty = float(f"{deviation / factor:.3g}") if deviation > 0.0 else None
         return (f"{{value: {after}, unit: {quote(unit)}, source: {quote(f'{source}{interval}; before {before}')}"
-                f"{provenance.format_entries()}}}")
-    return entry
+                f"{replace(provenance, uncertainty=uncertainty).format_entries()}}}")
+    return write_entry
 
 
 def edit_entries(text: str, entries: Mapping[str, Callable[[str, float], str]]) -> str:
     """A vehicle file with these entries replaced or inserted; keys such as "mass" or "tyre_front.p_dy1"."""
     root = yaml.compose(text, Loader=yaml.SafeLoader)
-    changes = [_locate_edit(root, key, entry) for key, entry in entries.items()]
-    for start, end, new in sorted(changes, reverse=True):
+    edits = [_locate_edit(root, key, write_entry) for key, write_entry in entries.items()]
+    for start, end, new in sorted(edits, reverse=True):
         text = text[:start] + new + text[end:]
     return text
 
 
-def _locate_edit(root: yaml.Node, key: str, entry: Callable[[str, float], str]) -> tuple[int, int, str]:
+def _locate_edit(root: yaml.Node, key: str, write_entry: Callable[[str, float], str]) -> tuple[int, int, str]:
     """(start, end, replacement) of one entry in the text of the file."""
     tyre, _, name = key.rpartition(".")
-    section, known = _find_entry(root, tyre) if tyre else root, find_quantity(key)
-    assert isinstance(section, yaml.MappingNode) and known is not None  # already parsed as a vehicle file
-    units, node = known.units, _find_entry(section, name)
+    section, definition = _find_entry(root, tyre) if tyre else root, find_quantity(key)
+    assert isinstance(section, yaml.MappingNode) and definition is not None  # already parsed as a vehicle file
+    units, node = definition.units, _find_entry(section, name)
     if node is None:
         first = section.value[0][0].start_mark
         unit = next(iter(units))
         gap = ", " if section.flow_style else "\n" + " " * first.column
-        return first.index, first.index, f"{name}: {entry(unit, units[unit])}{gap}"
+        return first.index, first.index, f"{name}: {write_entry(unit, units[unit])}{gap}"
     # A YAML block ends at the next key; the edit ends at its last value, to preserve the comments in between.
     last = node if node.flow_style else node.value[-1][1]
     unit = next(value.value for name, value in node.value if name.value == "unit")
-    return node.start_mark.index, last.end_mark.index, entry(unit, units[unit])
+    return node.start_mark.index, last.end_mark.index, write_entry(unit, units[unit])
 
 
 def _find_entry(section: yaml.Node, key: str) -> yaml.MappingNode | None:
