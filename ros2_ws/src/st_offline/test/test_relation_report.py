@@ -204,12 +204,12 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
     content = build_relation_document(RelationSearch(one, "", {}))["proposal"]["next_drives"]
     assert content["most_separating"] == {"manoeuvre": "brake_in_turn", "from": rival}
     assert content["most_precise"] == "brake_in_turn" and len(content["options"]) == 2
-    weak = replace(one, drives=replace(drives, options=drives.options[1:]))
+    weak = replace(one, next_drives=replace(drives, options=drives.options[1:]))
     assert "no manoeuvre of the catalogue separates it much better from" in "\n".join(describe_next_drives(weak))
-    hardly = replace(one, drives=replace(drives, options=[Option(brake, 0.9 * one.deviation, {}, (0.0, 0.0))]))
+    hardly = replace(one, next_drives=replace(drives, options=[Option(brake, 0.9 * one.deviation, {}, (0.0, 0.0))]))
     assert "for a narrower interval" not in "\n".join(describe_next_drives(hardly))
-    of_a_place = replace(one, others={"side_force over position_x": 0.9}, drives=replace(drives, current_separation={},
-                                                                                         options=[]))
+    without_options = replace(drives, current_separation={}, options=[])
+    of_a_place = replace(one, others={"side_force over position_x": 0.9}, next_drives=without_options)
     text = "\n".join(describe_next_drives(of_a_place))
     assert "from effects of place, heading or time: repeat the drive twice" in text and "much better" not in text
 
