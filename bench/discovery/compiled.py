@@ -103,10 +103,10 @@ def drive(car: Car, settings: Settings, programme: Programme, seed: int,
 @cache
 def compile_loop(loop):
     """Compiles a loop and all functions that it calls; the machine code is cached on the disk."""
-    for function in structure.reachable(loop)[:-1]:
+    for function in structure.find_reachable(loop)[:-1]:
         register_jitable(function)
     kernel = numba.njit(error_model="numpy")(loop)
-    numba_cache.enable(kernel, structure.fingerprint(loop))
+    numba_cache.enable_cache(kernel, structure.fingerprint(loop))
     return kernel
 
 

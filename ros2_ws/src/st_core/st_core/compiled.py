@@ -37,7 +37,7 @@ class CompiledModel:
         self._sequence_rows = np.arange(2 * settings.steps + 1)
         w = model.inputs(0.0, 0.0, self._parameters)
         start = model.start_state((0.0,) * len(STATE_NAMES), w, self._parameters)
-        if not self._lanes.compiles(model, self._parameters, len(w), len(start)):
+        if not self._lanes.can_compile(model, self._parameters, len(w), len(start)):
             raise ConfigurationError("numba cannot compile the model")
 
     def __call__(self, state: VehicleState, inputs: ControlInput | InputSequence) -> Trajectory:

@@ -11,6 +11,7 @@ from .measurement_history import DERIVATIVE, YAW, MeasurementHistory
 from .model_view import ModelView
 from .models import MODELS, Model, get_model
 from .prediction import PredictionSettings, Runner, predict
+from .readings import predict_readings
 from .timeseries import NANOSECOND, TimeSeries, half_step_grid
 from .types import InputSequence, InsSample, Trajectory, VehicleState, pose_errors
 from .vehicle import VehicleParameters
@@ -173,7 +174,7 @@ class Evaluator:
                                else predict(view.model, self.vehicle, start, model_inputs, steps * step, step))
                 variants.append(("hindsight", resimulated, unbroken & scorable, jump or no_inputs))
             for mode, trajectory, scored, reason in variants:
-                r = view.readings_along(trajectory)
+                r = predict_readings(view.model, self.vehicle, tuple(trajectory.states.T))
                 errors = [np.where(scored, e, math.nan) for e in pose_errors(r.x, r.y, r.yaw, *measured)]
                 scores.append(make_score(model, mode, start_ns, step, errors, reason))
         return scores

@@ -1,4 +1,4 @@
-"""Measurements as seen by one model: its start state, its inputs, and the INS readings along its path.
+"""Measurements as seen by one model: its start state and its inputs.
 
 A model without effects uses the measurements unchanged. Effects may correct the sensors, move the INS point or delay
 the steering; start state and inputs then depend on the model.
@@ -10,13 +10,12 @@ import numpy as np
 
 from . import readings
 from .augmented import AugmentedModel
-from .effects import Measured
 from .errors import ConfigurationError, StCoreError
 from .log import OPTIONAL_INS_SIGNALS
 from .measurement_history import DERIVATIVE, MeasurementHistory
 from .models import Model
 from .timeseries import NANOSECOND, half_step_grid, interpolate
-from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState, ins_to_cg
+from .types import ControlInput, InputSequence, InsSample, VehicleState, ins_to_cg
 from .vehicle import VehicleParameters
 
 
@@ -35,7 +34,6 @@ class ModelView:
                 model.name, *missing))
         self.model = model
         self.car = model.effective_vehicle(vehicle)
-        self._vehicle = vehicle
         self.plain = not isinstance(model, AugmentedModel)
         self.has_steering_dynamics = readings.has_steering_dynamics(model)
         self.corrects_samples = isinstance(model, AugmentedModel) and model.has_sensor_effects
@@ -83,7 +81,3 @@ class ModelView:
         rows = slice(*np.searchsorted(series.times, span).tolist())
         wheels = readings.correct_steering(self.model, series.times[rows], series.rows[rows, 0], gap_ns * NANOSECOND)
         return InputSequence(interpolate(*wheels, times_ns, gap_ns), acceleration)
-
-    def readings_along(self, trajectory: Trajectory) -> Measured:
-        """INS readings along a trajectory of the model; accelerations are NaN."""
-        return readings.predict_readings(self.model, self._vehicle, tuple(trajectory.states.T))

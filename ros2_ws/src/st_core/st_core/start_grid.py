@@ -55,10 +55,9 @@ def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, shar
 
     share: False if the values at an instant depend on the start.
     """
-    runs = _find_runs(starts_ns, instants_ns) if share else []
-    columns = sum(run.columns + _reach(run.spacing, instants_ns) for run in runs)
-    if runs and columns <= 2 * len(starts_ns) + lanes:
-        yield from _plan_shared(starts_ns, instants_ns, lanes, runs)
+    pieces = _find_pieces(starts_ns, instants_ns) if share else []
+    if pieces and sum(piece.width for piece in pieces) <= 2 * len(starts_ns) + lanes:
+        yield from _plan_shared(pieces, instants_ns, lanes)
         return
     count = len(instants_ns)
     size = _round_up(max(min(SEPARATE_BLOCK // count, SHARED_BLOCK), 1), lanes)
@@ -70,67 +69,46 @@ def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, shar
                     instants_ns[:, None] + padded, np.arange(count) * width, width)
 
 
-class _Run(NamedTuple):
-    """Starts with overlapping horizons."""
-
-    rows: slice
-    spacing: int  # half steps between columns
-    columns: int
-
-
 class _Piece(NamedTuple):
-    """Part of a run that fits into a block."""
+    """Consecutive starts with overlapping horizons, which fit into a block."""
 
     rows: slice
     spacing: int  # half steps between columns
     column: np.ndarray  # of each start, within the piece
     origin_ns: int  # time of its first column
-
-    def width(self, instants_ns: np.ndarray) -> int:
-        """Number of columns, including those into which the last horizon extends."""
-        return int(self.column[-1]) + 1 + _reach(self.spacing, instants_ns)
+    width: int  # columns, including those into which the last horizon extends
 
 
-def _reach(spacing: int, instants_ns: np.ndarray) -> int:
-    """Number of columns by which a horizon extends beyond the column of its start."""
-    return (len(instants_ns) - 1) // spacing
-
-
-def _find_runs(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[_Run]:
-    """Runs of all starts; empty without a common grid."""
+def _find_pieces(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[_Piece]:
+    """Pieces that cover all starts; empty without a common grid."""
     if len(instants_ns) < 2 or not len(starts_ns):
         return []
     half, count = int(instants_ns[1]), len(instants_ns)
     if not np.array_equal(instants_ns, half * np.arange(count)):
         return []
     between = np.diff(starts_ns)
-    runs = []
-    for part in np.split(np.arange(len(starts_ns)), np.flatnonzero(between >= half * count) + 1):
-        steps = between[part[0]:part[-1]]
+    pieces = []
+    for run in np.split(np.arange(len(starts_ns)), np.flatnonzero(between >= half * count) + 1):
+        steps = between[run[0]:run[-1]]
         if np.any(steps % half):
             return []
         spacing = int(np.gcd.reduce(steps // half)) if len(steps) else count
-        columns = int(starts_ns[part[-1]] - starts_ns[part[0]]) // (half * spacing) + 1
-        runs.append(_Run(slice(int(part[0]), int(part[-1]) + 1), spacing, columns))
-    return runs
+        column = (starts_ns[run] - starts_ns[run[0]]) // (half * spacing)
+        for first in range(0, int(column[-1]) + 1, SHARED_BLOCK):
+            begin, end = np.searchsorted(column, (first, first + SHARED_BLOCK)).tolist()
+            within = column[begin:end] - first
+            pieces.append(_Piece(slice(int(run[0]) + begin, int(run[0]) + end), spacing, within,
+                                 int(starts_ns[run[0]]) + first * half * spacing,
+                                 int(within[-1]) + 1 + (count - 1) // spacing))
+    return pieces
 
 
-def _plan_shared(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int,
-                 runs: Sequence[_Run]) -> Iterator[Block]:
-    """Blocks of consecutive runs; between runs, the columns into which the last horizon extends are unused."""
-    pieces = []
-    for rows, spacing, columns in runs:
-        between_ns = int(instants_ns[1]) * spacing
-        column = (starts_ns[rows] - starts_ns[rows.start]) // between_ns
-        for first in range(0, columns, SHARED_BLOCK):
-            begin, end = np.searchsorted(column, (first, first + SHARED_BLOCK))
-            pieces.append(_Piece(slice(rows.start + int(begin), rows.start + int(end)), spacing,
-                                 column[begin:end] - first, int(starts_ns[rows.start]) + first * between_ns))
+def _plan_shared(pieces: Sequence[_Piece], instants_ns: np.ndarray, lanes: int) -> Iterator[Block]:
+    """Blocks of consecutive pieces; between pieces, the columns into which the last horizon extends are unused."""
     group: list[_Piece] = []
     number = 0
     for piece in pieces:
-        if group and (group[0].spacing != piece.spacing
-                      or sum(p.width(instants_ns) for p in (*group, piece)) > SHARED_BLOCK):
+        if group and (group[0].spacing != piece.spacing or sum(p.width for p in (*group, piece)) > SHARED_BLOCK):
             yield _join_pieces(number, group, instants_ns, lanes)
             group, number = [], number + 1
         group.append(piece)
@@ -139,9 +117,9 @@ def _plan_shared(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int,
 
 def _join_pieces(number: int, pieces: list[_Piece], instants_ns: np.ndarray, lanes: int) -> Block:
     half, spacing = int(instants_ns[1]), pieces[0].spacing
-    width = [piece.width(instants_ns) for piece in pieces]
+    width = [piece.width for piece in pieces]
     first = np.concatenate(([0], np.cumsum(width)))
-    count = int(first[-1]) - _reach(spacing, instants_ns)
+    count = int(first[-1]) - (len(instants_ns) - 1) // spacing
     columns = _round_up(count, lanes)
     width[-1] += columns - count
     indices = sum(width)

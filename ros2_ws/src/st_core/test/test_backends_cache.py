@@ -200,6 +200,6 @@ def test_a_function_is_more_than_its_file():
     prints = [structure.fingerprint(make(*parts)) for parts in ((1.0, double), (2.0, double), (1.0, square))]
     assert len(set(prints)) == 3
     assert structure.fingerprint(make(1.0, double)) == prints[0]
-    assert [f.__name__ for f in structure.reachable(make(1.0, double))] == ["double", "outer"]
+    assert [f.__name__ for f in structure.find_reachable(make(1.0, double))] == ["double", "outer"]
     with pytest.raises(structure.UnhashableError):
         structure.fingerprint(make(object(), double))

@@ -12,7 +12,7 @@ from st_core.integrate import rk4, rk4_step
 from st_core.models import MODELS
 
 casadi = pytest.importorskip("casadi", reason="casadi is not installed")
-from st_core.backends.casadi_backend import build, free_parameters  # noqa: E402
+from st_core.backends.casadi_backend import build, list_free_parameters  # noqa: E402
 
 STEPS, STEP = 100, 0.05
 SHARES = (-1.0, -0.3, 0.4, 1.0)  # of the way from null to a limit
@@ -143,7 +143,7 @@ def test_what_is_attached(leaf):
     assert ours.states[2].unit == "m/s" and ours.inputs[0].unit == "rad"
     assert all(v.lower < v.upper for v in (*ours.states, *ours.inputs))
     assert set(ours.left_out) == {"steering_delay", "yaw_rate_bias"}
-    assert list(free_parameters(model)) == ["tyre_relaxation.length"]
+    assert list(list_free_parameters(model)) == ["tyre_relaxation.length"]
     assert [f.name() for f in ours.functions][:2] == ["augmented_dynamics", "augmented_step"]
 
 

@@ -79,7 +79,7 @@ def test_the_model_with_the_effect_predicts_the_car_with_the_effect(leaf, base, 
             assert isinstance(start, Start)
             for which in predictor.models:
                 path = predictor.run(start, which)
-                shown = evaluator.view(which).readings_along(path)
+                shown = predict_readings(evaluator.view(which).model, leaf, tuple(path.states.T))
                 measured = predictor.history.ins_at(start.time_ns)
                 # Whatever the sensors do, the path begins where and as the INS shows the car.
                 for field in ("x", "y", "velocity_x", "velocity_y", "yaw_rate"):

@@ -86,33 +86,33 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1, fre
     if substeps < 1:
         raise ConfigurationError(f"substeps: {substeps} is below 1")
     p = model.parameters(vehicle)
-    known, free = free_parameters(model), tuple(dict.fromkeys(free))
+    known, free = list_free_parameters(model), tuple(dict.fromkeys(free))
     for name in free:
         if name not in known:
             raise ConfigurationError(f"free: {name!r} is not a parameter of the equations of model {model.name}, which "
                                      f"has {', '.join(known) or 'none'}")
     parameters = (*(known[name] for name in free), *(Variable(name, "") for name in model.signals))
-    units = [unit for e in _acting(model) for unit in (e.extra_units or ("",) * len(e.extra_states))]
+    units = [unit for e in _find_acting_effects(model) for unit in (e.extra_units or ("",) * len(e.extra_states))]
     states = tuple(Variable(name, unit, *_BOUNDS.get(name, ())) for name, unit in zip(
         (*STATE_NAMES, *model.extra_states), (*STATE_UNITS, *units), strict=True))
 
     x, u, h = casadi.SX.sym("x", len(states)), casadi.SX.sym("u", len(INPUTS)), casadi.SX.sym("h")
     symbols = [casadi.SX.sym(v.name) for v in parameters]
-    tail, tail_name = ([casadi.vertcat(*symbols)], ["p"]) if symbols else ([], [])
-    symbolic_p = _with_symbols(model, p, dict(zip(free, symbols, strict=False))) if free else p
+    p_argument, p_name = ([casadi.vertcat(*symbols)], ["p"]) if symbols else ([], [])
+    symbolic_p = _insert_symbols(model, p, dict(zip(free, symbols, strict=False))) if free else p
     w = model.inputs(*casadi.vertsplit(u), symbolic_p, *symbols[len(free):])
 
     rates = casadi.vertcat(*model.rhs(tuple(casadi.vertsplit(x)), w, symbolic_p))
     state = tuple(casadi.vertsplit(x))
     for _ in range(substeps):
         state = rk4_step(model.rhs, state, w, w, w, symbolic_p, h / substeps)
-    after = casadi.vertcat(*state)
+    next_state = casadi.vertcat(*state)
     six = casadi.SX.sym("x_six", len(STATE_NAMES))
     begin = casadi.vertcat(*model.start_state(tuple(casadi.vertsplit(six)), w, symbolic_p))
 
     def make_function(kind: str, arguments: dict[str, Any], results: dict[str, Any]) -> casadi.Function:
-        return casadi.Function(f"{model.name}_{kind}", [*arguments.values(), *tail], [*results.values()],
-                               [*arguments, *tail_name], [*results])
+        return casadi.Function(f"{model.name}_{kind}", [*arguments.values(), *p_argument], [*results.values()],
+                               [*arguments, *p_name], [*results])
 
     def differentiate(expression: casadi.SX) -> dict[str, casadi.SX]:
         return {"A": casadi.jacobian(expression, x), "B": casadi.jacobian(expression, u)}
@@ -122,27 +122,27 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1, fre
         model.name, states, INPUTS, parameters, substeps,
         tuple(e.name for e in getattr(model, "effects", ()) if e.steering or e.observe),
         make_function("dynamics", state_arguments, {"x_dot": rates}),
-        make_function("step", step_arguments, {"x_next": after}),
+        make_function("step", step_arguments, {"x_next": next_state}),
         make_function("dynamics_jacobian", state_arguments, differentiate(rates)),
-        make_function("step_jacobian", step_arguments, differentiate(after)),
+        make_function("step_jacobian", step_arguments, differentiate(next_state)),
         make_function("start", {"x_six": six, "u": u}, {"x": begin}))
 
 
-def free_parameters(model: str | Model) -> dict[str, Variable]:
+def list_free_parameters(model: str | Model) -> dict[str, Variable]:
     """Parameters of a model that `build` can leave free, by name."""
     model = get_model(model)
     if not isinstance(model, AugmentedModel):
         return {}
     return {f"{e.name}.{q.name}": Variable(f"{e.name}.{q.name}", q.unit, *q.bounds, model.values[e.name][q.name])
-            for e in _acting(model) for q in e.parameters}
+            for e in _find_acting_effects(model) for q in e.parameters}
 
 
-def _acting(model: Model) -> tuple[type[Effect], ...]:
+def _find_acting_effects(model: Model) -> tuple[type[Effect], ...]:
     """The effects that have parameters in p, in the order of p."""
     return compose(model.base, model.effects).acting if isinstance(model, AugmentedModel) else ()
 
 
-def _with_symbols(model: Model, p: Any, symbols: Mapping[str, casadi.SX]) -> Any:
+def _insert_symbols(model: Model, p: Any, symbols: Mapping[str, casadi.SX]) -> Any:
     return p._replace(effects=tuple(
         theta._replace(**{q.name: symbols[key] for q in e.parameters if (key := f"{e.name}.{q.name}") in symbols})
-        for e, theta in zip(_acting(model), p.effects, strict=True)))
+        for e, theta in zip(_find_acting_effects(model), p.effects, strict=True)))

@@ -19,28 +19,27 @@ import numpy as np
 from numba.core.errors import NumbaError
 from numba.core.registry import cpu_target
 
-# s; older unused kernels are deleted, since each edit of an equation creates a new one.
-KERNEL_LIFETIME = 30 * 86400.0
+KERNEL_LIFETIME = 30 * 86400.0  # s; kernels not used for this long are deleted: each edit of an equation adds one
 
 
-def enable(kernel, fingerprint: str) -> Path | None:
+def enable_cache(kernel, fingerprint: str) -> Path | None:
     """Cache a jitted function that is not compiled yet. Returns its folder; None if no folder is writable."""
     files = sorted(Path(__file__).parent.glob("*.py"))
     parts = (fingerprint, numba.__version__, np.__version__, platform.python_version(),
              *map(str, cpu_target.target_context.codegen().magic_tuple()),
              *(hashlib.sha256(file.read_bytes()).hexdigest() for file in files))
     key = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
-    for base in _candidates():
+    for base in _list_base_folders():
         try:
             folder = base / key
             folder.mkdir(parents=True, exist_ok=True)
-            os.utime(folder)  # marks it as used; fails in another user's folder
+            os.utime(folder)  # records that it is used; fails in another user's folder
             # numba reads CACHE_DIR when the cache is switched on, and refuses a folder it cannot write to.
-            before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
+            previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
             try:
                 kernel.enable_caching()
             finally:
-                numba.config.CACHE_DIR = before
+                numba.config.CACHE_DIR = previous
             # numba's own key pickles the closure, which differs between processes.
             kernel._cache._index_key = lambda signature, codegen: (signature, codegen.magic_tuple(), key)
         except (OSError, RuntimeError, AttributeError):  # not writable, or another version of numba
@@ -68,7 +67,7 @@ def compile_or_load(kernel, signature) -> None:
         kernel.compile(signature)
 
 
-def _candidates() -> Iterator[Path]:
+def _list_base_folders() -> Iterator[Path]:
     if numba.config.CACHE_DIR:  # NUMBA_CACHE_DIR, set by the user
         yield Path(numba.config.CACHE_DIR) / "st_core"
     yield Path(__file__).parent / "__pycache__" / "kernels"

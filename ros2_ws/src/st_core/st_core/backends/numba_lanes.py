@@ -8,6 +8,7 @@ Measurements: docs/measurements/performance.md.
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import count
 from threading import Lock
 from types import FunctionType
 from typing import Any, cast
@@ -41,9 +42,10 @@ _lock = Lock()
 
 def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.ndarray, step: float,
             points: np.ndarray) -> np.ndarray:
-    """States of all columns at the points, see the package; by numpy, with a warning, if numba cannot compile it."""
+    """States of all columns at the points, as defined in the package; by numpy, with a warning, if numba cannot compile
+    the model."""
     numbers: list[float] = []
-    kernel = _kernel(model, p, _skeleton(p, numbers), len(w), len(start))
+    kernel = _get_kernel(model, p, _collect_numbers(p, numbers), len(w), len(start))
     if kernel is None:
         return numpy_batch.advance(model, as_floats(p), start, w, offsets, step, points)
     columns = start.shape[1]
@@ -54,9 +56,9 @@ def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.
     return out
 
 
-def compiles(model: Model, p: Any, fields: int, states: int) -> bool:
+def can_compile(model: Model, p: Any, fields: int, states: int) -> bool:
     """Whether numba can compile `advance` for these numbers of fields of w and of states; compiles or loads it."""
-    return _kernel(model, p, _skeleton(p, []), fields, states) is not None
+    return _get_kernel(model, p, _collect_numbers(p, []), fields, states) is not None
 
 
 def as_floats(p: Any) -> Any:
@@ -67,32 +69,32 @@ def as_floats(p: Any) -> Any:
     return type(p)(*values) if hasattr(p, "_fields") else tuple(values)
 
 
-def _kernel(model: Model, p: Any, skeleton: tuple, fields: int, states: int):
+def _get_kernel(model: Model, p: Any, types_of_p: tuple, fields: int, states: int):
     # The key contains no parameter values, so a fit, which changes them a thousand times, compiles once.
-    key = (model.rhs, skeleton, fields, states)
+    key = (model.rhs, types_of_p, fields, states)
     with _lock:
         if key not in _compiled:
             _compiled[key] = _compile(model, numba.typeof(as_floats(p)), fields, states)
         return _compiled[key]
 
 
-def _skeleton(p: tuple, numbers: list[float]) -> tuple:
-    """Nesting and types of p, a fast equivalent of its numba type; appends the numbers in p to `numbers`."""
-    shape: list[Any] = [type(p)]
+def _collect_numbers(p: tuple, numbers: list[float]) -> tuple:
+    """Append the numbers in p to `numbers`. Returns the nested types of p, a fast equivalent of its numba type."""
+    nested: list[Any] = [type(p)]
     for value in p:
         if isinstance(value, tuple):
-            shape.append(_skeleton(value, numbers))
+            nested.append(_collect_numbers(value, numbers))
         else:
             numbers.append(float(value))
-            shape.append(float)
-    return tuple(shape)
+            nested.append(float)
+    return tuple(nested)
 
 
-def _compile(model: Model, shape, fields: int, states: int):
-    kernel = make_kernel(model, shape, fields, states)
+def _compile(model: Model, type_of_p, fields: int, states: int):
+    kernel = make_kernel(model, type_of_p, fields, states)
     try:
         fingerprint = structure.fingerprint(cast(FunctionType, model.rhs), STOP)
-        numba_cache.enable(kernel, f"{fingerprint} {shape} {fields} {states}")
+        numba_cache.enable_cache(kernel, f"{fingerprint} {type_of_p} {fields} {states}")
     except structure.UnhashableError:
         pass  # not cached: compiled in every process
     try:
@@ -106,17 +108,22 @@ def _compile(model: Model, shape, fields: int, states: int):
     return kernel
 
 
-def make_kernel(model: Model, shape, fields: int, states: int):
-    for function in structure.reachable(cast(FunctionType, model.rhs), STOP):
+def make_kernel(model: Model, type_of_p, fields: int, states: int):
+    """The kernel of a model, not compiled yet, for the numba type of its parameters."""
+    for function in structure.find_reachable(cast(FunctionType, model.rhs), STOP):
         if function not in _inlined:
             _inlined.add(inline(function))
-    return _define_kernel(model.rhs, _parameters(shape), _load(fields), _load(states), _scratch(states * LANES))
+    return _define_kernel(model.rhs, _make_parameter_reader(type_of_p), _make_loader(fields), _make_loader(states),
+                          _make_scratch(states * LANES))
 
 
 @contextmanager
 def interleave_vectors() -> Iterator[None]:
-    # By default LLVM uses one vector, and half its width on Intel server processors, which is 40 % slower. The options
-    # apply to the whole process and are therefore reset.
+    """Compile with INTERLEAVE full-width vectors.
+
+    By default LLVM uses one vector, and half its width on Intel server processors, which is 40 % slower. The options
+    apply to the whole process and are therefore reset.
+    """
     _, _, features = cpu_target.target_context.codegen().magic_tuple()
     for option, value in (("interleave", INTERLEAVE), ("width", 8 if "+avx512f" in features else 0)):
         llvmlite.binding.set_option("st_core", f"-force-vector-{option}={value}")
@@ -131,26 +138,26 @@ _ROW, _INDICES = types.float64[::1], types.int64[::1]
 SIGNATURE = types.void(_ROW, _ROW, types.int64, _ROW, types.int64, _INDICES, types.float64, _INDICES, _ROW)
 
 
-def _define_kernel(rhs, parameters, load_w, load_state, scratch):
+def _define_kernel(rhs, read_parameters, load_w, load_state, allocate):
     @numba.njit(fastmath=set(FLAGS), error_model="numpy", nogil=True)
     def kernel(values, start, columns, w, row, offsets, step, points, out):
-        p = parameters(values)
+        p = read_parameters(values)
         half, sixth = 0.5 * step, step / 6.0
-        state = scratch()
+        state = allocate()
         for first in range(0, columns, LANES):
             for lane in range(LANES):
                 _store(state, LANES, lane, load_state(start, columns, first + lane))
             k = 0
             for point in range(len(points)):
                 while k < points[point]:
-                    a, b, c = offsets[2 * k] + first, offsets[2 * k + 1] + first, offsets[2 * k + 2] + first
+                    begin, middle, end = offsets[2 * k] + first, offsets[2 * k + 1] + first, offsets[2 * k + 2] + first
                     for lane in range(LANES):
                         s = load_state(state, LANES, lane)
-                        w_middle = load_w(w, row, b + lane)
-                        k1 = rhs(s, load_w(w, row, a + lane), p)
+                        w_middle = load_w(w, row, middle + lane)
+                        k1 = rhs(s, load_w(w, row, begin + lane), p)
                         k2 = rhs(_add(s, half, k1), w_middle, p)
                         k3 = rhs(_add(s, half, k2), w_middle, p)
-                        k4 = rhs(_add(s, step, k3), load_w(w, row, c + lane), p)
+                        k4 = rhs(_add(s, step, k3), load_w(w, row, end + lane), p)
                         increment = _add(_add(k1, 2.0, _add(k2, 1.0, k3)), 1.0, k4)
                         _store(state, LANES, lane, _add(s, sixth, increment))
                     k += 1
@@ -161,63 +168,63 @@ def _define_kernel(rhs, parameters, load_w, load_state, scratch):
 
 # The functions below move whole tuples of states and fields, lane by lane; their size is known at compile time.
 
-def _parameters(shape):
+def _make_parameter_reader(type_of_p):
     @intrinsic
-    def parameters(_, values):
+    def read_parameters(_, values):
         """The parameters p, nested, from a row of their numbers."""
         def generate(context, builder, signature, arguments):
             row = context.make_array(signature.args[0])(context, builder, arguments[0])
-            place = iter(range(10**9))
+            indices = count()
 
             def build(kind):
                 if isinstance(kind, types.BaseTuple):
                     return context.make_tuple(builder, kind, [build(k) for k in kind.types])
-                return builder.load(builder.gep(row.data, [context.get_constant(types.intp, next(place))]))
-            return build(shape)
-        return shape(values), generate
-    return parameters
+                return builder.load(builder.gep(row.data, [context.get_constant(types.intp, next(indices))]))
+            return build(type_of_p)
+        return type_of_p(values), generate
+    return read_parameters
 
 
-def _scratch(count: int):
+def _make_scratch(size: int):
     @intrinsic
-    def scratch(_):
-        """Stack memory for `count` numbers, aligned to cache lines. This aligns the stack as well; otherwise a spilled
+    def allocate(_):
+        """Stack memory for `size` numbers, aligned to cache lines. This aligns the stack as well; otherwise a spilled
         vector may occupy two cache lines, and the speed varies by a third between processes."""
         def generate(context, builder, signature, arguments):
-            memory = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), count))
+            memory = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), size))
             memory.align = CACHE_LINE
             return builder.bitcast(memory, ir.DoubleType().as_pointer())
         return types.CPointer(types.float64)(), generate
-    return scratch
+    return allocate
 
 
-def _load(count: int):
+def _make_loader(size: int):
     @intrinsic
     def load(_, table, row, column):
-        """The tuple of table[i * row + column] for i < count."""
-        result = types.UniTuple(types.float64, count)
+        """The tuple of table[i * row + column] for i < size."""
+        result = types.UniTuple(types.float64, size)
 
         def generate(context, builder, signature, arguments):
-            data = _data(context, builder, signature.args[0], arguments[0])
-            places = [_place(context, builder, i, *arguments[1:]) for i in range(count)]
+            data = _get_pointer(context, builder, signature.args[0], arguments[0])
+            indices = [_compute_index(context, builder, i, *arguments[1:]) for i in range(size)]
             return context.make_tuple(
-                builder, result, [builder.load(builder.gep(data, [place], inbounds=True)) for place in places])
+                builder, result, [builder.load(builder.gep(data, [index], inbounds=True)) for index in indices])
         return result(table, types.intp, types.intp), generate
     return load
 
 
 SIX = len(STATE_NAMES)
-_load_six = _load(SIX)
+_load_six = _make_loader(SIX)
 
 
 @intrinsic
 def _store(_, table, row, column, values):
     """table[i * row + column] = values[i]."""
     def generate(context, builder, signature, arguments):
-        data = _data(context, builder, signature.args[0], arguments[0])
-        for i, value in enumerate(_numbers(context, builder, signature.args[3], arguments[3])):
-            place = _place(context, builder, i, *arguments[1:3])
-            builder.store(value, builder.gep(data, [place], inbounds=True))
+        data = _get_pointer(context, builder, signature.args[0], arguments[0])
+        for i, value in enumerate(_extract_values(context, builder, signature.args[3], arguments[3])):
+            index = _compute_index(context, builder, i, *arguments[1:3])
+            builder.store(value, builder.gep(data, [index], inbounds=True))
         return context.get_dummy_value()
     return types.none(table, types.intp, types.intp, values), generate
 
@@ -228,21 +235,21 @@ def _add(_, first, factor, second):
     result = types.UniTuple(types.float64, len(first))
 
     def generate(context, builder, signature, arguments):
-        left = _numbers(context, builder, signature.args[0], arguments[0])
-        right = _numbers(context, builder, signature.args[2], arguments[2])
+        left = _extract_values(context, builder, signature.args[0], arguments[0])
+        right = _extract_values(context, builder, signature.args[2], arguments[2])
         sums = [builder.fadd(a, builder.fmul(arguments[1], b, flags=FLAGS), flags=FLAGS)
                 for a, b in zip(left, right, strict=True)]
         return context.make_tuple(builder, result, sums)
     return result(first, types.float64, second), generate
 
 
-def _data(context, builder, kind, value):
+def _get_pointer(context, builder, kind, value):
     return value if isinstance(kind, types.CPointer) else context.make_array(kind)(context, builder, value).data
 
 
-def _numbers(context, builder, kind, value):
+def _extract_values(context, builder, kind, value):
     return [context.cast(builder, builder.extract_value(value, i), k, types.float64) for i, k in enumerate(kind.types)]
 
 
-def _place(context, builder, i, row, column):
+def _compute_index(context, builder, i, row, column):
     return builder.add(column, builder.mul(context.get_constant(types.intp, i), row, flags=("nsw",)), flags=("nsw",))

@@ -43,20 +43,20 @@ PI_6, PI_3, HALF_PI = 0.5235987755982989, 1.0471975511965979, 1.5707963267948966
 def inline(function, implementation=None):
     """Register a plain function for compiled code, inlined at every call; returns the function."""
     @overload(function, jit_options=OPTIONS, strict=False)
-    def typed(*args, **kwargs):
+    def implement(*args, **kwargs):
         return implementation or function
     return function
 
 
 @intrinsic
-def _bits(_, x):
+def _to_bits(_, x):
     def generate(context, builder, signature, arguments):
         return builder.bitcast(arguments[0], context.get_value_type(types.int64))
     return types.int64(types.float64), generate
 
 
 @intrinsic
-def _number(_, x):
+def _from_bits(_, x):
     def generate(context, builder, signature, arguments):
         return builder.bitcast(arguments[0], context.get_value_type(types.float64))
     return types.float64(types.int64), generate
@@ -73,23 +73,23 @@ def _sine_cosine(x):
     z4 = z2 * z2
     s = (S1 + z * S2) + z2 * (S3 + z * S4) + z4 * (S5 + z * S6)
     c = (C1 + z * C2) + z2 * (C3 + z * C4) + z4 * (C5 + z * C6)
-    return r + r * z * s, (1.0 - 0.5 * z) + z2 * c, _bits(shifted)
+    return r + r * z * s, (1.0 - 0.5 * z) + z2 * c, _to_bits(shifted)
 
 
 def _sin(x):
     s, c, n = _sine_cosine(x)
-    return _number(_bits(c if n & 1 else s) ^ ((n & 2) << 62))
+    return _from_bits(_to_bits(c if n & 1 else s) ^ ((n & 2) << 62))
 
 
 def _cos(x):
     s, c, n = _sine_cosine(x)
-    return _number(_bits(s if n & 1 else c) ^ (((n + 1) & 2) << 62))
+    return _from_bits(_to_bits(s if n & 1 else c) ^ (((n + 1) & 2) << 62))
 
 
 def _atan(x):
     # The sign u = +-1 is applied from the start, since this does not lengthen the chain of operations.
-    a = _number(_bits(x) & MAGNITUDE)
-    u = _number((_bits(x) & SIGN) | ONE)
+    a = _from_bits(_to_bits(x) & MAGNITUDE)
+    u = _from_bits((_to_bits(x) & SIGN) | ONE)
     below_one = a < 1.0
     middle = (a > LOW) & (a < HIGH)
     n = x if below_one else -u
@@ -111,6 +111,7 @@ for _function, _compiled in {
         ops.sin: _sin, ops.cos: _cos, ops.tan: lambda x: ops.sin(x) / ops.cos(x), ops.atan: _atan,
         ops.sqrt: lambda x: math.sqrt(x),  # noqa: PLW0108  # numba needs a Python function
         ops.sign: lambda x: 1.0 if x > 0.0 else -1.0 if x < 0.0 else x,
-        ops.absolute: lambda x: _number(_bits(x) & MAGNITUDE), ops.maximum: lambda x, limit: limit if x < limit else x,
+        ops.absolute: lambda x: _from_bits(_to_bits(x) & MAGNITUDE),
+        ops.maximum: lambda x, limit: limit if x < limit else x,
         ops.minimum: lambda x, limit: limit if x > limit else x}.items():
     inline(_function, _compiled)

@@ -8,7 +8,7 @@ from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any
 
 
-def reachable(function: FunctionType, stop: frozenset[str] = frozenset()) -> list[FunctionType]:
+def find_reachable(function: FunctionType, stop: frozenset[str] = frozenset()) -> list[FunctionType]:
     """The function and all plain functions that it can call, directly or indirectly; each once, callees first.
 
     They are found by the names in its code and closure, attributes of modules included. stop: modules to exclude.
@@ -20,7 +20,7 @@ def reachable(function: FunctionType, stop: frozenset[str] = frozenset()) -> lis
         if function in seen or function.__module__ in stop:
             return
         seen.add(function)
-        for _, value in references(function):
+        for _, value in find_references(function):
             if isinstance(value, FunctionType):
                 collect(value)
         found[function] = None
@@ -29,11 +29,11 @@ def reachable(function: FunctionType, stop: frozenset[str] = frozenset()) -> lis
     return list(found)
 
 
-def references(function: FunctionType) -> Iterator[tuple[str, Any]]:
+def find_references(function: FunctionType) -> Iterator[tuple[str, Any]]:
     """(name, value) of all objects outside a function to which its code refers."""
     cells = function.__closure__ or ()
     yield from zip(function.__code__.co_freevars, (cell.cell_contents for cell in cells), strict=True)
-    names = _names(function.__code__)
+    names = _find_names(function.__code__)
     for name in names:
         value = function.__globals__.get(name)
         if isinstance(value, ModuleType):
@@ -43,8 +43,8 @@ def references(function: FunctionType) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def _names(code: CodeType) -> list[str]:
-    inner = [name for constant in code.co_consts if isinstance(constant, CodeType) for name in _names(constant)]
+def _find_names(code: CodeType) -> list[str]:
+    inner = [name for constant in code.co_consts if isinstance(constant, CodeType) for name in _find_names(constant)]
     return list(dict.fromkeys((*code.co_names, *inner)))
 
 
@@ -58,25 +58,26 @@ def fingerprint(function: FunctionType, stop: frozenset[str] = frozenset()) -> s
     The same in every process. Raises UnhashableError for a value such as an array, a list, a dict or an instance.
     """
     digest = hashlib.sha256()
-    functions = reachable(function, stop)
+    functions = find_reachable(function, stop)
     number = {f: str(i) for i, f in enumerate(functions)}
-    name = partial(_name, number=number, stop=stop)
+    describe = partial(_describe_value, number=number, stop=stop)
     for file in map(Path, sorted({f.__code__.co_filename for f in functions})):
-        # Of a function entered at a prompt, only its code and constants are hashed.
+        # A function entered at a prompt has no file: only its code and constants are hashed.
         digest.update(hashlib.sha256(file.read_bytes() if file.is_file() else b"").digest())
     for f in functions:
-        referenced = [f"{key}={name(value)}" for key, value in references(f)]
-        defaults = [name(value) for value in (f.__defaults__ or ())]
-        parts = (f.__module__, f.__qualname__, f.__code__.co_code.hex(), _constants(f.__code__), *referenced, *defaults)
+        referenced = [f"{key}={describe(value)}" for key, value in find_references(f)]
+        defaults = [describe(value) for value in (f.__defaults__ or ())]
+        parts = (f.__module__, f.__qualname__, f.__code__.co_code.hex(), _describe_constants(f.__code__), *referenced,
+                 *defaults)
         digest.update("\x00".join(parts).encode() + b"\x01")
     return digest.hexdigest()
 
 
-def _constants(code: CodeType) -> str:
-    return repr([_constants(c) + c.co_code.hex() if isinstance(c, CodeType) else c for c in code.co_consts])
+def _describe_constants(code: CodeType) -> str:
+    return repr([_describe_constants(c) + c.co_code.hex() if isinstance(c, CodeType) else c for c in code.co_consts])
 
 
-def _name(value: Any, number: dict[FunctionType, str], stop: frozenset[str]) -> str:
+def _describe_value(value: Any, number: dict[FunctionType, str], stop: frozenset[str]) -> str:
     if value is None or isinstance(value, bool | int | float | str | bytes):
         return f"{type(value).__name__}:{value!r}"
     if isinstance(value, FunctionType):
@@ -86,8 +87,8 @@ def _name(value: Any, number: dict[FunctionType, str], stop: frozenset[str]) -> 
     if isinstance(value, type):
         return f"class {value.__module__}.{value.__qualname__}{getattr(value, '_fields', '')}"
     if isinstance(value, tuple):
-        inner = ",".join(_name(v, number, stop) for v in value)
-        return f"{_name(type(value), number, stop)}({inner})"
+        inner = ",".join(_describe_value(v, number, stop) for v in value)
+        return f"{_describe_value(type(value), number, stop)}({inner})"
     if isinstance(value, BuiltinFunctionType) and isinstance(value.__self__, ModuleType):
         return f"{value.__module__}.{value.__qualname__}"
     raise UnhashableError(f"{value!r}")
