@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 
 import can
-from canedge_bridge.decode import Decoder, FrameStatistics, _make_row
+from canedge_bridge.decode import Decoder, FrameStatistics, _make_state
 from canedge_bridge.receiver import Receiver, describe_error_frame
 from canedge_bridge.transport import LoopbackMulticastBus, pack_message, parse_channel
 from oxts_bridge import ncom
@@ -147,8 +147,7 @@ _table = cache(lambda: Decoder(CAN / "leaf_ze0.dbc", CAN / "leaf_ze0.yaml"))
 def _decoder() -> Decoder:
     """A fresh one, without reading the files again."""
     decoder = copy(_table())
-    decoder._rows = {spec.key: _make_row(spec) for spec in decoder.table.messages.values()}
-    decoder._by_name = {row.spec.name: row for row in decoder._rows.values()}
+    decoder._states = {spec.key: _make_state(spec) for spec in decoder.table.messages.values()}
     decoder.frames = FrameStatistics()
     return decoder
 

@@ -20,7 +20,7 @@ class Mode(StrEnum):
     DROP = "drop"
 
 
-def xor_nibble(data: Sequence[Any], arbitration_id: int) -> Any:
+def compute_xor_nibble(data: Sequence[Any], arbitration_id: int) -> Any:
     """The check nibble for which the XOR of all nibbles of the frame is 0; data: payload with the check nibble at 0.
 
     Source: derived from 1963 recorded frames of 0x002, all at one steering angle.
@@ -29,7 +29,7 @@ def xor_nibble(data: Sequence[Any], arbitration_id: int) -> Any:
     return (value >> 4) ^ (value & 0xF)
 
 
-def sum8_id(data: Sequence[Any], arbitration_id: int) -> Any:
+def compute_sum8_id(data: Sequence[Any], arbitration_id: int) -> Any:
     """Low byte of the sum of all bytes and both bytes of the identifier; data: payload with the check byte at 0.
 
     Source: derived from 3247 recorded frames of 0x284 at up to 100 km/h, 2035 of 0x284 and 0x285 at rest.
@@ -45,7 +45,7 @@ class Rule:
     compute: Callable[[Sequence[Any], int], Any]
 
 
-RULES = {"xor_nibble": Rule(4, xor_nibble), "sum8_id": Rule(8, sum8_id)}
+RULES = {"xor_nibble": Rule(4, compute_xor_nibble), "sum8_id": Rule(8, compute_sum8_id)}
 
 
 def compute_checksum(rule: Rule, field: Field, data: Data, arbitration_id: int) -> Any:
@@ -88,13 +88,13 @@ class CounterCheck:
 
 
 def find_counter_faults(field: Field, data: np.ndarray, time_ns: np.ndarray, unreadable: np.ndarray,
-                        restart_after: float) -> np.ndarray:
+                        restart_after_ns: int) -> np.ndarray:
     """Whether the counter of each frame of a log did not increase by one. As in CounterCheck, an `unreadable` frame
-    also increases the expected counter. restart_after: gap [s] after which any counter is correct."""
+    also increases the expected counter. restart_after_ns: gap after which any counter is correct."""
     value = field.read(data).astype(np.int64)
     index = np.arange(len(value))
     before = np.concatenate(([-1], np.maximum.accumulate(np.where(unreadable, -1, index))[:-1]))  # last readable frame
     expected = value[before] + (index - before)
     wrong = (before >= 0) & ~unreadable & (((value - expected) & field.mask) != 0)
-    gap = np.diff(time_ns, prepend=time_ns[:1]) > restart_after * 1e9
+    gap = np.diff(time_ns, prepend=time_ns[:1]) > restart_after_ns
     return wrong & ~gap

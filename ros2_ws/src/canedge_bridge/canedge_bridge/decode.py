@@ -56,10 +56,12 @@ class FrameStatistics:
 
 
 @dataclass
-class _Row:
+class _MessageState:
+    """State of the decoder for one message. plausibility: by canonical name of the signal."""
+
     spec: MessageSpec
     counter: CounterCheck | None
-    plausibility: tuple[tuple[str, Plausibility], ...]
+    plausibility: Mapping[str, Plausibility]
     statistics: MessageStatistics = field(default_factory=MessageStatistics)
 
 
@@ -75,41 +77,37 @@ class Decoder:
         """checks: override the table; `MESSAGE`, `MESSAGE.counter` or `MESSAGE.checksum` -> off, warn or drop."""
         self.table = _override_checks(load_table(dbc_file, signals_file, needed), checks or {})
         self.frames = FrameStatistics()
-        self._rows = {spec.key: _make_row(spec) for spec in self.table.messages.values()}
-        self._by_name = {row.spec.name: row for row in self._rows.values()}
+        self._states = {spec.key: _make_state(spec) for spec in self.table.messages.values()}
 
     @property
     def keys(self) -> list[tuple[int, bool]]:
         """(arbitration id, whether it has 29 bits) of every message of the table, for a bus filter."""
-        return list(self._rows)
+        return list(self._states)
 
     def statistics(self, message: str) -> MessageStatistics:
-        return self._by_name[message].statistics
+        return self._states[self.table.messages[message].key].statistics
 
-    def decode(self, frame: can.Message, time_ns: int | None = None) -> Decoded | None:
-        """The signals of a frame; None for a bad frame or one that is not in the table.
-
-        time_ns: time of receipt [ns since 1970]; None: the frame's own timestamp.
-        """
+    def decode(self, frame: can.Message, time_ns: int) -> Decoded | None:
+        """The signals of a frame; None for a bad frame or one that is not in the table. time_ns: time of receipt."""
         if frame.is_error_frame:
             self.frames.error += 1
             return None
         if frame.is_remote_frame:
             self.frames.remote += 1
             return None
-        row = self._rows.get((frame.arbitration_id, frame.is_extended_id))
-        if row is None:
+        state = self._states.get((frame.arbitration_id, frame.is_extended_id))
+        if state is None:
             self.frames.unknown += 1
             return None
-        return self._decode(row, bytes(frame.data), round(frame.timestamp * 1e9) if time_ns is None else time_ns)
+        return self._decode(state, bytes(frame.data), time_ns)
 
-    def _decode(self, row: _Row, received: bytes, time_ns: int) -> Decoded | None:
-        spec, statistics = row.spec, row.statistics
+    def _decode(self, state: _MessageState, received: bytes, time_ns: int) -> Decoded | None:
+        spec, statistics = state.spec, state.statistics
         data = strip_padding(received, spec.dbc.length)
         if data is None:
             statistics.wrong_length += 1
             return None
-        fault = self._find_fault(row, data, time_ns)
+        fault = self._find_fault(state, data, time_ns)
         if fault is Mode.DROP:
             statistics.dropped += 1
             return None
@@ -117,7 +115,7 @@ class Decoder:
         if not all(map(math.isfinite, values.values())):
             statistics.not_finite += 1
             return None
-        if row.plausibility and not self._are_plausible(row, values, time_ns):
+        if state.plausibility and not self._are_plausible(state, values, time_ns):
             return None
         statistics.good += 1
         if not values:  # a multiplexed frame that carries none of the table's signals
@@ -125,31 +123,33 @@ class Decoder:
         statistics.last_seen_ns = time_ns
         return Decoded(spec.name, time_ns, replace_gps_time(values), fault is Mode.OFF)
 
-    def _are_plausible(self, row: _Row, values: Mapping[str, float], time_ns: int) -> bool:
+    def _are_plausible(self, state: _MessageState, values: Mapping[str, float], time_ns: int) -> bool:
         """Whether all values are plausible; also false while too many recent values of a signal are implausible,
         because the plausible ones are then a coincidence."""
-        plausible = [check.accepts(values[name], time_ns) for name, check in row.plausibility if name in values]
+        plausible = [state.plausibility[name].accepts(value, time_ns) for name, value in values.items()
+                     if name in state.plausibility]
         if not all(plausible):
-            row.statistics.implausible += 1
+            state.statistics.implausible += 1
             return False
-        return not any(check.fault for _, check in row.plausibility)
+        return not any(check.fault for check in state.plausibility.values())
 
     def implausible_signals(self) -> list[str]:
         """A message for every signal that is currently withheld because of implausible values."""
-        return [check.fault for row in self._rows.values() for _, check in row.plausibility if check.fault]
+        return [check.fault for state in self._states.values() for check in state.plausibility.values()
+                if check.fault]
 
-    def _find_fault(self, row: _Row, data: bytes, time_ns: int) -> Mode:
+    def _find_fault(self, state: _MessageState, data: bytes, time_ns: int) -> Mode:
         """The mode of the check that the frame fails, checksum before counter; OFF if it fails none."""
-        spec, statistics = row.spec, row.statistics
+        spec, statistics = state.spec, state.statistics
         checksum, counter = spec.checksum, spec.counter
         if checksum and checksum.mode is not Mode.OFF and not checksum.is_correct(data, spec.dbc.frame_id):
             statistics.wrong_checksum += 1
-            if row.counter is not None:
-                row.counter.skip(time_ns)
+            if state.counter is not None:
+                state.counter.skip(time_ns)
             return checksum.mode
-        if counter and row.counter is not None and counter.mode is not Mode.OFF:
-            is_correct = row.counter.accepts(data, time_ns)
-            statistics.lost = row.counter.lost
+        if counter and state.counter is not None and counter.mode is not Mode.OFF:
+            is_correct = state.counter.accepts(data, time_ns)
+            statistics.lost = state.counter.lost
             if not is_correct:
                 statistics.wrong_counter += 1
                 return counter.mode
@@ -191,10 +191,9 @@ class Decoder:
         return can.Message(arbitration_id=dbc.frame_id, is_extended_id=dbc.is_extended_frame, data=data)
 
 
-def _make_row(spec: MessageSpec) -> _Row:
-    counter = CounterCheck(spec.counter.field, int(spec.timeout * 1e9)) if spec.counter else None
-    limited = [s for s in spec.signals if math.isfinite(s.maximum) or math.isfinite(s.max_rate)]
-    return _Row(spec, counter, tuple((s.name, Plausibility(s, spec)) for s in limited))
+def _make_state(spec: MessageSpec) -> _MessageState:
+    counter = CounterCheck(spec.counter.field, spec.timeout_ns) if spec.counter else None
+    return _MessageState(spec, counter, {s.name: Plausibility(s, spec) for s in spec.signals if s.is_limited})
 
 
 def _si_to_raw(spec: SignalSpec, si: float) -> float:

@@ -12,6 +12,8 @@ from .receiver import BusState, ReceiverStatus
 _LEVELS = {BusState.OK: OK, BusState.SILENT: WARN, BusState.ERROR_PASSIVE: WARN, BusState.BUS_OFF: ERROR,
            BusState.DOWN: ERROR, BusState.GONE: ERROR}
 _START_UP_TIME = 2.0  # a missing signal is an error only after this time from the start [s]
+_RATE_INTERVAL = 0.5  # minimum time between two updates of the frame rates [s]
+_FAULTS = ("wrong_counter", "wrong_checksum", "wrong_length", "not_finite", "implausible")  # of MessageStatistics
 
 
 class Health:
@@ -39,7 +41,7 @@ class Health:
         now = time.monotonic()
         # The checks also run at every change of the bus state; a rate over a few milliseconds would be meaningless.
         elapsed = now - self._rates_updated_at
-        if elapsed > 0.5:
+        if elapsed > _RATE_INTERVAL:
             self._rate = (status.frames - self._previous_frames) / elapsed
             self._rates_updated_at, self._previous_frames = now, status.frames
             good = {name: self._decoder.statistics(name).good for name in self._decoder.table.messages}
@@ -84,12 +86,10 @@ class Health:
             counts = self._decoder.statistics(name)
             values[f"{name} good"] = counts.good
             values[f"{name} rate, expected [frames/s]"] = f"{self._rates.get(name, 0.0):.1f}, {1 / message.period:g}"
-            for fault in ("lost", "wrong_counter", "wrong_checksum", "wrong_length", "not_finite", "implausible",
-                          "dropped"):
+            for fault in ("lost", *_FAULTS, "dropped"):
                 if count := getattr(counts, fault):
                     values[f"{name} {fault.replace('_', ' ')}"] = count
-            bad += (counts.wrong_counter + counts.wrong_checksum + counts.wrong_length + counts.not_finite
-                    + counts.implausible)
+            bad += sum(getattr(counts, fault) for fault in _FAULTS)
         values["unknown identifiers"] = self._decoder.frames.unknown
         values["remote frames"] = self._decoder.frames.remote
         new, self._previous_bad = bad - self._previous_bad, bad

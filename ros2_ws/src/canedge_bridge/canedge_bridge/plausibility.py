@@ -19,7 +19,7 @@ def _is_reachable(signal: SignalSpec, message: MessageSpec, value: float, time_n
     """Whether the rate limit allows the value after at least one of the references within the timeout of the message;
     true if there is none."""
     recent = [reference for reference in references
-              if reference is not None and 0 < time_ns - reference[0] <= int(message.timeout * 1e9)]
+              if reference is not None and 0 < time_ns - reference[0] <= message.timeout_ns]
     # An elapsed time of at least one period is assumed, because frames can arrive closer together than sent.
     return not recent or any(
         abs(value - last) <= signal.max_rate * max((time_ns - last_ns) * 1e-9, message.period)
@@ -80,7 +80,7 @@ def find_plausible(signal: SignalSpec, message: MessageSpec, time_ns: np.ndarray
     in_range = (physical >= signal.minimum) & (physical <= signal.maximum)
     elapsed_ns = np.diff(time_ns)
     possible = np.zeros(len(values), dtype=bool)
-    possible[1:] = in_range[1:] & in_range[:-1] & (elapsed_ns > 0) & (elapsed_ns <= int(message.timeout * 1e9)) & (
+    possible[1:] = in_range[1:] & in_range[:-1] & (elapsed_ns > 0) & (elapsed_ns <= message.timeout_ns) & (
         np.abs(np.diff(physical)) <= signal.max_rate * np.maximum(elapsed_ns * 1e-9, message.period))
     last_possible = np.maximum.accumulate(np.where(possible, frames, -1))
     accepted = -1

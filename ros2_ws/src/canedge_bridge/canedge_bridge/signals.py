@@ -3,7 +3,8 @@
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,10 @@ class SignalSpec:
     def dbc(self) -> DbcSignal:
         return self.extractor.signal
 
+    @property
+    def is_limited(self) -> bool:
+        return math.isfinite(self.maximum) or math.isfinite(self.max_rate)
+
     def to_si(self, data: Data) -> Any:
         """The signal's value in SI units, in one frame or in all frames of a log."""
         value = self.extractor.extract(data)
@@ -135,6 +140,10 @@ class MessageSpec:
         """(arbitration id, whether it has 29 bits)."""
         return self.dbc.frame_id, self.dbc.is_extended_frame
 
+    @cached_property
+    def timeout_ns(self) -> int:
+        return int(self.timeout * 1e9)
+
     def to_si(self, data: Data) -> dict[str, Any]:
         """SI values by canonical name. A multiplexed signal that is not in the frame is omitted, or NaN in an array."""
         values = {}
@@ -154,7 +163,7 @@ class SignalTable:
     signals_file: Path
     database: Any
     messages: Mapping[str, MessageSpec]
-    absent: tuple[str, ...] = field(default=())
+    absent: tuple[str, ...]
 
     @property
     def needed(self) -> tuple[MessageSpec, ...]:
@@ -182,18 +191,18 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
     for name in required:
         if name not in rows:
             raise TableError(f"{table_path}: needed message {name} is not in the table; it has {', '.join(rows)}")
-    known = {m.name: m for m in database.messages}
+    defined = {m.name: m for m in database.messages}
     messages, absent = {}, []
     for name in rows:
         row = rows.entry(name)
         if [m.name for m in database.messages].count(name) > 1:
             raise TableError(f"{dbc_path}: defines {name} more than once; keep one definition")
         is_needed = name in required if required else row.boolean("needed")
-        if name in known:
-            messages[name] = replace(_read_message(row, known[name], dbc_path), needed=is_needed)
+        if name in defined:
+            messages[name] = replace(_read_message(row, defined[name], dbc_path), needed=is_needed)
         elif is_needed:
             raise TableError(f"{dbc_path}: has no message {name}, which {table_path} marks as needed"
-                             f"{suggest_key(name, known)}")
+                             f"{suggest_key(name, defined)}")
         else:
             absent.append(name)
     return SignalTable(dbc_path, table_path, database, messages, tuple(absent))
@@ -315,17 +324,16 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
     """Unit of a signal in the table; raises TableError if the DBC gives another known unit."""
     text = entry.text("unit")
     unit, dbc_unit = find_unit(text), find_unit(dbc.unit)
-    origin = f"{entry.origin}: {entry.path}.unit"
     if unit is None:
-        raise TableError(f"{origin}: {text!r} is not one of {', '.join(o or repr(o) for o in UNITS)}")
+        raise entry.error("unit", f"{text!r} is not one of {', '.join(o or repr(o) for o in UNITS)}")
     si_unit = CANONICAL_SIGNALS[name]
     if UNITS[unit][0] != si_unit:
         possible = " or ".join(u for u, (si, *_) in UNITS.items() if si == si_unit)
         missing = f", and {dbc_path} gives no unit" if not (dbc.unit or "") and not unit else ""
-        raise TableError(f"{origin}: {text!r} cannot be converted to {si_unit!r} ({name}){missing}; "
-                         f"write {possible!r}, the unit of the sensor")
+        raise entry.error("unit", f"{text!r} cannot be converted to {si_unit!r} ({name}){missing}; "
+                          f"write {possible!r}, the unit of the sensor")
     if dbc_unit and dbc_unit != unit:
-        raise TableError(f"{origin}: {text!r}, but {dbc_path} gives {dbc.unit!r}")
+        raise entry.error("unit", f"{text!r}, but {dbc_path} gives {dbc.unit!r}")
     return unit
 
 
@@ -357,8 +365,8 @@ def _read_check(entry: Entry, dbc: DbcMessage, dbc_path: Path, keys: tuple[str, 
     signal = _find_signal(dbc, entry.text("signal"), dbc_path, entry)
     field = Field.of(signal)
     if signal.is_signed or signal.is_float or field.higher:
-        raise TableError(f"{entry.origin}: {entry.path}.signal: {signal.name} cannot be a counter or checksum: "
-                         f"it must be unsigned and within one byte in {dbc_path}")
+        raise entry.error("signal", f"{signal.name} cannot be a counter or checksum: it must be unsigned and within "
+                          f"one byte in {dbc_path}")
     return CheckSpec(signal.name, field, Mode(entry.choice("check", [str(m) for m in Mode])))
 
 
@@ -366,8 +374,7 @@ def _read_checksum(entry: Entry, dbc: DbcMessage, dbc_path: Path) -> ChecksumSpe
     check = _read_check(entry, dbc, dbc_path, ("signal", "rule", "check"))
     rule = RULES[entry.choice("rule", RULES)]
     if rule.bits != check.field.bits:
-        raise TableError(f"{entry.origin}: {entry.path}.rule: needs {rule.bits} bits, but "
-                         f"{check.signal} has {check.field.bits}")
+        raise entry.error("rule", f"needs {rule.bits} bits, but {check.signal} has {check.field.bits}")
     return ChecksumSpec(check.signal, check.field, check.mode, rule)
 
 
@@ -377,14 +384,13 @@ def _check_sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...]
     try:
         data = bytes.fromhex(entry.text("data"))
     except ValueError:
-        raise TableError(f"{entry.origin}: {entry.path}.data: not hexadecimal bytes") from None
+        raise entry.error("data", "not hexadecimal bytes") from None
     spec = {s.dbc.name: s for s in signals}[entry.choice("signal", [s.dbc.name for s in signals])]
     expected = entry.number("value", -1e9, 1e9)
     entry.choice("unit", (spec.unit,))
     frame = f"the recorded frame {data.hex(' ').upper()} of {dbc.name}"
     if len(data) != dbc.length:
-        raise TableError(f"{entry.origin}: {entry.path}.data: {frame} has {len(data)} bytes, but the DBC "
-                         f"gives {dbc.length}")
+        raise entry.error("data", f"{frame} has {len(data)} bytes, but the DBC gives {dbc.length}")
     value = (spec.gain * spec.extractor.extract(data) + spec.bias) / spec.factor
     # The sign is not compared: the car's steering_sign corrects the direction of the sensor.
     if not math.isclose(abs(value), abs(expected), rel_tol=1e-6, abs_tol=abs(spec.dbc.scale) / 2):

@@ -40,15 +40,15 @@ class Entry:
             raise TableError(f"{origin}: {path or 'the document'}: expected a mapping of names")
         self._value = value
 
-    def _fail(self, key: str, what: str) -> TableError:
-        return TableError(f"{self.origin}: {self._at(key)}: {what}")
+    def error(self, key: str, problem: str) -> TableError:
+        return TableError(f"{self.origin}: {self._path_of(key)}: {problem}")
 
-    def _at(self, key: str) -> str:
+    def _path_of(self, key: str) -> str:
         return f"{self.path}.{key}" if self.path else key
 
     def _get(self, key: str) -> Any:
         if key not in self._value:
-            raise self._fail(key, "missing")
+            raise self.error(key, "missing")
         return self._value[key]
 
     def __contains__(self, key: str) -> bool:
@@ -57,13 +57,13 @@ class Entry:
     def __iter__(self) -> Iterator[str]:
         return iter(self._value)
 
-    def allow_only(self, *known: str) -> None:
+    def allow_only(self, *keys: str) -> None:
         for key in self._value:
-            if key not in known:
-                raise self._fail(key, f"unknown key; known are {', '.join(known)}")
+            if key not in keys:
+                raise self.error(key, f"unknown key; known are {', '.join(keys)}")
 
     def entry(self, key: str) -> "Entry":
-        return Entry(self.origin, self._at(key), self._get(key))
+        return Entry(self.origin, self._path_of(key), self._get(key))
 
     def optional(self, key: str) -> "Entry | None":
         return self.entry(key) if key in self._value else None
@@ -71,8 +71,8 @@ class Entry:
     def entries(self, key: str) -> list["Entry"]:
         values = self._value.get(key, [])
         if not isinstance(values, list):
-            raise self._fail(key, "expected a list")
-        return [Entry(self.origin, f"{self._at(key)}[{i}]", value) for i, value in enumerate(values)]
+            raise self.error(key, "expected a list")
+        return [Entry(self.origin, f"{self._path_of(key)}[{i}]", value) for i, value in enumerate(values)]
 
     def text(self, key: str) -> str:
         return self._typed(key, str, "a string")
@@ -86,7 +86,7 @@ class Entry:
         value = "off" if value is False else value
         options = list(allowed)
         if isinstance(value, bool) or value not in options:
-            raise self._fail(key, f"{value!r} is not one of {', '.join(str(o) or repr(o) for o in options)}")
+            raise self.error(key, f"{value!r} is not one of {', '.join(str(o) or repr(o) for o in options)}")
         return value
 
     def number(self, key: str, minimum: float, maximum: float, default: float | None = None) -> float:
@@ -109,21 +109,21 @@ class Entry:
             return default
         value = self._value[key]
         if not isinstance(value, list) or len(value) != 2:
-            raise self._fail(key, "expected [minimum, maximum]")
+            raise self.error(key, "expected [minimum, maximum]")
         low, high = (self._number(key, v, -math.inf, math.inf) for v in value)
         if not low < high:
-            raise self._fail(key, f"{low:g} is not below {high:g}")
+            raise self.error(key, f"{low:g} is not below {high:g}")
         return low, high
 
     def _typed(self, key: str, kind: type, description: str) -> Any:
         value = self._get(key)
         if type(value) is not kind:
-            raise self._fail(key, f"{value!r} is not {description}")
+            raise self.error(key, f"{value!r} is not {description}")
         return value
 
     def _number(self, key: str, value: Any, minimum: float, maximum: float) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
-            raise self._fail(key, f"{value!r} is not a number")
+            raise self.error(key, f"{value!r} is not a number")
         if not minimum <= value <= maximum:
-            raise self._fail(key, f"{value:g} is outside {minimum:g} to {maximum:g}")
+            raise self.error(key, f"{value:g} is outside {minimum:g} to {maximum:g}")
         return float(value)

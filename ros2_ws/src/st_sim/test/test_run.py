@@ -163,7 +163,7 @@ def test_live_on_real_sockets(tmp_path):
     age = np.array([r.received_ns for r in received]) - stamps
     assert (age > 0).all()
     decoder = Decoder(DBC, SIGNALS)
-    decoded = [d for f in live.frames if (d := decoder.decode(f))]
+    decoded = [d for f in live.frames if (d := decoder.decode(f, round(f.timestamp * 1e9)))]
     assert len(live.frames) == output[1]["can_frames"] == pytest.approx(2 * (1750 + 2000), rel=0.02)
     assert all(d.valid for d in decoded)
     assert len([d for d in decoded if d.message == "Leaf_Steering"]) == 200

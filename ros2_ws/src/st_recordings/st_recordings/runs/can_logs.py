@@ -35,7 +35,7 @@ BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMP_NS = 86400 * 10**9  # a frame that is further from both of its neighbours has a damaged time
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times count from the start of the log
 MIN_FALLING_SHARE = 0.2
-"""Times in a candump that begins at 0 are relative to the previous frame if a larger fraction of steps is negative."""
+"""Times in a candump that begins at 0 are relative to the previous frame if a larger fraction of them falls."""
 
 
 def read_can_logs(files: Sequence[Path]) -> CanLog:
@@ -92,38 +92,43 @@ def _read_log(file: Path) -> CanLog:
 
 
 def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[Frames, list[tuple[int, float]]]:
-    parts, format_notes, impossible, too_long = list[Frames](), list[str](), 0, 0
+    """(frames in order of time, clock steps); appends notes on the file."""
+    parts, format_notes, n_untimed, n_too_long = list[Frames](), list[str](), 0, 0
     try:
         messages = kind.messages(file, format_notes)
         while block := list(itertools.islice(messages, BLOCK_SIZE)):
             timed = [message for message in block if 0.0 <= message.timestamp <= LATEST_TIME]
-            impossible += len(block) - len(timed)
+            n_untimed += len(block) - len(timed)
             usable = [message for message in timed if len(message.data) <= MAX_DATA_LENGTH]
-            too_long += len(timed) - len(usable)
+            n_too_long += len(timed) - len(usable)
             if usable:
                 parts.append(_build_frames(usable))
     except Exception as error:  # any, from the parsers
-        what = f"cannot be read as a {kind.name} log ({shorten(error)})"
-        raise RunError(file, what, "copy or export it again") from None
+        raise RunError(file, f"cannot be read as a {kind.name} log ({shorten(error)})", "copy or export it again"
+                       ) from None
     frames = concatenate(parts) if parts else empty_frames()
     if len(frames) > 1:
         is_outlier = np.abs(frames.time_ns - median_filter(frames.time_ns, 3, mode="mirror")) > MAX_TIME_JUMP_NS
-        frames, impossible = frames.select(~is_outlier), impossible + int(is_outlier.sum())
-    if impossible:
-        format_notes.append(f"frames with an impossible time were skipped: {impossible}")
-    if too_long:
-        format_notes.append(f"frames with more than {MAX_DATA_LENGTH} bytes were skipped: {too_long}")
+        frames, n_untimed = frames.select(~is_outlier), n_untimed + int(is_outlier.sum())
+    if n_untimed:
+        format_notes.append(f"frames with an impossible time were skipped: {n_untimed}")
+    if n_too_long:
+        format_notes.append(f"frames with more than {MAX_DATA_LENGTH} bytes were skipped: {n_too_long}")
     if not len(frames):
-        what = f"it contains no usable frames ({'; '.join(format_notes)})" if format_notes else "it contains no frames"
-        raise RunError(file, what, "copy or export it again")
-    steps = np.diff(frames.time_ns[1:])
-    if kind.name == "candump" and frames.time_ns[0] == 0 and len(steps) and (
-            (steps < 0).mean() > MIN_FALLING_SHARE or not steps.any()):
+        reasons = f"no usable frames ({'; '.join(format_notes)})" if format_notes else "no frames"
+        raise RunError(file, f"it contains {reasons}", "copy or export it again")
+    if kind.name == "candump" and _are_time_steps(frames.time_ns):
         frames = replace(frames, time_ns=np.cumsum(frames.time_ns))
         format_notes.append("its times are relative to the previous frame (candump -t d); they were summed")
     frames, clock_steps = remove_clock_steps(frames)
     notes += [*format_notes, *describe_clock_steps(clock_steps)]
     return merge_by_time([frames]), clock_steps
+
+
+def _are_time_steps(time_ns: np.ndarray) -> bool:
+    """Whether the times of a candump are relative to the previous frame, which makes many of them fall."""
+    steps = np.diff(time_ns[1:])
+    return bool(time_ns[0] == 0 and len(steps) and ((steps < 0).mean() > MIN_FALLING_SHARE or not steps.any()))
 
 
 def _build_frames(messages: Sequence[can.Message]) -> Frames:

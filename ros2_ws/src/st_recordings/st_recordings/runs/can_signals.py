@@ -82,8 +82,8 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
         found = _decode_message(frames, rows, spec)
         buses = np.unique(frames.bus[rows])
         if found.fault and len(buses) > 1:
-            single = [_decode_message(frames, rows[frames.bus[rows] == bus], spec) for bus in buses.tolist()]
-            best = max(single, key=lambda one: one.n_valid)
+            by_bus = [_decode_message(frames, rows[frames.bus[rows] == bus], spec) for bus in buses.tolist()]
+            best = max(by_bus, key=lambda decoded: decoded.n_valid)
             if best.n_valid >= found.n_valid:
                 others = f"{len(rows) - best.n_frames} frames of this identifier on other buses are not used"
                 found = replace(best, fault="; ".join(filter(None, (best.fault, others))))
@@ -105,7 +105,7 @@ def _describe_similar_id(ids: np.ndarray, key: int) -> str:
     same_group, counts = np.unique(ids[(ids ^ key) & J1939_GROUP == 0], return_counts=True)
     if bits == 11 or not len(same_group):
         return ""
-    found = ", ".join(f"0x{one & ~EXTENDED:X} ({count} frames)" for one, count in
+    found = ", ".join(f"0x{other & ~EXTENDED:X} ({count} frames)" for other, count in
                       zip(same_group.tolist(), counts.tolist(), strict=True))
     return f"the log has {found} instead, which differs only in the J1939 priority and source address"
 
@@ -213,14 +213,14 @@ def check_frames(spec: MessageSpec, data: np.ndarray, time_ns: np.ndarray,
         if isinstance(check, ChecksumSpec):
             wrong = wrong_checksum = ~check.is_correct(data, spec.dbc.frame_id)
         else:
-            wrong = find_counter_faults(check.field, data, time_ns, wrong_checksum, spec.timeout)
+            wrong = find_counter_faults(check.field, data, time_ns, wrong_checksum, spec.timeout_ns)
         (keep if check.mode is Mode.DROP else valid)[wrong] = False
         if wrong.any():
             faults.append(f"{name} wrong in {wrong.sum()}")
     accepted = keep.copy()
     for signal in spec.signals:
-        if np.isfinite(signal.maximum) or np.isfinite(signal.max_rate):
-            sent = keep if not signal.dbc.multiplexer_ids else keep & np.isfinite(values[signal.name])
+        if signal.is_limited:
+            sent = keep & np.isfinite(values[signal.name]) if signal.extractor.selectors else keep
             passed = find_plausible(signal, spec, time_ns[sent], values[signal.name][sent])
             accepted[sent] &= passed
             if len(bad := values[signal.name][sent][~passed] / signal.factor):

@@ -29,11 +29,11 @@ class DamageError(ValueError):
 
 
 class _Block(NamedTuple):
-    """One block of the file; all positions are bytes in the file."""
+    """One block of the file; all offsets are from the start of the file [byte]."""
 
-    at: int
+    offset: int
     name: bytes
-    links: tuple[int, ...]  # positions of other blocks, 0 for none
+    links: tuple[int, ...]  # offsets of other blocks, 0 for none
     content: int  # start of the content, which follows the links
     end: int
 
@@ -42,7 +42,7 @@ class _Block(NamedTuple):
 class Layout:
     """Layout of the records in an unsorted data group."""
 
-    start: int  # position of the first record
+    start: int  # offset of the first record
     id_size: int  # bytes of a record identifier
     fixed: dict[int, tuple[int, bool]]  # identifier -> (size [bytes], whether the payload is in a separate record)
     variable: set[int]  # identifiers of these payload records
@@ -76,46 +76,46 @@ class _BlockWalk:
         header = self._block(64, (b"##HD",), links=6, content=32)
         for link, name in ((1, b"##FH"), (3, b"##AT"), (4, b"##EV")):
             self._chain(header.links[link], name)
-        at = header.links[0]
-        while at:
-            at = self._data_group(at)
+        offset = header.links[0]
+        while offset:
+            offset = self._data_group(offset)
 
-    def _block(self, at: int, names: tuple[bytes, ...], links: int = 0, content: int = 0) -> _Block:
-        """Reads the block at byte `at`. links: minimum number of links. content: minimum size of the content [byte]."""
-        if at + _HEADER > self._size:
-            raise DamageError(f"a block refers to byte {at}, but the file ends at byte {self._size}")
-        self._mark_visited(at)
-        name = bytes(self._data[at : at + 4])
+    def _block(self, offset: int, names: tuple[bytes, ...], links: int = 0, content: int = 0) -> _Block:
+        """Reads the block at an offset. links: minimum number of links. content: minimum size of the content [byte]."""
+        if offset + _HEADER > self._size:
+            raise DamageError(f"a block refers to byte {offset}, but the file ends at byte {self._size}")
+        self._mark_visited(offset)
+        name = bytes(self._data[offset : offset + 4])
         if name not in names:
             expected = " or ".join(n[2:].decode() for n in names)
-            raise DamageError(f"no block of type {expected} is at byte {at}")
-        length, count = struct.unpack_from("<QQ", self._data, at + 8)
-        end, content_at = at + length, at + _HEADER + 8 * count
-        if name == b"##DT" and self._is_unfinished and not _HEADER <= length <= self._size - at:
+            raise DamageError(f"no block of type {expected} is at byte {offset}")
+        length, count = struct.unpack_from("<QQ", self._data, offset + 8)
+        end, content_offset = offset + length, offset + _HEADER + 8 * count
+        if name == b"##DT" and self._is_unfinished and not _HEADER <= length <= self._size - offset:
             end = self._size
         if end > self._size:
-            raise DamageError(f"the block at byte {at} should end at byte {end}, but the file ends at {self._size}")
-        if count < links or content_at + content > end:
-            raise DamageError(f"the block at byte {at} is too short for its content")
-        return _Block(at, name, struct.unpack_from(f"<{count}Q", self._data, at + _HEADER), content_at, end)
+            raise DamageError(f"the block at byte {offset} should end at byte {end}, but the file ends at {self._size}")
+        if count < links or content_offset + content > end:
+            raise DamageError(f"the block at byte {offset} is too short for its content")
+        return _Block(offset, name, struct.unpack_from(f"<{count}Q", self._data, offset + _HEADER), content_offset, end)
 
-    def _mark_visited(self, at: int) -> None:
-        if at in self._visited:
-            raise DamageError(f"two links refer to the block at byte {at}")
-        self._visited.add(at)
+    def _mark_visited(self, offset: int) -> None:
+        if offset in self._visited:
+            raise DamageError(f"two links refer to the block at byte {offset}")
+        self._visited.add(offset)
 
-    def _chain(self, at: int, name: bytes) -> None:
+    def _chain(self, offset: int, name: bytes) -> None:
         """Rejects a circular chain of blocks; follows only the links and does not read the content."""
-        while at and at + _HEADER + 8 <= self._size and self._data[at : at + 4] == name:
-            self._mark_visited(at)
-            at = struct.unpack_from("<Q", self._data, at + _HEADER)[0]
+        while offset and offset + _HEADER + 8 <= self._size and self._data[offset : offset + 4] == name:
+            self._mark_visited(offset)
+            offset = struct.unpack_from("<Q", self._data, offset + _HEADER)[0]
 
-    def _data_group(self, at: int) -> int:
-        """Checks a data group; returns the position of the next one."""
-        block = self._block(at, (b"##DG",), links=4, content=8)
+    def _data_group(self, offset: int) -> int:
+        """Checks a data group; returns the offset of the next one."""
+        block = self._block(offset, (b"##DG",), links=4, content=8)
         id_size = self._data[block.content]
         if id_size not in (0, 1, 2, 4, 8):
-            raise DamageError(f"the block at byte {at} has record identifiers of {id_size} bytes")
+            raise DamageError(f"the block at byte {offset} has record identifiers of {id_size} bytes")
         layout = Layout(block.links[2] + _HEADER, id_size, {}, set())
         declared, group = 0, block.links[1]
         while group:
@@ -125,38 +125,39 @@ class _BlockWalk:
         self.layouts.append(layout if is_unsorted else None)
         size = self._records_size(block.links[2], b"DT")
         if declared > size and not self._unfinished_parts & _COUNTERS_UNFINISHED:
-            raise DamageError(f"the block at byte {at} declares {declared} bytes of records, but there are {size}")
+            raise DamageError(f"the block at byte {offset} declares {declared} bytes of records, but there are {size}")
         return block.links[0]
 
-    def _channel_group(self, at: int, layout: Layout) -> tuple[int, int]:
-        """Adds a channel group to the layout; returns (position of the next group, bytes of its own records)."""
-        block = self._block(at, (b"##CG",), links=6, content=32)
-        record, count, flags, _, _, size, invalid = struct.unpack_from("<QQHHIII", self._data, block.content)
+    def _channel_group(self, offset: int, layout: Layout) -> tuple[int, int]:
+        """Adds a channel group to the layout; returns (offset of the next group, bytes of its own records)."""
+        block = self._block(offset, (b"##CG",), links=6, content=32)
+        record, count, flags, _, _, size, invalidation_size = struct.unpack_from("<QQHHIII", self._data, block.content)
         if record in layout.fixed or record in layout.variable:
-            raise DamageError(f"the channel group at byte {at} has the record identifier {record} of another group")
+            raise DamageError(f"the channel group at byte {offset} has the record identifier {record} of another group")
         if flags & _REMOTE_MASTER or len(block.links) != 6 or block.end != block.content + 32:
-            raise DamageError(f"the channel group at byte {at} describes records that no CAN logger writes")
+            raise DamageError(f"the channel group at byte {offset} describes records that no CAN logger writes")
         if flags & _VARIABLE_LENGTH_GROUP:
             if block.links[1]:
-                raise DamageError(f"the channel group at byte {at} has channels, but records of variable length")
+                raise DamageError(f"the channel group at byte {offset} has channels, but records of variable length")
             layout.variable.add(record)
             return block.links[0], 0
-        if size + invalid > _MAX_RECORD_SIZE:
-            raise DamageError(f"the channel group at byte {at} has impossible records of {size + invalid} bytes")
-        layout.fixed[record] = size + invalid, self._channels(block.links[1], size, invalid, flags)
-        return block.links[0], count * (size + invalid + layout.id_size)
+        record_size = size + invalidation_size
+        if record_size > _MAX_RECORD_SIZE:
+            raise DamageError(f"the channel group at byte {offset} has impossible records of {record_size} bytes")
+        layout.fixed[record] = record_size, self._channels(block.links[1], size, invalidation_size, flags)
+        return block.links[0], count * (record_size + layout.id_size)
 
-    def _channels(self, first: int, size: int, invalid: int, group_flags: int) -> bool:
+    def _channels(self, first: int, size: int, invalidation_size: int, group_flags: int) -> bool:
         """Checks the channels of a group; returns whether one of them has variable length."""
         waiting, has_variable_length = [first], False
         while waiting:
-            at = waiting.pop()
-            if not at:
+            offset = waiting.pop()
+            if not offset:
                 continue
-            block = self._block(at, (b"##CN",), links=8, content=72)
+            block = self._block(offset, (b"##CN",), links=8, content=72)
             if block.end != block.content + 72:
-                raise DamageError(f"the block at byte {at} is longer than its content")
-            self._channel(block, size, invalid)
+                raise DamageError(f"the block at byte {offset} is longer than its content")
+            self._channel(block, size, invalidation_size)
             has_variable_length |= self._data[block.content] == VARIABLE_LENGTH
             waiting.append(block.links[0])
             if part := block.links[1]:
@@ -165,50 +166,51 @@ class _BlockWalk:
                 waiting.append(part)
         return has_variable_length
 
-    def _channel(self, block: _Block, size: int, invalid: int) -> None:
-        content = struct.unpack_from("<BBBBIIII", self._data, block.content)
-        kind, _, data_type, bit, byte, bits, flags, invalid_bit = content
+    def _channel(self, block: _Block, size: int, invalidation_size: int) -> None:
+        kind, _, data_type, bit, byte, bits, flags, invalidation_bit = struct.unpack_from(
+            "<BBBBIIII", self._data, block.content)
+        name = f"channel at byte {block.offset}"
         if kind in VIRTUAL:
             return
         end = byte + (bit + bits + 7) // 8
         if end > size:
-            raise DamageError(f"the channel at byte {block.at} ends at byte {end} of a record of {size} bytes")
+            raise DamageError(f"the {name} ends at byte {end} of a record of {size} bytes")
         if bit > 7 or (data_type in _INTEGER_TYPES and not 0 < bits <= 64):
-            raise DamageError(f"the channel at byte {block.at} has an invalid start bit {bit} or length of {bits} bits")
-        if flags & _USES_INVALIDATION_BIT and invalid and invalid_bit >= 8 * invalid:
-            raise DamageError(f"the invalidation bit of the channel at byte {block.at} is outside the record")
+            raise DamageError(f"the {name} has an invalid start bit {bit} or length of {bits} bits")
+        if flags & _USES_INVALIDATION_BIT and 0 < 8 * invalidation_size <= invalidation_bit:
+            raise DamageError(f"the invalidation bit of the {name} is outside the record")
         if kind == VARIABLE_LENGTH:
             if bits not in (32, 64) or bit or data_type not in _TEXT_AND_BYTE_TYPES:
-                raise DamageError(f"the channel at byte {block.at} has an invalid reference to its values")
+                raise DamageError(f"the {name} has an invalid reference to its values")
             if self._data[block.links[5] : block.links[5] + 4] != b"##CG":  # _data_group checks channel groups
                 self._records_size(block.links[5], b"SD")
         if kind == _MASTER:
             if data_type not in _REAL_TYPES:
-                raise DamageError(f"the time channel at byte {block.at} is not numeric")
+                raise DamageError(f"the time {name} is not numeric")
             if block.links[4]:
                 self._time_conversion(block.links[4])
 
-    def _time_conversion(self, at: int) -> None:
+    def _time_conversion(self, offset: int) -> None:
         # asammdf ignores an invalid conversion and would read microseconds as seconds.
-        self._visited.discard(at)  # groups share a conversion
-        block = self._block(at, (b"##CC",), links=4, content=24)
+        self._visited.discard(offset)  # groups share a conversion
+        block = self._block(offset, (b"##CC",), links=4, content=24)
         kind, _, _, _, values = struct.unpack_from("<BBHHH", self._data, block.content)
         if kind not in _LINEAR_CONVERSIONS or (kind and (values != 2 or block.content + 40 > block.end)):
-            raise DamageError(f"the time conversion at byte {at} is not linear")
+            raise DamageError(f"the time conversion at byte {offset} is not linear")
         if kind:
-            offset, factor = struct.unpack_from("<2d", self._data, block.content + 24)
-            if not math.isfinite(offset) or not 0 < factor < math.inf:
-                raise DamageError(f"the time conversion at byte {at} is invalid ({offset:g} + {factor:g} x)")
+            start, factor = struct.unpack_from("<2d", self._data, block.content + 24)
+            if not math.isfinite(start) or not 0 < factor < math.inf:
+                raise DamageError(f"the time conversion at byte {offset} is invalid ({start:g} + {factor:g} x)")
 
-    def _records_size(self, at: int, kind: bytes) -> int:
+    def _records_size(self, offset: int, kind: bytes) -> int:
         """Number of bytes of records at a link, which leads to one block (compressed or not) or a list of blocks."""
-        size, lists, waiting = 0, 0, [at]
+        size, lists, waiting = 0, 0, [offset]
         while waiting:
-            at = waiting.pop()
-            if not at:
+            offset = waiting.pop()
+            if not offset:
                 continue
-            packed = self._data[at : at + 4] == b"##DZ"
-            block = self._block(at, (b"##" + kind, b"##DZ", b"##DL", b"##HL"), content=24 if packed else 0)
+            packed = self._data[offset : offset + 4] == b"##DZ"
+            block = self._block(offset, (b"##" + kind, b"##DZ", b"##DL", b"##HL"), content=24 if packed else 0)
             if packed:
                 size += self._unpacked_size(block, kind)
             elif block.name == b"##DL":
@@ -226,34 +228,34 @@ class _BlockWalk:
     def _unpacked_size(self, block: _Block, kind: bytes) -> int:
         content, method, columns, unpacked, packed = struct.unpack_from("<2sBxIQQ", self._data, block.content)
         if content != kind or method > _MAX_COMPRESSION_METHOD or (method % 2 and not columns):
-            raise DamageError(f"the block at byte {block.at} is compressed by an unknown method")
+            raise DamageError(f"the block at byte {block.offset} is compressed by an unknown method")
         if block.content + 24 + packed > block.end or unpacked > _MAX_INFLATION * packed:
-            raise DamageError(f"the block at byte {block.at} is too short to unpack to {unpacked} bytes")
+            raise DamageError(f"the block at byte {block.offset} is too short to unpack to {unpacked} bytes")
         return unpacked
 
 
 def end_of_last_frame(data: Buffer, layout: Layout) -> int | None:
-    """Position after the last record with a complete payload in an unfinalised file; None without such a record.
+    """Offset after the last record with a complete payload in an unfinalised file; None without such a record.
 
     A record consists of an identifier and a fixed number of bytes, or of an identifier, a length and that many bytes.
     """
-    position, end, open_payloads = layout.start, None, 0
-    while position + layout.id_size <= len(data):
-        record = int.from_bytes(data[position : position + layout.id_size], "little")
+    offset, end, open_payloads = layout.start, None, 0
+    while offset + layout.id_size <= len(data):
+        record = int.from_bytes(data[offset : offset + layout.id_size], "little")
         if record in layout.variable:
-            if position + layout.id_size + 4 > len(data):
+            if offset + layout.id_size + 4 > len(data):
                 break
-            size = 4 + struct.unpack_from("<I", data, position + layout.id_size)[0]
+            size = 4 + struct.unpack_from("<I", data, offset + layout.id_size)[0]
             change = -1
         elif record in layout.fixed:
             size, owns_payload = layout.fixed[record]
             change = int(owns_payload)
         else:
             break
-        position += layout.id_size + size
-        if position > len(data):
+        offset += layout.id_size + size
+        if offset > len(data):
             break
         open_payloads += change
         if open_payloads <= 0:
-            end = position
+            end = offset
     return end
