@@ -4,11 +4,11 @@ import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from controlled_car import ControlledCar
 from controller import Controller, Reference
 from st_sim.car import Car
 from st_sim.scenarios import Plan
 from st_sim.settings import Settings
-from st_sim.simulation import ControlledCar
 
 MAX_DISTANCE = 4.0  # m from the road; a drive ends there, because the car has left the road
 SAMPLING_TIME = 0.02  # s between measurements of the tracking error

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import casadi
 import numpy as np
 from closed_loop import SAMPLING_TIME, Road
+from controlled_car import ControlledCar
 from controller import Controller, Tuning
 from st_core.bands import Band, CalibrationDomain, calibrate, compute_error_samples, conditions, steering_activity
 from st_core.log import DriveLog
@@ -33,7 +34,6 @@ from st_sim.car import Car, read_car
 from st_sim.path import straight
 from st_sim.scenarios import RoadPlan
 from st_sim.settings import REALISTIC, Settings
-from st_sim.simulation import ControlledCar
 
 SPEED, DURATION, HORIZON = 10.0, 20.0, 2.5  # m/s, s, s
 DEVIATIONS = {  # standard deviations of the settings of the plant; of the offset in rad

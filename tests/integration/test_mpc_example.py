@@ -17,7 +17,7 @@ from support import ROOT
 pytest.importorskip("casadi", reason="casadi is not installed")
 FILE = ROOT / "config" / "vehicle" / "leaf.yaml"
 LEAF = VehicleParameters.from_yaml(FILE.read_text(), str(FILE))
-NAMES = ("acados_example", "closed_loop", "controller", "corridor", "drawing", "nmpc")
+NAMES = ("acados_example", "closed_loop", "controlled_car", "controller", "corridor", "drawing", "nmpc")
 
 
 @pytest.fixture(autouse=True)

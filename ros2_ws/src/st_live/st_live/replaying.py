@@ -30,15 +30,15 @@ PROGRESS_PERIOD = 0.2  # s
 
 def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, console: Console,
                view: LiveView | None = None, bands: Path | None = None, course: Path | None = None,
-               adaptive: bool | None = None, settings: ReadSettings | None = None) -> tuple[Outcome, str]:
+               adaptive: bool | None = None, settings: ReadSettings = ReadSettings()) -> tuple[Outcome, str]:
     """Replay a bag with its recorded configuration; returns the outcome and the name of the vehicle.
 
     The nodes record into folder/bag and folder/errors. vehicle, course: files to use instead of the recorded ones.
     rate: playback speed relative to the recording; 0: as fast as the nodes can follow. adaptive: as for
     `set_bands_and_course`. settings: topics of external recordings. Raises RunError, SuiteError and ConfigurationError.
     """
-    steering, odometry = (settings.steering, settings.odometry) if settings else (None, None)
-    drive = read_bag(bag, steering=steering, odometry=odometry)
+    steering = settings.steering
+    drive = read_bag(bag, steering=steering, odometry=settings.odometry)
     reconstructed = [name for name in (ODOMETRY, STEERING) if drive.topics[name].endswith(RECONSTRUCTED)]
     if reconstructed:
         raise RunError(bag, f"cannot be played: no {' and no '.join(reconstructed)}",

@@ -78,7 +78,7 @@ class Verification:
 
 
 def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = None,
-           read: ReadSettings | None = None) -> Verification | None:
+           read_settings: ReadSettings = ReadSettings()) -> Verification | None:
     """Compare every recorded prediction and score with the library's; None for a recording without predictions.
 
     vehicle: file to use instead of the recorded vehicle. Raises RunError, ConfigurationError.
@@ -87,7 +87,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     predictions = recorded_results.read_predictions(bag, progress)
     if not predictions:
         return None
-    drive = read_bag(bag, steering=read.steering, odometry=read.odometry) if read else read_bag(bag)
+    drive = read_bag(bag, steering=read_settings.steering, odometry=read_settings.odometry)
     car, recorded, source = recorded_results.find_configuration(drive.records, vehicle)
     parameters = {**recorded.nodes.get("evaluator", {}), **recorded.nodes.get("predictor", {})}
     names = PredictionSettings.__dataclass_fields__.keys() & parameters.keys()
@@ -114,12 +114,10 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
 
 
 def find_settled_starts(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np.ndarray:
-    """(n,) whether the acceleration filter had settled at each start.
+    """(n,) whether the acceleration filter had settled at each start. cutoff: of the filter [Hz].
 
     Settling begins at the first prediction after the first recorded INS sample, and again after every pause that may
     be a restart of the predictor: longer than RESTART_PAUSE and longer than three prediction intervals.
-
-    starts_ns: start times of the predictions, increasing. cutoff: cutoff frequency of the filter [Hz].
     """
     has_ins = starts_ns >= ins_time_ns[0] if len(ins_time_ns) else np.zeros(len(starts_ns), bool)
     intervals = np.diff(starts_ns)
@@ -191,7 +189,7 @@ def _compare_scores(result: Comparison, mode: str, scores: Scores, starts_ns: np
 
 
 def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: bool, output: Path | None,
-                   console: Console, read: ReadSettings | None = None) -> int:
+                   console: Console, read_settings: ReadSettings) -> int:
     """Run `st verify`, print the result and return the exit status.
 
     0: no difference exceeds `tolerance` [m], and no score is complete on one side only without a known reason; 1: any
@@ -199,16 +197,16 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: 
     """
     from .replaying import replay_bag  # needs ROS; comparing does not
 
-    result = None if replayed else _verify_with_progress(bag, vehicle, console, read)
+    result = None if replayed else _verify_with_progress(bag, vehicle, console, read_settings)
     if result is None:
         reason = "--replay" if replayed else "it contains no predictions"
         folder = new_folder(output, f"verify-{bag.stem}")
         console.print(f"{bag.name} is played through the nodes ({reason}); recordings in {folder}", highlight=False)
-        outcome, _ = replay_bag(find_recordings(bag)[0], folder, vehicle, 0.0, console, settings=read)
+        outcome, _ = replay_bag(find_recordings(bag)[0], folder, vehicle, 0.0, console, settings=read_settings)
         if not outcome.ok:
             failure = f"a node ended with an error: {outcome.statuses}; see {folder / 'logs'}"
             raise SuiteError(outcome.problem or failure)
-        result = _verify_with_progress(folder, vehicle, console)
+        result = _verify_with_progress(folder, vehicle, console, ReadSettings())
     if result is None or not result.n_starts:
         settling = sum(c.n_settling for c in result.comparisons) if result else 0
         reason = (f"all {settling} predictions start too soon after the first sample received" if settling
@@ -224,11 +222,12 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: 
 
 
 def _verify_with_progress(path: Path, vehicle: Path | None, console: Console,
-                          read: ReadSettings | None = None) -> Verification | None:
+                          read_settings: ReadSettings) -> Verification | None:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with ProgressBar(*columns, console=console, transient=True) as progress:
         bar = progress.add_task("reading and comparing")
-        return verify(path, vehicle, lambda done, total: progress.update(bar, completed=done, total=total), read)
+        return verify(path, vehicle, lambda completed, total: progress.update(bar, completed=completed, total=total),
+                      read_settings)
 
 
 def _make_table(result: Verification) -> Table:

@@ -162,7 +162,7 @@ def make_statistics_message(model: str, mode: str, statistics: Statistics) -> Er
     return message
 
 
-def convert_qos(profile: QoSProfile) -> Qos:
+def make_bag_qos(profile: QoSProfile) -> Qos:
     """QoS of a publisher in the form that a bag stores."""
     return Qos(reliability=profile.reliability.name.lower(), durability=profile.durability.name.lower(),
                history=profile.history.name.lower(), depth=profile.depth, liveliness=profile.liveliness.name.lower(),

@@ -115,13 +115,13 @@ def test_path_is_reused_and_complete() -> None:
 
 
 def test_qos_as_in_a_bag() -> None:
-    plain = convert.convert_qos(QoSProfile(depth=50))
+    plain = convert.make_bag_qos(QoSProfile(depth=50))
     assert (plain.reliability, plain.durability) == ("reliable", "volatile")
     assert (plain.history, plain.depth) == ("keep_last", 50)
     assert (plain.deadline_ns, plain.lifespan_ns, plain.liveliness_lease_ns) == (INFINITE_NS,) * 3
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, deadline=Duration(seconds=2))
-    assert convert.convert_qos(latched).durability == "transient_local"
-    assert convert.convert_qos(latched).to_entry()["deadline"] == {"sec": 2, "nsec": 0}
+    assert convert.make_bag_qos(latched).durability == "transient_local"
+    assert convert.make_bag_qos(latched).to_entry()["deadline"] == {"sec": 2, "nsec": 0}
 
 
 def test_a_band_message_has_the_newest_half_widths() -> None:

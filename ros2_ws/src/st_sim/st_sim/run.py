@@ -26,7 +26,7 @@ from .settings import SETTINGS, SimulationError, find_overrides, resolve_setting
 from .simulation import SimulatedCar
 from .stream import LiveOutput, Output, Report, Source, Stream, send
 
-DEFAULT_DURATION = 60.0  # s
+DEFAULT_DURATION, MAX_DURATION = 60.0, 1e6  # s
 START_GRID_NS = 20_000_000  # drives start on this UTC grid, so that epochs at 100 and 250 Hz are whole milliseconds
 LEAD_NS = 20_000_000  # minimum time from the end of preparation to the first epoch
 FILE_EPOCH_NS = 1_756_900_800_000_000_000  # 2025-09-03 12:00 UTC: start of a drive written to files with seed 0
@@ -90,12 +90,12 @@ class _Run:
             self._source: Source = RecordedDrive(options.drive, self._car)
         else:
             self._source = SimulatedCar(self._car, self.settings, load_plan(options.scenario), options.seed)
-        longest = self._source.duration
-        self.duration = options.duration if options.duration is not None else longest or DEFAULT_DURATION
-        if not 0 < self.duration <= 1e6:
-            raise SimulationError(f"--duration {self.duration:g}: must be above 0 and at most 1000000 s")
-        if longest is not None:
-            self.duration = min(self.duration, longest)
+        drive_duration = self._source.duration
+        self.duration = options.duration if options.duration is not None else drive_duration or DEFAULT_DURATION
+        if not 0 < self.duration <= MAX_DURATION:
+            raise SimulationError(f"--duration {self.duration:g}: must be above 0 and at most {MAX_DURATION:.0f} s")
+        if drive_duration is not None:
+            self.duration = min(self.duration, drive_duration)
         self.about = {
             "scenario": "" if options.drive else options.scenario, "drive": options.drive.name if options.drive else "",
             "vehicle": self._car.name, "plant": options.plant or "", "seed": options.seed,

@@ -121,10 +121,9 @@ PRESETS: Mapping[str, Settings] = MappingProxyType({"ideal": IDEAL, "realistic":
 
 
 def resolve_settings(plant: str, effects: Iterable[str] = ()) -> dict[str, float]:
-    """All settings from `--plant` and `--effect name=value ...`.
+    """All settings from `--plant` and `--effect name=value ...`. Raises SimulationError.
 
     plant: a preset, or a YAML file {preset: realistic, name: value, ...} (default preset: ideal).
-    Raises SimulationError.
     """
     settings = dict(PRESETS[plant]) if plant in PRESETS else _read_file(Path(plant))
     for effect in effects:

@@ -65,7 +65,7 @@ def course(
     from st_offline.course_command import build_course
 
     with shared.report_errors("course"):
-        vehicle, read = read_options.resolve()
+        vehicle, read_settings = read_options.resolve()
         parameters, _ = shared.load_vehicle_or_default(vehicle)
-        status = build_course(runs, parameters, read, output, Console())
+        status = build_course(runs, parameters, read_settings, output, Console())
     raise typer.Exit(status)

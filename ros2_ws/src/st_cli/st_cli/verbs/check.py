@@ -27,8 +27,9 @@ def check(
     from st_offline.checking.check_command import CheckJob, run_command
 
     with shared.report_errors("check"):
-        vehicle, read = read_options.resolve()
+        vehicle, read_settings = read_options.resolve()
         parameters, file = shared.load_vehicle_or_default(vehicle)
-        job = CheckJob(runs, parameters, str(file), vehicle is not None, read, output, json, propose_correction)
+        job = CheckJob(
+            runs, parameters, str(file), vehicle is not None, read_settings, output, json, propose_correction)
         status = run_command(job, Console(), lambda used: shared.report_default_car("check", None, used))
     raise typer.Exit(status)

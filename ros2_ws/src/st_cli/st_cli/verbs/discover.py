@@ -79,12 +79,12 @@ def discover(
     from st_offline.discovery.drives import Request
 
     with shared.report_errors("discover"):
-        vehicle, read = read_options.resolve()
+        vehicle, read_settings = read_options.resolve()
         parameters, file = shared.load_vehicle_or_default(vehicle)
         request = Request(
             base, parameters, str(file), file.read_text(encoding="utf-8"),
             DiscoverySettings(channels=tuple(_split_names(channels)), seed=seed, certify=certify), runs, reference,
-            read, effects, output, jobs, tuple(_split_names(figures)), report, not fresh, force, propose)
+            read_settings, effects, output, jobs, tuple(_split_names(figures)), report, not fresh, force, propose)
         status = run_command(request, Console())
     shared.report_default_car("discover", vehicle, file)
     raise typer.Exit(status)

@@ -84,10 +84,10 @@ def make_task(read_options: shared.ReadOptions, model: Sequence[str], effects: P
 
     filtering: Literal["causal", "zero_phase"] = "zero_phase" if acceleration == "zero-phase" else "causal"
     models = tuple(read_model(name) for name in dict.fromkeys(model))
-    vehicle, read = read_options.resolve()
+    vehicle, read_settings = read_options.resolve()
     parameters, vehicle_origin = resolve_vehicle(vehicle, models, effects)
     settings = EvaluationSettings(prediction, interval, filtering, inputs)
-    return Task(parameters, models, settings, read, effects=effects, **others), vehicle, vehicle_origin
+    return Task(parameters, models, settings, read_settings, effects=effects, **others), vehicle, vehicle_origin
 
 
 def read_model(name: str) -> str | tuple[str, str]:

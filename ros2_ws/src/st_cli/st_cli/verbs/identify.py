@@ -43,11 +43,11 @@ def identify(
         typer.echo(f"st identify: unknown experiment {what!r}; use {', '.join(EXPERIMENTS)}", err=True)
         raise typer.Exit(2)
     with shared.report_errors(f"identify {what}", SuiteError):
-        vehicle, read = read_options.resolve()
+        vehicle, read_settings = read_options.resolve()
         parameters, file = shared.load_vehicle_or_default(vehicle)
         folder = new_folder(output, f"identify-{what}", create=False)
         base = load_model(model, effects, parameters, str(file))
-        setup = Setup(parameters, read, force, base)
+        setup = Setup(parameters, read_settings, force, base)
         job = IdentificationJob(EXPERIMENTS[what], tuple(files or ()), setup, str(file), folder)
         status = run_command(job, console)
     shared.report_default_car("identify", vehicle, file)

@@ -30,15 +30,15 @@ def replay(
 
     console = Console()
     with shared.report_errors("replay", SuiteError):
-        vehicle, read = read_options.resolve()
+        vehicle, read_settings = read_options.resolve()
         bag, _ = find_recordings(bag)
         view = run_options.make_view()
-        findings = check_bag(bag, vehicle, force, read)
+        findings = check_bag(bag, vehicle, force, read_settings)
         print_findings({bag.name: findings}, console)
         shared.report_default_car_of_bag("replay", bag, vehicle)
         folder = new_folder(output, f"replay-{bag.stem}")
         outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, view, run_options.bands,
-                                   run_options.course, run_options.adaptive, read)
+                                   run_options.course, run_options.adaptive, read_settings)
     about = {"what": f"replay of {bag.name}", "source": str(bag), "vehicle": name,
              "findings": findings_as_json(findings)}
     status = report_results(folder, outcome, about, console)
@@ -68,9 +68,9 @@ def verify(
     from st_offline.checking.gate import check_bag
 
     with shared.report_errors("verify", SuiteError):
-        vehicle, read = read_options.resolve()
+        vehicle, read_settings = read_options.resolve()
         shared.report_default_car_of_bag("verify", bag, vehicle)
         console = Console()
-        print_findings({bag.name: check_bag(find_recordings(bag)[0], vehicle, force, read)}, console)
-        status = verify_command(bag, vehicle, tolerance, replayed, output, console, read)
+        print_findings({bag.name: check_bag(find_recordings(bag)[0], vehicle, force, read_settings)}, console)
+        status = verify_command(bag, vehicle, tolerance, replayed, output, console, read_settings)
     raise typer.Exit(status)

@@ -97,8 +97,8 @@ class Inputs:
         qos = QoSProfile(depth=QUEUE_DEPTH)
         self._node, self._map_frame = node, map_frame
         self._add_ins, self._add_steering, self._on_change = add_ins, add_steering, on_change
-        self._odometry = PolledSubscription(node, Odometry, "ins/odometry", qos)
-        self._steering = PolledSubscription(node, Steering, "vehicle/steering", qos)
+        self._subscriptions = {"INS": PolledSubscription(node, Odometry, "ins/odometry", qos),
+                               "steering": PolledSubscription(node, Steering, "vehicle/steering", qos)}
         self.received = {"INS": 0, "steering": 0}
         self.refused = {"INS": 0, "steering": 0}
         self.last_refusal = {"INS": "", "steering": ""}  # empty while the newest message was usable
@@ -110,27 +110,27 @@ class Inputs:
         end = time.monotonic() + longest
         self.drain()
         while min(self._arrived_ns.values()) < since_ns and (remaining := end - time.monotonic()) > 0.0:
-            wait_for_any(self._node, (self._odometry, self._steering), remaining)
+            wait_for_any(self._node, list(self._subscriptions.values()), remaining)
             self.drain()
 
     def drain(self) -> None:
         """Process all queued messages."""
-        for message in self._take_accepted("INS", self._odometry):
+        for message in self._take_accepted("INS"):
             sample = convert.read_ins_sample(message, self._map_frame)
             if isinstance(sample, str):
                 self._refuse("INS", sample)
             else:
                 self._count("INS", self._add_ins(sample))
-        for message in self._take_accepted("steering", self._steering):
+        for message in self._take_accepted("steering"):
             if not message.valid:
                 self._refuse("steering", "marked invalid by the bridge (counter or checksum)")
             else:
                 time_ns = to_nanoseconds(message.header.stamp)
                 self._count("steering", self._add_steering(time_ns, message.road_wheel_angle))
 
-    def _take_accepted(self, signal: str, subscription: PolledSubscription) -> Iterator[Any]:
+    def _take_accepted(self, signal: str) -> Iterator[Any]:
         """Queued messages of the accepted publisher."""
-        lock = self._locks[signal]
+        lock, subscription = self._locks[signal], self._subscriptions[signal]
         previous_warning, count = lock.describe_competition(_utc_now()), subscription.count_publishers()
         # Add new publishers before reading and remove ended ones after it: their last messages may still be queued.
         if count > len(lock.names):
@@ -152,8 +152,8 @@ class Inputs:
         return reason
 
     def make_checks(self) -> list[Check]:
-        warnings = {topic: self._locks[signal].describe_competition(_utc_now())
-                    for signal, topic in (("INS", self._odometry.topic), ("steering", self._steering.topic))}
+        warnings = {subscription.topic: self._locks[signal].describe_competition(_utc_now())
+                    for signal, subscription in self._subscriptions.items()}
         rejected = {f"{signal} messages of other publishers": lock.rejected for signal, lock in self._locks.items()}
         text = "; ".join(f"{topic} is {warning}" for topic, warning in warnings.items() if warning)
         return [
@@ -166,8 +166,8 @@ class Inputs:
         if refusal := self.last_refusal[signal]:
             return Check(f"input {signal}", diagnostics.WARN, f"refused: {refusal}", values)
         if not self.received[signal]:
-            topic = {"INS": self._odometry, "steering": self._steering}[signal].topic
-            return Check(f"input {signal}", diagnostics.STALE, f"nothing received on {topic} yet", values)
+            text = f"nothing received on {self._subscriptions[signal].topic} yet"
+            return Check(f"input {signal}", diagnostics.STALE, text, values)
         return Check(f"input {signal}", diagnostics.OK, "usable", values)
 
     def _count(self, signal: str, accepted: bool) -> None:

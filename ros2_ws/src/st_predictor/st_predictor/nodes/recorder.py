@@ -90,12 +90,12 @@ class RecorderNode(Node):
         self._watchdog = PublisherWatchdog(self)
         self._simulated_time = self.get_parameter("use_sim_time").value
         create_steady_timer(self, WORK_PERIOD, self._work)
-        create_steady_timer(self, TOPIC_SCAN_PERIOD, self._subscribe_new)
+        create_steady_timer(self, TOPIC_SCAN_PERIOD, self._subscribe_to_new_topics)
         self._diagnostics = Diagnostics(self, str(self._bag.directory), self._make_checks)
-        self._subscribe_new()
+        self._subscribe_to_new_topics()
         self.get_logger().info(f"recording into {self._bag.directory}")
 
-    def _subscribe_new(self) -> None:
+    def _subscribe_to_new_topics(self) -> None:
         for topic, types in self.get_topic_names_and_types():
             is_new = topic not in self._subscribed and topic not in self._refusals
             matches = any(fnmatchcase(topic, pattern) for pattern in self._patterns)
@@ -111,7 +111,7 @@ class RecorderNode(Node):
             self._refusals[topic] = f"message type {types[0]} is not installed"
             return
         try:
-            description = types[0], [convert.convert_qos(p.qos_profile) for p in publishers]
+            description = types[0], [convert.make_bag_qos(p.qos_profile) for p in publishers]
             number = self._bag.add_topic(topic, *description)
         except UnknownTypeError as error:
             self._refusals[topic] = str(error)

@@ -1,13 +1,15 @@
 """The virtual car under an external controller: commands become motion, within the limits of steering and tyres."""
 
 import math
+import runpy
 
 import pytest
 from st_sim.car import read_car
+from st_sim.driver import MAX_BRAKING, MAX_STEERING_WHEEL_RATE
 from st_sim.settings import PRESETS, resolve_settings
-from st_sim.simulation import MAX_BRAKING, MAX_STEERING_WHEEL_RATE, ControlledCar
 from support import ROOT
 
+ControlledCar = runpy.run_path(str(ROOT / "examples" / "mpc" / "controlled_car.py"))["ControlledCar"]
 CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
 
 
