@@ -182,7 +182,7 @@ rclpy.spin(node)
 def add_slow_subscriber(rig: Rig) -> Undo:
     process = subprocess.Popen([sys.executable, "-c", SUBSCRIBER], env=rig.suite.environment,
                                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    rig.run(20.0, lambda: "slow" in rig.monitor.node_names())
+    rig.run(20.0, lambda: "slow" in rig.monitor.find_node_names())
     process.send_signal(signal.SIGSTOP)
 
     def undo() -> None:

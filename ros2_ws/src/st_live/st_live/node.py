@@ -79,14 +79,14 @@ class Monitor:
         self._thread = threading.Thread(target=self._spin, name="monitor", daemon=True)
         self._thread.start()
 
-    def node_names(self) -> list[str]:
+    def find_node_names(self) -> list[str]:
         """Names of all other nodes in the graph; a name used by two nodes is listed twice."""
         return [name for name in self._node.get_node_names() if name != self._node.get_name()]
 
     def wait_for_nodes(self, names: set[str], timeout: float) -> set[str]:
         """Wait until all nodes are in the graph; returns the missing ones."""
         end = time.monotonic() + timeout
-        while missing := names - set(self.node_names()):
+        while missing := names - set(self.find_node_names()):
             if time.monotonic() > end:
                 break
             time.sleep(0.05)
@@ -138,14 +138,15 @@ class Monitor:
 
 def render_progress(state: SuiteState, elapsed: float, duration: float | None, title: str) -> RenderableType:
     """Terminal view of a run. elapsed, duration: in s; duration None: the run lasts until it is stopped."""
-    line = Table.grid(padding=(0, 1))
+    progress = Table.grid(padding=(0, 1))
     if duration:
         bar = ProgressBar(total=duration, completed=min(elapsed, duration), width=40)
-        line.add_row(title, bar, f"{elapsed:4.0f} / {duration:.0f} s")
+        progress.add_row(title, bar, f"{elapsed:4.0f} / {duration:.0f} s")
     else:
-        line.add_row(title, f"{elapsed:4.0f} s", "(Ctrl-C ends it)")
+        progress.add_row(title, f"{elapsed:4.0f} s", "(Ctrl-C ends it)")
     coverage = [Text(text) for text in format_band_lines(state.summary.statistics if state.summary else [])]
-    return Group(line, render_motion(state), render_errors(state), *coverage, render_ticks(state), render_health(state))
+    return Group(progress, render_motion(state), render_errors(state), *coverage, render_ticks(state),
+                 render_health(state))
 
 
 def render_motion(state: SuiteState) -> Text:

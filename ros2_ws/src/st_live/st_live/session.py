@@ -170,7 +170,7 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
 
 def _check_no_other_suite(monitor: Monitor, domain: int, allowed: int) -> None:
     """Raises SuiteError if a node runs more than `allowed` times: two suites would mix their measurements."""
-    counts = Counter(monitor.node_names())
+    counts = Counter(monitor.find_node_names())
     others = [name for _, name in NODES if counts[name] > allowed]
     if others:
         raise SuiteError(f"another suite is running in ROS domain {domain} ({', '.join(others)}): end it, or set "

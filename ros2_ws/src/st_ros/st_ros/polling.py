@@ -75,10 +75,11 @@ class PolledSubscription:
         return self.subscription.get_publisher_count()
 
     def find_publisher_names(self) -> list[str]:
-        """Full node name of each publisher of the topic; UNRESOLVED_NODE if it is not resolved yet."""
-        publishers = self._node.get_publishers_info_by_topic(self.topic)
-        return [UNRESOLVED_NODE if publisher.node_name.startswith(UNRESOLVED_PREFIX)
-                else f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}" for publisher in publishers]
+        """Full node name of each matched publisher; UNRESOLVED_NODE if it is not resolved or not in the graph yet."""
+        names = [UNRESOLVED_NODE if publisher.node_name.startswith(UNRESOLVED_PREFIX)
+                 else f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"
+                 for publisher in self._node.get_publishers_info_by_topic(self.topic)]
+        return names + [UNRESOLVED_NODE] * (self.count_publishers() - len(names))
 
 
 def wait_for_any(node: Node, subscriptions: Sequence[PolledSubscription], seconds: float) -> None:

@@ -121,8 +121,6 @@ _FIXED: Mapping[int, Mapping[str, float | str]] = {
     5: {"HeadingAcc": math.degrees(ACCURACY["heading"]), "PitchAcc": math.degrees(ACCURACY["level"]),
         "RollAcc": math.degrees(ACCURACY["level"])},
     **{channel: {"GAPx": 0.35, "GAPy": 0.0, "GAPz": -1.05} for channel in (12, 57)},
-    59: {"ImuTemperature": 38.5},
-    76: {"NtripStatus": 6},
     16: {"Imu2VehHeading": 0.0, "Imu2VehPitch": 0.0, "Imu2VehRoll": 0.0, "TimeUtcOffset": -18},
     19: {"DevId": "250101.1"},
     20: {"GpsDiffAge": 1.0, "BaseStationId": "0021"},
@@ -136,6 +134,8 @@ _FIXED: Mapping[int, Mapping[str, float | str]] = {
          "DatumEarthFrame": 0},
     55: _make_receiver_values("GpsPrimary"),
     56: _make_receiver_values("GpsSecondary"),
+    59: {"ImuTemperature": 38.5},
+    76: {"NtripStatus": 6},
 }
 # Channels sent every 10th, 25th, 50th and 200th packet; all others are sent every 100th packet.
 _EVERY_10, _EVERY_25, _EVERY_50 = (0, 1), (32, 45), (3, 4, 5, 20, 24, 43, 65, 66, 67)
@@ -147,18 +147,18 @@ def make_schedule() -> list[int]:
     """Channel number of each packet of a cycle; slots that no period fills contain channel 0."""
     slots: list[int | None] = [None] * CYCLE
 
-    def put(channels: tuple[int, ...], period: int) -> None:
+    def assign(channels: tuple[int, ...], period: int) -> None:
         for channel in channels:
-            phases = (p for p in range(period) if all(slots[q] is None for q in range(p, CYCLE, period)))
-            for slot in range(next(phases), CYCLE, period):
+            free_phases = (phase for phase in range(period) if set(slots[phase::period]) == {None})
+            for slot in range(next(free_phases), CYCLE, period):
                 slots[slot] = channel
 
-    put(_EVERY_10, 10)
-    put(_EVERY_25, 25)
-    put(_EVERY_50, 50)
+    assign(_EVERY_10, 10)
+    assign(_EVERY_25, 25)
+    assign(_EVERY_50, 50)
     listed = {*_EVERY_10, *_EVERY_25, *_EVERY_50, *_EVERY_200}
-    put(tuple(sorted({*_FIXED, *_CHANGING} - listed)), 100)
-    put(_EVERY_200, 200)
+    assign(tuple(sorted({*_FIXED, *_CHANGING} - listed)), 100)
+    assign(_EVERY_200, 200)
     return [MINUTES if channel is None else channel for channel in slots]
 
 
@@ -168,12 +168,12 @@ class StatusChannels:
     def __init__(self, origin: Origin, rate: int):
         self._rate, self._count = rate, 0
         self._slots = make_schedule()
-        frame = {
+        map_origin = {
             66: {"RefLat": origin.latitude_deg, "RefLon": origin.longitude_deg},
             # Heading 90 deg: x of the local frame is east.
             67: {"RefAlt": origin.height - UNDULATION, "RefHeading": 90.0},
         }
-        self._fixed = {channel: encode_channel(channel, values) for channel, values in {**_FIXED, **frame}.items()}
+        self._fixed = {channel: encode_channel(channel, values) for channel, values in {**_FIXED, **map_origin}.items()}
 
     def encode_next(self, gps_minutes: int | None, reading: InsReading) -> tuple[int, bytes]:
         """Channel number and its 8 bytes for the next packet. gps_minutes: GPS time in minutes, None while unknown."""

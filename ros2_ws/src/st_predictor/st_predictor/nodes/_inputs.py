@@ -12,7 +12,7 @@ from st_core.types import InsSample
 from st_msgs.msg import Steering
 from st_ros import diagnostics
 from st_ros.diagnostics import Check
-from st_ros.polling import UNRESOLVED_NODE, PolledSubscription, to_nanoseconds, wait_for_any
+from st_ros.polling import PolledSubscription, to_nanoseconds, wait_for_any
 
 from .. import convert
 
@@ -131,17 +131,17 @@ class Inputs:
     def _take_accepted(self, signal: str) -> Iterator[Any]:
         """Queued messages of the accepted publisher."""
         lock, subscription = self._locks[signal], self._subscriptions[signal]
-        previous_warning, count = lock.describe_competition(_utc_now()), subscription.count_publishers()
+        previous_warning, count = lock.describe_competition(_read_utc()), subscription.count_publishers()
         # Add new publishers before reading and remove ended ones after it: their last messages may still be queued.
         if count > len(lock.names):
-            lock.update(_find_publisher_names(subscription, count))
+            lock.update(subscription.find_publisher_names())
         for message, arrived_ns, number in subscription.take(QUEUE_DEPTH, "publication_sequence_number"):
             if lock.accept(number, arrived_ns * NANOSECOND):
                 self._arrived_ns[signal] = arrived_ns
                 yield message
         if count > 1 or count < len(lock.names):
-            lock.update(_find_publisher_names(subscription, count))
-        if previous_warning != lock.describe_competition(_utc_now()):
+            lock.update(subscription.find_publisher_names())
+        if previous_warning != lock.describe_competition(_read_utc()):
             self._on_change()
 
     def explain(self, reason: str) -> str:
@@ -152,7 +152,7 @@ class Inputs:
         return reason
 
     def make_checks(self) -> list[Check]:
-        warnings = {subscription.topic: self._locks[signal].describe_competition(_utc_now())
+        warnings = {subscription.topic: self._locks[signal].describe_competition(_read_utc())
                     for signal, subscription in self._subscriptions.items()}
         rejected = {f"{signal} messages of other publishers": lock.rejected for signal, lock in self._locks.items()}
         text = "; ".join(f"{topic} is {warning}" for topic, warning in warnings.items() if warning)
@@ -183,12 +183,6 @@ class Inputs:
         self.last_refusal[signal] = reason
 
 
-def _find_publisher_names(subscription: PolledSubscription, count: int) -> list[str]:
-    """The node name of each of `count` publishers; UNRESOLVED_NODE for those not in the graph yet."""
-    names = subscription.find_publisher_names()
-    return names + [UNRESOLVED_NODE] * (count - len(names))
-
-
-def _utc_now() -> float:
+def _read_utc() -> float:
     """Host UTC [s], the clock of the arrival stamps."""
     return time.time_ns() * NANOSECOND
