@@ -12,7 +12,7 @@ from typing import Protocol
 from canedge_bridge.decode import Decoder
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import config
-from st_sim.can_wire import Background, CanWire, Frame
+from st_sim.can_wire import BackgroundTraffic, CanWire, Frame
 from st_sim.ncom_wire import NcomWire, Origin
 from st_sim.sensors import InsReading
 from winding_road import RATE, Truth, winding_road
@@ -120,7 +120,7 @@ class _Frames:
 
     def __init__(self, wires: CanWire, drive: Drive, full: bool):
         self._wires, self._drive = wires, drive
-        background = Background(0) if full else None
+        background = BackgroundTraffic(0) if full else None
         self._others = [_packed(background.select_frames(ms)) for ms in range(100)] if background else []
 
     def at(self, now: int) -> Iterator[bytes]:

@@ -62,9 +62,9 @@ def report_results(folder: Path, outcome: Outcome, about: dict[str, Any], consol
 def _print_problems(folder: Path, outcome: Outcome, console: Console) -> None:
     if outcome.problem:
         console.print(f"[red]{escape(outcome.problem)}[/red]", highlight=False, soft_wrap=True)
-    for name, times in outcome.restarts.items():
-        count = "once" if times == 1 else f"{times} times"
-        console.print(f"[yellow]{name} was restarted {count}; recordings of a restarted node continue in bag_2 or "
+    for name, count in outcome.restarts.items():
+        frequency = "once" if count == 1 else f"{count} times"
+        console.print(f"[yellow]{name} was restarted {frequency}; recordings of a restarted node continue in bag_2 or "
                       "errors_2, and `st recover` repairs truncated ones[/yellow]", soft_wrap=True)
     failed = {name: status for name, status in outcome.statuses.items() if status}
     if failed:

@@ -41,7 +41,7 @@ LOG_PERIOD = 10.0  # s between lines if the output is not a terminal
 
 
 @dataclass
-class _Supervised:
+class _SupervisedNode:
     """State of one node; times are monotonic [s]. restart_at: None while it runs. cause: of the last restart."""
 
     package: str
@@ -63,7 +63,7 @@ class Supervisor:
     def __init__(self, suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]]):
         self._suite, self._monitor = suite, monitor
         now = time.monotonic()
-        self._nodes = [_Supervised(package, name, now, responded=True) for package, name in nodes]
+        self._nodes = [_SupervisedNode(package, name, now, responded=True) for package, name in nodes]
         self._updated = now
 
     @property
@@ -89,7 +89,7 @@ class Supervisor:
                 level, text = (WARN, text) if running else (ERROR, f"not running; {text}")
                 self._monitor.add_statuses([Status(f"suite: {node.name}", level, text, now)])
 
-    def _check_node(self, node: _Supervised, now: float) -> None:
+    def _check_node(self, node: _SupervisedNode, now: float) -> None:
         if (child := self._suite.reap(node.name)) is not None:
             output = child.last_lines(1) or "no output"
             self._schedule_restart(node, now, f"ended with status {child.process.returncode} ({output})")
@@ -102,7 +102,7 @@ class Supervisor:
             self._suite.kill(node.name)
             self._schedule_restart(node, now, f"was silent for {silence:.0f} s and was killed")
 
-    def _schedule_restart(self, node: _Supervised, now: float, cause: str) -> None:
+    def _schedule_restart(self, node: _SupervisedNode, now: float, cause: str) -> None:
         if now - node.started > BACK_OFF_RESET_TIME:
             node.back_off = BACK_OFF_FIRST
         node.cause, node.restart_at = cause, now + node.back_off
@@ -140,12 +140,12 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
     requested_domain = read_domain_id()
     if requested_domain is None and not source:
         requested_domain = 0
-    with _catch_signals() as stopped, claim_domain(requested_domain) as domain, Monitor(domain) as monitor:
+    with _catch_signals() as stop_requested, claim_domain(requested_domain) as domain, Monitor(domain) as monitor:
         if requested_domain is not None:
             time.sleep(DISCOVERY_TIME)
             _check_no_other_suite(monitor, domain, allowed=0)
         with Suite(folder, parameters, domain, realtime) as suite:
-            if not start_nodes(suite, monitor, NODES, stopped):
+            if not start_nodes(suite, monitor, NODES, stop_requested):
                 return Outcome({}, interrupted=True)
             _check_no_other_suite(monitor, domain, allowed=1)
             text = f"{len(NODES)} nodes up in ROS domain {domain}; output in {folder}"
@@ -160,12 +160,12 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
                 available = source(suite) - END_MARGIN
                 duration = min(duration or available, available)
             supervisor = Supervisor(suite, monitor, NODES) if supervised else None
-            problem = _watch(suite, monitor, supervisor, console, title, duration, stopped)
+            problem = _watch(suite, monitor, supervisor, console, title, duration, stop_requested)
             health_text = render_health(monitor.state).plain
             statuses = {}
             for name in STOP_ORDER:
                 statuses.update(suite.stop(name))
-        return Outcome(statuses, stopped(), problem, health_text, supervisor.restarts if supervisor else {})
+        return Outcome(statuses, stop_requested(), problem, health_text, supervisor.restarts if supervisor else {})
 
 
 def _check_no_other_suite(monitor: Monitor, domain: int, allowed: int) -> None:
@@ -178,21 +178,21 @@ def _check_no_other_suite(monitor: Monitor, domain: int, allowed: int) -> None:
 
 
 def start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]],
-                stopped: Callable[[], bool] = lambda: False) -> bool:
-    """Start nodes and wait until all are in the graph; False if `stopped` returns True first. Raises SuiteError."""
+                stop_requested: Callable[[], bool] = lambda: False) -> bool:
+    """Start nodes and wait until all are in the graph; False after a request to stop. Raises SuiteError."""
     for package, executable in nodes:
         suite.start_node(package, executable)
     end = time.monotonic() + START_TIMEOUT
-    while not stopped() and (missing := monitor.wait_for_nodes({executable for _, executable in nodes}, 0.5)):
+    while not stop_requested() and (missing := monitor.wait_for_nodes({executable for _, executable in nodes}, 0.5)):
         suite.check()
         if time.monotonic() > end:
             raise SuiteError(f"not in the ROS graph after {START_TIMEOUT:.0f} s: {', '.join(sorted(missing))}; see the "
                              f"logs in {suite.folder / 'logs'}")
-    return not stopped()
+    return not stop_requested()
 
 
 def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
-           duration: float | None, stopped: Callable[[], bool]) -> str:
+           duration: float | None, stop_requested: Callable[[], bool]) -> str:
     """Show the run until its duration has passed or until Ctrl-C; returns an empty string.
 
     Without a supervisor, the run also ends when a process ends; the returned message then names this process.
@@ -200,7 +200,7 @@ def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, consol
     started = time.monotonic()
     last_line = started
     with Live(console=console, refresh_per_second=4, transient=True, auto_refresh=False) as live:
-        while not stopped():
+        while not stop_requested():
             time.sleep(UPDATE_PERIOD)
             elapsed = time.monotonic() - started
             if duration is not None and elapsed > duration:

@@ -95,7 +95,7 @@ class CanWire:
         return Frame(self._codec.encode(message, values), INS_BUS)
 
 
-class Background:
+class BackgroundTraffic:
     """Other frames of the Car-CAN, for a realistic load on filters and queues.
 
     Together with the decoded frames (about 217 per second) they add up to CAR_CAN_RATE; INS frames are additional.

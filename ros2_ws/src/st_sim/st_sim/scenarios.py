@@ -55,12 +55,12 @@ class RoadPlan:
 
 @dataclass(frozen=True)
 class Phase:
-    """Phase of a plan, which ends after `duration` [s] or when the speed falls to `until` [m/s]. steer: see Demand."""
+    """Phase of a plan; it ends after `duration` [s] or when the speed falls to `end_speed` [m/s]. steer: see Demand."""
 
     steer: str
     acceleration: float = 0.0
     duration: float = math.inf
-    until: float = -1.0
+    end_speed: float = -1.0
 
 
 class PhasePlan:
@@ -69,24 +69,24 @@ class PhasePlan:
     def __init__(self, radius: float, side: int, speed: float, phases: Sequence[Phase]):
         self.path = Path([Piece(2 * math.pi * radius, side / radius, side / radius, speed)])
         self.start = 0.0
-        self._cruise, self._phases = speed, tuple(phases)
-        self._index, self._phase_start, self._target, self._last_time = 0, 0.0, speed, 0.0
+        self._cruise_speed, self._phases = speed, tuple(phases)
+        self._index, self._phase_start, self._target_speed, self._last_time = 0, 0.0, speed, 0.0
 
     def speed_at(self, distance: float) -> float:
-        return self._cruise
+        return self._cruise_speed
 
     def make_demand(self, time: float, distance: float, speed: float) -> Demand:
         phase = self._phases[self._index]
-        if time - self._phase_start >= phase.duration - 1e-9 or speed <= phase.until:
+        if time - self._phase_start >= phase.duration - 1e-9 or speed <= phase.end_speed:
             self._index, self._phase_start = (self._index + 1) % len(self._phases), time
             phase = self._phases[self._index]
         dt, self._last_time = time - self._last_time, time
-        self._target = min(max(self._target + phase.acceleration * dt, 0.0), self._cruise)
+        self._target_speed = min(max(self._target_speed + phase.acceleration * dt, 0.0), self._cruise_speed)
         if phase.acceleration < 0:
             # While the brake force builds up, a target far below the speed would cause a higher deceleration.
-            self._target = max(self._target, speed - SPEED_SLACK)
-        reached = phase.acceleration > 0 and self._target >= self._cruise
-        return Demand(self._target, 0.0 if reached else phase.acceleration, phase.steer)
+            self._target_speed = max(self._target_speed, speed - SPEED_SLACK)
+        reached = phase.acceleration > 0 and self._target_speed >= self._cruise_speed
+        return Demand(self._target_speed, 0.0 if reached else phase.acceleration, phase.steer)
 
 
 class OpenLoopPlan:
@@ -126,7 +126,7 @@ def _make_phases(manoeuvre: Manoeuvre) -> list[Phase]:
     for seconds, acceleration in manoeuvre.pedals:
         end += seconds
         if acceleration < 0:
-            phases.append(Phase("hold", acceleration, until=float(manoeuvre.speed_at(end))))
+            phases.append(Phase("hold", acceleration, end_speed=float(manoeuvre.speed_at(end))))
         else:
             phases.append(Phase("path", acceleration, duration=seconds))
     return phases
@@ -154,7 +154,7 @@ def _make_roundabout() -> Plan:
 def _make_circle_to_rest() -> Plan:
     """R = 10 m to the right at 1.5 m/s^2, braking at 1.5 m/s^2 to standstill, 4 s at rest, acceleration; repeated."""
     return PhasePlan(10.0, -1, math.sqrt(1.5 * 10.0), [
-        Phase("path", duration=18.0), Phase("path", acceleration=-1.5, until=0.0), Phase("path", duration=4.0),
+        Phase("path", duration=18.0), Phase("path", acceleration=-1.5, end_speed=0.0), Phase("path", duration=4.0),
         Phase("path", acceleration=1.2, duration=5.0)])
 
 
@@ -188,10 +188,10 @@ def _read_plan(file: FilePath) -> Plan:
             raise ValueError("no rows")
         if not sum(abs(piece.length) for piece in pieces) <= LONGEST_ROAD:
             raise ValueError(f"longer than {LONGEST_ROAD:g} m")
-        pedals = [float(document.get(key, default)) for key, default in (("acceleration", 1.2), ("braking", 1.5))]
-        if not all(0.01 <= pedal <= 20.0 for pedal in pedals):
-            raise ValueError(f"acceleration and braking {pedals}: not within 0.01 to 20 m/s^2")
-        return RoadPlan(pieces, *pedals)
+        limits = [float(document.get(key, default)) for key, default in (("acceleration", 1.2), ("braking", 1.5))]
+        if not all(0.01 <= limit <= 20.0 for limit in limits):
+            raise ValueError(f"acceleration and braking {limits}: not within 0.01 to 20 m/s^2")
+        return RoadPlan(pieces, *limits)
     except (ArithmeticError, AttributeError, KeyError, StopIteration, TypeError, ValueError) as error:
         raise SimulationError(f"{file}: road: {error!r}; rows are {{straight: m, speed: m/s}}, {{turn: deg, radius: m, "
                               "blend: m, speed: m/s} or {shift: m, length: m, speed: m/s}") from None

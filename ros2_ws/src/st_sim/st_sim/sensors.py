@@ -12,7 +12,8 @@ from .plant import Truth
 from .settings import Settings
 
 OUTAGE_LENGTH = 1.0  # s
-FULL_VIBRATION_SPEED = 5.0  # m/s, above which vibration noise has its full level; at rest it has a tenth
+# Vibration noise has its full level above a speed [m/s], and a fraction of it at rest.
+FULL_VIBRATION_SPEED, REST_VIBRATION = 5.0, 0.1
 # m/s; lower wheel speeds and vehicle speeds are sent as 0, as in recordings of this family of cars.
 MIN_WHEEL_SPEED, MIN_VEHICLE_SPEED = 1.1 / 3.6, 2.8 / 3.6
 
@@ -90,17 +91,18 @@ class Ins:
             rates=_body_rates(truth), specific_force=_specific_force(ax, ay, truth.roll, truth.pitch))
         self._add_errors(reading)
         if self._noise:
-            self._add_noise(reading, 0.1 + 0.9 * min(abs(truth.velocity_x) / FULL_VIBRATION_SPEED, 1.0))
+            moving = min(abs(truth.velocity_x) / FULL_VIBRATION_SPEED, 1.0)
+            self._add_noise(reading, REST_VIBRATION + (1.0 - REST_VIBRATION) * moving)
         return reading
 
     def _add_errors(self, r: InsReading) -> None:
         s = self._settings
         if angle := s["ins_misalignment"]:
             # Only the body axes rotate; position and velocity over ground are not affected.
-            c, sine = math.cos(angle), math.sin(angle)
-            r.velocity_x, r.velocity_y = c * r.velocity_x + sine * r.velocity_y, c * r.velocity_y - sine * r.velocity_x
-            fx, fy, fz = r.specific_force
-            r.specific_force = (c * fx + sine * fy, c * fy - sine * fx, fz)
+            cosine, sine = math.cos(angle), math.sin(angle)
+            (vx, vy), (fx, fy, fz) = (r.velocity_x, r.velocity_y), r.specific_force
+            r.velocity_x, r.velocity_y = cosine * vx + sine * vy, cosine * vy - sine * vx
+            r.specific_force = (cosine * fx + sine * fy, cosine * fy - sine * fx, fz)
             r.yaw += angle
         r.velocity_x *= s["velocity_scale"]
         r.velocity_y *= s["velocity_scale"]
@@ -110,13 +112,14 @@ class Ins:
         r.specific_force = (fx, fy + s["lateral_acceleration_bias"], fz)
 
     def _add_noise(self, r: InsReading, vibration: float) -> None:
-        n = self._noise
+        noise = self._noise
         for name in ("x", "y", "z", "velocity_x", "velocity_y", "velocity_z", "yaw", "roll", "pitch"):
-            setattr(r, name, getattr(r, name) + n[name]())
+            setattr(r, name, getattr(r, name) + noise[name]())
         wx, wy, wz = r.rates
-        r.rates = (wx + n["rate_x"](vibration), wy + n["rate_y"](vibration), wz + n["rate_z"](vibration))
+        r.rates = (wx + noise["rate_x"](vibration), wy + noise["rate_y"](vibration), wz + noise["rate_z"](vibration))
         fx, fy, fz = r.specific_force
-        r.specific_force = (fx + n["force_x"](vibration), fy + n["force_y"](vibration), fz + n["force_z"](vibration))
+        r.specific_force = (
+            fx + noise["force_x"](vibration), fy + noise["force_y"](vibration), fz + noise["force_z"](vibration))
 
 
 def _body_rates(truth: Truth) -> tuple[float, float, float]:

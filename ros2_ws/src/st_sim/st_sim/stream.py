@@ -11,7 +11,7 @@ import can
 from canedge_bridge.transport import open_bus
 from oxts_bridge.ncom import INITIALISING, LOCKED, LOCKING
 
-from .can_wire import FRAME_TIME, Background, CanWire, Frame
+from .can_wire import FRAME_TIME, BackgroundTraffic, CanWire, Frame
 from .ncom_wire import NO_DATA, RAW_IMU, NcomWire
 from .plant import Truth
 from .recorded_drive import RecordedDrive
@@ -69,7 +69,7 @@ class Stream:
         self._source, self._settings = source, settings
         self._ins, self._steering, self._ncom, self._can = ins, steering, ncom, can
         self._ins_schedule = 1000 // ins_rate, 0
-        self._background = Background(seed) if background else None
+        self._background = BackgroundTraffic(seed) if background else None
         self._start_up = start_up
         self._ins_loss = Loss(settings["ins_packet_loss"], settings["ins_outage_every"], (seed, 7))
         self._can_loss = Loss(settings["can_frame_loss"], settings["can_outage_every"], (seed, 8))

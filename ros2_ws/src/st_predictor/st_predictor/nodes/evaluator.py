@@ -69,7 +69,7 @@ class EvaluatorNode(Node):
         self._error_publisher = self.create_publisher(PredictionError, "evaluator/errors", error_qos)
         self._summary_publisher = self.create_publisher(ErrorSummary, "evaluator/summary", LATCHED)
         # Steady clock: messages must be processed and written even while a replay's clock is paused.
-        create_steady_timer(self, WORK_PERIOD, self._work)
+        create_steady_timer(self, WORK_PERIOD, self._process_messages)
         create_steady_timer(self, SUMMARY_PERIOD, self._publish_summary)
         self.get_logger().info(f"scoring models {', '.join(self._models)}; vehicle {self._vehicle.name}")
 
@@ -88,17 +88,17 @@ class EvaluatorNode(Node):
                                 (Qos(durability="transient_local", depth=1),))
         return bag, {"errors": errors, "summary": summary}
 
-    def _work(self) -> None:
+    def _process_messages(self) -> None:
         self._inputs.drain()
         for (mode, model), subscription in self._predictions.items():
             for message, _, _ in subscription.take(QUEUE_DEPTH):
-                self._add(mode, model, message, subscription.topic)
+                self._add_prediction(mode, model, message, subscription.topic)
         self._publish_scores(self._core.poll())
         if self._bag:
             self._bag.flush_when_due()
         self._consistency.poll(self._core.history, time.monotonic())
 
-    def _add(self, mode: Mode, model: str, message: Any, topic: str) -> None:
+    def _add_prediction(self, mode: Mode, model: str, message: Any, topic: str) -> None:
         content = convert.read_trajectory(message)
         if message.model != model or message.header.frame_id != self._map_frame:
             content = (f"model {message.model!r} in frame {message.header.frame_id!r}, expected {model!r} in "
@@ -179,7 +179,7 @@ class EvaluatorNode(Node):
         return int(self._bag is not None and not is_complete(self._bag))
 
     def close(self) -> None:
-        self._work()
+        self._process_messages()
         self._publish_scores(self._core.flush())
         self._publish_summary()
         if self._bag:

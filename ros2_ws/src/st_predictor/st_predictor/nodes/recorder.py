@@ -89,7 +89,7 @@ class RecorderNode(Node):
         self._refusals: dict[str, str] = {}  # reason by topic
         self._watchdog = PublisherWatchdog(self)
         self._simulated_time = self.get_parameter("use_sim_time").value
-        create_steady_timer(self, WORK_PERIOD, self._work)
+        create_steady_timer(self, WORK_PERIOD, self._record_messages)
         create_steady_timer(self, TOPIC_SCAN_PERIOD, self._subscribe_to_new_topics)
         self._diagnostics = Diagnostics(self, str(self._bag.directory), self._make_checks)
         self._subscribe_to_new_topics()
@@ -120,7 +120,7 @@ class RecorderNode(Node):
         self._subscribed[topic] = (subscription, number)
         self._descriptions[topic] = description
 
-    def _work(self) -> None:
+    def _record_messages(self) -> None:
         for topic, (subscription, number) in self._subscribed.items():
             for data, received_ns, sent_ns in subscription.take(QUEUE_DEPTH):
                 log_ns = self.get_clock().now().nanoseconds if self._simulated_time else received_ns
@@ -164,7 +164,7 @@ class RecorderNode(Node):
     def _make_publishers_check(self) -> Check:
         if DIAGNOSTICS not in self._subscribed:
             return Check("senders", diagnostics.OK, f"not checked: {DIAGNOSTICS} is not recorded")
-        self._work()  # so that messages still queued, after a delay of this node, count as received
+        self._record_messages()  # so that messages still queued, after a delay of this node, count as received
         silent = self._watchdog.find_silent_nodes(self._subscribed)
         if silent:
             silences = ", ".join(f"{name} for {seconds:.0f} s" for name, seconds in silent.items())
@@ -177,7 +177,7 @@ class RecorderNode(Node):
         return int(bool(self._stop_reason) or not is_complete(self._bag))
 
     def close(self) -> None:
-        self._work()
+        self._record_messages()
         self._bag.close()
         if self._bag.error:
             self.get_logger().error(self._bag.error)
