@@ -86,9 +86,7 @@ class Monitor:
     def wait_for_nodes(self, names: set[str], timeout: float) -> set[str]:
         """Wait until all nodes are in the graph; returns the missing ones."""
         end = time.monotonic() + timeout
-        while missing := names - set(self.find_node_names()):
-            if time.monotonic() > end:
-                break
+        while (missing := names - set(self.find_node_names())) and time.monotonic() < end:
             time.sleep(0.05)
         return missing
 

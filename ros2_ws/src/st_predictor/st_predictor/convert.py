@@ -154,12 +154,10 @@ def make_prediction_error_message(score: Score, map_frame: str, configuration_ha
 
 
 def make_statistics_message(model: str, mode: str, statistics: Statistics) -> ErrorStatistics:
-    counts = {"n_starts": statistics.n_starts, "n_incomplete": statistics.n_incomplete}
-    message = ErrorStatistics(model=model, mode=mode, **counts)
-    for axis in ("longitudinal", "lateral", "yaw"):
-        for kind in ("mean", "max", "rmse"):
-            setattr(message, f"{axis}_{kind}", float(getattr(getattr(statistics, axis), kind)))
-    return message
+    errors = {f"{axis}_{statistic}": float(getattr(getattr(statistics, axis), statistic))
+              for axis in ("longitudinal", "lateral", "yaw") for statistic in ("mean", "max", "rmse")}
+    return ErrorStatistics(model=model, mode=mode, n_starts=statistics.n_starts, n_incomplete=statistics.n_incomplete,
+                           **errors)
 
 
 def make_bag_qos(profile: QoSProfile) -> Qos:

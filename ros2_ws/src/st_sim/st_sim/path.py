@@ -118,12 +118,10 @@ class Path:
         """Heading at a distance within a lap [m], relative to its start [rad]."""
         yaw, remaining = 0.0, distance
         for piece in self.pieces:
-            along = min(remaining, piece.length)
+            along = min(max(remaining, 0.0), piece.length)
             rise = piece.curvature_end - piece.curvature_start
             yaw += along * piece.curvature_start + along**2 / (2 * piece.length) * rise
             remaining -= along
-            if remaining <= 0:
-                break
         return yaw
 
     def _find_lap_start(self, lap: int) -> Pose:
