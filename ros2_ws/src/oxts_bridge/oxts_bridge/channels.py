@@ -9,6 +9,7 @@ import re
 import struct
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from math import degrees
 from typing import Any, TypeAlias
 
@@ -70,6 +71,7 @@ class Field:
     validity: Validity = ALWAYS
     cyclic: int = 0
 
+    @cached_property
     def _bit_layout(self) -> tuple[int, int, int, int]:
         """(shift, mask, flip, sign) of the raw number: ((word >> shift & mask ^ flip) ^ sign) - sign.
 
@@ -85,28 +87,23 @@ class Field:
         width = int(kind[1:])
         return 8 * self.at, (1 << width) - 1, 0, 1 << width - 1 if kind[0] == "i" else 0
 
-    def make_decoder(self) -> Callable[[int, bytes], Value]:
-        """A function that decodes the field from the 8 bytes, given as an integer and as bytes; None if invalid."""
-        at, scale, offset, accepts = self.at, self.scale, self.offset, self.validity.accepts
-        if self.kind.startswith("text"):
-            end = at + int(self.kind[4:])
+    def decode(self, word: int, data: bytes) -> Value:
+        """The value in the 8 bytes, given as an integer and as bytes; None if invalid."""
+        kind = self.kind
+        if kind[0] == "t":
+            characters = data[self.at : self.at + int(kind[4:])].split(b"\0")[0]
             # An unprintable byte becomes \\xNN, because a line break would split a CSV row.
-            return lambda word, data: "".join(
-                chr(c) if 32 <= c < 127 else f"\\x{c:02x}" for c in data[at:end].split(b"\0")[0]) or None
-        if self.kind == "f32":
-            # The comparison also rejects NaN.
-            return lambda word, data: value if (value := _F32.unpack_from(data, at)[0]) >= 0 else None
-        # The raw number is computed within each function: a call per field would slow down the decoding of a packet.
-        shift, mask, flip, sign = self._bit_layout()
-        if self.kind == "digits6":
-            return lambda word, data: f"{raw:06d}" if (raw := (word >> shift & mask ^ sign) - sign) >= 0 else None
-        if self.kind == "shifted":
-            return lambda word, data: (raw >> 1) * scale if (raw := (word >> shift & mask ^ sign) - sign) & 1 else None
-        if scale == 1 and not offset:
-            return lambda word, data: (
-                raw if accepts(raw := ((word >> shift & mask ^ flip) ^ sign) - sign, data) else None)
-        return lambda word, data: (
-            raw * scale + offset if accepts(raw := ((word >> shift & mask ^ flip) ^ sign) - sign, data) else None)
+            return "".join(chr(c) if 32 <= c < 127 else f"\\x{c:02x}" for c in characters) or None
+        if kind == "f32":
+            value = _F32.unpack_from(data, self.at)[0]
+            return value if value >= 0 else None  # also rejects NaN
+        shift, mask, flip, sign = self._bit_layout
+        raw = ((word >> shift & mask ^ flip) ^ sign) - sign
+        if not self.validity.accepts(raw, data):
+            return None
+        if kind == "digits6":
+            return f"{raw:06d}"
+        return (raw >> 1 if kind == "shifted" else raw) * self.scale + self.offset
 
     def encode(self, buffer: bytearray, value: Value) -> None:
         """Write a value (None: invalid) into the 8 bytes; encode_channel() writes the flag bytes.
@@ -121,7 +118,7 @@ class Field:
         if self.kind == "f32":
             _F32.pack_into(buffer, self.at, -1.0 if value is None else value)
             return
-        shift, mask, flip, _ = self._bit_layout()
+        shift, mask, flip, _ = self._bit_layout
         number = self.validity.invalid_raw if value is None else self._to_raw(value)
         others = int.from_bytes(buffer, "little") & ~(mask << shift)
         buffer[:] = (others | (number & mask ^ flip) << shift).to_bytes(8, "little")
@@ -129,7 +126,7 @@ class Field:
     def _to_raw(self, value: float | int | str) -> int:
         """The valid raw number closest to a physical value."""
         unscaled = self.scale == 1 and not self.offset
-        _, mask, _, sign = self._bit_layout()
+        _, mask, _, sign = self._bit_layout
         low, high = -sign, mask - sign
         number = int(value) if unscaled else round(max(low, min(high, (float(value) - self.offset) / self.scale)))
         if self.kind == "shifted":
@@ -397,10 +394,8 @@ TABLE: dict[int, list[Field]] = {
 }
 
 FIELDS: dict[int, dict[str, Field]] = {channel: {f.name: f for f in fields} for channel, fields in TABLE.items()}
-_DECODERS = {channel: tuple((f.name, f.make_decoder()) for f in fields) for channel, fields in TABLE.items()}
 _TRIGGER = struct.Struct("<iHbB")
 UTC_CHANNEL = 16
-_DECODE_UTC_OFFSET = FIELDS[UTC_CHANNEL]["TimeUtcOffset"].make_decoder()
 
 
 def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
@@ -409,7 +404,7 @@ def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
     Cyclic counters are as sent; status.StatusTracker unwraps them and adds derived values.
     """
     word = int.from_bytes(data, "little")
-    values = {name: decode(word, data) for name, decode in _DECODERS.get(channel, ())}
+    values = {name: field.decode(word, data) for name, field in FIELDS.get(channel, {}).items()}
     # Byte 7 multiplies all three lengths; 0xFF means that they are saturated and not multiplied.
     if channel == LONG_RANGE_CHANNEL and values["GAPx"] is not None and data[7] != 0xFF:
         values = {name: value * data[7] for name, value in values.items()}
@@ -431,7 +426,7 @@ def decode_event_time(channel: int, data: bytes) -> int | None:
 
 def decode_utc_offset(data: bytes) -> int | None:
     """UTC - GPS time [s] from the 8 bytes of channel 16; None if invalid or positive (UTC is never ahead of GPS)."""
-    offset = _DECODE_UTC_OFFSET(int.from_bytes(data, "little"), data)
+    offset = FIELDS[UTC_CHANNEL]["TimeUtcOffset"].decode(int.from_bytes(data, "little"), data)
     return None if offset is None or offset > 0 else int(offset)
 
 

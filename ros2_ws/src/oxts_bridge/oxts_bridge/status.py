@@ -1,6 +1,5 @@
 """Tracks the state of the unit from its status channels: newest, unwrapped and derived values, and events."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import cos, degrees, isfinite, radians, sin, sqrt
 
@@ -39,18 +38,17 @@ class StatusTracker:
         self._last_pulses: tuple[float, int] | None = None
 
     def update(self, channel: int, data: bytes, gps_seconds: float | None = None,
-               position: tuple[float, float, float] | None = None,
-               decoded: Mapping[str, Value] | None = None) -> dict[str, Value]:
+               position: tuple[float, float, float] | None = None) -> dict[str, Value]:
         """Set and return the values in the 8 bytes of a channel; empty if the bytes repeat the previous ones.
 
         gps_seconds: time of the packet, for the wheel speed. position: latitude, longitude [rad], altitude [m] of the
-        packet, for channel 25. decoded: result of decode_channel() if the caller has it.
+        packet, for channel 25.
         """
         if self._raw.get(channel) == data and channel not in _NEVER_SKIPPED:
             return {}
         self._raw[channel] = data
         self.seen.add(channel)
-        fields = decode_channel(channel, data) if decoded is None else dict(decoded)
+        fields = decode_channel(channel, data)
         for name, modulus in _CYCLIC.get(channel, ()):
             previous = self.values.get(name)
             if previous is not None:
@@ -87,7 +85,7 @@ class StatusTracker:
         packet = received.packet
         seconds = None if received.gps_ns is None else received.gps_ns * 1e-9
         position = (packet.latitude, packet.longitude, packet.altitude)
-        return self.update(packet.channel, packet.batch_s, seconds, position, received.fields)
+        return self.update(packet.channel, packet.batch_s, seconds, position)
 
     def get(self, name: str) -> Value:
         """Newest value; None if invalid or never sent."""

@@ -1,27 +1,14 @@
 """Parses a byte stream, given in pieces of any size, into timed NCOM packets; no input raises an exception."""
 
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import median
 
-from . import channels, ncom
-from .channels import Value
+from . import channels, ncom, packet_time
 from .ncom import PACKET_SIZE, Counters, Packet, StatusRule, find_next_packet
-from .packet_time import (
-    DUPLICATE,
-    LAST_MINUTE,
-    LATE,
-    MINUTE_MS,
-    NEW,
-    SAME,
-    GpsClock,
-    compute_host_minute,
-    to_unix_nanoseconds,
-)
+from .packet_time import DUPLICATE, LATE, MINUTE_MS, NEW, SAME, GpsClock
 
 _NO_VECTOR = (ncom.NAN, ncom.NAN, ncom.NAN)
-_NO_FIELDS: Mapping[str, Value] = {}
 # After this time without channel 0, a stream gets its minute from the host's clock [ns].
 HOST_MINUTE_DELAY_NS = 2_000_000_000
 # A step longer than this many typical steps is a gap.
@@ -33,17 +20,16 @@ _CLOCK_SAMPLES = 1000  # four seconds at 250 Hz
 class ReceivedPacket:
     """One accepted packet.
 
-    packet: values, NaN where the navigation status declares them invalid.  raw: the 72 bytes.
-    fields: decoded batch S, empty if invalid or of an unknown channel.  offset: index of the first byte in the stream.
-    kind: regular, status, trigger or empty (no valid part).  gps_ns: GPS time of the measurement or event [ns since
-    1980-01-06], None while unknown.  utc_ns: this time as UTC [ns since 1970].
+    packet: values, NaN where the navigation status declares them invalid.  raw: the 72 bytes.  offset: index of the
+    first byte in the stream.  kind: regular, status, trigger or empty (no valid part).
+    gps_ns: GPS time of the measurement or event [ns since 1980-01-06], None while unknown.  utc_ns: this time as UTC
+    [ns since 1970].
     order: relative to the newest packet: NEW (newer), SAME (equal time), DUPLICATE (equal bytes), LATE (older).
     received_ns: host time of receipt [ns since 1970], as given to feed().
     """
 
     packet: Packet
     raw: bytes
-    fields: Mapping[str, Value]
     offset: int
     kind: str
     rule: StatusRule
@@ -65,7 +51,6 @@ class NcomParser:
         self._in_sync = True  # a packet is expected at the beginning of the tail
         self._last_raw = b""
         self._last_trigger = b""
-        self._decoded: dict[int, tuple[bytes, Mapping[str, Value]]] = {}
 
     def restart(self) -> None:
         """Prepare for another stream: discard the time and an incomplete packet, but keep the counters."""
@@ -104,7 +89,7 @@ class NcomParser:
         packet = ncom.decode_unchecked(raw)
         kind, order = rule.kind, NEW
         gps_ns: int | None = None
-        fields, minute = self._decode_status(packet, status) if kind != "empty" else (_NO_FIELDS, None)
+        minute = self._read_clock(packet) if kind != "empty" else None
         if rule.has_time and packet.milliseconds >= MINUTE_MS:
             counters.impossible_times += 1
         elif rule.has_time:
@@ -116,8 +101,8 @@ class NcomParser:
         elif not rule.is_defined:
             counters.unknown_statuses += 1
         counters.impossible_positions += _mask_invalid(packet, rule, kind)
-        utc_ns = None if gps_ns is None else to_unix_nanoseconds(gps_ns, self.utc_offset)
-        return ReceivedPacket(packet, raw, fields, offset, kind, rule, gps_ns, utc_ns, order, received_ns)
+        utc_ns = None if gps_ns is None else packet_time.to_unix_nanoseconds(gps_ns, self.utc_offset)
+        return ReceivedPacket(packet, raw, offset, kind, rule, gps_ns, utc_ns, order, received_ns)
 
     def _compute_time(self, packet: Packet, raw: bytes, minute: int | None,
                       received_ns: int | None) -> tuple[int | None, int]:
@@ -141,26 +126,22 @@ class NcomParser:
         self.counters.duplicates += 1
         return gps_ns, DUPLICATE
 
-    def _decode_status(self, packet: Packet, status: int) -> tuple[Mapping[str, Value], int | None]:
-        """Decoded batch S, and the minute of channel 0 if this packet sets the clock."""
-        channel = packet.channel
-        if channel not in channels.FIELDS:
-            self.counters.unknown_channels += 1
-            return _NO_FIELDS, None
-        batch_s, fields = self._decoded.get(channel, (b"", _NO_FIELDS))
-        if batch_s != packet.batch_s:  # most channels repeat their bytes
-            fields = channels.decode_channel(channel, packet.batch_s)
-            self._decoded[channel] = packet.batch_s, fields
-        if status not in ncom.MINUTE_STATUSES:
-            return fields, None
-        if channel == channels.UTC_CHANNEL and (offset := channels.decode_utc_offset(packet.batch_s)) is not None:
-            self.utc_offset = offset
-        minute = fields["GpsMinutes"] if channel == 0 else None
-        if minute is None or minute > LAST_MINUTE:
-            return fields, None
+    def _read_clock(self, packet: Packet) -> int | None:
+        """Minute that this packet sends; also sets the UTC offset, and counts unknown channels."""
+        channel, status, data = packet.channel, packet.navigation_status, packet.batch_s
+        self.counters.unknown_channels += channel not in channels.FIELDS
+        if channel not in (0, channels.UTC_CHANNEL) or status not in ncom.MINUTE_STATUSES:
+            return None
+        if channel == channels.UTC_CHANNEL:
+            offset = channels.decode_utc_offset(data)
+            self.utc_offset = self.utc_offset if offset is None else offset
+            return None
+        minute = int.from_bytes(data[:4], "little", signed=True)
+        if not packet_time.FIRST_MINUTE <= minute <= packet_time.LAST_MINUTE:
+            return None
         if status == ncom.STATUS_ONLY:
             self.clock.hint(minute)
-        return fields, minute
+        return minute
 
 
 class HostMinute:
@@ -178,7 +159,7 @@ class HostMinute:
             self._untimed_since = received_ns
         if received_ns - self._untimed_since <= HOST_MINUTE_DELAY_NS:
             return False
-        clock.hint(compute_host_minute(received_ns, received.packet.milliseconds))
+        clock.hint(packet_time.compute_host_minute(received_ns, received.packet.milliseconds))
         return True
 
 
