@@ -38,7 +38,7 @@ def bin_starts(evaluation: LogEvaluation) -> list[Bin]:
         Bin("direction", "straight", -MAX_STRAIGHT_TURN, MAX_STRAIGHT_TURN, np.abs(turn) < MAX_STRAIGHT_TURN),
         Bin("direction", "right", None, -MAX_STRAIGHT_TURN, turn <= -MAX_STRAIGHT_TURN),
     ]
-    return [candidate for candidate in bins if candidate.mask.any()]
+    return [bin_ for bin_ in bins if bin_.mask.any()]
 
 
 def _bin_by_edges(quantity: str, unit: str, values: np.ndarray, edges: tuple[float, ...]) -> list[Bin]:

@@ -32,7 +32,7 @@ class Channel:
     errors: Callable[[Mapping[str, np.ndarray], Any], tuple[np.ndarray, ...]] | None = None
     smoothed: bool = False  # measured and predicted values are averaged over SMOOTHING_NS
     accumulates: bool = False  # its errors grow over the horizon
-    zero_means_missing: bool = False  # only zeros mean that it was not measured
+    zero_means_missing: bool = False  # if all values are 0, it was not measured
     noise: Callable[..., tuple[float, ...]] | None = None
 
     def __post_init__(self) -> None:

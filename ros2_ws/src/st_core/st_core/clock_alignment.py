@@ -16,7 +16,7 @@ from .clock_steps import MAX_WINDOWS, WindowLag, find_clock_step, measure_window
 from .clock_types import MAX_SPAN, Alignment, SharedSignal, SignalLag, Verdict, describe_step, refused_alignment
 from .regression import SIGMA_PER_MAD
 
-CUTOFFS = (0.5, 4.0)  # Hz, cut-offs of the low-pass: the first while the drift is unknown, the second for the result
+CUTOFFS = (0.5, 4.0)  # Hz, of the low-pass: the first while the drift is unknown, the second for the result
 STAMP_RESOLUTION = 50e-6  # s, of logger time stamps; a lower limit of the uncertainty
 GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80
 MIN_OVERLAP = 20.0  # s
@@ -85,8 +85,8 @@ def _align_with_overlap(pairs: dict[float, list[Pair]], usable: Sequence[SharedS
     span = (search[0] - between_origins, search[1] - between_origins) if search else (-np.inf, np.inf)
     peaks = find_peaks(fine, minimum_overlap, span)
     if peaks is None:
-        return refused_alignment(*reasons, f"at no offset do the recordings share {minimum_overlap:.0f} s of similar "
-                                           "motion")
+        return refused_alignment(*reasons, f"the recordings do not share {minimum_overlap:.0f} s of similar motion at "
+                                           "any offset")
     coarse = peaks[0].offset
     # The estimates of offset and drift are nearly uncorrelated in the middle of the overlap.
     low = max(min(p.other.origin for p in fine), min(p.reference.origin for p in fine) - coarse)
@@ -200,7 +200,7 @@ def _describe_unusual_drift(result: Alignment) -> list[str]:
 
 
 def _make_fine_pairs(signals: Sequence[SharedSignal]) -> tuple[list[Pair], int, int]:
-    """(pairs of the usable signals at the high cut-off, origins of their reference and other times [ns])."""
+    """(pairs of the usable signals at the higher cut-off, origins of their reference and other times [ns])."""
     usable, _ = _select_usable(signals)
     if not usable:
         return [], 0, 0

@@ -106,7 +106,7 @@ def refused_alignment(*reasons: str) -> Alignment:
     return Alignment(0, 0, 0.0, float("inf"), float("inf"), "none", Verdict.REFUSED, reasons)
 
 
-def describe_step(size: float, when: float) -> str:
-    """Reason for a verdict: a clock steps by `size` [s], `when` [s] after the middle of the common time."""
-    return (f"a clock steps by {size * 1e3:+.0f} ms about {round(when):+d} s from the middle of the common time: "
+def describe_step(size: float, time: float) -> str:
+    """Reason for a verdict: a clock steps by `size` [s] at a time [s] after the middle of the common time."""
+    return (f"a clock steps by {size * 1e3:+.0f} ms about {round(time):+d} s from the middle of the common time: "
             "align the parts before and after it separately")

@@ -79,7 +79,7 @@ class CourseForecast:
     inputs: InputSequence | None  # on the half-step grid of the horizon; None if the course is not used
     curvature_share: float = 0.0  # weight of the course in the mixture, 0 to 1
     speed_share: float = 0.0  # weight of the course in the mixture, 0 to 1
-    speed_deviation: float = math.nan  # of the candidates at the end of the horizon [m/s]
+    speed_deviation: float = math.nan  # standard deviation of the candidates at the end of the horizon [m/s]
     reason: str = ""  # why the course is not used, or ""
 
 

@@ -167,7 +167,7 @@ class Evaluator:
                 (issued_mode, issued, unbroken, jump or no_position)]
             if issued_mode == "forecast":
                 start = VehicleState(*issued.states[0].tolist())
-                model_inputs = inputs if view.plain else view.read_inputs(times)
+                model_inputs = view.read_inputs(times) if view.is_augmented else inputs
                 compiled = (steps, step) == (self.settings.steps, self.settings.step)
                 runner = self._runners.get(model) if compiled else None
                 resimulated = (runner(start, model_inputs) if runner

@@ -82,6 +82,6 @@ def find_implausible_values(car: VehicleParameters, original: VehicleParameters 
     original: car of the vehicle file; quantities that are outside their range for it too are left out, since unusual
     cars exist.
     """
-    known = {quantity.name for quantity in PLAUSIBLE if original is not None and quantity.describe_violation(original)}
-    texts = (quantity.describe_violation(car) for quantity in PLAUSIBLE if quantity.name not in known)
+    unusual = {quantity.name for quantity in PLAUSIBLE if original and quantity.describe_violation(original)}
+    texts = (quantity.describe_violation(car) for quantity in PLAUSIBLE if quantity.name not in unusual)
     return tuple(text for text in texts if text)

@@ -34,7 +34,7 @@ class ModelView:
                 model.name, *missing))
         self.model = model
         self.car = model.effective_vehicle(vehicle)
-        self.plain = not isinstance(model, AugmentedModel)
+        self.is_augmented = isinstance(model, AugmentedModel)
         self.has_steering_dynamics = readings.has_steering_dynamics(model)
         self.corrects_samples = isinstance(model, AugmentedModel) and model.has_sensor_effects
         self._history = shared.for_corrected_samples() if self.corrects_samples else shared

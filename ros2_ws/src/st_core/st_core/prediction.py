@@ -243,8 +243,8 @@ class Predictor:
         if model not in self._views:
             raise ConfigurationError(f"model {model!r} is not configured; the models are {', '.join(self._views)}")
         view, settings = self._views[model], self.settings
-        state, inputs = ((start.state, start.inputs) if view.plain
-                         else view.read_start(start.time_ns, settings.steps, settings.step))
+        state, inputs = (view.read_start(start.time_ns, settings.steps, settings.step) if view.is_augmented
+                         else (start.state, start.inputs))
         if ahead is not None:
             steering = self.history.steering
             inputs = apply_steering_dynamics(view.model, ahead, start.time_ns, settings.step, steering.times,

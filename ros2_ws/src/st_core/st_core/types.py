@@ -16,7 +16,6 @@ from .errors import StCoreError
 STATE_NAMES = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
 STATE_UNITS = ("m", "m", "m/s", "m/s", "rad", "rad/s")
 Number: TypeAlias = Any  # a float or an array
-StateTuple = tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +29,7 @@ class VehicleState:
     yaw: float  # from map x (east) counter-clockwise, not wrapped [rad]
     yaw_rate: float  # left turn + [rad/s]
 
-    def as_tuple(self) -> StateTuple:
+    def as_tuple(self) -> tuple[float, ...]:
         """The six values as Python floats, in state order."""
         return (float(self.x), float(self.y), float(self.velocity_x),
                 float(self.velocity_y), float(self.yaw), float(self.yaw_rate))

@@ -112,7 +112,7 @@ DEFAULT_UNCERTAINTIES: Mapping[str, Uncertainty] = {
 }
 """Used for entries of a vehicle file without `uncertainty`. Values of other keys, such as the steering ratio and the
 position of the INS, are often guesses: they constrain a fit only if the file states their `uncertainty`."""
-DERIVED = "derived: C / (2 abs(K)) at the static load of one tyre"
+DERIVED_SOURCE = "derived: C / (2 abs(K)) at the static load of one tyre"  # of lambda_ky
 
 
 def road_wheel_angle(steering_wheel_angle: Number, offset: Number, ratio: Number) -> Number:
@@ -248,7 +248,8 @@ class VehicleParameters:
                     f"cornering_stiffness_{name.removeprefix('tyre_')}: {axles[name][0]:g} N/rad is {scale:.3g} times "
                     f"the stiffness of two tyres of {name} (limit {quantity.limits}); check its value and unit")
         changes = {name: getattr(self, name)._replace(lambda_ky=scale) for name, scale in scales.items()}
-        return replace(self, **changes, sources={**self.sources, **{f"{name}.lambda_ky": DERIVED for name in tyres}})
+        sources = {**self.sources, **{f"{name}.lambda_ky": DERIVED_SOURCE for name in tyres}}
+        return replace(self, **changes, sources=sources)
 
     def with_values(self, values: Mapping[str, float]) -> "VehicleParameters":
         """The car with some values (SI) replaced, by their keys in the file ("mass", "tyre_rear.p_cy1").
@@ -259,7 +260,7 @@ class VehicleParameters:
         for tyre in TYRES:
             changes = {key.partition(".")[2]: value for key, value in values.items() if key.startswith(f"{tyre}.")}
             fields[tyre] = getattr(self, tyre)._replace(**changes)
-        derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED
+        derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED_SOURCE
                    and f"{tyre}.lambda_ky" not in values]
         return replace(self, **fields).with_derived_scales(derived)
 
@@ -269,7 +270,7 @@ class VehicleParameters:
         A derived lambda_ky is left out, so that it is recomputed after an edit of the cornering stiffness in the file.
         """
         rederived = self.with_derived_scales()
-        derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED
+        derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED_SOURCE
                    and getattr(self, tyre) == getattr(rederived, tyre)]
         lines = [f"name: {quote(self.name)}"]
         lines += [self._format_entry(key, quantity) for key, quantity in VEHICLE_QUANTITIES.items()]

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import StCoreError
 from ..provenance import Provenance
-from ..vehicle import DERIVED, VehicleParameters, find_quantity, value_of
+from ..vehicle import DERIVED_SOURCE, VehicleParameters, find_quantity, value_of
 
 if TYPE_CHECKING:  # `checks` imports this module
     from ..checks.finding import Finding
@@ -164,7 +164,7 @@ def describe_stale_scales(vehicle: VehicleParameters, found: Iterable[Identifica
                if estimate.status != "unidentifiable"}
     sentences = []
     for tyre in ("tyre_front", "tyre_rear"):
-        fixed = vehicle.sources.get(f"{tyre}.lambda_ky") != DERIVED and f"{tyre}.lambda_ky" not in changed
+        fixed = vehicle.sources.get(f"{tyre}.lambda_ky") != DERIVED_SOURCE and f"{tyre}.lambda_ky" not in changed
         base = (tyre.replace("tyre", "cornering_stiffness"), "mass", "cg_to_front_axle")
         causes = sorted(key for key in changed if key in base or key.startswith(f"{tyre}."))
         if fixed and causes:
