@@ -23,10 +23,10 @@ ALLOWED = {
     "oxts_bridge": {"st_core", "st_ros"},
     "canedge_bridge": {"st_core", "st_ros"},
     "st_recordings": {"st_core", "oxts_bridge", "canedge_bridge"},
-    "st_predictor": {"st_core", "st_ros", "st_recordings"},
+    "st_predictor": {"st_core", "st_ros", "oxts_bridge", "st_recordings"},
     "st_sim": {"st_core", "oxts_bridge", "canedge_bridge"},
     "st_live": {"st_core", "st_ros", "st_recordings", "st_predictor", "st_sim"},
-    "st_offline": {"st_core", "st_ros", "st_recordings", "st_predictor"},
+    "st_offline": {"st_core", "st_ros", "oxts_bridge", "st_recordings", "st_predictor"},
     "st_cli": {"st_core", "oxts_bridge", "st_recordings", "st_predictor", "st_sim", "st_live", "st_offline"},
 }
 CORE_LIBRARIES = {"numpy", "scipy", "yaml"}

@@ -10,7 +10,7 @@ the ellipsoid), and the inverse in st_sim.
 """
 
 import math
-from math import cos, isfinite, pi, sin, tau
+from math import cos, isfinite, pi, radians, sin, tau
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -146,3 +146,9 @@ class LocalFrame:
         s_lat, c_lat, s_lon, c_lon = self._rotation
         outward = c_lon * dx + s_lon * dy
         return -s_lon * dx + c_lon * dy, -s_lat * outward + c_lat * dz, c_lat * outward + s_lat * dz
+
+
+def compute_origin_offset(origin: tuple[float, float], latitude: float, longitude: float) -> tuple[float, float]:
+    """East and north offset [m] of a point from the origin (latitude, longitude), all in deg at altitude 0."""
+    frame = LocalFrame(radians(origin[0]), radians(origin[1]), 0.0)
+    return frame.to_enu(radians(latitude), radians(longitude), 0.0)[:2]

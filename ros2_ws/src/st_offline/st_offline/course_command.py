@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from oxts_bridge.geometry import compute_origin_offset
 from rich.console import Console
 from rich.markup import escape
 from st_core.course import SPACING, Course, Pass, split_into_passes
@@ -11,7 +12,6 @@ from st_core.errors import ConfigurationError, StCoreError
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunError, find_runs, read
-from st_recordings.runs.ncom import compute_origin_offset
 
 from .terminal import print_line
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from oxts_bridge.geometry import compute_origin_offset
 from st_core.bands import Bands
 from st_core.course import Course
 from st_core.course_tracker import course_inputs
@@ -26,7 +27,6 @@ from st_core.stability import StepTooLongWarning
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 from st_recordings.runs.csv_table import read_header
-from st_recordings.runs.ncom import compute_origin_offset
 from st_recordings.runs.raw import summarise_alignment
 
 from ..bands.bands_report import collect_intervals, sum_shares

@@ -2,6 +2,7 @@
 
 import time
 
+from oxts_bridge.geometry import compute_origin_offset
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import NavSatFix
@@ -13,7 +14,6 @@ from st_core.prediction import Predictor, Start
 from st_core.types import InputSequence
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import InputPlan
-from st_recordings.runs.ncom import compute_origin_offset
 from st_ros import diagnostics
 from st_ros.diagnostics import Check
 from st_ros.polling import LATCHED, PolledSubscription

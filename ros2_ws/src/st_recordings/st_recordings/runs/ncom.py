@@ -1,6 +1,5 @@
 """Reads NCOM packets of an INS from .ncom and .xcom files and network captures, in the axes of the suite."""
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,12 +67,6 @@ def read_ncom(file: Path) -> NcomLog:
         acceleration=np.stack(motion.acceleration), origin=origin, stamps_ns=columns.utc_ns[stamped],
         quality=collect_quality(columns, rows), columns=columns, rows=rows, warnings=tuple(warnings),
     )
-
-
-def compute_origin_offset(origin: tuple[float, float], latitude: float, longitude: float) -> tuple[float, float]:
-    """East and north offset [m] of a point from the origin (latitude, longitude), all in deg at altitude 0."""
-    frame = LocalFrame(math.radians(origin[0]), math.radians(origin[1]), 0.0)
-    return frame.to_enu(math.radians(latitude), math.radians(longitude), 0.0)[:2]
 
 
 def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
