@@ -14,6 +14,7 @@ from math import cos, isfinite, pi, radians, sin, tau
 from typing import Any, TypeAlias
 
 import numpy as np
+from st_core.errors import StCoreError
 
 Number: TypeAlias = Any
 """A float, or a column of floats."""
@@ -149,6 +150,11 @@ class LocalFrame:
 
 
 def compute_origin_offset(origin: tuple[float, float], latitude: float, longitude: float) -> tuple[float, float]:
-    """East and north offset [m] of a point from the origin (latitude, longitude), all in deg at altitude 0."""
+    """East and north offset [m] of a point from the origin (latitude, longitude), all in deg at altitude 0.
+
+    Raises StCoreError for an origin that is not finite.
+    """
+    if not (isfinite(origin[0]) and isfinite(origin[1])):
+        raise StCoreError(f"the origin of the map ({origin[0]:g}, {origin[1]:g} deg) is unknown")
     frame = LocalFrame(radians(origin[0]), radians(origin[1]), 0.0)
     return frame.to_enu(radians(latitude), radians(longitude), 0.0)[:2]
