@@ -158,15 +158,15 @@ class LiveView:
             predictor["map_frame"], "--title", title, "--address", self._host, "--port", str(self._port)])
         line = self._server.wait_for("serving on ", READY_TIMEOUT)
         if not line:
-            output = self._server.last_lines() or "the page did not start"
+            output = self._server.read_last_lines() or "the page did not start"
             raise SuiteError(f"--view: {output} (log: {self._server.log})")
-        self.url = f"http://{_reachable_address(self._host)}:{line.strip().rpartition(':')[2]}/"
+        self.url = f"http://{_find_reachable_address(self._host)}:{line.strip().rpartition(':')[2]}/"
         show_address(self.url, console)
 
     def finish(self, folder: Path, console: Console) -> None:
         """Stop the page server, and write the Rerun file of --view-save from the recording of the run."""
         if self._server and self._server.process.poll() is not None:
-            console.print(f"[yellow]the page ended before the run: {escape(self._server.last_lines())}[/yellow]",
+            console.print(f"[yellow]the page ended before the run: {escape(self._server.read_last_lines())}[/yellow]",
                           highlight=False, soft_wrap=True)
         self.close()
         if self._save:
@@ -182,7 +182,7 @@ class LiveView:
             self._processes = None
 
 
-def _reachable_address(host: str) -> str:
+def _find_reachable_address(host: str) -> str:
     """Address at which other devices reach the page; ALL_ADDRESSES: address of the interface of the default route."""
     if host != ALL_ADDRESSES:
         return host

@@ -111,7 +111,7 @@ def _watch(suite: Suite, player: Child, name: str, rate: float, console: Console
             status = _read_last_status(player)
             progress.update(bar, completed=status.get("done", 0.0), total=status.get("duration", 1.0))
     if player.process.returncode:
-        raise SuiteError(f"the player ended with status {player.process.returncode}: {player.last_lines()}")
+        raise SuiteError(f"the player ended with status {player.process.returncode}: {player.read_last_lines()}")
     status = _read_last_status(player)
     if status.get("wall"):
         speed = status["duration"] / status["wall"]

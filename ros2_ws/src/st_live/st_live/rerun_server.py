@@ -117,7 +117,7 @@ def _start_rerun(processes: Processes, recording: str, port: int) -> Child:
     end = time.monotonic() + READY_TIMEOUT
     while not _accepts_connections(port):
         if rerun.process.poll() is not None or time.monotonic() > end:
-            output = rerun.last_lines() or "no output"
+            output = rerun.read_last_lines() or "no output"
             raise SuiteError(f"the server of the view did not start: {output} (log: {rerun.log})")
         time.sleep(0.1)
     return rerun

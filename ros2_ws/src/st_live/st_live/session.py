@@ -91,7 +91,7 @@ class Supervisor:
 
     def _check_node(self, node: _SupervisedNode, now: float) -> None:
         if (child := self._suite.reap(node.name)) is not None:
-            output = child.last_lines(1) or "no output"
+            output = child.read_last_lines(1) or "no output"
             self._schedule_restart(node, now, f"ended with status {child.process.returncode} ({output})")
             return
         statuses = self._monitor.state.health.values()

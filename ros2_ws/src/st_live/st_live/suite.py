@@ -50,7 +50,7 @@ class Child:
     process: subprocess.Popen
     log: Path
 
-    def last_lines(self, count: int = 5) -> str:
+    def read_last_lines(self, count: int = 5) -> str:
         return "\n".join(self.log.read_text(errors="replace").strip().splitlines()[-count:])
 
     def wait_for(self, text: str, timeout: float) -> str:
@@ -98,7 +98,7 @@ class Processes:
         """Raises SuiteError naming the first child that has ended."""
         for child in self.children:
             if (status := child.process.poll()) is not None:
-                raise SuiteError(f"{child.name} ended with status {status}: {child.last_lines() or 'no output'}\n"
+                raise SuiteError(f"{child.name} ended with status {status}: {child.read_last_lines() or 'no output'}\n"
                                  f"(log: {child.log})")
 
     def reap(self, name: str) -> Child | None:

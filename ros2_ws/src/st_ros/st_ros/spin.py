@@ -36,7 +36,7 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
         # rclpy's own handlers would shut the context down at once, and `close` could not publish.
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # such as an invalid parameter file; rclpy's errors have no common base class
-        print(f"cannot start: {_one_line(error)}", file=sys.stderr, flush=True)
+        print(f"cannot start: {_format_error(error)}", file=sys.stderr, flush=True)
         return 2
     try:
         node = make_node()
@@ -90,6 +90,6 @@ class StopRequest:
         self.requested = True
 
 
-def _one_line(error: Exception) -> str:
+def _format_error(error: Exception) -> str:
     """The message of an error without the source locations that rcl appends."""
     return " ".join(str(error).partition(", at /")[0].split())

@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             _run_live(options, stop_requested)
     except (OSError, ValueError) as error:
-        print(f"virtual_leaf: {_one_line(error)}", file=sys.stderr)
+        print(f"virtual_leaf: {_format_error(error)}", file=sys.stderr)
         return 2
     return 0
 
@@ -58,10 +58,10 @@ def check_arguments(arguments: Sequence[str]) -> None:
     try:
         _Run(_make_parser().parse_args(arguments))
     except (OSError, ValueError) as error:
-        raise SimulationError(_one_line(error)) from None
+        raise SimulationError(_format_error(error)) from None
 
 
-def _one_line(error: Exception) -> str:
+def _format_error(error: Exception) -> str:
     return " ".join(str(error).split())
 
 

@@ -88,7 +88,7 @@ class Ins:
             stamp=truth.time + s["ins_time_error"], x=x, y=y, z=truth.z,
             velocity_x=vx, velocity_y=vy, velocity_z=truth.velocity_z,
             yaw=truth.yaw, roll=truth.roll, pitch=truth.pitch,
-            rates=_body_rates(truth), specific_force=_specific_force(ax, ay, truth.roll, truth.pitch))
+            rates=_compute_body_rates(truth), specific_force=_compute_specific_force(ax, ay, truth.roll, truth.pitch))
         self._add_errors(reading)
         if self._noise:
             moving = min(abs(truth.velocity_x) / FULL_VIBRATION_SPEED, 1.0)
@@ -122,7 +122,7 @@ class Ins:
             fx + noise["force_x"](vibration), fy + noise["force_y"](vibration), fz + noise["force_z"](vibration))
 
 
-def _body_rates(truth: Truth) -> tuple[float, float, float]:
+def _compute_body_rates(truth: Truth) -> tuple[float, float, float]:
     """Angular rates [rad/s] of the tilted body about its x, y, z (FLU) for a constant pitch angle.
 
     In FRD: p = droll - dheading sin(pitch), q = dheading sin(roll) cos(pitch), r = dheading cos(roll) cos(pitch).
@@ -134,7 +134,7 @@ def _body_rates(truth: Truth) -> tuple[float, float, float]:
     return p, -q, -r
 
 
-def _specific_force(ax: float, ay: float, roll: float, pitch: float) -> tuple[float, float, float]:
+def _compute_specific_force(ax: float, ay: float, roll: float, pitch: float) -> tuple[float, float, float]:
     """Specific force in the axes of the tilted body (FLU) for a horizontal acceleration (a_x, a_y, 0) and gravity."""
     forward, right, down = ax, -ay, -GRAVITY
     cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
