@@ -21,7 +21,7 @@ def main() -> str:
             for finding in one.findings:
                 print(f"    {format_finding(finding)}\n        {finding.text}")
         rows = [(name, "; ".join(_format_value(f) for f in one.findings if f.severity is not Severity.NOTE) or "-",
-                 str(len(one.of(Severity.NOTE)))) for name, one in results.items()]
+                 str(len(one.with_severity(Severity.NOTE)))) for name, one in results.items()]
         parts.append(f"{title} (`{folder}`):\n\n" + format_table(("drive", "errors and warnings", "notes"), rows))
         common = [one for one in compare_runs(list(results.values())) if one.consistent]
         lines = [f"- `{one.name}` {one.mean:.3g} ± {0.5 * (one.interval[1] - one.interval[0]):.1g}"

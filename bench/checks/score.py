@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
-from st_core.checks import Checked, Finding, Severity, check
+from st_core.checks import DriveCheck, Finding, Severity, check
 
 from .corruptions import Kind, Size
 from .recording import Recording, middle_half
@@ -18,20 +18,20 @@ COUNT_TOLERANCE = 1e-6
 Record = dict[str, Any]
 
 
-def run_check(recording: Recording) -> Checked:
+def run_check(recording: Recording) -> DriveCheck:
     return check(recording.log, recording.vehicle, recording.auxiliary)
 
 
-def try_check(recording: Recording) -> tuple[Checked, str]:
+def try_check(recording: Recording) -> tuple[DriveCheck, str]:
     """(result, error text): an exception of a check is a wrong answer and does not end the matrix."""
     try:
         return run_check(recording), ""
     except Exception as error:
-        return Checked((), {}, ()), f"{type(error).__name__}: {error}"[:200]
+        return DriveCheck((), {}, ()), f"{type(error).__name__}: {error}"[:200]
 
 
 @cache
-def check_as_recorded(recording: Recording) -> Checked:
+def check_as_recorded(recording: Recording) -> DriveCheck:
     """The result for a drive as recorded; each drive is checked only once."""
     return run_check(recording)
 
@@ -75,7 +75,7 @@ def score_case(drive: Drive, kind: Kind, size: Size) -> Record | None:
     }
 
 
-def find_finding(result: Checked, kind: Kind) -> Finding | None:
+def find_finding(result: DriveCheck, kind: Kind) -> Finding | None:
     """The most severe finding with a right name and channel."""
     for finding in result.findings:
         if finding.name in kind.findings and (kind.channel is None or kind.channel in finding.channels):
@@ -121,7 +121,7 @@ def is_inside(kind: Kind, finding: Finding, truth: float | None) -> bool:
     return abs(finding.value - truth) <= max(kind.tolerance * abs(truth), COUNT_TOLERANCE)
 
 
-def new_findings(result: Checked, before: Checked, kind: Kind) -> list[Finding]:
+def new_findings(result: DriveCheck, before: DriveCheck, kind: Kind) -> list[Finding]:
     """Findings that the corruption causes in addition to its own."""
     known = {finding.name for finding in before.findings} | {*kind.findings, *kind.also}
     return [finding for finding in result.findings if finding.name not in known]

@@ -41,7 +41,7 @@ def test_one_late_sensor_is_one_finding_whatever_is_driven(leaf, noise):
     runs = [check(late(exact_drive(leaf, 60.0, speed=speed, turning=turning, noise=Noise(yaw=noise)), 0.36, "yaw_rate"),
                   leaf) for speed, turning in ((SPEED, SLALOM), (SPEED, SWEEP), (Sines(15.0, ()), SWEEP))]
     for run in runs:
-        assert not run.of(Severity.ERROR)
+        assert not run.with_severity(Severity.ERROR)
         lags = [one for one in run.findings if one.name.endswith("_lag")]
         assert [one.name for one in lags] == ["yaw_rate_lag"]
         assert lags[0].value == pytest.approx(0.36, abs=0.015)

@@ -112,7 +112,7 @@ def test_wraps_are_named_first(clean, leaf, channel, share):
     _, implausible = drop_implausible(broken)
     again = check(broken, leaf, AuxiliaryData(implausible=tuple(implausible))).findings
     assert [one.name for one in again].count("channel_wraps") == 1
-    assert not [one for one in found.of(Severity.ERROR) if one.name != "channel_wraps"]
+    assert not [one for one in found.with_severity(Severity.ERROR) if one.name != "channel_wraps"]
 
 
 def test_a_channel_that_jumps_is_compared_with_nothing(clean, leaf):

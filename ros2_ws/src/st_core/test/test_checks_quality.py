@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from exact_drive import T0, exact_drive
 from exact_faults import plus
-from st_core.checks import AuxiliaryData, Checked, Finding, InsQuality, Severity, check, compare_runs, pool_estimates
+from st_core.checks import AuxiliaryData, DriveCheck, Finding, InsQuality, Severity, check, compare_runs, pool_estimates
 
 RTK_INTEGER, RTK_FLOAT, DIFFERENTIAL, LOCKED, LOCKING = 6.0, 5.0, 4.0, 4.0, 3.0
 
@@ -60,7 +60,7 @@ def measured(value, half, name="yaw_rate_bias", reported=True, unit="rad/s"):
     """A run of which nothing but this is known."""
     interval = (value - half, value + half)
     one = Finding(name, Severity.NOTE, ("yaw_rate",), "", value, unit, interval)
-    return Checked((one,) if reported else (), {}, (), {name: (value, *interval)})
+    return DriveCheck((one,) if reported else (), {}, (), {name: (value, *interval)})
 
 
 def test_runs_that_agree_are_alike_and_know_the_mean_better():
@@ -110,8 +110,8 @@ def test_what_was_measured_counts_also_where_it_was_not_told():
 
 
 def test_the_most_frequent_first():
-    both = Checked((*measured(1.0, 0.1, "a", unit="m").findings, *measured(1.0, 0.1, "b", unit="m").findings), {}, (),
-                   {"a": (1.0, 0.9, 1.1), "b": (1.0, 0.9, 1.1)})
+    findings = (*measured(1.0, 0.1, "a", unit="m").findings, *measured(1.0, 0.1, "b", unit="m").findings)
+    both = DriveCheck(findings, {}, (), {"a": (1.0, 0.9, 1.1), "b": (1.0, 0.9, 1.1)})
     only_b = replace(both, findings=both.findings[1:])
     assert [(one.name, one.reported) for one in compare_runs([both, only_b, only_b])] == [("b", 3), ("a", 1)]
 

@@ -17,7 +17,7 @@ def log(leaf):
 
 
 def errors(log, car):
-    return {one.name: one for one in check(log, car).of(Severity.ERROR)}
+    return {one.name: one for one in check(log, car).with_severity(Severity.ERROR)}
 
 
 def test_a_good_drive_passes(log, leaf):

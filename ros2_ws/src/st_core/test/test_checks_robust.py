@@ -179,5 +179,6 @@ def test_stamps_in_nanoseconds_taken_for_microseconds(leaf):
 def test_turning_is_enough_to_tell_a_unit(leaf):
     """A drive of one bend has no change of the yaw rate to compare."""
     bend = exact_drive(leaf, turning=Sines(TURNING.mean + 0.1, ()))
-    assert [one.name for one in check(replace(bend, yaw_rate=57.3 * bend.yaw_rate), leaf).of(Severity.ERROR)] == [
+    degrees = replace(bend, yaw_rate=57.3 * bend.yaw_rate)
+    assert [finding.name for finding in check(degrees, leaf).with_severity(Severity.ERROR)] == [
         "yaw_rate_scale"]

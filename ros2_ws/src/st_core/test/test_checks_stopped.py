@@ -47,7 +47,7 @@ def test_what_is_wrong_with_the_stamps_of_a_few_samples_is_told(log, leaf):
 
 def test_gaps_are_those_of_the_corrected_time(log, leaf):
     slow = replace(log, ins_time_ns=1000 * log.ins_time_ns, steering_time_ns=1000 * log.steering_time_ns)
-    assert [one.name for one in check(slow, leaf).of(Severity.ERROR)] == ["time_unit"]
+    assert [one.name for one in check(slow, leaf).with_severity(Severity.ERROR)] == ["time_unit"]
     kept = np.ones(len(log.x), bool)
     kept[100:101] = False
     assert "time_gaps" not in {one.name for one in check(slow.select_ins(kept), leaf).findings}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from rich.console import Console
-from st_core.checks import Advice, Channel, Checked, Comparison, Finding, Severity
+from st_core.checks import Advice, Channel, Comparison, DriveCheck, Finding, Severity
 from st_core.clock_types import Alignment, Verdict
 from st_core.vehicle import VehicleParameters
 from st_offline.checking import check_report
@@ -58,7 +58,7 @@ def checked(findings=ALL):
     comparison = Comparison("yaw_rate", "Yaw rate against the change of yaw", "rad/s", "yaw rate", "change of yaw",
                             time, 57.3 * rate, np.where(time < 5.0, rate, np.nan), ("yaw_rate_scale", "position_jumps"))
     channel = Channel("rad/s", 1000, 100.0, 0, 0.01, 0.001, 0.0, 0.02, 3)
-    return Checked(tuple(findings), {"yaw_rate": channel}, (comparison,))
+    return DriveCheck(tuple(findings), {"yaw_rate": channel}, (comparison,))
 
 
 def source(folder):
@@ -104,7 +104,7 @@ def test_the_verdict_counts_and_says_what_it_means():
     assert check_report.verdict(checked([leans])) == "1 warning: results of identify and discover would be biased"
     assert check_report.verdict(checked([MOVED, leans])) == "2 warnings: an evaluation would be biased"
     assert check_report.verdict(checked([])) == "nothing found, in 1 comparison"
-    assert "nothing could be compared" in check_report.verdict(Checked((), {}, ()))
+    assert "nothing could be compared" in check_report.verdict(DriveCheck((), {}, ()))
     assert check_report.headline(checked([DEGREES])) == "1 error: yaw rate is 57.3 times too large: deg/s?"
 
 

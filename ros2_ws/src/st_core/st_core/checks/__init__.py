@@ -8,7 +8,32 @@ All commands and the live node call the same function.
 
 from .across_runs import RunComparison, compare_runs, pool_estimates
 from .check import check
-from .finding import SCHEMA, Advice, AuxiliaryData, Channel, Checked, Comparison, Finding, InsQuality, Series, Severity
+from .finding import (
+           SCHEMA,
+           Advice,
+           AuxiliaryData,
+           Channel,
+           Comparison,
+           DriveCheck,
+           Finding,
+           InsQuality,
+           Series,
+           Severity,
+)
 
-__all__ = ["SCHEMA", "Advice", "AuxiliaryData", "Channel", "Checked", "Comparison", "Finding", "InsQuality",
-           "RunComparison", "Series", "Severity", "check", "compare_runs", "pool_estimates"]
+__all__ = [
+           "SCHEMA",
+           "Advice",
+           "AuxiliaryData",
+           "Channel",
+           "Comparison",
+           "DriveCheck",
+           "Finding",
+           "InsQuality",
+           "RunComparison",
+           "Series",
+           "Severity",
+           "check",
+           "compare_runs",
+           "pool_estimates",
+]

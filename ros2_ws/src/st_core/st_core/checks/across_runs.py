@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import binom, chi2
 
 from ..regression import random_effects, symmetric_interval
-from .finding import Checked
+from .finding import DriveCheck
 
 MIN_RUNS = 3
 CONFIDENCE = 0.95
@@ -49,7 +49,7 @@ class RunComparison:
         return {**asdict(self), "text": self.text}
 
 
-def compare_runs(runs: Sequence[Checked]) -> list[RunComparison]:
+def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
     """Comparison of the quantities in the findings with estimates in at least MIN_RUNS runs, most reported first."""
     units = {finding.name: finding.unit for run in runs for finding in run.findings if finding.interval is not None}
     compared = []

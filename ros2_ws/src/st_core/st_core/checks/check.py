@@ -10,7 +10,7 @@ from ..sideslip import has_derived_yaw_rate
 from ..vehicle import VehicleParameters
 from . import inertial, position, sampling, vehicle_relations
 from .agreement import Agreement
-from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Checked, Comparison, Finding, Severity
+from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Comparison, DriveCheck, Finding, Severity
 from .motion import MOVING, Motion, is_driven
 from .plausibility import drop_implausible, find_broken_channels
 from .regression import Estimate, with_systematic
@@ -27,7 +27,8 @@ SensorResult = tuple[Motion, list[Finding], dict[str, Estimate], list[Comparison
 
 
 # long: one sequence, in which each check works on the result of the previous corrections
-def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: AuxiliaryData | None = None) -> Checked:
+def check(log: DriveLog, vehicle: VehicleParameters | None = None,
+          auxiliary: AuxiliaryData | None = None) -> DriveCheck:
     """Findings of one recording.
 
     The order is: sampling; units, signs and axes; relations valid for any vehicle (position, yaw, velocity,
@@ -55,10 +56,10 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         findings += sampling.check_quality(auxiliary.quality, start_ns)
     if not driven:
         findings += vehicle_relations.check_standstill(motion) if long_enough else []
-        return Checked(_sort(findings), channels, ())
+        return DriveCheck(_sort(findings), channels, ())
     broken = find_broken_channels(implausible)
     if broken & {*INS_SIGNALS}:  # every further check needs all of these channels
-        return Checked(_sort([*findings, *sampling.find_stuck_channels(motion, channels)]), channels, ())
+        return DriveCheck(_sort([*findings, *sampling.find_stuck_channels(motion, channels)]), channels, ())
     motion = replace(motion, acceleration_x=None if "acceleration_x" in broken else motion.acceleration_x,
                      acceleration_y=None if "acceleration_y" in broken else motion.acceleration_y)
     stuck = sampling.find_stuck_channels(motion, channels)
@@ -92,7 +93,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
         estimates = {name: value for name, value in estimates.items() if name not in CHANGED_BY_SIDESLIP}
     if vehicle is not None:
         findings = try_corrections(findings, log, vehicle)
-    return Checked(_sort(findings), channels, tuple(panels),
+    return DriveCheck(_sort(findings), channels, tuple(panels),
                    {name: (estimate.value, *estimate.interval) for name, estimate in estimates.items()})
 
 

@@ -109,7 +109,7 @@ class Comparison:
 
 
 @dataclass(frozen=True, eq=False)
-class Checked:
+class DriveCheck:
     """Result of a check."""
 
     findings: tuple[Finding, ...]  # the most severe first
@@ -117,7 +117,7 @@ class Checked:
     comparisons: tuple[Comparison, ...]  # in the order of the checks
     estimates: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)  # (value, low, high), by finding
 
-    def of(self, severity: Severity) -> tuple[Finding, ...]:
+    def with_severity(self, severity: Severity) -> tuple[Finding, ...]:
         """Findings of one severity."""
         return tuple(finding for finding in self.findings if finding.severity is severity)
 
@@ -184,7 +184,7 @@ class Limits:
     severe_lag: float = 0.05  # s; larger lags would be mistaken for a steering delay
     correlation: float = 0.6  # minimum correlation of two estimates of a quantity that are compared
     bias_acceleration: float = 0.1  # m/s^2; caused by a tilt of the sensor or the road of 0.6 deg
-    tyre: float = 13.0  # m/s^2, lateral; above the limit of road tyres
+    lateral_acceleration: float = 13.0  # m/s^2; above the limit of road tyres
     steering_unit: float = 1.5  # as `unit`, for steering and curvature: ratio, wheelbase and stiffnesses may be rough
     steering_lag: float = 0.1  # s; the car's own response may deviate from the vehicle file by this lag
     steering_offset: float = 0.02  # rad, at the road wheels

@@ -295,7 +295,7 @@ def check_tyre_limit(motion: Motion) -> list[Finding]:
     """Finding of a sustained lateral acceleration above the limit of road tyres."""
     over = windows(motion.time, WINDOW)
     lateral = over.mean(motion.time, motion.velocity_x * motion.yaw_rate)
-    impossible = np.abs(lateral) > LIMITS.tyre
+    impossible = np.abs(lateral) > LIMITS.lateral_acceleration
     if impossible.sum() < 2:
         return []
     largest = float(np.abs(lateral).max())

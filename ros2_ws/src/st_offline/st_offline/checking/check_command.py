@@ -73,7 +73,7 @@ def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str],
     target = job.correction_file
     texts = {} if target is None else {target: run_yaml(sources[0], good[0].checked.findings, target, job.read)}
     list_files(write_results(good, failed, folder, job.json, texts, console), console)
-    return int(bool(failed) or any(run.checked.of(Severity.ERROR) for run in good))
+    return int(bool(failed) or any(run.checked.with_severity(Severity.ERROR) for run in good))
 
 
 def check_run(source: RunSource, job: CheckJob) -> CheckedRun:

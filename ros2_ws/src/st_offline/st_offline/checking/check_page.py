@@ -7,7 +7,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from st_core.checks import Checked, Comparison, Severity
+from st_core.checks import Comparison, DriveCheck, Severity
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 
 from ..evaluation import drawing
@@ -24,7 +24,7 @@ SHADE = {Severity.ERROR: drawing.BAD, Severity.WARNING: drawing.WARN, Severity.N
 DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
 
-def draw_panel(pair: Comparison, checked: Checked, output: drawing.FigureOutput) -> drawing.PageFigure:
+def draw_panel(pair: Comparison, checked: DriveCheck, output: drawing.FigureOutput) -> drawing.PageFigure:
     """Draw one comparison, with the stretches of its findings shaded."""
     findings = sorted((finding for finding in checked.findings if finding.name in pair.findings),
                       key=check_report.severity_rank)
@@ -62,7 +62,7 @@ def page_title(good: Sequence[CheckedRun]) -> str:
     """Title of the page: the verdict on all runs."""
     if len(good) == 1:
         return f"{good[0].name}: {check_report.headline(good[0].checked)}"
-    affected = {severity: [run.name for run in good if run.checked.of(severity)]
+    affected = {severity: [run.name for run in good if run.checked.with_severity(severity)]
                 for severity in check_report.SEVERITY_ORDER[:2]}
     if not any(affected.values()):
         return f"{len(good)} runs: no error and no warning"

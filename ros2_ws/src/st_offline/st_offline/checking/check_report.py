@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from st_core.checks import SCHEMA, Advice, Checked, Comparison, Finding, Severity, compare_runs
+from st_core.checks import SCHEMA, Advice, Comparison, DriveCheck, Finding, Severity, compare_runs
 from st_core.checks.sampling import UNITS as CHANNEL_UNITS
 from st_core.clock_types import alignment_not_needed
 from st_core.vehicle import VehicleParameters
@@ -45,19 +45,20 @@ def count_by_severity(findings: Sequence[Finding]) -> str:
     return ", ".join(f"{count} {name}{'' if count == 1 else 's'}" for name, count in counts if count)
 
 
-def verdict(checked: Checked) -> str:
+def verdict(checked: DriveCheck) -> str:
     """Number of findings of a run by severity, and their meaning for an evaluation, in one line."""
     if not checked.findings:
         count = len(checked.comparisons)
         compared = f"in {count} comparison{'' if count == 1 else 's'}" if count else "but nothing could be compared"
         return f"nothing found, {compared}"
     worst = min(checked.findings, key=severity_rank).severity
-    if worst is Severity.WARNING and all(finding.concerns_only_acceleration for finding in checked.of(worst)):
+    if worst is Severity.WARNING and all(
+            finding.concerns_only_acceleration for finding in checked.with_severity(worst)):
         return f"{count_by_severity(checked.findings)}: results of identify and discover would be biased"
     return f"{count_by_severity(checked.findings)}: {MEANING[worst]}"
 
 
-def headline(checked: Checked) -> str:
+def headline(checked: DriveCheck) -> str:
     """Number of findings of a run by severity, with the texts of the most severe ones."""
     if not checked.findings:
         return verdict(checked)
@@ -171,7 +172,7 @@ class CheckedRun:
     folder given by the user."""
 
     name: str
-    checked: Checked
+    checked: DriveCheck
     vehicle: VehicleParameters
     vehicle_from: str
     duration: float

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from st_core.checks import AuxiliaryData, Checked, Finding, Severity, check
+from st_core.checks import AuxiliaryData, DriveCheck, Finding, Severity, check
 from st_core.checks.trial import step_too_long
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
@@ -37,7 +37,7 @@ class RefusedRunError(RunError):
 
 
 def check_log(log: DriveLog, vehicle: VehicleParameters, auxiliary: AuxiliaryData | None,
-              models: Sequence[str | Model] = (), step: float = STEP) -> Checked:
+              models: Sequence[str | Model] = (), step: float = STEP) -> DriveCheck:
     """Check a drive. models: checked for stable integration with `step` [s]; empty if nothing is predicted."""
     checked = check(log, vehicle, auxiliary)
     too_long = step_too_long(models, vehicle, log, step) if models else None
