@@ -37,22 +37,32 @@ def compute_sum8_id(data: Sequence[Any], arbitration_id: int) -> Any:
     return (sum(data) + (arbitration_id >> 8) + (arbitration_id & 0xFF)) & 0xFF
 
 
+RULES = {"xor_nibble": (4, compute_xor_nibble), "sum8_id": (8, compute_sum8_id)}
+"""Name of a checksum -> (its number of bits, function that computes it)."""
+
+
 @dataclass(frozen=True)
-class Rule:
-    """A checksum. bits: width. compute: computes it from the payload, with these bits at 0, and the arbitration id."""
+class CheckSpec:
+    """Counter or checksum of a message. signal: DBC name."""
 
-    bits: int
-    compute: Callable[[Sequence[Any], int], Any]
-
-
-RULES = {"xor_nibble": Rule(4, compute_xor_nibble), "sum8_id": Rule(8, compute_sum8_id)}
+    signal: str
+    field: Field
+    mode: Mode
 
 
-def compute_checksum(rule: Rule, field: Field, data: Data, arbitration_id: int) -> Any:
-    """The correct checksum of a frame, or (n,) of all frames; the bits of `field` in `data` are ignored."""
-    content = list(data)
-    content[field.lowest] = content[field.lowest] & (0xFF ^ field.mask << field.shift)
-    return rule.compute(content, arbitration_id)
+@dataclass(frozen=True)
+class ChecksumSpec(CheckSpec):
+    """Checksum of a message, in one frame or in all frames of a log."""
+
+    rule: Callable[[Sequence[Any], int], Any]
+
+    def compute(self, data: Data, arbitration_id: int) -> Any:
+        content = list(data)
+        content[self.field.lowest] = content[self.field.lowest] & (0xFF ^ self.field.mask << self.field.shift)
+        return self.rule(content, arbitration_id)
+
+    def is_correct(self, data: Data, arbitration_id: int) -> Any:
+        return self.field.read(data) == self.compute(data, arbitration_id)
 
 
 class CounterCheck:

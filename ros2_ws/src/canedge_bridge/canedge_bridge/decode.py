@@ -99,11 +99,8 @@ class Decoder:
         if state is None:
             self.frames.unknown += 1
             return None
-        return self._decode(state, bytes(frame.data), time_ns)
-
-    def _decode(self, state: _MessageState, received: bytes, time_ns: int) -> Decoded | None:
         spec, statistics = state.spec, state.statistics
-        data = strip_padding(received, spec.dbc.length)
+        data = strip_padding(bytes(frame.data), spec.dbc.length)
         if data is None:
             statistics.wrong_length += 1
             return None

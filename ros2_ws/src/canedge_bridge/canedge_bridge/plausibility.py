@@ -37,8 +37,6 @@ class Plausibility:
         self._previous: Reference | None = None  # previous frame if it is in range
         self._last_plausible: Reference | None = None
         self._recent: deque[bool] = deque(maxlen=PLAUSIBILITY_FRAMES)
-        self._consecutive_plausible = 0
-        self.implausible = 0
 
     def accepts(self, si: float, time_ns: int) -> bool:
         """Whether this value [SI] is in range and reachable from the previous value or from the last plausible one.
@@ -53,16 +51,14 @@ class Plausibility:
         self._previous = (time_ns, value) if in_range else None
         if plausible:
             self._last_plausible = self._previous
-        self._consecutive_plausible = self._consecutive_plausible + 1 if plausible else 0
         self._recent.append(plausible)
-        self.implausible += not plausible
         return plausible
 
     @property
     def fault(self) -> str:
         """Reason why the signal is currently withheld; empty if it is not."""
         bad = self._recent.count(False)
-        if bad <= MAX_IMPLAUSIBLE or self._consecutive_plausible >= MAX_IMPLAUSIBLE:
+        if bad <= MAX_IMPLAUSIBLE or all(list(self._recent)[-MAX_IMPLAUSIBLE:]):
             return ""
         signal = self._signal
         return (f"{signal.dbc.name} decodes to implausible values: {bad} of the last {len(self._recent)} frames are "

@@ -63,8 +63,8 @@ class Receiver:
     open_bus: opens the bus; if it raises, it is called again after 0.1 s, a delay that doubles each time up to 5 s.
     on_state(state, reason): called in the same thread at every change of state or reason.
     silence: seconds without a frame after which an open bus counts as silent.
-    network_interface: interface to observe, because not every socket reports that its interface is down or removed;
-    empty for a bus without a network interface.
+    network_interface: monitored, because not every socket reports that its interface is down or removed; empty for a
+    bus without a network interface.
     on_error: called with every exception raised by a callback or by closing the bus; such errors do not end the thread.
     """
 
@@ -149,8 +149,7 @@ class Receiver:
         with self._lock:
             self._delays.append(now_ns - time_ns)
             status.frames += 1
-        passive = status.state is BusState.ERROR_PASSIVE and self._errors_are_recent()
-        if status.state is not BusState.OK and not passive:
+        if status.state is not BusState.OK and not self._is_passive():
             self._set_state(BusState.OK, "")
 
     def _count_error_frame(self, frame: can.Message) -> None:
@@ -165,22 +164,24 @@ class Receiver:
         elif state is not None:
             self._set_state(state, text)
 
-    def _errors_are_recent(self) -> bool:
-        return time.monotonic() - self._last_error_frame_at < _ERROR_PASSIVE_TIMEOUT
+    def _is_passive(self) -> bool:
+        """Whether the controller is error-passive and has sent an error frame recently."""
+        return (self._status.state is BusState.ERROR_PASSIVE
+                and time.monotonic() - self._last_error_frame_at < _ERROR_PASSIVE_TIMEOUT)
 
     def _handle_silence(self) -> None:
         state = self._status.state
-        up = link_is_up(self._network_interface)
-        if up is None and self._network_interface:
+        is_up = link_is_up(self._network_interface)
+        if is_up is None and self._network_interface:
             raise can.CanOperationError(f"interface {self._network_interface} has vanished", errno.ENODEV)
-        if up is False:
+        if is_up is False:
             self._set_state(BusState.DOWN, f"interface {self._network_interface} is down")
             return
         self._back_off = BACK_OFF_FIRST
-        silent = time.monotonic() - self._last_frame_at > self._silence
+        is_silent = time.monotonic() - self._last_frame_at > self._silence
         if state is BusState.DOWN:
             self._set_state(BusState.SILENT, "interface is up again, no frame yet")
-        elif silent and (state is BusState.OK or (state is BusState.ERROR_PASSIVE and not self._errors_are_recent())):
+        elif is_silent and state in (BusState.OK, BusState.ERROR_PASSIVE) and not self._is_passive():
             self._set_state(BusState.SILENT, f"no frame for more than {self._silence:g} s")
 
     def _handle_failure(self, error: Exception) -> None:

@@ -14,7 +14,7 @@ from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
 from st_core.yaml_text import suggest_key
 
-from .checks import RULES, Mode, Rule, compute_checksum
+from .checks import RULES, CheckSpec, ChecksumSpec, Mode
 from .extraction import EXTENDED, Data, Extractor, Field, raw_range
 from .ins_time import DATE_TIME_PARTS, GPS_SECONDS_PARTS
 from .table_reader import Entry, TableError, one_line, read_document
@@ -61,8 +61,8 @@ class SignalSpec:
     """One DBC signal and its conversion: si = gain * physical + bias, with `physical` in the unit of the DBC.
 
     unit: as in the table. factor: converts this unit to SI. minimum, maximum: possible range [unit]. max_rate: largest
-    possible rate of change [unit/s]. sign: of a signal that makes `physical` negative unless it is 0, for a sensor that
-    sends magnitude and sign separately.
+    possible rate of change [unit/s]. sign: extractor of the signal that makes `physical` negative unless it is 0, for a
+    sensor that sends magnitude and sign separately.
     """
 
     extractor: Extractor
@@ -94,28 +94,6 @@ class SignalSpec:
 
     def to_physical(self, si: float) -> float:
         return (si - self.bias) / self.gain
-
-
-@dataclass(frozen=True)
-class CheckSpec:
-    """Counter or checksum of a message. signal: DBC name."""
-
-    signal: str
-    field: Field
-    mode: Mode
-
-
-@dataclass(frozen=True)
-class ChecksumSpec(CheckSpec):
-    """Checksum of a message. data: a frame or all frames of a log."""
-
-    rule: Rule
-
-    def compute(self, data: Data, arbitration_id: int) -> Any:
-        return compute_checksum(self.rule, self.field, data, arbitration_id)
-
-    def is_correct(self, data: Data, arbitration_id: int) -> Any:
-        return self.field.read(data) == self.compute(data, arbitration_id)
 
 
 @dataclass(frozen=True)
@@ -372,9 +350,9 @@ def _read_check(entry: Entry, dbc: DbcMessage, dbc_path: Path, keys: tuple[str, 
 
 def _read_checksum(entry: Entry, dbc: DbcMessage, dbc_path: Path) -> ChecksumSpec:
     check = _read_check(entry, dbc, dbc_path, ("signal", "rule", "check"))
-    rule = RULES[entry.choice("rule", RULES)]
-    if rule.bits != check.field.bits:
-        raise entry.error("rule", f"needs {rule.bits} bits, but {check.signal} has {check.field.bits}")
+    bits, rule = RULES[entry.choice("rule", RULES)]
+    if bits != check.field.bits:
+        raise entry.error("rule", f"needs {bits} bits, but {check.signal} has {check.field.bits}")
     return ChecksumSpec(check.signal, check.field, check.mode, rule)
 
 

@@ -76,7 +76,6 @@ class LoopbackMulticastBus(can.BusABC):
         self.channel_info = f"udp_multicast {group}:{port} on loopback"
         self._destination = (group, port)
         self._accepted: frozenset[tuple[int, bool]] | None = None
-        self.filtered = 0
         self.malformed = 0
         self._receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         # Own frames are recognised by the port of this separate socket.
@@ -148,7 +147,6 @@ class LoopbackMulticastBus(can.BusABC):
                 raise TypeError("a field has another type than python-can sends")
             if (self._accepted is not None and not fields["is_error_frame"]
                     and (fields["arbitration_id"], fields["is_extended_id"]) not in self._accepted):
-                self.filtered += 1
                 return None
             fields["timestamp"] = timestamp
             fields["channel"] = self._destination[0]

@@ -2,42 +2,42 @@
 
 import numpy as np
 import pytest
-from canedge_bridge.checks import RULES, CounterCheck, compute_checksum
+from canedge_bridge.checks import RULES, ChecksumSpec, CounterCheck, Mode
 from canedge_bridge.extraction import Field, stack_bytes
 from hypothesis import given
 from hypothesis import strategies as st
 
-HIGH_NIBBLE = Field((), 4, 4, 4)
-LAST_BYTE = Field((), 7, 0, 8)
+XOR_NIBBLE = ChecksumSpec("", Field((), 4, 4, 4), Mode.WARN, RULES["xor_nibble"][1])
+SUM8 = ChecksumSpec("", Field((), 7, 0, 8), Mode.DROP, RULES["sum8_id"][1])
 SECOND = 1_000_000_000
 
 
 def test_check_nibble_of_a_recorded_steering_frame():
     data = bytes.fromhex("1D000007B0")
-    assert compute_checksum(RULES["xor_nibble"], HIGH_NIBBLE, data, 0x002) == 0xB
+    assert XOR_NIBBLE.compute(data, 0x002) == 0xB
 
 
 def test_sum_by_hand():
     # 0x3C + 6 + 0x3C + 0x2B + 0x1D + 0x10 + 7 = 0xDD; + 0x02 + 0x84 = 0x163
     data = bytes.fromhex("3C063C2B1D100700")
-    assert compute_checksum(RULES["sum8_id"], LAST_BYTE, data, 0x284) == 0x63
-    assert compute_checksum(RULES["sum8_id"], LAST_BYTE, data, 0x285) == 0x64
+    assert SUM8.compute(data, 0x284) == 0x63
+    assert SUM8.compute(data, 0x285) == 0x64
 
 
 @given(data=st.binary(min_size=5, max_size=5), bit=st.integers(0, 39))
 def test_the_nibble_sees_every_single_bit_error(data, bit):
-    nibble = compute_checksum(RULES["xor_nibble"], HIGH_NIBBLE, data, 2)
+    nibble = XOR_NIBBLE.compute(data, 2)
     hit = bytearray([*data[:4], data[4] & 0xF | nibble << 4])
     hit[bit // 8] ^= 1 << bit % 8
-    assert compute_checksum(RULES["xor_nibble"], HIGH_NIBBLE, bytes(hit), 2) != HIGH_NIBBLE.read(bytes(hit))
+    assert XOR_NIBBLE.compute(bytes(hit), 2) != XOR_NIBBLE.field.read(bytes(hit))
 
 
 @given(frames=st.lists(st.binary(min_size=8, max_size=8), min_size=1, max_size=5), identifier=st.integers(0, 2**29 - 1))
 def test_checksums_of_many_frames_are_those_of_each(frames, identifier):
     data = stack_bytes(np.frombuffer(b"".join(frames), np.uint8).reshape(-1, 8), 8)
-    for name, field in (("xor_nibble", HIGH_NIBBLE), ("sum8_id", LAST_BYTE)):
-        expected = [compute_checksum(RULES[name], field, frame, identifier) for frame in frames]
-        assert compute_checksum(RULES[name], field, data, identifier).tolist() == expected
+    for check in (XOR_NIBBLE, SUM8):
+        assert check.compute(data, identifier).tolist() == [check.compute(frame, identifier) for frame in frames]
+        assert check.is_correct(data, identifier).tolist() == [check.is_correct(frame, identifier) for frame in frames]
 
 
 def counts(values, step_ns=10_000_000, bits=4):

@@ -66,7 +66,6 @@ def test_filters_pass_ids_and_error_frames(channel, frame):
             sender.send(message)
         assert [m.arbitration_id for m in received(bus, 3)] == [0x002, 0x1000, 0x040]
         assert bus.recv(0.05) is None
-        assert bus.filtered == 2
 
 
 def test_masks_work_as_in_python_can(channel, frame):
@@ -89,7 +88,7 @@ def test_rubbish_on_the_group_is_counted(rubbish, channel, frame):
         stranger.sendto(rubbish, (group, port))
         sender.send(frame(2, "05"))
         assert bus.recv(5.0).data == b"\x05"
-        assert bus.malformed + bus.filtered == 1
+        assert bus.malformed == 1
 
 
 def test_groups_that_share_a_port_are_separate_buses(channel, frame):

@@ -211,12 +211,12 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
         """Rejects objects of length 0, which the reader of python-can would read forever."""
 
         def _parse_data(self, data: bytes) -> Iterator[Any]:
-            at = data.find(b"LOBJ", 0, 8)
-            while 0 <= at <= len(data) - _BLF_HEAD_LENGTH:
-                length = int.from_bytes(data[at + 8:at + 12], "little")
+            offset = data.find(b"LOBJ", 0, 8)
+            while 0 <= offset <= len(data) - _BLF_HEAD_LENGTH:
+                length = int.from_bytes(data[offset + 8:offset + 12], "little")
                 if length < _BLF_HEAD_LENGTH:
                     raise blf.BLFParseError(f"an object has a length of {length} bytes")
-                at = data.find(b"LOBJ", at + length, at + length + 8)
+                offset = data.find(b"LOBJ", offset + length, offset + length + 8)
             return super()._parse_data(data)
 
     size = file.stat().st_size
@@ -227,9 +227,9 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
             count += 1
             yield message
     except Exception as error:
-        at = min(reader.file.tell(), size) if not reader.file.closed else size
+        offset = min(reader.file.tell(), size) if not reader.file.closed else size
         notes.append(f"is damaged after frame {count} ({shorten(error)}); the remaining "
-                     f"{format_share(size - at, size, 'bytes')} are not used")
+                     f"{format_share(size - offset, size, 'bytes')} are not used")
     finally:
         reader.stop()
     if not reader.file_size:

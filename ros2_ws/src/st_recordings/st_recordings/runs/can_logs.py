@@ -1,6 +1,7 @@
 """Reads CAN logs of every format (MF4 of a CANedge2, candump, Vector, PEAK) and merges the logs of a run."""
 
 import itertools
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -151,8 +152,8 @@ def _find_bus_number(channel: Any) -> int:
     """Number of a bus from 1, as in MF4: can0 -> 1, channel 0 -> 1; 0 if it is unknown."""
     if isinstance(channel, int):
         return (channel + 1) % 256
-    digits = "".join(itertools.takewhile(str.isdigit, reversed(str(channel or ""))))[::-1]
-    return (int(digits) + 1) % 256 if digits else 0
+    digits = re.search(r"\d+$", str(channel or ""))
+    return (int(digits[0]) + 1) % 256 if digits else 0
 
 
 def _describe_missing_splits(files: Sequence[Path]) -> list[str]:

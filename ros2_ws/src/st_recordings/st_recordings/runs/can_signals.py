@@ -5,11 +5,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from canedge_bridge.checks import Mode, find_counter_faults
+from canedge_bridge.checks import ChecksumSpec, Mode, find_counter_faults
 from canedge_bridge.extraction import has_length, stack_bytes
 from canedge_bridge.ins_time import replace_gps_time
 from canedge_bridge.plausibility import find_plausible
-from canedge_bridge.signals import ChecksumSpec, MessageSpec, SignalTable, load_table
+from canedge_bridge.signals import MessageSpec, SignalTable, load_table
 from st_core.checks import Series
 
 from .errors import RunError, format_share

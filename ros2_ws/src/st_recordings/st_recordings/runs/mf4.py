@@ -30,7 +30,7 @@ _FLAGS_OF_KIND = {"CAN_DataFrame": 0, "CAN_RemoteFrame": frames.REMOTE, "CAN_Err
 _TIME_CHANNELS = (2, 3)  # channel types of time: master, virtual master
 FD_LENGTHS = np.array([*range(9), 12, 16, 20, 24, 32, 48, 64], np.uint8)  # data length code -> bytes, ISO 11898-1
 _BUS = re.compile(r"CAN[ _]?(\d+)")
-_SPLIT = re.compile(r"^(\d{8})(-[0-9A-Fa-f]{8})?$")
+_SPLIT = re.compile(r"^((?P<session>.*_\d{8})_)?(?P<split>\d{8})(-[0-9A-Fa-f]{8})?$")
 
 
 def parse_session(path: Path) -> tuple[str, int]:
@@ -40,11 +40,10 @@ def parse_session(path: Path) -> tuple[str, int]:
     <anything>_<8-digit session>_<8-digit split>. Any other file is a separate session.
     """
     match = _SPLIT.match(path.stem)
+    if match and match["session"]:
+        return str(path.parent / match["session"]), int(match["split"])
     if match and re.fullmatch(r"\d{8}", path.parent.name):
-        return str(path.parent), int(match.group(1))
-    flat = re.match(r"^(.*_\d{8})_(\d{8})(-[0-9A-Fa-f]{8})?$", path.stem)
-    if flat:
-        return str(path.parent / flat.group(1)), int(flat.group(2))
+        return str(path.parent), int(match["split"])
     return str(path), 1
 
 
@@ -176,17 +175,17 @@ def _has_payloads(log: Any, group: int) -> bool:
     for index, channel in enumerate(content.channels):
         if channel.channel_type != VARIABLE_LENGTH:
             continue
-        at = reader._get_scalar(
+        offsets = reader._get_scalar(
             channel=channel, group=content, group_index=group, channel_index=index, dependency_list=None, raster=None,
             data=None, ignore_invalidation_bits=True, record_offset=0, record_count=None, master_is_required=False,
             skip_vlsd=True)[0]
         stored = np.frombuffer(reader._load_signal_data(content, index), np.uint8)
-        if not len(at) or (at[1:] < at[:-1]).any() or int(at[-1]) + 4 > len(stored):
+        if not len(offsets) or (offsets[1:] < offsets[:-1]).any() or int(offsets[-1]) + 4 > len(stored):
             return False
-        at = at.astype(np.int64)
-        length = stored[at].astype(np.int64)
-        if ((length > frames.MAX_DATA_LENGTH) | (stored[at + 1] | stored[at + 2] | stored[at + 3] != 0)
-                | (at + 4 + length > len(stored))).any():
+        offsets = offsets.astype(np.int64)
+        length = stored[offsets].astype(np.int64)
+        if ((length > frames.MAX_DATA_LENGTH) | (stored[offsets + 1] | stored[offsets + 2] | stored[offsets + 3] != 0)
+                | (offsets + 4 + length > len(stored))).any():
             return False
     return True
 
