@@ -94,4 +94,5 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
         runs=tuple(Run(log.name, "suspect", log.duration, k % 2, 40) for k, log in enumerate(runs))
         + tuple(Run(log.name, "reference", log.duration, 0, 40) for log in reference),
         start="reference" if reference else "vehicle file", base=start, model=model,
+        named=model, named_errors=errors,
         noise={"position": 0.02, "yaw": 0.001, "yaw_rate": 0.002, "velocity_y": 0.02, "acceleration_y": 0.1})

@@ -20,7 +20,7 @@ from st_core.discovery.evidence import (
     null_p_value,
     pool_ratios,
     score_statistic,
-    screen_library,
+    screen,
     sensor_p_values,
     standard_deviations,
 )
@@ -45,7 +45,7 @@ def fitted(problem, *names):
 
 def screened(problem, seed: int = 0):
     base = fitted(problem)
-    return base, screen_library(problem, base, np.random.default_rng(seed))
+    return base, screen(problem, base, np.random.default_rng(seed))
 
 
 def chances(problem) -> dict[str, float]:
@@ -106,7 +106,7 @@ def test_design_effect_is_what_dependent_windows_make_of_the_variance():
 def test_screen_leaves_out_what_is_there_and_is_the_same_twice():
     problem = linear_problem(FEW, {"mass": 1.0}, 2)
     fit = fitted(problem, "mass")
-    first, second = (screen_library(problem, fit, np.random.default_rng(0)) for _ in range(2))
+    first, second = (screen(problem, fit, np.random.default_rng(0)) for _ in range(2))
     assert "mass" not in first.by_effect and set(first.by_effect) == set(FEW) - {"mass"}
     np.testing.assert_array_equal(first.largest, second.largest)
 

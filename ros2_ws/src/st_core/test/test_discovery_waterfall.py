@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from discovery_drives import COLUMNS, linear_problem, recorded
 from st_core.discovery import DiscoverySettings, Limits, certificate, waterfall
-from st_core.discovery.evidence import screen_library
+from st_core.discovery.evidence import screen
 from st_core.discovery.fit import Problem
 from st_core.discovery.loss import Errors, Loss
 from st_core.discovery.next_manoeuvre import (
@@ -188,7 +188,7 @@ def test_promised_power_is_what_imitated_drives_show():
     problem.errors.signatures *= 0.8  # so that a quarter of a typical size is not worth it, and half of it is
     problem.noise = np.full(len(COLUMNS), 0.02)  # nothing is left that noise does not explain
     base = fitted(problem)
-    scores = screen_library(problem, base, np.random.default_rng(0))
+    scores = screen(problem, base, np.random.default_rng(0))
     promised = certificate.predict_power(problem, base, scores, Limits())
     ticks = []
     shown = certificate.measure_power(problem, base, Limits(), 0, lambda: ticks.append(1))
@@ -207,7 +207,7 @@ def test_effect_that_changes_nothing_is_never_found():
     problem = linear_problem(FEW, {}, 6)
     problem.errors.signatures[problem.space.indices("road_bank")] = 0.0
     base = fitted(problem)
-    scores = screen_library(problem, base, np.random.default_rng(0))
+    scores = screen(problem, base, np.random.default_rng(0))
     promised = certificate.predict_power(problem, base, scores, Limits())
     found = {e: max(p.probability for p in promised.powers if p.effect == e) for e in FEW}
     assert found["road_bank"] < 0.01 and min(found[e] for e in FEW if e != "road_bank") > 0.8
@@ -249,7 +249,7 @@ def test_suggested_drive_tells_the_pair_apart(leaf):
     """A small error of the inertia and a lag are not separable in gentle driving; after the drive, as predicted."""
     true, answer = {"yaw_inertia": {"factor": 1.05}}, [effect_of("yaw_inertia", "steering_lag")]
     problem, fit = driven(leaf, ("weave",), true, ("yaw_inertia",))
-    design = screen_library(problem, fit, np.random.default_rng(0)).design_effect
+    design = screen(problem, fit, np.random.default_rng(0)).design_effect
     before, = list_separabilities(problem, fit, answer, design)
     options = simulate_catalogue(problem, fit)
     result = choose_manoeuvre(problem, fit, answer, options, design)

@@ -185,6 +185,9 @@ def _relevance_figures(e: Evidence, limits: Limits) -> dict[str, float]:
 
 def judge_naming(e: Evidence, limits: Limits, checks: NamingChecks | None = None) -> Reason:
     """Whether an accepted effect is named, or only stays in the model to avoid a bias of the other values."""
+    def minor(text: str, **figures: float) -> Reason:
+        return Reason(MINOR, e.name, figures or {"gain": e.gain}, f"{text}: it stays in the model, but is not named")
+
     confirmed_by_sensors, checks = is_confirmed(e, limits), checks or NamingChecks()
     if checks.worse_axle:
         return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {checks.worse_axle} axle agree "
@@ -193,36 +196,27 @@ def judge_naming(e: Evidence, limits: Limits, checks: NamingChecks | None = None
         return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is not plausible: {checks.objection}; "
                       "it improves predictions, but is not named")
     if checks.summed:
-        others = " and ".join(checks.summed).replace("_", " ")
-        return Reason(MINOR, e.name, {"gain": e.gain}, f"the drives show only the sum of it and {others}: it stays "
-                      "in the model, but is not named")
+        return minor(f"the drives show only the sum of it and {' and '.join(checks.summed).replace('_', ' ')}")
     if checks.crossing:
-        return Reason(MINOR, e.name, {"gain": e.gain}, f"the interval of its {checks.crossing.replace('_', ' ')} "
-                      "extends beyond the physical range: it stays in the model, but is not named")
+        return minor(f"the interval of its {checks.crossing.replace('_', ' ')} extends beyond the physical range")
     if checks.peak_force_share < limits.min_peak_force:
-        return Reason(MINOR, e.name, {"peak_force_share": checks.peak_force_share,
-                                      "min_peak_force": limits.min_peak_force},
-                      f"the drives reach {checks.peak_force_share:.1%} of the peak force: the curve is reported up to "
-                      "there, without a peak")
+        return minor(f"the drives reach only {checks.peak_force_share:.1%} of the peak force",
+                     peak_force_share=checks.peak_force_share, min_peak_force=limits.min_peak_force)
     if e.position < -limits.relevant_position and not confirmed_by_sensors:
-        return Reason(MINOR, e.name, {"position": e.position, "relevant_position": limits.relevant_position},
-                      f"without it the held-out position error is {-100 * e.position:.1f} cm smaller: it stays in "
-                      "the model, but is not named")
+        return minor(f"without it the held-out position error is {-100 * e.position:.1f} cm smaller",
+                     position=e.position, relevant_position=limits.relevant_position)
     if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.unexplained_share and not confirmed_by_sensors:
-        return Reason(MINOR, e.name, {"gain": e.gain, "noise_ratio": e.noise_ratio,
-                                      "max_noise_ratio": limits.max_noise_ratio,
-                                      "unexplained_share": limits.unexplained_share},
-                      f"it is significant, but reduces the errors by only {e.share:.1%}, and one channel's error "
-                      f"remains {e.noise_ratio:.1f} times the noise; {limits.unexplained_share:.0%} is required, as it "
-                      "may imitate an unmodelled effect: it stays in the model, but is not named")
+        return minor(f"it is significant, but reduces the errors by only {e.share:.1%}, and one channel's error "
+                     f"remains {e.noise_ratio:.1f} times the noise; {limits.unexplained_share:.0%} is required, as it "
+                     "may imitate an unmodelled effect", gain=e.gain, noise_ratio=e.noise_ratio,
+                     max_noise_ratio=limits.max_noise_ratio, unexplained_share=limits.unexplained_share)
     if not checks.excludes_null and not confirmed_by_sensors:
-        return Reason(MINOR, e.name, {"gain": e.gain}, "it reduces the errors, but the interval of its value contains "
-                      "the value without influence: it stays in the model, but is not named")
+        return minor("it reduces the errors, but the interval of its value contains the value without influence")
+    size, figures = _describe_effect_size(e, limits), _relevance_figures(e, limits)
     if is_relevant(e, limits):
-        return Reason(NAMED, e.name, _relevance_figures(e, limits), _describe_effect_size(e, limits))
-    return Reason(MINOR, e.name, _relevance_figures(e, limits),
-                  f"it is significant, but {_describe_effect_size(e, limits)}; {limits.relevant:.1%} or "
-                  f"{100 * limits.relevant_position:.0f} cm is required: it stays in the model, but is not named")
+        return Reason(NAMED, e.name, figures, size)
+    return minor(f"it is significant, but {size}; {limits.relevant:.1%} or {100 * limits.relevant_position:.0f} cm is "
+                 "required", **figures)
 
 
 def _describe_effect_size(e: Evidence, limits: Limits) -> str:

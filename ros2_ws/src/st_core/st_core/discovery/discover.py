@@ -12,12 +12,13 @@ from ..errors import StCoreError
 from ..handling import find_implausible_values
 from ..log import DriveLog
 from ..models import Model
+from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from . import certificate, decision, result, waterfall
 from .axles import Axles
 from .clocks import MAX_CLOCK_DEVIATION, apply_clock_corrections, estimate_clock_corrections
 from .decision import Rival
-from .error_regions import find_error_regions
+from .error_regions import MIN_TURNING, find_error_regions
 from .evidence import Evidence, JointFit, approximate_joint_fit, library_p_value, share_of
 from .fit import Fit, Problem
 from .loss import Errors, Loss
@@ -31,7 +32,9 @@ from .varying import Varying, collect_varying_evidence, find_varying_effects
 from .windows import MARGIN_NS, Windows, noise_floor
 
 Progress = Callable[[str, int, int], None]
-Sensors = Mapping[str, tuple[float, float, float]]
+SensorEstimates = Mapping[str, tuple[float, float, float]]
+MIN_WINDOWS = 3
+MIN_TURNING_SHARE = 0.05  # of the driving in turns, and of the turns to one side; warns below it
 CONTAINED_IN_INPUT = "the measured forward acceleration is an input and contains it already"
 NEVER_TESTABLE = {"drag": CONTAINED_IN_INPUT, "rolling_resistance": CONTAINED_IN_INPUT,
                   "grade": f"{CONTAINED_IN_INPUT}; pitch is not measured"}  # effect: reason
@@ -39,7 +42,7 @@ NEVER_TESTABLE = {"drag": CONTAINED_IN_INPUT, "rolling_resistance": CONTAINED_IN
 
 def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
              reference: Sequence[DriveLog] = (), settings: DiscoverySettings | None = None,
-             progress: Progress | None = None, sensor_estimates: Sensors | None = None, parallel: int = 1,
+             progress: Progress | None = None, sensor_estimates: SensorEstimates | None = None, parallel: int = 1,
              clocks: Mapping[str, float] | None = None) -> result.Discovery:
     """Find the effects that the base model lacks to explain the runs.
 
@@ -91,7 +94,7 @@ class _Analysis:
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
                  reference: Sequence[DriveLog], settings: DiscoverySettings, progress: Progress | None,
-                 sensor_estimates: Sensors, parallel: int, clocks: Mapping[str, float]):
+                 sensor_estimates: SensorEstimates, parallel: int, clocks: Mapping[str, float]):
         self.vehicle, self.settings, self.limits = vehicle, settings, settings.limits
         self._progress, self._count = progress, 0
         self.warnings: list[str] = []
@@ -99,13 +102,13 @@ class _Analysis:
         self.runs, self.reference = self._select_usable(runs, "run"), self._select_usable(reference, "reference")
         if not self.runs:
             raise StCoreError("no run is long enough: a run needs "
-                              f"{settings.horizon + 2.0:g} s of driving above walking speed with INS and steering")
+                              f"{self._required_duration:.0f} s of driving above walking speed with INS and steering")
         self.settings = settings = self._select_channels(settings)
         self.space = Space(base, settings)
         self.threads = parallel
         self.runs, self.reference = (self._correct_clocks(logs, clocks) for logs in (self.runs, self.reference))
         self.windows = Windows(self.runs, vehicle, settings)
-        if len(self.windows) < 3:
+        if len(self.windows) < MIN_WINDOWS:
             raise StCoreError(f"only {len(self.windows)} predictions of {settings.horizon:g} s fit into the runs: "
                               "drive longer, above walking speed, without gaps")
         # Estimates from redundant sensors, keyed by "effect.parameter".
@@ -189,10 +192,12 @@ class _Analysis:
         hypotheses = self.space.hypotheses
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         refused = [evidence for evidence, *_ in found.refused.values()]
+        combinations = result.unseparated_combinations(judged.combinations, judged.named)
         return decision.decide(decision.SearchResult(
-            [found.evidence[e.name] for e in judged.named], found.rivals, refused, noise_ratios[1], detectable,
-            varying_effects, [c.name for c in result.unseparated_combinations(judged.combinations, judged.named)],
-            len(found.fit.names), noise_ratios[0]), self.limits)
+            named=[found.evidence[e.name] for e in judged.named], rivals=found.rivals, refused=refused,
+            noise_ratio=noise_ratios[1], detectable_share=detectable, varying_effects=varying_effects,
+            combinations=[c.name for c in combinations], effects=len(found.fit.names),
+            base_noise_ratio=noise_ratios[0]), self.limits)
 
     def _add_corrections(self, found: SearchState, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:
         """(problem, fit) with effective corrections in addition to the effects found, without the priors of the vehicle
@@ -233,11 +238,15 @@ class _Analysis:
 
     def _select_usable(self, runs: Sequence[DriveLog], role: str) -> list[DriveLog]:
         """The runs that are long enough; warns about the others."""
-        needed = self.settings.horizon + 2.0 * MARGIN_NS * 1e-9 + 0.5
-        short = [run.name for run in runs if run.overlap < needed]
+        short = [run.name for run in runs if run.overlap < self._required_duration]
         if short:
-            self.warnings.append(f"{role} {', '.join(short)}: shorter than {needed:.1f} s, not used")
-        return [run for run in runs if run.overlap >= needed]
+            self.warnings.append(f"{role} {', '.join(short)}: shorter than {self._required_duration:.0f} s, not used")
+        return [run for run in runs if run.overlap >= self._required_duration]
+
+    @property
+    def _required_duration(self) -> float:
+        """Minimum duration of a usable run [s]."""
+        return self.settings.horizon + 2.0 * MARGIN_NS * NANOSECOND + 0.5
 
     def _correct_clocks(self, runs: list[DriveLog], deviations: Mapping[str, float]) -> list[DriveLog]:
         """The runs with corrected steering time stamps; warns if the steering clock of a run is uncertain."""
@@ -250,7 +259,7 @@ class _Analysis:
         warning = (f"the steering clock has an uncertainty of ± {1e3 * max(uncertain):.0f} ms, in {len(uncertain)} of "
                    f"{len(runs)} runs")
         if corrections:
-            warning += (f"; the search corrects each run, by {1e3 * min(corrections.values()):.0f} to "
+            warning += (f"; the search corrects the clock of each run, by {1e3 * min(corrections.values()):.0f} to "
                         f"{1e3 * max(corrections.values()):.0f} ms. An error common to all runs")
         else:
             warning += ": its error"
@@ -278,10 +287,10 @@ class _Analysis:
             count = f"{self.problem.blocks} block{'' if self.problem.blocks == 1 else 's'}"
             self.warnings.append(f"only {count} of {self.settings.block:g} s: tests have little power")
         lateral_acceleration = self.windows.joined.yaw_rate * self.windows.joined.velocity_x
-        left, right = lateral_acceleration > 0.5, lateral_acceleration < -0.5
-        if (left | right).mean() < 0.05:
+        left, right = (lateral_acceleration > MIN_TURNING).mean(), (lateral_acceleration < -MIN_TURNING).mean()
+        if left + right < MIN_TURNING_SHARE:
             self.warnings.append("nearly all driving is straight: tyres, steering ratio and mass are not identifiable")
-        elif min(left.sum(), right.sum()) < 0.05 * (left | right).sum():
+        elif min(left, right) < MIN_TURNING_SHARE * (left + right):
             self.warnings.append("turns to one side only: offsets of sensors and steering resemble changes of the car")
 
     # Results

@@ -19,6 +19,7 @@ MIN_CURVATURE = 0.3  # minimum ratio of the curvature of the robust loss to that
 PART_PRIOR = 0.05  # prior curvature of the other parameters in one part, divided by the mean curvature of all parts
 UNSELECTED_DEVIATION = 0.5  # prior standard deviation of effects outside the set, for intervals [parameter scales]
 MIN_INFORMATION_SHARE = 0.02  # fraction of the information in all driving; a part with less is ignored
+Sensors = Mapping[str, tuple[float, float, float]]  # (value, low, high) from redundant sensors, by "effect.parameter"
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ def score_statistic(scores: np.ndarray) -> float:
     return float(total @ np.linalg.pinv(scores.T @ scores) @ total)
 
 
-def screen_library(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
+def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
     """Scores of every effect of the library that is not in the fit, from the sensitivities at the fit."""
     q = problem.full_quadratic(fit.vector).sum_groups(problem.block, problem.blocks)
     by_effect, information, gains = {}, {}, {}
@@ -168,20 +169,18 @@ def library_p_value(best: np.ndarray, gain: np.ndarray, scores: Scores, library:
     p_score = (1 + int((scores.largest >= score_statistic(best)).sum())) / (1 + len(scores.largest))
     ratio = 2.0 * max(float(gain.sum()), 0.0) / scores.design_effect
     p_ratio = library * float(stats.f.sf(ratio / values, values, blocks - 1))
-    return min(max(p_score, no_worse_p_value(gain)), p_ratio, 1.0)
+    return min(max(p_score, p_no_worse(gain)), p_ratio, 1.0)
 
 
-def no_worse_p_value(difference: np.ndarray) -> float:
+def p_no_worse(difference: np.ndarray) -> float:
     """p-value of the hypothesis that one loss is not higher than another. difference: (b,) by block."""
     deviation = float(difference.std(ddof=1)) * np.sqrt(len(difference)) if len(difference) > 1 else np.inf
     return float(stats.norm.sf(difference.sum() / max(deviation, 1e-12)))
 
 
 def collect_evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scores,
-                     partitions: Mapping[str, Partition],
-                     sensors: Mapping[str, tuple[float, float, float]]) -> Evidence:
-    """Evidence for an effect of `fit`, compared with the fit `without` it. scores: library scores at `without`.
-    sensors: (value, low, high) from redundant sensors, by "effect.parameter"."""
+                     partitions: Mapping[str, Partition], sensors: Sensors) -> Evidence:
+    """Evidence for an effect of `fit`, compared with the fit `without` it. scores: library scores at `without`."""
     gain = without.held_out - fit.held_out
     block_scores = scores.by_effect.get(effect)
     if block_scores is None:
@@ -191,16 +190,13 @@ def collect_evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scor
     reduction = problem.position_error(before) - problem.position_error(after)
     if problem.prior is not None:  # the other values are known from the healthy car, so they do not compensate
         before = problem.errors.at(problem.vector_without(fit, effect))
-    position, position_in_condition = error_reductions(reduction, partitions.get("condition"))
-    sensors_p_value, sensors_null_p_value = sensor_p_values(problem, fit, effect, sensors)
     return Evidence(effect, min(float(gain.sum()) / problem.residual_count, problem.held_out_gain(without, fit)),
                     library_p_value(block_scores, gain, scores, len(problem.space.hypotheses)),
-                    null_p_value(problem, fit, effect), column_shares(problem, before, after), position,
-                    position_in_condition, noise_ratio=residual_over_noise(problem, after),
-                    bound_distance=distance_to_bound(problem, fit, effect), healthy_gain=problem.healthy_gain,
-                    size=float(size), sensors_p_value=sensors_p_value, sensors_null_p_value=sensors_null_p_value,
-                    against_file=compare_with_file(problem, fit, effect),
-                    agreement={name: compare_parts(problem, fit, effect, *p) for name, p in partitions.items()})
+                    null_p_value(problem, fit, effect), column_shares(problem, before, after),
+                    *error_reductions(reduction, partitions.get("condition")), residual_over_noise(problem, after),
+                    distance_to_bound(problem, fit, effect), problem.healthy_gain, float(size),
+                    *sensor_p_values(problem, fit, effect, sensors), compare_with_file(problem, fit, effect),
+                    {name: compare_parts(problem, fit, effect, *partition) for name, partition in partitions.items()})
 
 
 def residual_over_noise(problem: Problem, rows: np.ndarray) -> float:
@@ -266,30 +262,27 @@ def compare_with_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | 
     return max(moved, key=lambda a: a.z_score, default=None)
 
 
-def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -> tuple[float | None, float | None]:
+def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Sensors) -> tuple[float | None, float | None]:
     """p-values of the fitted value and of the null, given redundant sensors; None if not measured."""
     deviations = dict(zip(problem.space.indices(effect), standard_deviations(problem, fit, effect), strict=True))
     p_values = [_two_sided_p_value(fit.vector[i] - value, np.hypot(deviation, deviations[i]))
                 for i, value, deviation in _sensor_estimates(problem.space, effect, sensors)]
     # With a reference the null is the value of the healthy car, which the sensors do not measure.
-    null = null_p_value_by_sensors(problem.space, effect, sensors) if problem.prior is None else None
+    null = sensors_null_p_value(problem.space, effect, sensors) if problem.prior is None else None
     return min(p_values, default=None), null
 
 
-def null_p_value_by_sensors(space: Space, effect: str, sensors: Mapping) -> float | None:
+def sensors_null_p_value(space: Space, effect: str, sensors: Sensors) -> float | None:
     """p-value of the null, given redundant sensors; None if not measured."""
     return min((_two_sided_p_value(space.free[i].null - value, deviation)
                 for i, value, deviation in _sensor_estimates(space, effect, sensors)), default=None)
 
 
-def _sensor_estimates(space: Space, effect: str, sensors: Mapping) -> list[tuple[int, float, float]]:
+def _sensor_estimates(space: Space, effect: str, sensors: Sensors) -> list[tuple[int, float, float]]:
     """(index, value, standard deviation) of the parameters that redundant sensors measure."""
-    estimates = []
-    for i in space.indices(effect):
-        if interval := sensors.get(f"{effect}.{space.free[i].parameter}"):
-            value, low, high = interval
-            estimates.append((i, value, (high - low) / (2.0 * Z95)))
-    return estimates
+    keys = {i: f"{effect}.{space.free[i].parameter}" for i in space.indices(effect)}
+    known = [(i, *sensors[key]) for i, key in keys.items() if key in sensors]
+    return [(i, value, (high - low) / (2.0 * Z95)) for i, value, low, high in known]
 
 
 def _two_sided_p_value(distance: float, deviation: float) -> float:
@@ -363,8 +356,7 @@ def approximate_joint_fit(problem: Problem, fit: Fit) -> JointFit:
     prior = problem.file_curvature[indices]
     free = ((prior == 0.0) | (space.deviation[indices] < np.inf)) & ~np.isin(indices, fit.indices)
     prior[free] = 0.5 * problem.design_effect / UNSELECTED_DEVIATION**2
-    h = q.hessian.sum(axis=0) + np.diag(prior)
-    h = h + (1e-9 * np.trace(h) / len(h)) * np.eye(len(h))
+    h = _regular(q.hessian.sum(axis=0) + np.diag(prior))
     gradient = q.gradient.sum(axis=0) - prior * problem.distance(fit.vector)[indices]
     shift = minimise_bounded(h, gradient, *problem.distance_to_bounds(fit.vector, indices))
     return JointFit(indices, 0.5 * problem.design_effect * np.linalg.inv(h), shift)

@@ -343,11 +343,6 @@ class Discovery:
     acceleration_gain: float = 0.0
     noise: Mapping[str, float] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        if not self.effective:  # both models are the same
-            object.__setattr__(self, "named", self.named or self.model)
-            object.__setattr__(self, "named_errors", self.named_errors or self.errors)
-
     @property
     def unseparated_combinations(self) -> tuple[Combination, ...]:
         return unseparated_combinations(self.combinations, self.effects)

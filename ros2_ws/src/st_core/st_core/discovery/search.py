@@ -9,15 +9,7 @@ import numpy as np
 
 from ..effects import confounded_effects, get_effect
 from .decision import ACCEPTED, GAIN_INSIGNIFICANT, NULL, Rival, is_alternative, judge
-from .evidence import (
-    Evidence,
-    Scores,
-    collect_evidence,
-    library_p_value,
-    no_worse_p_value,
-    null_p_value_by_sensors,
-    screen_library,
-)
+from .evidence import Evidence, Scores, collect_evidence, library_p_value, p_no_worse, screen, sensors_null_p_value
 from .fit import Fit, Problem, Sensitivities
 from .loss import Quadratic
 from .partitions import Partition
@@ -57,8 +49,8 @@ class SearchState:
 
 
 class Search:
-    """A search from several starts. partitions: of the driving. sensors: (value, low, high) from redundant sensors, by
-    "effect.parameter". tick: called at every refit. judge: gives the verdict on an effect."""
+    """A search from several starts. partitions: of the driving. sensors: as in `evidence`. tick: called at every refit.
+    judge: gives the verdict on an effect."""
 
     def __init__(self, problem: Problem, limits: Limits, partitions: Mapping[str, Partition], sensors: Mapping,
                  seed: int = 0, tick: Callable[[], None] = lambda: None,
@@ -124,7 +116,7 @@ class Search:
                 own = p.space.indices(*(n for n in names if n in confounded_effects(other)))
                 nearer = own[np.abs(fit.vector - p.start)[own] < np.abs(state.fit.vector - p.start)[own]]
                 deficit = float(difference.sum()) / p.residual_count
-                rivals = [Rival(other, name, 1.0, no_worse_p_value(difference), deficit, state.evidence[name],
+                rivals = [Rival(other, name, 1.0, p_no_worse(difference), deficit, state.evidence[name],
                                 p.space.values(other, fit.vector), shared=True)
                           for name in sorted({p.space.free[i].effect for i in nearer})]
                 if rivals and is_alternative(rivals[0], self.limits):
@@ -180,7 +172,7 @@ class Search:
         return self.problem.refit(fit)
 
     def _scores(self, fit: Fit) -> Scores:
-        return screen_library(self.problem, fit, np.random.default_rng(self.seed))
+        return screen(self.problem, fit, np.random.default_rng(self.seed))
 
     def _refit_without(self, fit: Fit, name: str) -> Fit:
         self.tick()
@@ -239,7 +231,7 @@ class Search:
                 best = max(best, gain)
         # An effect that redundant sensors confirm is added whatever its gain.
         for effect in (n for n in gains if n not in fits and p.prior is None):
-            null = null_p_value_by_sensors(p.space, effect, self.sensors)
+            null = sensors_null_p_value(p.space, effect, self.sensors)
             if null is not None and null <= limits.false_alarm:
                 fit = self._refit_with(without, effect, gains[effect][1])
                 if self._judge(self._evidence(without, fit, effect, state.scores), limits).rule == ACCEPTED:
@@ -414,7 +406,7 @@ class Search:
                 fit = self._refit_with(without, other, others[other][1], around)
                 difference = fit.held_out - state.fit.held_out
                 deficit = float(difference.sum())
-                rival = Rival(other, name, 1.0 - deficit / max(gain, 1e-12), no_worse_p_value(difference),
+                rival = Rival(other, name, 1.0 - deficit / max(gain, 1e-12), p_no_worse(difference),
                               deficit / p.residual_count, self._evidence(without, fit, other, state.scores),
                               p.space.values(other, fit.vector))
                 state.rivals[name].append(rival)

@@ -17,24 +17,22 @@ class Limits:
     relation and, at its default value, for combinations that differ from the vehicle file (`unseparated_combinations`).
     undecided_p [1]: p-value above which a difference is undecided (between two effects, between the values in parts of
     the driving, or from the null); also the error probability of one-sided confidence bounds, and the relative
-    difference below which two gains count as equal.
-    relevant [1]: relative error reduction required of an effect: over all channels, relative to the errors without it,
-    to be kept; in one channel, relative to the baseline error, to be named.
-    relevant_position [m]: reduction of the mean position error after 5 s, overall or in one driving condition, that
-    suffices instead of `relevant`.
-    min_relative_size [1]: size in parameter scales that suffices instead if redundant sensors confirm the effect; also
-    size of the load tried as an alternative to lower tyre stiffness.
+    difference below which two gains count as equal. relevant [1]: relative error reduction required of an effect: over
+    all channels, relative to the errors without it, to be kept; in one channel, relative to the baseline error, to be
+    named. relevant_position [m]: reduction of the mean position error after 5 s, overall or in one driving condition,
+    that suffices instead of `relevant`. min_relative_size [1]: size in parameter scales that suffices instead if
+    redundant sensors confirm the effect; also size of the load tried as an alternative to lower tyre stiffness.
     negligible [1]: relative reduction of the errors below which an effect is ignored, however significant.
     min_rival_gain [1]: fraction of an effect's gain that another effect must reach in its place to be an alternative,
-    after subtracting what that effect gains in addition.
-    max_file_deviation [1]: largest accepted deviation of a value from the vehicle file, in standard deviations.
-    min_peak_force [1]: fraction of the peak force of an axle that the drives must reach for a peak to be named.
-    at_bound [1]: distance to a bound, in parameter scales, below which a value counts as being at the bound.
-    max_noise_ratio [1]: ratio of residual to noise above which the residual is reported as unexplained.
-    unexplained_share [1]: fraction of a residual above `max_noise_ratio`; smaller differences may be due to unmodelled
-    effects. An effect must reduce the residual by this fraction to be named, and explain this much more than another
-    effect to exclude it as an alternative. Intervals include the values of sets whose loss is higher by less than this.
-    detection_power [1]: minimum power at which a size counts as detectable. max_effects: largest number in one model.
+    after subtracting what that effect gains in addition. max_file_deviation [1]: largest accepted deviation of a value
+    from the vehicle file, in standard deviations. min_peak_force [1]: fraction of the peak force of an axle that the
+    drives must reach for a peak to be named. at_bound [1]: distance to a bound, in parameter scales, below which a
+    value counts as being at the bound. max_noise_ratio [1]: ratio of residual to noise above which the residual is
+    reported as unexplained. unexplained_share [1]: fraction of a residual above `max_noise_ratio`; smaller differences
+    may be due to unmodelled effects. An effect must reduce the residual by this fraction to be named, and explain this
+    much more than another effect to exclude it as an alternative. Intervals include the values of sets whose loss is
+    higher by less than this. detection_power [1]: minimum power at which a size counts as detectable. max_effects:
+    largest number in one model.
 
     Raises ConfigurationError naming the limit that is not a positive number.
     """

@@ -15,7 +15,7 @@ import numpy as np
 import st_core
 from st_core.augmented import AugmentedModel, augment
 from st_core.discovery import Discovery, DiscoverySettings
-from st_core.discovery.result import MODELS
+from st_core.discovery.result import MODELS, plain_data
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.models import Model
@@ -139,18 +139,16 @@ def result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle:
     code = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
     content = [RESULT_FORMAT, code, [_digest(log) for log in runs], [_digest(log) for log in reference],
                vehicle.hash, sorted((name, entry.uncertainty) for name, entry in vehicle.provenance.items()),
-               _base_name(base), {effect: dict(numbers) for effect, numbers in values.items()}, asdict(settings),
+               _base_name(base), plain_data(values), asdict(settings),
                sorted(effects.items()), sorted((name, list(value)) for name, value in sensors.items()), clocks]
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
 
 
 def write_result(file: Path, found: Discovery) -> None:
     """Write a result to the cache, atomically; errors such as a full disk are ignored."""
-    def augment_arguments(model: AugmentedModel) -> list[Any]:
-        return [_base_name(model), {effect: dict(values) for effect, values in model.values.items()}]
-
     models = {name: getattr(found, name) for name in MODELS}
-    content = found.document() | {name: model and augment_arguments(model) for name, model in models.items()}
+    content = found.document() | {name: model and [_base_name(model), plain_data(model.values)]
+                                  for name, model in models.items()}
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         temporary = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")

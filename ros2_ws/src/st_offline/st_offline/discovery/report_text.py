@@ -160,15 +160,14 @@ def explain_effects(found: Discovery) -> list[str]:
     """Equation and signs of each effect, with the quantities and effects on which its value depends."""
     lines = []
     for effect in sort_by_size(found.effects):
-        definition = EFFECTS.get(effect.name)
-        prior = next((a for a in found.assumed if definition and a.key == definition.ratio_to), None)
-        signs = [f"{to_words(p.name)}: {p.meaning}" for p in definition.parameters if p.fit and p.meaning
-                 ] if definition else []
-        parts = (definition.physics if definition else "", *signs,
+        definition = get_effect(effect.name)
+        prior = next((a for a in found.assumed if a.key == definition.ratio_to), None)
+        signs = [f"{to_words(p.name)}: {p.meaning}" for p in definition.parameters if p.fit and p.meaning]
+        parts = (definition.physics, *signs,
                  f"if the {prior.key} is {prior.value:.4g} ± {prior.deviation:.2g} {prior.unit}" if prior else "",
                  f"identifiable only together with {', '.join(map(to_words, effect.joint))}: they compensate for each "
                  "other" if effect.joint else "")
-        lines.append(f"{to_words(effect.name)}: {'; '.join(filter(None, parts))}" if any(parts) else "")
+        lines.append(f"{to_words(effect.name)}: {'; '.join(filter(None, parts))}")
     if found.outcome == "unknown" or found.signature:
         lines.append("; ".join(("an effect that is not in the library", *found.signature)))
     return lines
