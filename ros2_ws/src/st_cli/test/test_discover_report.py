@@ -20,15 +20,15 @@ from st_core.discovery.result import (
     FittedParameter,
     ForceCurve,
     LocalEstimate,
-    NotTestable,
     Separability,
+    UntestableEffect,
     VaryingEffect,
 )
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import drives, quantities, report_text
 from st_offline.discovery.discovery_report import build_document, print_result, write_page
 from st_offline.discovery.drives import Request, read_drive, read_result, write_result
-from st_offline.discovery.figures import Scene, draw_agreement, draw_axle_curves, draw_maps, draw_waterfall
+from st_offline.discovery.figures import FigureData, draw_agreement, draw_axle_curves, draw_maps, draw_waterfall
 from st_offline.discovery.relation_report import RelationReport
 from st_offline.discovery.vehicle_update import VehicleUpdate, update_vehicle
 from st_offline.evaluation.drawing import FigureOutput
@@ -88,7 +88,7 @@ def test_names_not_distinguishable_are_listed_together(logs):
 
 
 def test_undetectable_effects_are_listed_with_their_size_parameters_of_the_car_first(logs):
-    blind = tuple(NotTestable(name, "") for name in ("drag", "friction", "heading_misalignment", "steering_ratio"))
+    blind = tuple(UntestableEffect(name, "") for name in ("drag", "friction", "heading_misalignment", "steering_ratio"))
     text = report_text.list_undetectable(replace(discovery(logs, (), 1.0), not_testable=blind))
     assert text == ("not detectable in these drives: friction of 40 %, steering ratio of 6 %, heading misalignment of "
                     "0.458°, drag")
@@ -175,7 +175,7 @@ def test_angles_are_in_degrees_with_the_digits_their_interval_bears(logs):
 
 
 def scene(found, logs, folder=None):
-    return Scene(found, logs, None, None, FigureOutput(folder, ("png",) if folder else ()))
+    return FigureData(found, logs, None, None, FigureOutput(folder, ("png",) if folder else ()))
 
 
 def test_every_figure_is_drawn_where_there_is_something_to_draw(logs, tmp_path):
@@ -197,7 +197,7 @@ def test_figures_of_the_driving_are_drawn_from_errors(tmp_path):
     long = [read_drive(source, CAR, ReadSettings(), force=True).log for source in find_runs(files)]
     found, settings = discovery(long, STEPS[:1], 1.72), DiscoverySettings(channels=("yaw_rate", "position"))
     before, after = (window_errors(long, model, CAR, settings) for model in (found.base, found.model))
-    one = Scene(found, long, before, after, FigureOutput(tmp_path, ("png",)))
+    one = FigureData(found, long, before, after, FigureOutput(tmp_path, ("png",)))
     drawn = draw_maps(one)
     assert drawn.key == "map" and "complete model" in drawn.svg
 

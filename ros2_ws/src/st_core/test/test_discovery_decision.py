@@ -32,7 +32,7 @@ from st_core.discovery.decision import (
     varying_partition,
 )
 from st_core.discovery.discover import complete_delay, replace_interval
-from st_core.discovery.evidence import AgainstFile, Agreement, Evidence
+from st_core.discovery.evidence import Agreement, Evidence, FileComparison
 from st_core.discovery.result import Combination, FittedParameter, FoundEffect, unseparated_combinations
 from st_core.errors import ConfigurationError
 
@@ -45,7 +45,7 @@ CHEAP = replace(GOOD, gain=0.02, position=0.01, position_in_condition=0.015)
 MAYBE_NULL = replace(GOOD, null_p_value=0.2)
 DENIED, EDGE = replace(GOOD, sensors_p_value=0.01), replace(GOOD, bound_distance=0.0)
 SLIGHT = replace(GOOD, position=0.01, position_in_condition=0.0)
-HEAVY = replace(GOOD, against_file=AgainstFile("mass", "kg", 2000.0, 1580.0, 47.4, 8.9))
+HEAVY = replace(GOOD, file_comparison=FileComparison("mass", "kg", 2000.0, 1580.0, 47.4, 8.9))
 LOCAL = replace(GOOD, agreement={"run": SAME, "place": DIFFERENT})
 EQUAL = Rival("rear_stiffness", "mass", share=0.9, p_no_worse=0.4, deficit=0.02,
               evidence=replace(GOOD, name="rear_stiffness"))
@@ -79,7 +79,7 @@ NOTHING = SearchResult([], {}, [], noise_ratio=1.0, detectable_share=0.9)
     (DENIED, SENSORS, {"sensors_p_value": 0.01, "undecided_p": 0.05}),
     (replace(GOOD, sensors_p_value=0.3), ACCEPTED, {}),
     (HEAVY, FILE, {"z_score": 8.9, "max_file_deviation": 3.0}),
-    (replace(GOOD, against_file=replace(HEAVY.against_file, z_score=2.9)), ACCEPTED, {}),
+    (replace(GOOD, file_comparison=replace(HEAVY.file_comparison, z_score=2.9)), ACCEPTED, {}),
     (EDGE, BOUND, {"bound_distance": 0.0, "at_bound": LIMITS.at_bound}),
     (LOCAL, VARIES, {"p_equal": 1e-4, "p_absent": 0.2}),
     (replace(GOOD, agreement={"run": Agreement({}, 1e-4, 0.01)}), ACCEPTED, {}),  # differs, yet is everywhere

@@ -23,7 +23,7 @@ from st_core.prediction import predict
 from st_core.types import InputSequence, VehicleState
 
 NOISE = {"yaw_rate": 0.01}
-PLAIN = {"speed": 10.0, "lateral_acceleration": 1.0, "steering_angle": 0.03, "steering_rate": 0.03,
+PLAIN = {"speed": 10.0, "lateral_acceleration": 1.0, "road_wheel_angle": 0.03, "steering_rate": 0.03,
          "forward_acceleration": 0.0}
 
 
@@ -34,7 +34,7 @@ def made(seed: int, levels=None, correlation: int = 8, count: int = 800, **condi
     errors = np.repeat(rng.normal(size=count // correlation + 1), correlation)[:count]
     drawn = {"speed": np.repeat(rng.uniform(5.0, 20.0, count // 20 + 1), 20)[:count],
              "lateral_acceleration": np.repeat(rng.uniform(-4.0, 4.0, count // 16 + 1), 16)[:count],
-             "steering_angle": np.full(count, 0.03), "steering_rate": np.full(count, 0.03),
+             "road_wheel_angle": np.full(count, 0.03), "steering_rate": np.full(count, 0.03),
              "forward_acceleration": np.zeros(count)}
     drawn |= {name: np.broadcast_to(value, count) for name, value in conditions.items()}
     level = 0.01 * np.broadcast_to(levels(time, drawn) if levels else 1.0, count)

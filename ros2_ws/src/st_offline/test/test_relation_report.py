@@ -94,7 +94,7 @@ def test_the_file_meets_the_requirements_on_an_effect(tmp_path, registry, place,
 
 
 def test_the_curve_is_drawn_in_the_units_of_an_engineer():
-    assert set(quantities.TERMS) == set(ADMISSIBLE)
+    assert set(quantities.TERM_NAMES) == set(ADMISSIBLE)
     assert [curve_unit(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
         "°", "%", "m/s²", "rad per rad/s"]
     assert curve_unit("1")[0] == 100.0 and curve_unit("rad")[0] == pytest.approx(57.2958)

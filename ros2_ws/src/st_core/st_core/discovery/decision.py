@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from ..channels import CHANNEL_OF_COLUMN, CHANNELS
-from .evidence import Evidence, share_of
+from .evidence import Evidence, relative_reduction
 from .result import Outcome, Reason
 from .settings import Limits
 
@@ -85,7 +85,7 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     if e.sensors_p_value is not None and e.sensors_p_value < limits.undecided_p:
         return Reason(SENSORS, e.name, {"sensors_p_value": e.sensors_p_value, "undecided_p": limits.undecided_p},
                       f"its value contradicts the redundant sensors (p = {e.sensors_p_value:.2g})")
-    known = e.against_file
+    known = e.file_comparison
     if known is not None and known.z_score > limits.max_file_deviation:
         return Reason(FILE, e.name, {"value": known.value, "file": known.file,
                                      "standard_deviation": known.standard_deviation, "z_score": known.z_score,
@@ -139,7 +139,7 @@ def _reject_insignificant(e: Evidence, limits: Limits) -> Reason | None:
     if e.gain < e.healthy_gain:
         return Reason(GAIN_INSIGNIFICANT, e.name, {"gain": e.gain, "healthy_gain": e.healthy_gain},
                       f"it reduces the errors by {e.share:.1%}; differences between drives of the healthy "
-                      f"car alone give a reduction of {share_of(e.healthy_gain):.1%}")
+                      f"car alone give a reduction of {relative_reduction(e.healthy_gain):.1%}")
     if e.null_p_value > limits.undecided_p:
         return Reason(NULL, e.name, {"null_p_value": e.null_p_value, "undecided_p": limits.undecided_p},
                       f"its values do not differ significantly from their null: p = {e.null_p_value:.2g}")
@@ -267,39 +267,39 @@ def is_alternative(rival: Rival, limits: Limits) -> bool:
 
 def decide(search: SearchResult, limits: Limits) -> tuple[Outcome, Reason]:
     """The outcome and its reason."""
-    def because(outcome: Outcome, text: str, **figures: float) -> tuple[Outcome, Reason]:
+    def conclude(outcome: Outcome, text: str, **figures: float) -> tuple[Outcome, Reason]:
         return outcome, Reason(outcome, "outcome", figures, text)
 
     noise_ratio, base_noise_ratio = search.noise_ratio, search.base_noise_ratio
     if len(search.named) > 1:
-        return because("several", f"{len(search.named)} effects are significant, relevant and do not vary "
+        return conclude("several", f"{len(search.named)} effects are significant, relevant and do not vary "
                        "significantly", effects=len(search.named))
     if search.named:
         names = 1 + sum(is_alternative(r, limits) for r in search.rivals.get(search.named[0].name, ()))
         if names > 1:
-            return because("ambiguous", f"{names} effects explain the errors equally well", names=names)
-        return because("named", "one effect is significant, relevant and does not vary significantly")
+            return conclude("ambiguous", f"{names} effects explain the errors equally well", names=names)
+        return conclude("named", "one effect is significant, relevant and does not vary significantly")
     if search.combinations:
-        return because("ambiguous", f"{' and '.join(search.combinations)}: different from the vehicle file, but the "
+        return conclude("ambiguous", f"{' and '.join(search.combinations)}: different from the vehicle file, but the "
                        "effects that change it cannot be separated", combinations=len(search.combinations))
     verdicts = [judge(e, limits) for e in search.refused if is_relevant(e, limits)]
     if search.varying_effects or any(v.rule == VARIES for v in verdicts):
-        return because("varying", "a significant effect varies between parts of the drives")
+        return conclude("varying", "a significant effect varies between parts of the drives")
     if any(v.rule in (BOUND, SENSORS, FILE) for v in verdicts):
-        return because("unknown", "errors are significant, but no effect of the library explains them within its "
+        return conclude("unknown", "errors are significant, but no effect of the library explains them within its "
                        "bounds")
     if noise_ratio > limits.max_noise_ratio:
-        return because("unknown", f"the position error is {noise_ratio:.1f} times the noise, and no further effect "
+        return conclude("unknown", f"the position error is {noise_ratio:.1f} times the noise, and no further effect "
                        "of the library reduces it significantly", noise_ratio=noise_ratio,
                        max_noise_ratio=limits.max_noise_ratio)
     if search.effects and base_noise_ratio > limits.max_noise_ratio:
-        return because("ambiguous", f"the model reduces the position error from {base_noise_ratio:.1f} to "
+        return conclude("ambiguous", f"the model reduces the position error from {base_noise_ratio:.1f} to "
                        f"{noise_ratio:.1f} times the noise, but none of its effects is certain enough to be named",
                        effects=search.effects, base_noise_ratio=base_noise_ratio,
                        max_noise_ratio=limits.max_noise_ratio)
     if search.detectable_share < limits.detection_power:
-        return because("not_testable", f"only {search.detectable_share:.0%} of the library's effects would be "
+        return conclude("not_testable", f"only {search.detectable_share:.0%} of the library's effects would be "
                        "detectable in these drives at their typical size", detectable_share=search.detectable_share,
                        detection_power=limits.detection_power)
-    return because("none", f"the position error is {noise_ratio:.1f} times the noise", noise_ratio=noise_ratio,
+    return conclude("none", f"the position error is {noise_ratio:.1f} times the noise", noise_ratio=noise_ratio,
                    max_noise_ratio=limits.max_noise_ratio)

@@ -19,7 +19,7 @@ from .axles import Axles
 from .clocks import MAX_CLOCK_DEVIATION, apply_clock_corrections, estimate_clock_corrections
 from .decision import Rival
 from .error_regions import MIN_TURNING, find_error_regions
-from .evidence import Evidence, JointFit, approximate_joint_fit, library_p_value, share_of
+from .evidence import Evidence, JointFit, approximate_joint_fit, library_p_value, relative_reduction
 from .fit import Fit, Problem
 from .loss import Errors, Loss
 from .next_manoeuvre import Curvatures, choose_manoeuvre, list_separabilities, most_informative, simulate_catalogue
@@ -28,7 +28,7 @@ from .reference import fit_healthy_car
 from .search import Search, SearchState
 from .settings import DiscoverySettings
 from .space import FreeParameter, Space, known_quantities
-from .varying import Varying, collect_varying_evidence, find_varying_effects
+from .varying import VaryingFit, collect_varying_evidence, find_varying_effects
 from .windows import MARGIN_NS, Windows, noise_floor
 
 Progress = Callable[[str, int, int], None]
@@ -185,7 +185,7 @@ class _Analysis:
         return _JudgedEffects(named, minor, contradicted, verdicts, leave_one_out, curves,
                               tuple(complete_delay(c, effects) for c in combinations))
 
-    def _decide_outcome(self, found: SearchState, judged: _JudgedEffects, untestable: Sequence[result.NotTestable],
+    def _decide_outcome(self, found: SearchState, judged: _JudgedEffects, untestable: Sequence[result.UntestableEffect],
                         noise_ratios: tuple[float, float], varying_effects: int,
                         ) -> tuple[result.Outcome, result.Reason]:
         """Outcome and reason. noise_ratios [1]: ratio of position error to noise, without and with the effects."""
@@ -298,9 +298,9 @@ class _Analysis:
     def _is_alternative(self, rival: Rival) -> bool:
         return decision.is_alternative(rival, self.limits)
 
-    def _list_assumed(self) -> tuple[result.Assumed, ...]:
+    def _list_assumed(self) -> tuple[result.AssumedQuantity, ...]:
         """The quantities of the vehicle file that are used as priors."""
-        known = {q.key: result.Assumed(q.key, q.unit, q.value, q.deviation, q.stated)
+        known = {q.key: result.AssumedQuantity(q.key, q.unit, q.value, q.deviation, q.stated)
                  for q in self.problem.quantities if q is not None}
         return tuple(known.values())
 
@@ -385,7 +385,7 @@ class _Analysis:
     def _list_candidates(self, found: SearchState,
                          verdicts: Mapping[str, result.Reason]) -> tuple[result.CandidateEffect, ...]:
         """Every effect of the library with its gain and verdict, in order of decreasing gain."""
-        problem, space, rows = self.problem, self.space, []
+        problem, space, candidates = self.problem, self.space, []
         # An effect that was tried in place of several others is listed with the one that it replaces best.
         rivals = {r.name: r for r in sorted((r for others in found.rivals.values() for r in others),
                                             key=lambda r: (self._is_alternative(r), r.share))}
@@ -407,14 +407,14 @@ class _Analysis:
                 p_value = library_p_value(found.scores.by_effect[name], gains, found.scores, len(space.hypotheses))
                 verdict = decision.judge(Evidence(name, gain, p_value), self.limits)
                 if verdict.rule == decision.ACCEPTED:
-                    verdict = result.Reason(decision.EXPLAINS_LESS, name, {"gain": gain},
-                                     f"it reduces the errors by {share_of(gain):.1%}; effects that reduce them by more "
-                                     "were tried first")
+                    verdict = result.Reason(decision.EXPLAINS_LESS, name, {"gain": gain}, "it reduces the errors by "
+                                            f"{relative_reduction(gain):.1%}; effects that reduce them by more were "
+                                            "tried first")
             else:
                 verdict, gain = result.Reason("included", name, {}, "overlaps an effect of the model"), 0.0
-            rows.append(result.CandidateEffect(name, get_effect(name).kind, values, share_of(gain), verdict.rule,
-                                        verdict.text))
-        return tuple(sorted(rows, key=lambda c: -c.gain))
+            candidates.append(result.CandidateEffect(name, get_effect(name).kind, values, relative_reduction(gain),
+                                                     verdict.rule, verdict.text))
+        return tuple(sorted(candidates, key=lambda c: -c.gain))
 
     def _simulate_catalogue(self, found: SearchState, effects: Sequence[result.FoundEffect]) -> Curvatures:
         """Curvatures of the loss for the manoeuvres of the catalogue; empty if they are not needed."""
@@ -424,7 +424,7 @@ class _Analysis:
         return simulate_catalogue(self.problem, found.fit)
 
     def _find_untestable(self, found: SearchState, power: result.Certificate, judged: _JudgedEffects,
-                         curvatures: Curvatures) -> tuple[result.NotTestable, ...]:
+                         curvatures: Curvatures) -> tuple[result.UntestableEffect, ...]:
         """Effects that these drives cannot show, each with the reason and a manoeuvre that would show it."""
         listed = {*(name for e in judged.named for name in (e.name, *e.alternatives)), *(e.name for e in judged.minor)}
         untestable, problem = [], self.problem
@@ -437,13 +437,13 @@ class _Analysis:
             other = certificate.find_confounding_effect(problem, found.fit, name, found.scores, self.limits)
             why = f"in these drives it cannot be separated from {other.replace('_', ' ')}; " if other else ""
             size = f"{100 * largest.size:.3g} %" if largest.unit == "1" else f"{largest.size:.3g} {largest.unit}"
-            untestable.append(result.NotTestable(
+            untestable.append(result.UntestableEffect(
                 name, f"a change of {size} would be detected with probability {largest.probability:.2f}; {why}it "
                 f"is visible in {get_effect(name).excited_by}", manoeuvre))
         for name in self.space.without_signal:
             signals = ", ".join(get_effect(name).signals)
-            untestable.append(result.NotTestable(name, f"it needs the signal {signals}, which is not recorded"))
-        return (*untestable, *(result.NotTestable(name, reason) for name, reason in NEVER_TESTABLE.items()))
+            untestable.append(result.UntestableEffect(name, f"it needs the signal {signals}, which is not recorded"))
+        return (*untestable, *(result.UntestableEffect(name, reason) for name, reason in NEVER_TESTABLE.items()))
 
     @staticmethod
     def _channel_noise(by_column: Mapping[str, float]) -> dict[str, float]:
@@ -510,7 +510,7 @@ def complete_delay(delay: result.Combination, effects: Sequence[result.FoundEffe
     return replace(delay, interval=(low, high), effects=tuple(names))
 
 
-def describe_varying(v: Varying, free: FreeParameter, position_reduction: float) -> result.VaryingEffect:
+def describe_varying(v: VaryingFit, free: FreeParameter, position_reduction: float) -> result.VaryingEffect:
     """The effect with the values of its parameter `free` in the parts, relative to the value furthest from the null."""
     value, deviation = max(v.values.values(), key=lambda estimate: abs(estimate[0] - free.null))
     change = value - free.null or free.scale

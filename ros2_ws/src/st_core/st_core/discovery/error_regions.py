@@ -45,7 +45,7 @@ SHORT_HORIZON = 1.0  # s, for errors of velocity, yaw rate and acceleration, to 
 RESAMPLES = 1000  # bootstrap samples
 MAX_RANGES, MAX_PLACES = 3, 2  # maximum numbers of reported ranges and places per channel
 MAX_EXCESS_RATIO = 1.5  # of neighbouring ranges that are reported as one
-BINNED_BY_MAGNITUDE = ("lateral acceleration", "steering angle", "steering rate")
+BINNED_BY_MAGNITUDE = ("lateral acceleration", "road-wheel angle", "steering rate")
 MIN_CONTRAST = 1.15  # minimum ratio of the error in a reported range to the error in all driving
 CELL_SIZE = 20.0  # m, side of a cell of the map
 MAX_CELL_DISTANCE = 1.6 * CELL_SIZE  # m, along each axis, between cells of one place
@@ -134,7 +134,7 @@ def assign_ranges(samples: Samples) -> tuple[tuple[Range, ...], np.ndarray]:
     for quantity, unit, values, edges in (
             ("speed", "m/s", c["speed"], SPEED_EDGES),
             ("lateral acceleration", "m/s²", np.abs(lateral), LATERAL_ACCELERATION_EDGES),
-            ("steering angle", "rad", np.abs(c["steering_angle"]), ROAD_WHEEL_ANGLE_EDGES),
+            ("road-wheel angle", "rad", np.abs(c["road_wheel_angle"]), ROAD_WHEEL_ANGLE_EDGES),
             ("steering rate", "rad/s", c["steering_rate"], STEERING_RATE_EDGES),
             ("forward acceleration", "m/s²", c["forward_acceleration"], FORWARD_ACCELERATION_EDGES)):
         for low, high in zip(edges, (*edges[1:], math.inf), strict=True):
@@ -217,7 +217,7 @@ def _positions_and_conditions(log: DriveLog, seconds: np.ndarray, horizon: float
     first = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else begin
     return {
         "x": x, "y": y, "time": (starts - first) * NANOSECOND, "speed": speed.mean(axis=1),
-        "lateral_acceleration": (speed * yaw_rate).mean(axis=1), "steering_angle": angle.mean(axis=1),
+        "lateral_acceleration": (speed * yaw_rate).mean(axis=1), "road_wheel_angle": angle.mean(axis=1),
         "steering_rate": np.sqrt(np.square(np.diff(angle, axis=1) / STEP).mean(axis=1)),
         "forward_acceleration": acceleration.mean(axis=1),
     }

@@ -34,7 +34,7 @@ class Agreement:
 
 
 @dataclass(frozen=True)
-class AgainstFile:
+class FileComparison:
     """A quantity of the vehicle file that an effect changes. value: with the effect [unit]. file, standard_deviation:
     from the vehicle file [unit]. z_score [1]: magnitude of value - file, divided by the standard deviation."""
 
@@ -58,7 +58,7 @@ class Evidence:
     position_in_condition [m]: lower 95 % bound of this reduction in the driving condition where the bound is largest.
     noise_ratio [1]: error with the effect divided by the noise, largest of all columns. bound_distance, size: distances
     to the nearest bound and from the null [parameter scales]. sensors_p_value, sensors_null_p_value [1]: p-values of
-    the fitted value and the null, given redundant sensors, or None. against_file: the quantity that the effect moves
+    the fitted value and the null, given redundant sensors, or None. file_comparison: the quantity that the effect moves
     furthest from the vehicle file, or None. agreement: consistency between parts, by partition."""
 
     name: str
@@ -74,15 +74,15 @@ class Evidence:
     size: float = 0.0
     sensors_p_value: float | None = None
     sensors_null_p_value: float | None = None
-    against_file: AgainstFile | None = None
+    file_comparison: FileComparison | None = None
     agreement: Mapping[str, Agreement] = field(default_factory=dict)
 
     @property
     def share(self) -> float:
-        return share_of(self.gain)
+        return relative_reduction(self.gain)
 
 
-def share_of(gain: float) -> float:
+def relative_reduction(gain: float) -> float:
     """Relative reduction of the RMS error [1], 1 - exp(-gain); negative if errors grow."""
     return -float(np.expm1(-gain))
 
@@ -251,13 +251,13 @@ def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
                 for edge in hard[space.free[i].parameter]), default=np.inf)
 
 
-def compare_with_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:
+def compare_with_file(problem: Problem, fit: Fit, effect: str) -> FileComparison | None:
     """The quantity that an effect moves furthest from the vehicle file, in standard deviations; None without one."""
     moved = []
     for i in problem.space.indices(effect) if problem.prior is None else ():
         quantity, change = problem.quantities[i], float(fit.vector[i] - problem.space.null[i])
         if quantity is not None:
-            moved.append(AgainstFile(quantity.key, quantity.unit, quantity.at(change), quantity.value,
+            moved.append(FileComparison(quantity.key, quantity.unit, quantity.at(change), quantity.value,
                                      quantity.deviation, quantity.z_score(change)))
     return max(moved, key=lambda a: a.z_score, default=None)
 

@@ -236,9 +236,9 @@ class Problem:
 
     def all_sensitivities(self, vector: np.ndarray) -> Sensitivities:
         """Sensitivities to all parameters: cached for a nearby vector and updated for the step, or computed."""
-        for known in reversed(self._cached_sensitivities):
-            if np.abs((vector - known.vector) / self.space.scale).max() < MAX_REUSE_DISTANCE:
-                return self._sensitivities_at(known, vector, np.zeros(0, int))
+        for cached in reversed(self._cached_sensitivities):
+            if np.abs((vector - cached.vector) / self.space.scale).max() < MAX_REUSE_DISTANCE:
+                return self._sensitivities_at(cached, vector, np.zeros(0, int))
         indices = np.arange(len(self.space))
         new = Sensitivities(vector, indices, self.loss.sensitivities(vector, indices))
         self._cached_sensitivities = [*self._cached_sensitivities[-SENSITIVITY_CACHE_SIZE + 1:], new]
@@ -383,7 +383,7 @@ class Problem:
         for k, d in steps.items():
             out = group == k
             result[out] -= np.einsum("p,pnm->nm", d, sensitivities[:, out])
-        before, after = self.loss.scaled(rows), self.loss.scaled(result)
+        before, after = self.loss.scale_residuals(rows), self.loss.scale_residuals(result)
         # Where the linear approximation is not valid, the held-out errors are simulated.
         if rho(after).sum() - rho(before).sum() > MAX_QUADRATIC_RISE * self.residual_count:
             for k, d in steps.items():

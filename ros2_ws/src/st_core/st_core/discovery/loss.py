@@ -103,13 +103,13 @@ class Loss:
     def rescale(self, vector: np.ndarray) -> None:
         self.scale = self.scale_of(vector)
 
-    def scaled(self, rows: np.ndarray) -> np.ndarray:
+    def scale_residuals(self, rows: np.ndarray) -> np.ndarray:
         """(n, m) scaled residuals z, clipped; 0 where not measured. rows: (n, m) residuals [SI]."""
         z = np.nan_to_num(rows / self.scale, nan=MAX_SCALED_ERROR, posinf=MAX_SCALED_ERROR, neginf=-MAX_SCALED_ERROR)
         return np.where(self.known, np.clip(z, -MAX_SCALED_ERROR, MAX_SCALED_ERROR), 0.0)
 
     def window_losses(self, vector: np.ndarray) -> np.ndarray:
-        return rho(self.scaled(self.errors.at(vector))).sum(axis=1)
+        return rho(self.scale_residuals(self.errors.at(vector))).sum(axis=1)
 
     def total(self, vector: np.ndarray) -> float:
         return float(self.window_losses(vector).sum())
@@ -128,7 +128,7 @@ class Loss:
 
     def quadratic(self, rows: np.ndarray, sensitivities: np.ndarray) -> Quadratic:
         """The approximation from residuals `rows` (n, m) [SI] and `sensitivities` (p, n, m) at one vector."""
-        z = self.scaled(rows)
+        z = self.scale_residuals(rows)
         j = self._scaled_sensitivities(sensitivities, z)
         w = weight(z)
         jw = np.moveaxis(j * w, 1, 0)  # (n, p, m)
@@ -137,7 +137,7 @@ class Loss:
     def curvature(self, rows: np.ndarray, sensitivities: np.ndarray) -> np.ndarray:
         """(p, p) half the second derivative of the loss for residuals that are linear in the parameters. Outliers
         reduce it."""
-        z = self.scaled(rows)
+        z = self.scale_residuals(rows)
         j = self._scaled_sensitivities(sensitivities, z)
         second = 0.5 * (NU + 1.0) * (NU - np.square(z)) / np.square(NU + np.square(z))  # rho'' / 2
         flat = j.reshape(len(j), -1)

@@ -20,7 +20,7 @@ from .evidence import inverse
 from .fit import Fit, Problem
 from .loss import Errors, Loss
 from .result import FoundEffect, NextManoeuvre, Separability
-from .windows import STEP, Windows, specific_force_excess
+from .windows import MAX_GAP, STEP, Windows, specific_force_excess
 
 REPETITIONS = 3  # drives of each manoeuvre, the minimum in ISO 7401
 MIN_SEPARATION = 3.0  # standard deviations; a manoeuvre with less does not separate a pair
@@ -36,21 +36,22 @@ def simulate_drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: Vehicle
     """Log of a manoeuvre simulated with the model and noise-free sensors, `duration` seconds sampled every PERIOD. The
     steering compensates for the understeer of the vehicle file, to reach the target lateral acceleration."""
     lead, steps = round(LEAD_TIME / PERIOD), round(manoeuvre.duration / PERIOD)
-    times = 0.5 * PERIOD * np.arange(-2 * lead, 2 * steps + 1)
+    times = 0.5 * PERIOD * np.arange(-2 * lead, 2 * steps + 1)  # the integration also needs the middle of each step
     understeer = max(vehicle.wheelbase * stability_factor(vehicle), 0.0)
     since_start = np.maximum(times, 0.0)
     angle = manoeuvre.steering(since_start, vehicle.wheelbase, understeer)
-    angle = angle * np.clip(2.0 + times / LEAD_TIME * 2.0, 0.0, 1.0)
+    angle = angle * np.clip(2.0 * (1.0 + times / LEAD_TIME), 0.0, 1.0)  # rises in the first half of the lead time
     forward = np.where(times < 0.0, 0.0, manoeuvre.acceleration_at(since_start))
     start = VehicleState(0.0, 0.0, manoeuvre.speed, 0.0, 0.0, 0.0)
     times_ns = np.round((times + LEAD_TIME) * 1e9).astype(np.int64)
-    wheels = np.interp(times_ns, *correct_steering(model, times_ns, angle, 0.1))
-    path = predict(model, vehicle, start, InputSequence(wheels, forward), (lead + steps) * PERIOD, PERIOD)
+    road_wheel_angle = np.interp(times_ns, *correct_steering(model, times_ns, angle, MAX_GAP))
+    inputs = InputSequence(road_wheel_angle, forward)
+    path = predict(model, vehicle, start, inputs, (lead + steps) * PERIOD, PERIOD)
     states = tuple(path.states[lead:].T)
     faultless = predict_faultless_readings(model, vehicle, states)
     a_y = np.gradient(faultless.velocity_y, PERIOD) + faultless.velocity_x * faultless.yaw_rate
     recorded = slice(2 * lead, None, 2)
-    excess = specific_force_excess(model, vehicle, states, wheels[recorded], forward[recorded])
+    excess = specific_force_excess(model, vehicle, states, road_wheel_angle[recorded], forward[recorded])
     readings = model.observe(faultless._replace(acceleration_x=0.0 * a_y, acceleration_y=a_y + excess))
     time_ns = times_ns[recorded] - times_ns[2 * lead]
     return DriveLog(manoeuvre.name, time_ns, *readings[:6],  # x, y, yaw, velocities, yaw rate

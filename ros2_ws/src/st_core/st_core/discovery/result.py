@@ -88,7 +88,7 @@ class FoundEffect:
 
 
 @dataclass(frozen=True)
-class Assumed:
+class AssumedQuantity:
     """A quantity of the vehicle file used as a prior: value and standard deviation [unit]. stated: whether the file
     states the standard deviation; otherwise it is the default for the quantity."""
 
@@ -242,7 +242,7 @@ class ChannelError(Change):
 
 
 @dataclass(frozen=True)
-class NotTestable:
+class UntestableEffect:
     """An effect that is not detectable in these drives. manoeuvre: a manoeuvre of the catalogue that would show it; ""
     if there is none."""
 
@@ -322,7 +322,7 @@ class Discovery:
     reasons: tuple[Reason, ...]
     candidates: tuple[CandidateEffect, ...]
     where: tuple[LargeErrorRegion, ...]
-    not_testable: tuple[NotTestable, ...]
+    not_testable: tuple[UntestableEffect, ...]
     next_manoeuvre: NextManoeuvre | None
     separability: tuple[Separability, ...]
     certificate: Certificate
@@ -336,7 +336,7 @@ class Discovery:
     named_errors: Mapping[str, ChannelError] = field(default_factory=dict)
     axle_curves: tuple[ForceCurve, ...] = ()
     combinations: tuple[Combination, ...] = ()
-    assumed: tuple[Assumed, ...] = ()
+    assumed: tuple[AssumedQuantity, ...] = ()
     warnings: tuple[str, ...] = ()
     leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
     clock_errors: Mapping[str, float] = field(default_factory=dict)

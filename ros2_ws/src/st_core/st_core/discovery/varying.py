@@ -18,7 +18,7 @@ from .partitions import Partition
 
 
 @dataclass(frozen=True)
-class Varying:
+class VaryingFit:
     """An effect with its own value in each part of a partition. varies_with: name of the partition. gain [1]: reduction
     of the loss per residual compared with one common value. p_value [1]: p-value of the gain, corrected for all effects
     and partitions. parameter: the parameter with the most information. values: (value, standard deviation) of this
@@ -33,7 +33,7 @@ class Varying:
     steps: Mapping[int, np.ndarray]
 
 
-def find_varying_effects(problem: Problem, fit: Fit, partitions: Mapping[str, Partition]) -> list[Varying]:
+def find_varying_effects(problem: Problem, fit: Fit, partitions: Mapping[str, Partition]) -> list[VaryingFit]:
     """Every effect of the library with its own value in each part of a partition, largest gain first. Partitions with
     at least half as many parts as blocks are left out."""
     q = problem.full_quadratic(fit.vector)
@@ -46,7 +46,7 @@ def find_varying_effects(problem: Problem, fit: Fit, partitions: Mapping[str, Pa
 
 
 def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, partition: Partition,
-                 tests: int) -> Varying | None:
+                 tests: int) -> VaryingFit | None:
     """One effect with its own value in each part of one partition; None with fewer than two informative parts. tests:
     number of tests, for the Bonferroni correction."""
     space, (number, names) = problem.space, partition
@@ -86,10 +86,11 @@ def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: st
     values = {names[k]: (value + scale * float((inverse(hk) @ gk)[best]),
                          scale * float(np.sqrt(0.5 * design_effect * inverse(hk)[best, best]))) for k, gk, hk in parts}
     steps = {int(k): projection @ (inverse(hk) @ gk) for k, gk, hk in parts}
-    return Varying(effect, name, gain / problem.residual_count, p_value, space.free[index].parameter, values, steps)
+    return VaryingFit(effect, name, gain / problem.residual_count, p_value, space.free[index].parameter, values, steps)
 
 
-def collect_varying_evidence(problem: Problem, fit: Fit, v: Varying, partitions: Mapping[str, Partition]) -> Evidence:
+def collect_varying_evidence(problem: Problem, fit: Fit, v: VaryingFit,
+                             partitions: Mapping[str, Partition]) -> Evidence:
     """Evidence for separate values in the parts, from linearised errors in the same driving (not held out)."""
     rows = problem.errors.at(fit.vector)
     corrected, sensitivities = rows.copy(), problem.all_sensitivities(fit.vector).values

@@ -174,14 +174,15 @@ def build_budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varyin
     """Contribution of each kind of cause, added last and added first, to the mean position error after 5 s and to the
     loss at the residual scale of the final fit. corrected: fit with effective corrections. varying: fit with an effect
     that varies between parts of the drives, or None."""
-    def size(fit: Fit) -> tuple[float, float]:
+    def size(fit: Fit) -> np.ndarray:
         """(mean position error [m], loss per residual)."""
         position = errors.of(fit).get("position_5s", np.zeros(1))
-        return float(np.nanmean(position)), float(fit.held_out.sum()) / problem.residual_count
+        return np.array([np.nanmean(position), fit.held_out.sum() / problem.residual_count])
 
-    def line(part: str, last: tuple[float, float], first: tuple[float, float]) -> BudgetLine:
-        return BudgetLine(part, last[0], first[0], last[0] / max(start[0], 1e-9), first[0] / max(start[0], 1e-9),
-                          last[1] / max(start[1], 1e-9), first[1] / max(start[1], 1e-9))
+    def line(part: str, last: np.ndarray, first: np.ndarray) -> BudgetLine:
+        shares_last, shares_first = (v / np.maximum(start, 1e-9) for v in (last, first))
+        return BudgetLine(part, *map(float, (last[0], first[0], shares_last[0], shares_first[0], shares_last[1],
+                                             shares_first[1])))
 
     def refit(names: tuple[str, ...]) -> Fit:
         """The best of three: the base, a fit started at the final values, and one started at the base values."""
@@ -199,12 +200,11 @@ def build_budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varyin
         others = tuple(n for n in final.names if n not in effects)
         without = size(refit(others)) if others else start
         alone = size(refit(effects)) if others else end
-        lines.append(line(part, tuple(np.subtract(without, end)), tuple(np.subtract(start, alone))))
+        lines.append(line(part, without - end, start - alone))
     extended = (corrected if corrected is not final else None, varying)
     for part, fit in zip(PARTS[len(EFFECT_KINDS):], extended, strict=False):
         if fit is not None:
-            extended_size = size(fit)
-            reduction = end[0] - min(extended_size[0], end[0]), end[1] - min(extended_size[1], end[1])
+            reduction = np.maximum(end - size(fit), 0.0)
             lines.append(line(part, reduction, reduction))
-            end = end[0] - reduction[0], end[1] - reduction[1]
+            end = end - reduction
     return [*lines, line(PARTS[-1], end, end)]

@@ -29,7 +29,7 @@ from ..evaluation.drawing import FigureOutput, PageFigure, check_formats
 from ..terminal import make_progress_bars
 from .discovery_report import build_document, build_model_file, print_result, write_page
 from .drives import Drive, Request, cache_folder, clock_deviations, read_drives, read_result, result_key, write_result
-from .figures import Scene, draw_agreement, draw_axle_curves, draw_maps, draw_relation, draw_waterfall
+from .figures import FigureData, draw_agreement, draw_axle_curves, draw_maps, draw_relation, draw_waterfall
 from .relation_files import build_relation_document, write_files
 from .relation_report import RelationReport, report_relation
 from .vehicle_update import VehicleUpdate, update_vehicle
@@ -174,9 +174,9 @@ def draw(found: Discovery, request: Request, output: FigureOutput) -> list[PageF
     def errors_of(model: AugmentedModel) -> Samples:
         return window_errors(runs, model, request.vehicle, settings, found.acceleration_gain)
 
-    scene = Scene(found, runs, errors_of(found.base), errors_of(found.model) if found.model else None, output)
+    data = FigureData(found, runs, errors_of(found.base), errors_of(found.model) if found.model else None, output)
     functions = (draw_waterfall, draw_axle_curves, draw_maps, draw_agreement)
-    return [figure for function in functions if (figure := function(scene))]
+    return [figure for function in functions if (figure := function(data))]
 
 
 def write_results(found: Discovery, request: Request, update: VehicleUpdate | None, folder: Path,

@@ -22,17 +22,17 @@ from ..evaluation.drawing import BAD, TEXT, WIDTH, FigureOutput, PageFigure, app
 from . import quantities, report_text
 from .relation_files import full_title
 
-AFTER = MODEL_COLOUR["augmented"]
+AFTER_COLOUR = MODEL_COLOUR["augmented"]
 HALF_WIDTH = 6.8  # inch; for two figures side by side on the page
 MIN_CHANGE = 0.005  # m; if the position error changes less, the most reduced channel error is reported instead
 MIN_ASPECT = 0.3  # width / length of a track; the axes of narrower tracks have different scales
 MAX_PANELS = 6  # maximum number of effects in the figure of local estimates
 MAX_ROWS = 14  # a partition with more parts is drawn in one row
-MAX_RATIO = 3.0  # end of the axis, at which intervals are cut off
+AXIS_LIMIT = 3.0  # end of the axis, at which intervals are cut off
 
 
 @dataclass(frozen=True)
-class Scene:
+class FigureData:
     """Data of the figures. before, after: errors of all runs with the base model and with the complete model."""
 
     found: Discovery
@@ -54,46 +54,47 @@ class Scene:
         return max(known, key=lambda w: w.interval[0]).channel if known else channels[0]
 
 
-def draw_waterfall(scene: Scene) -> PageFigure | None:
+def draw_waterfall(data: FigureData) -> PageFigure | None:
     """Draw the held-out position error after 5 s at each step of the search; None without steps or position errors."""
-    steps = scene.found.steps
+    steps = data.found.steps
     if not steps or not all(np.isfinite((s.position_5s.base, s.position_5s.augmented)).all() for s in steps):
         return None
-    floor = scene.found.errors["position_5s"].floor if "position_5s" in scene.found.errors else 0.0
+    floor = data.found.errors["position_5s"].floor if "position_5s" in data.found.errors else 0.0
     with apply_style():
         figure, axes = plt.subplots(figsize=(WIDTH, 1.1 + 0.3 * (len(steps) + 2)))
         axes.set_axisbelow(True)
         first, last = steps[0].position_5s.base, steps[-1].position_5s.augmented
-        rows = [f"{scene.found.base.base.name} model, {scene.found.start}"]
-        axes.barh(0, first, color=scene.colour, height=0.62)
+        rows = [f"{data.found.base.base.name} model, {data.found.start}"]
+        axes.barh(0, first, color=data.colour, height=0.62)
         _annotate(axes, first, 0, quantities.format_metres(first))
         for row, step in enumerate(steps, 1):
             before, after = step.position_5s.base, step.position_5s.augmented
             axes.plot([before, before], [row - 0.7, row + 0.31], color=TEXT, lw=0.6, alpha=0.5)
-            axes.barh(row, before - after, left=after, color=AFTER if after <= before else BAD, height=0.62, alpha=0.65)
-            ends = [before - edge for edge in step.position_5s.interval]
+            colour = AFTER_COLOUR if after <= before else BAD
+            axes.barh(row, before - after, left=after, color=colour, height=0.62, alpha=0.65)
+            ends = [before - end for end in step.position_5s.interval]
             axes.plot(ends, [row, row], color=TEXT, lw=1.0)
-            label, text = _step_texts(scene.found, step)
+            label, text = _step_texts(data.found, step)
             _annotate(axes, max(before, after, *ends), row, text)
             rows.append(label)
-        end = "model without effective corrections" if scene.found.effective else "complete model"
+        end = "model without effective corrections" if data.found.effective else "complete model"
         axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
-        axes.barh(len(steps) + 1, last, color=AFTER, height=0.62)
+        axes.barh(len(steps) + 1, last, color=AFTER_COLOUR, height=0.62)
         _annotate(axes, last, len(steps) + 1, quantities.format_metres(last))
         axes.axvline(floor, color=MEASURED_COLOUR, lw=1.4, ls="--")
         axes.set_yticks(range(len(steps) + 2), [*rows, end])
         axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
                  xlabel="mean position error after 5 s on held-out driving, m")
         rises = any(s.position_5s.augmented - s.position_5s.base > MIN_CHANGE for s in steps)
-        handles = [Patch(color=scene.colour, label=f"{scene.found.base.base.name} model"),
-                   Patch(color=AFTER, label=end),
-                   Patch(color=AFTER, alpha=0.65, label="reduction"),
+        handles = [Patch(color=data.colour, label=f"{data.found.base.base.name} model"),
+                   Patch(color=AFTER_COLOUR, label=end),
+                   Patch(color=AFTER_COLOUR, alpha=0.65, label="reduction"),
                    *([Patch(color=BAD, alpha=0.65, label="increase")] if rises else []),
                    Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise alone")]
         figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
         caption = ("Each row adds one effect and refits all values; its value and change belong to that step. Line: "
                    "95 % interval of the change. Effects in parentheses are part of the fit, but not named.")
-        return save_figure(figure, scene.output, "waterfall", "Error of each step of the search", caption)
+        return save_figure(figure, data.output, "waterfall", "Error of each step of the search", caption)
 
 
 def _step_texts(found: Discovery, step: Step) -> tuple[str, str]:
@@ -113,10 +114,10 @@ def _annotate(axes: plt.Axes, x: float, row: int, text: str) -> None:
     axes.annotate(text, (x, row), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
 
 
-def draw_axle_curves(scene: Scene) -> PageFigure | None:
+def draw_axle_curves(data: FigureData) -> PageFigure | None:
     """Draw the force of each axle versus slip angle with its 90 % interval, and the distribution of the slip angles."""
-    curves = scene.found.axle_curves
-    if not curves or not scene.found.model:
+    curves = data.found.axle_curves
+    if not curves or not data.found.model:
         return None
     with apply_style():
         figure, panels = plt.subplots(2, len(curves), figsize=(HALF_WIDTH, 3.3), sharex="col", squeeze=False,
@@ -124,36 +125,36 @@ def draw_axle_curves(scene: Scene) -> PageFigure | None:
         for (axes, below), curve in zip(panels.T, curves, strict=True):
             slip = np.rad2deg(curve.slip)
             force, low, high, at_start = (1e-3 * np.array(v) for v in (curve.force, curve.low, curve.high, curve.file))
-            axes.fill_between(slip, low, high, color=AFTER, alpha=0.25, lw=0)
-            axes.plot(slip, force, color=AFTER)
-            axes.plot(slip, at_start, color=scene.colour, ls="--")
+            axes.fill_between(slip, low, high, color=AFTER_COLOUR, alpha=0.25, lw=0)
+            axes.plot(slip, force, color=AFTER_COLOUR)
+            axes.plot(slip, at_start, color=data.colour, ls="--")
             ratio, lowest, highest = (v[-1] / curve.file[-1] for v in (curve.force, curve.low, curve.high))
             axes.set_title(f"{curve.axle} axle\n{ratio:.2f} (90 %: {lowest:.2f} to {highest:.2f}) times the "
-                           f"{scene.found.start} at {slip[-1]:.1f}°", fontsize=7)
+                           f"{data.found.start} at {slip[-1]:.1f}°", fontsize=7)
             below.stairs(100.0 * np.array(curve.density), slip, color=MEASURED_COLOUR, fill=True)
             below.set_xlabel("slip angle, °")
         panels[0][0].set_ylabel("lateral force, kN")
         panels[1][0].set_ylabel("samples, %")
-        handles = [Line2D([], [], color=scene.colour, ls="--", label=scene.found.start),
-                   Line2D([], [], color=AFTER, label="complete model"),
-                   Patch(color=AFTER, alpha=0.25, label="90 % interval")]
+        handles = [Line2D([], [], color=data.colour, ls="--", label=data.found.start),
+                   Line2D([], [], color=AFTER_COLOUR, label="complete model"),
+                   Patch(color=AFTER_COLOUR, alpha=0.25, label="90 % interval")]
         figure.legend(handles=handles, loc="outside lower left", ncols=3)
         title = "Axle force versus slip angle, in the range of the drives"
-        return save_figure(figure, scene.output, "axle_curves", title,
+        return save_figure(figure, data.output, "axle_curves", title,
                            "The band includes the uncertainty of the other vehicle parameters.")
 
 
-def draw_maps(scene: Scene) -> PageFigure | None:
+def draw_maps(data: FigureData) -> PageFigure | None:
     """Draw the track of the run with the largest errors, and its predictions with base and complete model, coloured by
     their error."""
-    run, errors = _find_worst_run(scene)
+    run, errors = _find_worst_run(data)
     if run is None:
         return None
-    models = [("base model", scene.before)] + ([("complete model", scene.after)] if scene.after else [])
-    factor, unit = quantities.display_unit(UNITS[scene.channel])
+    models = [("base model", data.before)] + ([("complete model", data.after)] if data.after else [])
+    factor, unit = quantities.display_unit(UNITS[data.channel])
     largest = factor * max(float(np.nanmax(errors)), 1e-12)
     with apply_style():
-        log = scene.runs[run]
+        log = data.runs[run]
         is_wide = _aspect_ratio(log) > MIN_ASPECT
         shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if is_wide else 0.5
         size = (HALF_WIDTH, float(np.clip(0.4 * HALF_WIDTH * shape, 1.2, 3.5)) + 0.9)
@@ -163,7 +164,7 @@ def draw_maps(scene: Scene) -> PageFigure | None:
             rows = np.flatnonzero(samples.run == run)
             rows = rows[:: max(1, len(rows) // 500)]
             x, y = samples.x[rows], samples.y[rows]
-            error = factor * np.sqrt(samples.squares[scene.channel][rows])
+            error = factor * np.sqrt(samples.squares[data.channel][rows])
             axes.plot(log.x[::stride], log.y[::stride], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
             points = axes.scatter(x, y, c=error, s=14, cmap="cividis", zorder=2, linewidths=0, rasterized=True,
                                   vmin=0.0, vmax=largest)
@@ -173,21 +174,21 @@ def draw_maps(scene: Scene) -> PageFigure | None:
             axes.set_xlabel("east, m")
         panels[0][0].set_ylabel("north, m")
         bar = figure.colorbar(points, ax=list(panels[0]))
-        bar.set_label(f"{quantities.channel_label(scene.channel)} error, {unit}")
-        title = f"{log.name}: {quantities.channel_label(scene.channel)} error on the map"
+        bar.set_label(f"{quantities.channel_label(data.channel)} error, {unit}")
+        title = f"{log.name}: {quantities.channel_label(data.channel)} error on the map"
         caption = "Each point is one prediction, coloured by its error. All panels have the same colour scale."
-        return save_figure(figure, scene.output, "map", title, caption)
+        return save_figure(figure, data.output, "map", title, caption)
 
 
-def _find_worst_run(scene: Scene) -> tuple[int | None, np.ndarray]:
-    """(index of the run with the largest error in `scene.channel`, its errors [SI]). Runs with a straight track are
+def _find_worst_run(data: FigureData) -> tuple[int | None, np.ndarray]:
+    """(index of the run with the largest error in `data.channel`, its errors [SI]). Runs with a straight track are
     left out if there are others. The index is None without errors."""
-    samples = scene.before
-    squares = samples.squares.get(scene.channel)
+    samples = data.before
+    squares = samples.squares.get(data.channel)
     if squares is None or not len(squares):
         return None, np.empty(0)
     runs = np.unique(samples.run)
-    wide = [_aspect_ratio(scene.runs[r]) > MIN_ASPECT for r in runs]
+    wide = [_aspect_ratio(data.runs[r]) > MIN_ASPECT for r in runs]
     runs = runs[wide] if any(wide) else runs
     run = int(max(runs, key=lambda r: float(squares[samples.run == r].mean())))
     return run, np.sqrt(squares[samples.run == run])
@@ -199,9 +200,9 @@ def _aspect_ratio(log: DriveLog) -> float:
     return float(min(width, height) / max(width, height, 1e-9))
 
 
-def draw_agreement(scene: Scene) -> PageFigure | None:
+def draw_agreement(data: FigureData) -> PageFigure | None:
     """Draw the ratio of the local estimate to the overall estimate of each effect, for each part of the driving."""
-    effects = [e for e in scene.found.effects if any(e.agreement.values())]
+    effects = [e for e in data.found.effects if any(e.agreement.values())]
     if not effects:
         return None
     effects = report_text.sort_by_size(effects)[:MAX_PANELS]
@@ -221,7 +222,7 @@ def draw_agreement(scene: Scene) -> PageFigure | None:
             ratios = [(partition, rows[partition, v.where], v) for partition, v in estimates[effect.name]]
             _draw_ratios(axes, [(row, v) for partition, row, v in ratios if partition not in crowded])
             for row, v in ((row, v) for partition, row, v in ratios if partition in crowded):
-                axes.plot(np.clip(v.ratio, *axes.get_xlim()), row, "|", ms=7, color=AFTER, alpha=0.6)
+                axes.plot(np.clip(v.ratio, *axes.get_xlim()), row, "|", ms=7, color=AFTER_COLOUR, alpha=0.6)
             title = textwrap.fill(quantities.to_words(effect.name), 64 // len(effects), break_long_words=False)
             axes.set_title(title, fontsize=8)
         for row in (row for row in range(1, len(labels)) if labels[row - 1][0] != labels[row][0]):
@@ -233,7 +234,7 @@ def draw_agreement(scene: Scene) -> PageFigure | None:
         caption = ("Point: the effect refitted to one part of the driving, with the other effects fixed, divided by "
                    "the overall estimate; filled if the 95 % interval (bar) excludes zero. Solid line: the overall "
                    "estimate; dotted line: zero. A property of the car is the same everywhere.")
-        return save_figure(figure, scene.output, "agreement", "Local estimates of each effect", caption)
+        return save_figure(figure, data.output, "agreement", "Local estimates of each effect", caption)
 
 
 def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) -> None:
@@ -244,11 +245,11 @@ def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) ->
         half_width = report_text.Z95 * estimate.deviation
         low, high = estimate.ratio - half_width, estimate.ratio + half_width
         is_significant = low > 0.0 or high < 0.0
-        axes.plot(np.clip([low, high], -MAX_RATIO, MAX_RATIO), [row, row], color=AFTER, lw=1.2)
-        axes.plot(np.clip(estimate.ratio, -MAX_RATIO, MAX_RATIO), row, "o", ms=4.5, color=AFTER,
-                  mfc=AFTER if is_significant else "none")
+        axes.plot(np.clip([low, high], -AXIS_LIMIT, AXIS_LIMIT), [row, row], color=AFTER_COLOUR, lw=1.2)
+        axes.plot(np.clip(estimate.ratio, -AXIS_LIMIT, AXIS_LIMIT), row, "o", ms=4.5, color=AFTER_COLOUR,
+                  mfc=AFTER_COLOUR if is_significant else "none")
     ends = [v.ratio + side * report_text.Z95 * v.deviation for _, v in ratios for side in (-1.0, 1.0)]
-    axes.set_xlim(max(min([-0.2, *ends]), -MAX_RATIO) - 0.05, min(max([1.2, *ends]), MAX_RATIO) + 0.05)
+    axes.set_xlim(max(min([-0.2, *ends]), -AXIS_LIMIT) - 0.05, min(max([1.2, *ends]), AXIS_LIMIT) + 0.05)
 
 
 def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
@@ -260,9 +261,9 @@ def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
     with apply_style():
         figure, (curve, distribution) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
         curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")
-        curve.fill_between(at, value - half_width, value + half_width, color=AFTER, alpha=0.25, lw=0,
+        curve.fill_between(at, value - half_width, value + half_width, color=AFTER_COLOUR, alpha=0.25, lw=0,
                            label="95 % interval")
-        curve.plot(at, value, color=AFTER, label="proposed relation")
+        curve.plot(at, value, color=AFTER_COLOUR, label="proposed relation")
         for k, (low, high) in enumerate(relation.next_drives.sparse):
             for axes in (curve, distribution):
                 axes.axvspan(x_scale * low, x_scale * high, color=MEASURED_COLOUR, alpha=0.12, lw=0,
@@ -274,7 +275,7 @@ def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
         # Most driving is straight at constant speed; a linear scale would hide the other bins.
         distribution.set(yscale="log", ylim=(0.02, 100.0), yticks=(0.1, 1.0, 10.0, 100.0))
         distribution.yaxis.set_major_formatter("{x:g}")
-        distribution.set(ylabel="share of the\ndriving, %", xlabel=f"{quantities.QUANTITIES[c.quantity]}, {x_unit}")
+        distribution.set(ylabel="share of the\ndriving, %", xlabel=f"{quantities.QUANTITY_NAMES[c.quantity]}, {x_unit}")
         before, after = relation.position_5s
         title = (f"PROPOSAL: {full_title(relation)}; held-out position error after 5 s: "
                  f"{before:.3f} m without it, {after:.3f} m with it")

@@ -13,7 +13,7 @@ from st_core.vehicle import VehicleParameters
 MAX_DECIMALS = 6  # numbers that need more are written with an exponent
 BOUND_TOLERANCE = Limits().at_bound  # distance from a bound, divided by the typical size of the parameter
 DISPLAY_UNITS = {"rad": (math.degrees(1.0), "°"), "rad/s": (math.degrees(1.0), "°/s")}  # (factor from SI, unit)
-TERMS = {
+TERM_NAMES = {
     "front_steer": "steering of the front wheels", "rear_steer": "steering of the rear wheels",
     "front_force": "lateral force of the front axle", "rear_force": "lateral force of the rear axle",
     "front_grip": "grip of the front axle", "rear_grip": "grip of the rear axle", "both_grip": "grip of both axles",
@@ -22,7 +22,7 @@ TERMS = {
     "sensor_velocity_y": "error of the lateral velocity of the INS",
     "sensor_heading": "error of the heading of the INS",
 }
-QUANTITIES = {
+QUANTITY_NAMES = {
     "slip_front": "slip angle of the front axle", "slip_rear": "slip angle of the rear axle",
     "steering": "road-wheel angle", "acceleration_y": "lateral acceleration", "acceleration_x": "forward acceleration",
     "speed": "speed", "yaw_rate": "yaw rate", "steering_rate": "rate of the road-wheel angle",
@@ -132,7 +132,7 @@ def axis_label(c: Candidate) -> str:
                "yaw_moment": " divided by the yaw inertia", "side_force": " divided by the mass"}.get(c.term, "")
     sign = (", + reads too large" if c.is_sensor_error else ", relative, + more force" if c.term.endswith("grip")
             else f"{divisor}, left +")
-    return f"{TERMS[c.term]}{sign}{f', for each unit of {QUANTITIES[c.factor]}' if c.factor else ''}"
+    return f"{TERM_NAMES[c.term]}{sign}{f', for each unit of {QUANTITY_NAMES[c.factor]}' if c.factor else ''}"
 
 
 def explain_unit(c: Candidate, vehicle: VehicleParameters) -> str:
@@ -151,7 +151,7 @@ def spell_out(name: str) -> str:
     """Description of the relation with this `Candidate.name`."""
     term, _, argument = name.partition(" over ")
     quantity, _, factor = argument.partition(" times ")
-    if term not in TERMS or quantity not in QUANTITIES:
+    if term not in TERM_NAMES or quantity not in QUANTITY_NAMES:
         return name
-    text = f"{TERMS[term]} as a function of the {QUANTITIES[quantity]}"
-    return f"{text} times {QUANTITIES[factor]}" if factor else text
+    text = f"{TERM_NAMES[term]} as a function of the {QUANTITY_NAMES[quantity]}"
+    return f"{text} times {QUANTITY_NAMES[factor]}" if factor else text

@@ -97,9 +97,9 @@ def effect_name(relation: Relation) -> str:
 def full_title(relation: Relation) -> str:
     """Description of the relation by its term and quantity."""
     c, is_constant = relation.candidate, bool(relation.formulas) and relation.formulas[0].shape == "constant"
-    factor = f", for each unit of {quantities.QUANTITIES[c.factor]}" if c.factor else ""
+    factor = f", for each unit of {quantities.QUANTITY_NAMES[c.factor]}" if c.factor else ""
     dependence = "the same for every" if is_constant else "as a function of the"
-    return f"{quantities.TERMS[c.term]}{factor}, {dependence} {quantities.QUANTITIES[c.quantity]}"
+    return f"{quantities.TERM_NAMES[c.term]}{factor}, {dependence} {quantities.QUANTITY_NAMES[c.quantity]}"
 
 
 def _title_with_causes(relation: Relation) -> str:

@@ -36,7 +36,7 @@ def report_relation(found: RelationSearch, discovery: Discovery, vehicle: Vehicl
                     folder: str) -> RelationReport:
     """Report of a search for a relation. folder: of the results, for the commands in the report."""
     relation = found.relation
-    terms = ", ".join(quantities.TERMS[name] for name in found.find_unexamined_terms())
+    terms = ", ".join(quantities.TERM_NAMES[name] for name in found.find_unexamined_terms())
     not_excluded: Groups = [("not excluded", [f"a relation for a term that these drives do not excite enough: {terms}"]
                              )] if terms else []
     if relation is None:
@@ -78,7 +78,7 @@ def _formula(relation: Relation, vehicle: VehicleParameters) -> list[str]:
              "of the curve's held-out gain when simulated in its place)" for k, f in enumerate(relation.formulas)
              ] or ["no simple formula keeps 90 % of the curve's held-out gain when simulated in its place"]
     return [*lines, f"y: {quantities.axis_label(c)}, {c.unit.translate(SQUARES)}; u: "
-            f"{quantities.QUANTITIES[c.quantity]}{quantities.SIGNS.get(c.quantity, '')}, "
+            f"{quantities.QUANTITY_NAMES[c.quantity]}{quantities.SIGNS.get(c.quantity, '')}, "
             f"{QUANTITIES[c.quantity].translate(SQUARES)}",
             *filter(None, [quantities.explain_unit(c, vehicle)])]
 
@@ -87,7 +87,7 @@ def _uncertainty(relation: Relation) -> list[str]:
     """Sentences on the range of the quantity, the widest interval, sparse ranges and the variation between runs."""
     c, widest = relation.candidate, int(relation.deviation.argmax())
     (y_scale, unit), (x_scale, x_unit) = curve_unit(c.unit), curve_unit(QUANTITIES[c.quantity])
-    lines = [f"driven: {quantities.QUANTITIES[c.quantity]} from {x_scale * c.low:.3g} to {x_scale * c.high:.3g} "
+    lines = [f"driven: {quantities.QUANTITY_NAMES[c.quantity]} from {x_scale * c.low:.3g} to {x_scale * c.high:.3g} "
              f"{x_unit}; the curve is constant beyond this range",
              f"widest interval at {x_scale * relation.at[widest]:.3g} {x_unit}: {y_scale * relation.value[widest]:.2g} "
              f"± {y_scale * report_text.Z95 * relation.deviation[widest]:.2g} {unit} (95 %)"]

@@ -420,8 +420,10 @@ def list_details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[s
 
 def describe_condition(error: result.LargeErrorRegion) -> tuple[str, str]:
     """(driving condition of an error, its ratio to the expected error with the 95 % interval)."""
-    preposition = {"everywhere": "", "within": "", **dict.fromkeys(("speed", "lateral", "steering", "forward"), "at ")}
-    where = preposition.get(error.condition.split()[0], "in ") + error.condition.replace("^2", "²")
+    first = error.condition.split()[0]
+    preposition = ("" if first in ("everywhere", "within") else
+                   "at " if first in ("speed", "lateral", "road-wheel", "steering", "forward") else "in ")
+    where = preposition + error.condition.replace("^2", "²")
     if error.excess > MAX_RATIO:
         return where, f"more than {MAX_RATIO:g}"
     low, high = error.interval
