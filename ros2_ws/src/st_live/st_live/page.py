@@ -85,15 +85,15 @@ class _Handler(BaseHTTPRequestHandler):
         if self.server.server_address[0] == LOOPBACK and name not in (LOOPBACK, "localhost"):
             self.send_error(403, "the page is not available under this host name")
         elif self.path.split("?")[0] == "/":
-            self._send(self.server.page, "text/html; charset=utf-8")
+            self._send_content(self.server.page, "text/html; charset=utf-8")
         elif self.path.startswith("/clock"):
-            self._send(json.dumps(time.monotonic()).encode(), "application/json")
+            self._send_content(json.dumps(time.monotonic()).encode(), "application/json")
         elif self.path == "/frames":
             self._send_frames()
         else:
             self.send_error(404)
 
-    def _send(self, content: bytes, content_type: str) -> None:
+    def _send_content(self, content: bytes, content_type: str) -> None:
         self.send_response(200)
         self.send_header("Content-Type", content_type)
         self.send_header("Content-Length", str(len(content)))

@@ -40,7 +40,7 @@ GHOST_STRENGTH = 0.4  # colour strength of earlier predictions, less with age; 1
 GHOST_STRIDE, TRACK_STRIDE, RIBBON_STRIDE = 5, 2, 2  # every n-th point is drawn
 RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}  # colour strength by probability
 # Half the line width in screen points, the same at every zoom.
-THIN, THICK, TRACK = (rr.Radius.ui_points(points) for points in (0.6, 1.8, 4.0))
+THIN_LINE, THICK_LINE, TRACK_LINE = (rr.Radius.ui_points(points) for points in (0.6, 1.8, 4.0))
 # Each model's path is narrower than the previous one and drawn above it: all stay visible where they coincide.
 MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0.6))
 Projection = Callable[[np.ndarray, np.ndarray], np.ndarray]  # from map x, y to screen coordinates
@@ -129,11 +129,11 @@ class Scene:
         self._plotted: set[str] = set()  # models with error plots
         angle = np.linspace(0.0, 2.0 * math.pi, 73)
         rings = [np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1) for r in RINGS]
-        recording.log("ahead/rings", rr.LineStrips2D(rings, colors=[LIGHT_GREY], radii=THIN, draw_order=-1.0),
+        recording.log("ahead/rings", rr.LineStrips2D(rings, colors=[LIGHT_GREY], radii=THIN_LINE, draw_order=-1.0),
                       static=True)
         # Ring names are at the front right, where paths rarely cover them.
         recording.log("ahead/ring_names", rr.Points2D(
-            [(0.7 * r, -0.7 * r) for r in RINGS[1::2]], radii=THIN, colors=[(120, 120, 120)],
+            [(0.7 * r, -0.7 * r) for r in RINGS[1::2]], radii=THIN_LINE, colors=[(120, 120, 120)],
             labels=[f"{r} m" for r in RINGS[1::2]], show_labels=True), static=True)
         for name, series in (("steering", "road wheel angle"), ("speed", "speed"), ("lateral_acceleration", "v_x r")):
             self._add_series(f"plots/{name}/measured", series, MEASURED_COLOUR)
@@ -186,7 +186,7 @@ class Scene:
         if self._angle is not None:
             log("plots/steering/measured", rr.Scalars([math.degrees(self._angle)]))
         lines = [to_north_up(x, y, pose) for x, y in make_grid_lines(pose, GRID_SPACING, 2.0 * AROUND)]
-        self._log_lines("map/grid", lines, [LIGHT_GREY], THIN, order=-1.0)
+        self._log_lines("map/grid", lines, [LIGHT_GREY], THIN_LINE, order=-1.0)
         self._draw_view("map", lambda x, y: to_north_up(x, y, pose), pose, now_ns)
         self._draw_view("ahead", lambda x, y: to_heading_up(x, y, pose), pose, now_ns)
         if not 0 <= self._text_due_ns - now_ns <= TEXT_PERIOD_NS:  # the second limit: the clock has been set back
@@ -199,8 +199,9 @@ class Scene:
         history = self._history
         track = np.array([(x, y) for _, x, y in history.track])[::-TRACK_STRIDE]
         colour = rgb(MEASURED_COLOUR, 0.6)
-        self._log_lines(f"{root}/track", [project(track[:, 0], track[:, 1])], [colour], TRACK, order=0.0)
-        self._log_lines(f"{root}/car", [project(*make_car_outline(pose, self._car))], [(20, 20, 20)], THICK, order=5.0)
+        self._log_lines(f"{root}/track", [project(track[:, 0], track[:, 1])], [colour], TRACK_LINE, order=0.0)
+        outline = project(*make_car_outline(pose, self._car))
+        self._log_lines(f"{root}/car", [outline], [(20, 20, 20)], THICK_LINE, order=5.0)
         ghosts, ghost_colours, errors, error_colours = [], [], [], []
         for number, model in enumerate(history.models):
             self._log_name(model)
@@ -215,8 +216,8 @@ class Scene:
             if point := history.find_predicted_position(model, now_ns):
                 errors.append(project(np.array([pose[0], point[0]]), np.array([pose[1], point[1]])))
                 error_colours.append(rgb(colour_of(model)))
-        self._log_lines(f"{root}/ghosts", ghosts, ghost_colours, THIN, order=1.0)
-        self._log_lines(f"{root}/errors", errors, error_colours, THICK, order=4.5)
+        self._log_lines(f"{root}/ghosts", ghosts, ghost_colours, THIN_LINE, order=1.0)
+        self._log_lines(f"{root}/errors", errors, error_colours, THICK_LINE, order=4.5)
 
     def _draw_ribbons(self, entity: str, project: Projection, ribbons: Sequence[Ribbon], model: str,
                       number: int) -> None:
@@ -226,7 +227,7 @@ class Scene:
         show the bands of every model.
         """
         edges = [project(*side.T) for band in ribbons[:1] for side in (band.left, band.right)]
-        self._log_lines(f"{entity}/edges", edges, [rgb(colour_of(model), 0.6)], THIN, order=0.8)
+        self._log_lines(f"{entity}/edges", edges, [rgb(colour_of(model), 0.6)], THIN_LINE, order=0.8)
         for level, strength in RIBBON_STRENGTH.items():
             strips, radii = np.empty((0, 2, 2)), np.empty(0)
             for band in (r for r in ribbons if r.level == level):

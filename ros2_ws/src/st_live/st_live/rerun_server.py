@@ -26,6 +26,7 @@ from .suite import VIEW_NICE, Child, Processes, SuiteError
 LOOPBACK = "127.0.0.1"
 READY_TIMEOUT = 20.0  # s until a server must accept connections
 STOP_TIMEOUT = 3.0  # s until a process is killed
+REQUEST_TIMEOUT = 30.0  # s
 RERUN_MISSING = ("rerun-sdk is not installed (its numpy 2 conflicts with a sourced ROS); "
                  "RViz, Foxglove and PlotJuggler show the same data, see docs/manual/viewing.md")
 HOP_BY_HOP = {"connection", "keep-alive", "transfer-encoding", "date", "server"}
@@ -37,7 +38,7 @@ RECORDING = "/recording.rrd"
 
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
-    source_port: ClassVar[int]
+    rerun_port: ClassVar[int]
     recording: ClassVar[Path]
 
     def do_GET(self) -> None:
@@ -50,9 +51,9 @@ class _Handler(BaseHTTPRequestHandler):
                 shutil.copyfileobj(stream, self.wfile)
             return
         try:
-            source = http.client.HTTPConnection(LOOPBACK, self.source_port, timeout=30)
-            source.request("GET", self.path, headers={"Accept-Encoding": self.headers.get("Accept-Encoding", "")})
-            response = source.getresponse()
+            connection = http.client.HTTPConnection(LOOPBACK, self.rerun_port, timeout=REQUEST_TIMEOUT)
+            connection.request("GET", self.path, headers={"Accept-Encoding": self.headers.get("Accept-Encoding", "")})
+            response = connection.getresponse()
         except OSError as error:
             self.send_error(502, f"the server of Rerun does not respond: {error}")
             return
@@ -66,7 +67,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Security-Policy", POLICY)
         self.end_headers()
         shutil.copyfileobj(response, self.wfile)
-        source.close()
+        connection.close()
 
     def log_message(self, *_: object) -> None:
         """Do not log requests."""
@@ -81,13 +82,13 @@ def show_recording(folder: Path, file: Path, console: Console) -> None:
     lower_priority(VIEW_NICE)
     with socket.socket() as probe:
         probe.bind((LOOPBACK, 0))
-        source = probe.getsockname()[1]
-    handler = type("Handler", (_Handler,), {"source_port": source, "recording": file})
+        rerun_port = probe.getsockname()[1]
+    handler = type("Handler", (_Handler,), {"rerun_port": rerun_port, "recording": file})
     page, processes = ThreadingHTTPServer((LOOPBACK, 0), handler), Processes(folder)
     threading.Thread(target=page.serve_forever, name="page", daemon=True).start()
     recording = f"http://{LOOPBACK}:{page.server_port}{RECORDING}"
     try:
-        rerun = _start_rerun(processes, recording, source)
+        rerun = _start_rerun(processes, recording, rerun_port)
         show_address(f"http://{LOOPBACK}:{page.server_port}/?url={quote(recording, safe='')}", console)
         console.print("Ctrl-C ends the view.")
         rerun.process.wait()

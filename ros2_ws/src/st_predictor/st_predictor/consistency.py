@@ -113,8 +113,8 @@ def _thin_out(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray
     """(times, rows) since an instant: the first sample of each SAMPLE_PERIOD_NS."""
     first = int(np.searchsorted(series.times, start_ns))
     times = series.times[first:]
-    kept = np.flatnonzero(np.diff(times // SAMPLE_PERIOD_NS, prepend=-1))
-    return times[kept], series.rows[first:][kept]
+    selected = np.flatnonzero(np.diff(times // SAMPLE_PERIOD_NS, prepend=-1))
+    return times[selected], series.rows[first:][selected]
 
 
 def _make_pending_verdict(driving_time: float) -> Verdict:

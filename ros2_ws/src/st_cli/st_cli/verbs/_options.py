@@ -91,6 +91,11 @@ def report_errors(verb: str, *additional: type[Exception]) -> Iterator[None]:
         raise typer.Exit(2) from None
 
 
+def split_names(text: str) -> tuple[str, ...]:
+    """The parts of a text between commas, without spaces around them; empty parts are ignored."""
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
 class NamedCar(NamedTuple):
     """Files and settings of a car. vehicle, dbc, signals: None if not named. steering: sign and latency, if given."""
 

@@ -83,12 +83,8 @@ def discover(
         parameters, file = shared.load_vehicle_or_default(vehicle)
         request = Request(
             base, parameters, str(file), file.read_text(encoding="utf-8"),
-            DiscoverySettings(channels=tuple(_split_names(channels)), seed=seed, certify=certify), runs, reference,
-            read_settings, effects, output, jobs, tuple(_split_names(figures)), report, not fresh, force, propose)
+            DiscoverySettings(channels=shared.split_names(channels), seed=seed, certify=certify), runs, reference,
+            read_settings, effects, output, jobs, shared.split_names(figures), report, not fresh, force, propose)
         status = run_command(request, Console())
     shared.report_default_car("discover", vehicle, file)
     raise typer.Exit(status)
-
-
-def _split_names(text: str) -> list[str]:
-    return [part.strip() for part in text.split(",") if part.strip()]

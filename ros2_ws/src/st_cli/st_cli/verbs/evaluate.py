@@ -62,7 +62,7 @@ def evaluate(
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
         task, vehicle, vehicle_origin = make_task(
             read_options, model, effects, prediction, acceleration, inputs, interval, force=force,
-            starts=_parse_seconds(at), formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
+            starts=_parse_seconds(at), formats=shared.split_names(figures),
             bands=None if bands is None else (str(bands), bands.read_text(encoding="utf-8")), adaptive=adaptive,
             course=None if course is None else (str(course), course.read_text(encoding="utf-8")))
         load_course(task.course)
@@ -122,6 +122,6 @@ def resolve_vehicle(vehicle: Path | None, models: Sequence[str | tuple[str, str]
 
 def _parse_seconds(text: str) -> tuple[float, ...]:
     try:
-        return tuple(float(part) for part in text.split(",") if part.strip())
+        return tuple(float(part) for part in shared.split_names(text))
     except ValueError:
         raise typer.BadParameter(f"--at {text!r}: expected comma-separated seconds") from None

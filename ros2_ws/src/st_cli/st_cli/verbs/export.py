@@ -34,8 +34,7 @@ def export(
     if importlib.util.find_spec("casadi") is None:
         typer.echo("st export: CasADi is not installed: run pip install '.[mpc]' or pip install casadi", err=True)
         raise typer.Exit(2)
-    from st_offline.model_export import export_model as write_model
-    from st_offline.model_export import load_model
+    from st_offline.model_export import export_model, load_model
 
     with shared.report_errors("export", OSError):
         named = shared.ReadOptions(car, vehicle).resolve_car().vehicle
@@ -45,7 +44,7 @@ def export(
         exported, model_vehicle = load_model(model, parameters, str(file), named is not None)
         parsed_bands = None if bands is None else Bands.from_yaml(bands.read_text(encoding="utf-8"), str(bands))
         folder = new_folder(output, "export")
-        paths = write_model(exported, model_vehicle, folder, kind, substeps, free, parsed_bands)
+        paths = export_model(exported, model_vehicle, folder, kind, substeps, free, parsed_bands)
     if model_vehicle is parameters:
         shared.report_default_car("export", named, file)
     for path in paths:

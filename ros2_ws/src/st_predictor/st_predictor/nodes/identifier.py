@@ -35,7 +35,7 @@ class IdentifierNode(Node):
         self._core = OnlineIdentifier(vehicle)
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="fit")
         self._fit: Future[OnlineFit] | None = None
-        self._status: dict[str, str] = {}
+        self._statuses: dict[str, str] = {}
         self._resets = 0
         self._received = {"INS": 0, "steering": 0}
         qos = QoSProfile(depth=QUEUE_DEPTH)
@@ -69,11 +69,11 @@ class IdentifierNode(Node):
 
     def _log_changes(self) -> None:
         for estimate in self._core.estimates():
-            if estimate.status != self._status.get(estimate.parameter, "unestimated"):
+            if estimate.status != self._statuses.get(estimate.parameter, "unestimated"):
                 value = f"{estimate.value:.4g} +/- {estimate.deviation:.2g} {estimate.unit}"
                 text = value if estimate.status == "estimated" else estimate.reason
                 self.get_logger().info(f"{estimate.parameter} {estimate.status}: {text}")
-            self._status[estimate.parameter] = estimate.status
+            self._statuses[estimate.parameter] = estimate.status
 
     def _publish(self) -> None:
         self._reload_vehicle_file()
@@ -104,7 +104,7 @@ class IdentifierNode(Node):
         if changed:
             self._core.reset(vehicle)
             self._fit = None  # a fit that is still running uses the previous values
-            self._status = {}
+            self._statuses = {}
             self._resets += 1
             self.get_logger().info(f"{self._file} has changed: all estimates are reset")
 

@@ -97,8 +97,8 @@ class PredictorNode(Node):
         self._counter = TickCounter()
         self._skip: Skip | None = Skip("stale", "INS: nothing received yet")
         self._last_start_ns: int | None = None
-        self._not_finite: set[str] = set()
-        self._jumps = 0  # position jumps reported so far
+        self._diverged: set[str] = set()  # models whose newest prediction is not finite
+        self._reported_jumps = 0
         self._slowest_tick = 0.0
         self._state_age = math.nan  # last published median [s]
         self._state_ages: list[float] = []  # age of each start state since the last status [s]
@@ -111,7 +111,7 @@ class PredictorNode(Node):
         self.get_logger().info(
             f"{', '.join(self._core.models)} of {self._vehicle.name}: {settings.horizon:g} s in steps of "
             f"{settings.step:g} s at {values.rate:g} Hz, "
-            f"configuration {', '.join(h[:12] for h in dict.fromkeys(self._hash.values()))}; models {backend}")
+            f"configuration {', '.join(h[:12] for h in dict.fromkeys(self._hashes.values()))}; models {backend}")
 
     def _make_core(self, values: SimpleNamespace) -> str:
         """Create the core with its models, hashes and bands; returns how the models are executed, for the log."""
@@ -121,11 +121,11 @@ class PredictorNode(Node):
         loaded = params.translate_errors(values, lambda: [get_model(model) for model in models])
         runners, backend = compile_models(loaded if values.compiled else (), self._vehicle, settings)
         self._core = params.translate_errors(values, lambda: Predictor(self._vehicle, loaded, settings, runners))
-        self._hash = dict.fromkeys(self._core.models, configuration_hash(self._vehicle, settings))
+        self._hashes = dict.fromkeys(self._core.models, configuration_hash(self._vehicle, settings))
         file_hashes = dict.fromkeys(self._core.models, "")
         if file:
             file_hashes[loaded[-1].name] = file.hash
-            self._hash[loaded[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
+            self._hashes[loaded[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
         self._bands = PredictionBands(values, self._vehicle, file_hashes, settings, loaded, runners)
         return backend or "interpreted"
 
@@ -165,8 +165,8 @@ class PredictorNode(Node):
         if self._skip and self._simulated:
             self._publish_status()  # the player of `st replay` waits for a message from every tick
         changed = (previous_skip and previous_skip.kind) != (self._skip and self._skip.kind)
-        if changed or self._jumps != self._core.history.jumps:
-            self._jumps = self._core.history.jumps
+        if changed or self._reported_jumps != self._core.history.jumps:
+            self._reported_jumps = self._core.history.jumps
             self._diagnostics.publish()
         self._slowest_tick = max(self._slowest_tick, time.perf_counter() - started)
 
@@ -198,7 +198,8 @@ class PredictorNode(Node):
             trajectory = self._core.run(start, model)
             compute_time = time.perf_counter() - run_started
             car = self._core.car(model)
-            message = convert.make_prediction_message(start, model, trajectory, car, self._map_frame, self._hash[model])
+            message = convert.make_prediction_message(
+                start, model, trajectory, car, self._map_frame, self._hashes[model])
             message.compute_time = compute_time
             message.bands = bands.get(model, [])
             now = self.get_clock().now()
@@ -211,9 +212,9 @@ class PredictorNode(Node):
         for model, path_publisher, trajectory, car in paths:
             if np.isfinite(trajectory.states).all():
                 path_publisher.publish(self._path_builder.fill(start.time_ns, trajectory, car))
-                self._not_finite.discard(model)
+                self._diverged.discard(model)
             else:
-                self._not_finite.add(model)  # viewers cannot draw such a path; the evaluator scores it as incomplete
+                self._diverged.add(model)  # viewers cannot draw such a path; the evaluator scores it as incomplete
         self._bands.add_predictions(start, issued)
         if previous_state != (bool(self._plan.problem), self._course.is_used):
             self._diagnostics.publish()
@@ -227,7 +228,7 @@ class PredictorNode(Node):
             trajectory = self._core.run(start, model, model_inputs)
             compute_time = time.perf_counter() - run_started
             message = convert.make_planned_message(start, model, plan_ns, model_inputs, trajectory,
-                                                   self._core.car(model), self._map_frame, self._hash[model])
+                                                   self._core.car(model), self._map_frame, self._hashes[model])
             message.compute_time = compute_time
             message.issued_at = self.get_clock().now().to_msg()
             self._planned_outputs[mode, model].publish(message)
@@ -252,8 +253,8 @@ class PredictorNode(Node):
             text = f"no prediction: {self._explain_skip()}"
         elif self._skip:
             level, text = diagnostics.ERROR, f"no prediction: {self._explain_skip()}"
-        elif self._not_finite:
-            level, text = diagnostics.WARN, f"prediction not finite, no path: {', '.join(sorted(self._not_finite))}"
+        elif self._diverged:
+            level, text = diagnostics.WARN, f"prediction not finite, no path: {', '.join(sorted(self._diverged))}"
         ages = self._core.ages(self.get_clock().now().nanoseconds)
         known_ages = {f"age {signal} [s]": age for signal, age in ages.items() if math.isfinite(age)}
         slowest, self._slowest_tick = self._slowest_tick, 0.0
