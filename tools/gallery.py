@@ -18,7 +18,7 @@ from rich.console import Console
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, RC
 from st_core.types import cg_to_ins_position, map_to_body
 from st_core.vehicle import VehicleParameters
-from st_predictor.map_drawing import make_car_outline
+from st_predictor.map_drawing import Pose, make_car_outline
 from st_recordings.car import read_vehicle
 from st_recordings.paths import config
 from st_recordings.recorded_results import Predictions, read_predictions
@@ -150,7 +150,7 @@ def _draw_frame(results: Results, predictions: dict[str, Predictions], car: Vehi
             if path is not None:
                 draw(*path, color=MODEL_COLOUR[model], lw=2.2 if age == 0 else 0.8, alpha=1.0 if age == 0 else 0.35,
                      label=model if age == 0 else None)
-    draw(*make_car_outline((here_x, here_y, yaw), car), color="k", lw=1.6)
+    draw(*make_car_outline(Pose(here_x, here_y, yaw), car), color="k", lw=1.6)
     scene.set(xlim=(-ASIDE, ASIDE), ylim=(-BEHIND, AHEAD), aspect="equal", xlabel="to the right, m", ylabel="ahead, m")
     scene.set_title("predicted 5 s ahead; thin: 1 to 5 s ago; grey: driven")
     if scene.get_legend_handles_labels()[0]:

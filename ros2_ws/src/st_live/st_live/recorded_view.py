@@ -13,7 +13,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, colour_of, rgb
 from st_core.types import InsSample, map_to_body
 from st_core.vehicle import VehicleParameters
 from st_predictor import convert
-from st_predictor.map_drawing import History, Ribbon, make_car_outline
+from st_predictor.map_drawing import History, Pose, Ribbon, make_car_outline
 from st_recordings.recorded_results import find_configuration
 from st_recordings.results import format_band_lines
 from st_recordings.runs.bag import definitions_folder, open_bag, read_bag
@@ -44,7 +44,6 @@ THIN_LINE, THICK_LINE, TRACK_LINE = (rr.Radius.ui_points(points) for points in (
 # Each model's path is narrower than the previous one and drawn above it: all stay visible where they coincide.
 MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0.6))
 Projection = Callable[[np.ndarray, np.ndarray], np.ndarray]  # from map x, y to screen coordinates
-Pose = tuple[float, float, float]  # x, y [m], yaw [rad]
 FRAME_PERIOD_NS = 100_000_000
 FLUSH_PERIOD = 5.0  # s between writes; few large chunks load quickly
 TEXT_PERIOD_NS = 1_000_000_000
@@ -90,24 +89,23 @@ def make_blueprint() -> rrb.Blueprint:
 
 def to_north_up(x, y, pose: Pose) -> np.ndarray:
     """(..., 2) screen coordinates [m] of map points x east, y north [m], around a car at `pose`."""
-    return np.stack(np.broadcast_arrays(np.asarray(x) - pose[0], pose[1] - np.asarray(y)), axis=-1)
+    return np.stack(np.broadcast_arrays(np.asarray(x) - pose.x, pose.y - np.asarray(y)), axis=-1)
 
 
 def to_heading_up(x, y, pose: Pose) -> np.ndarray:
     """(..., 2) screen coordinates [m] of map points x, y [m], seen from a car at `pose`, its heading up."""
-    forward, left = map_to_body(np.asarray(x) - pose[0], np.asarray(y) - pose[1], pose[2])
+    forward, left = map_to_body(np.asarray(x) - pose.x, np.asarray(y) - pose.y, pose.yaw)
     return np.stack(np.broadcast_arrays(-left, -forward), axis=-1)
 
 
 def make_grid_lines(pose: Pose, spacing: float, reach: float) -> list[tuple[np.ndarray, np.ndarray]]:
     """Grid lines (x, y) of the map [m] within `reach` of the car [m]."""
-    lines = []
-    for axis in (0, 1):
-        first = np.ceil((pose[axis] - reach) / spacing) * spacing
-        for value in np.arange(first, pose[axis] + reach, spacing):
-            fixed, along = np.full(2, value), pose[1 - axis] + reach * np.array([-1.0, 1.0])
-            lines.append((fixed, along) if axis == 0 else (along, fixed))
-    return lines
+    def find_positions(centre: float) -> np.ndarray:
+        return np.arange(np.ceil((centre - reach) / spacing) * spacing, centre + reach, spacing)
+
+    ends = reach * np.array([-1.0, 1.0])
+    return ([(np.full(2, x), pose.y + ends) for x in find_positions(pose.x)]
+            + [(pose.x + ends, np.full(2, y)) for y in find_positions(pose.y)])
 
 
 class Scene:
@@ -178,7 +176,7 @@ class Scene:
         sample, self._sample = self._sample, None
         if sample is None:
             return
-        now_ns, log, pose = sample.time_ns, self._stream.log, (sample.x, sample.y, sample.yaw)
+        now_ns, log, pose = sample.time_ns, self._stream.log, Pose(sample.x, sample.y, sample.yaw)
         self._history.add_pose(now_ns, sample.x, sample.y)
         self._set_time(now_ns)
         log("plots/speed/measured", rr.Scalars([sample.velocity_x]))
@@ -214,7 +212,7 @@ class Scene:
                 ghost_colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
             # A line from the car to the position predicted for the present one horizon ago.
             if point := history.find_predicted_position(model, now_ns):
-                errors.append(project(np.array([pose[0], point[0]]), np.array([pose[1], point[1]])))
+                errors.append(project(*np.transpose([(pose.x, pose.y), point])))
                 error_colours.append(rgb(colour_of(model)))
         self._log_lines(f"{root}/ghosts", ghosts, ghost_colours, THIN_LINE, order=1.0)
         self._log_lines(f"{root}/errors", errors, error_colours, THICK_LINE, order=4.5)

@@ -25,7 +25,7 @@ from st_live.recorded_view import format_errors, make_grid_lines, to_heading_up,
 from st_live.rerun_server import POLICY
 from st_live.suite import SuiteError
 from st_msgs.msg import Band, ErrorStatistics, InsStatus, PlannedPrediction, Prediction, PredictionError, Steering
-from st_predictor.map_drawing import GHOST_AGES, GHOST_TOLERANCE, History, make_car_outline, make_ribbon
+from st_predictor.map_drawing import GHOST_AGES, GHOST_TOLERANCE, History, Pose, make_car_outline, make_ribbon
 from st_predictor.map_drawing import Path as PredictedPath
 from st_ros.polling import from_nanoseconds
 from support import ROOT
@@ -37,7 +37,7 @@ LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 @pytest.mark.parametrize("yaw", np.linspace(-3.0, 3.0, 7))
 def test_a_point_to_the_left_is_on_the_left_and_one_ahead_is_up(yaw: float) -> None:
     """Screen y points down: up is negative."""
-    pose = (120.0, -40.0, yaw)
+    pose = Pose(120.0, -40.0, yaw)
     ahead = to_heading_up(120.0 + 10.0 * math.cos(yaw), -40.0 + 10.0 * math.sin(yaw), pose)
     left = to_heading_up(120.0 - 10.0 * math.sin(yaw), -40.0 + 10.0 * math.cos(yaw), pose)
     assert ahead == pytest.approx([0.0, -10.0], abs=1e-9)
@@ -45,14 +45,14 @@ def test_a_point_to_the_left_is_on_the_left_and_one_ahead_is_up(yaw: float) -> N
 
 
 def test_on_the_map_north_is_up_and_east_is_right() -> None:
-    pose = (5.0, 7.0, 1.0)
+    pose = Pose(5.0, 7.0, 1.0)
     assert to_north_up(5.0, 17.0, pose) == pytest.approx([0.0, -10.0])
     assert to_north_up(15.0, 7.0, pose) == pytest.approx([10.0, 0.0])
     assert to_north_up(np.zeros(4), np.zeros(4), pose).shape == (4, 2)
 
 
 def test_grid_lines_stay_where_they_are_while_the_car_moves() -> None:
-    for pose in ((3.0, -2.0, 0.0), (103.0, 55.0, 1.0)):
+    for pose in (Pose(3.0, -2.0, 0.0), Pose(103.0, 55.0, 1.0)):
         lines = make_grid_lines(pose, 20.0, 50.0)
         assert len(lines) == 10
         for x, y in lines:
@@ -61,7 +61,7 @@ def test_grid_lines_stay_where_they_are_while_the_car_moves() -> None:
 
 def test_the_outline_is_as_long_and_wide_as_the_car_and_points_ahead() -> None:
     car = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
-    x, y = make_car_outline((10.0, 20.0, 0.5), car)
+    x, y = make_car_outline(Pose(10.0, 20.0, 0.5), car)
     forward = (x - 10.0) * math.cos(0.5) + (y - 20.0) * math.sin(0.5)
     left = (y - 20.0) * math.cos(0.5) - (x - 10.0) * math.sin(0.5)
     assert np.ptp(forward) == pytest.approx(car.length) and np.ptp(left) == pytest.approx(car.width)

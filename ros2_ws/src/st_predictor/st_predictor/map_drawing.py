@@ -3,6 +3,7 @@
 from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from st_core.types import body_to_map
@@ -15,18 +16,25 @@ GHOST_TOLERANCE = 0.15  # s, largest difference between a prediction's age and a
 BAND_MODE = "forecast"  # mode of the drawn bands and paths
 
 
-def make_car_outline(pose: tuple[float, float, float], car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
+class Pose(NamedTuple):
+    """Position x, y [m] and yaw [rad] in the map frame."""
+
+    x: float
+    y: float
+    yaw: float
+
+
+def make_car_outline(pose: Pose, car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
     """Map x, y [m] of the closed outline of the car, with a nose that points ahead.
 
-    pose: x, y [m] and yaw [rad] of the INS point. Front and rear overhang are assumed equal, because the vehicle file
-    contains only the length.
+    pose: of the INS point. Front and rear overhang are assumed equal: the vehicle file contains only the length.
     """
     overhang = 0.5 * (car.length - car.wheelbase)
     front, rear, half = car.cg_to_front_axle + overhang, -car.cg_to_rear_axle - overhang, 0.5 * car.width
     forward = np.array([rear, 0.6 * front, front, 0.6 * front, rear, rear]) - car.cg_to_ins_x
     left = np.array([half, half, 0.0, -half, -half, half]) - car.cg_to_ins_y
-    dx, dy = body_to_map(forward, left, pose[2])
-    return pose[0] + dx, pose[1] + dy
+    dx, dy = body_to_map(forward, left, pose.yaw)
+    return pose.x + dx, pose.y + dy
 
 
 @dataclass(frozen=True, eq=False)

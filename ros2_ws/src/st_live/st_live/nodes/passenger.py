@@ -24,6 +24,7 @@ from st_core.types import InsSample, cg_to_ins_position, map_to_body
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import InsStatus, PlannedPrediction, Prediction, PredictionError, PredictorStatus, Steering
 from st_predictor import convert
+from st_predictor.map_drawing import Pose
 from st_recordings.car import read_vehicle
 from st_ros import spin
 from st_ros.polling import PolledSubscription, create_steady_timer
@@ -118,7 +119,7 @@ class PassengerFrames:
         }
         if sample is None:
             return frame
-        pose = (*self._find_cg(sample), sample.yaw)
+        pose = Pose(*self._find_cg(sample), sample.yaw)
         track = np.array([point[1:] for point in self._track]).reshape(-1, 2)
         return frame | {
             "pose": [round(value, 3) for value in pose], "speed": round(sample.velocity_x, 2),
@@ -131,10 +132,10 @@ class PassengerFrames:
         x, y = cg_to_ins_position(sample.x, sample.y, sample.yaw, -self._car.cg_to_ins_x, -self._car.cg_to_ins_y)
         return float(x), float(y)
 
-    def _make_path(self, message: Any, pose: tuple[float, float, float], mode: str) -> dict[str, Any]:
+    def _make_path(self, message: Any, pose: Pose, mode: str) -> dict[str, Any]:
         x, y, yaw = (np.asarray(column)[::PATH_STRIDE] for column in (message.x, message.y, message.yaw))
         path: dict[str, Any] = {"points": _to_car_axes(x, y, pose), "step": PATH_STRIDE * message.step,
-                                "inputs": INPUTS_OF_MODE[mode], "yaw": np.round(yaw - pose[2], 3).tolist()}
+                                "inputs": INPUTS_OF_MODE[mode], "yaw": np.round(yaw - pose.yaw, 3).tolist()}
         # The forecast from the same start contains the bands of all modes.
         _, forecast = self._predictions["forecast"].get(message.model, (0.0, None))
         bands = forecast.bands if forecast and forecast.header.stamp == message.header.stamp else ()
@@ -181,9 +182,9 @@ class PassengerFrames:
             self._health[node].checks[check] = int.from_bytes(status.level, "little"), text
 
 
-def _to_car_axes(x: np.ndarray, y: np.ndarray, pose: tuple[float, float, float]) -> list[list[float]]:
-    """[[forward, left], ...] in m of map points, seen from a car at pose (x, y [m], yaw [rad])."""
-    forward, left = map_to_body(x - pose[0], y - pose[1], pose[2])
+def _to_car_axes(x: np.ndarray, y: np.ndarray, pose: Pose) -> list[list[float]]:
+    """[[forward, left], ...] in m of map points x, y [m], seen from a car at `pose`."""
+    forward, left = map_to_body(x - pose.x, y - pose.y, pose.yaw)
     return np.round(np.stack([forward, left], axis=1), 2).tolist()
 
 

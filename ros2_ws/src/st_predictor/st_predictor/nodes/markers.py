@@ -18,7 +18,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from .. import convert, params
-from ..map_drawing import History, Path, make_car_outline
+from ..map_drawing import History, Path, Pose, make_car_outline
 
 NEWEST_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 SCORE_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # scores of one start arrive together
@@ -72,8 +72,8 @@ class MarkersNode(Node):
         track = np.array([(x, y) for _, x, y in self._history.track])
         markers = [
             self._make_line("track", 0, now_ns, track[:, 0], track[:, 1], MEASURED_COLOUR, TRACK_WIDTH, 0.5, z=-0.2),
-            self._make_line("car", 0, now_ns, *make_car_outline((sample.x, sample.y, sample.yaw), self._car), "#141414",
-                            CAR_WIDTH),
+            self._make_line("car", 0, now_ns, *make_car_outline(Pose(sample.x, sample.y, sample.yaw), self._car),
+                            "#141414", CAR_WIDTH),
         ]
         for number, model in enumerate(self._history.models):
             markers += [self._make_line("ghosts", 10 * number + round(age), now_ns, ghost.x, ghost.y, colour_of(model),
